@@ -7,11 +7,6 @@ from drivers.core.ranges import Range
 RECORDED_POSITION = Range(-1e6, 1e6, "rad or m")
 RECORDED_VELOCITY = Range(-1e5, 1e5, "rad/s or m/s")
 RECORDED_TORQUE = Range(-1e8, 1e8, "N·m or N")
-CUTOFF = Range(0.01, 10_000.0, "Hz")
-"""Of a filter, whose response lasts as long as a period of its cut-off."""
-DECIMATION = Range(1, 10_000)
-WINDOW_TIME = Range(0.0, 1e7, "s")
-"""From a recording's first stamp; four months."""
 ENERGY_WINDOW = Range(1e-3, 3600.0, "s")
 RIDGE_WEIGHT = Range(0.0, 1e3)
 """Of a penalty, over a column's squared length; from 1 on parameters are pulled half way to 0."""
@@ -21,15 +16,8 @@ AR_ORDER = Range(0, 50)
 """Of an autoregressive noise model."""
 SMOOTHING = Range(0.0, 10.0, "rad/s")
 PRESLIDING_TRAVEL = Range(1e-6, 1.0, "rad or m")
-PERCENT = Range(1e-3, 100.0, "%")
-"""A standard deviation relative to its parameter: wanted, or a threshold of significance."""
-PERIODS = Range(1, 10_000)
-HARMONICS = Range(1, 50)
-POINTS = Range(2, 200)
-RAMP = Range(1e-3, 3600.0, "s")
 SEARCH_TIME = Range(1e-3, 604_800.0, "s")
 """A week."""
-STARTS = Range(1, 100_000)
 SEED = Range(0, 2**63 - 1)
 POPULATION = Range(1, 100_000)
 """Of a swarm, and its memeplexes."""
@@ -38,8 +26,6 @@ LEARNING_FACTOR = Range(0.0, 100.0)
 """Of a swarm's moves towards good points."""
 FRICTION_SHARE = Range(1e-3, 10.0)
 """Largest torque of a friction term over the joint's torque limit."""
-NOISE_LEVEL = Range(1e-30, 1e30)
-"""A variance, or the density of white noise."""
 NOISE_RATIO = Range(1e-12, 1e12)
 """Variance of a process over that of a sample."""
 LEAP = Range(1e-6, 1e3)

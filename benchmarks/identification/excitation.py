@@ -187,7 +187,7 @@ def run(seeds: int = 5) -> dict[str, float]:
 
 def reached(seconds: float, seed: int) -> tuple[float, float]:
     """Condition number and largest use of a limit on the dense grid, after so long [s] on all cores."""
-    found = design(peers_arm(), no_prior(), CHOICES, SearchChoices(seed=seed, starts=None, seconds=seconds))
+    found = design(peers_arm(), no_prior(), CHOICES, SearchChoices(seed=seed, starts=None, time=seconds))
     return found.cost, float(found.use.max())
 
 

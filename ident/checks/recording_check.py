@@ -25,11 +25,10 @@ from ident.assessment.torque_level import torque_level_checks
 from ident.excite.sufficiency import (
     Sufficiency,
     TimesNeeded,
-    check_wanted_rsd,
     motion_sufficiency,
     times_needed,
 )
-from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.regression.options import SIGNIFICANT_RSD
 from ident.signals.options import PreprocessChoices
 from ident.signals.resampling import check_rate
 from ident.verdict.catalogue import raised
@@ -95,11 +94,8 @@ def recording_info(
         progress: called with the name of each step before it begins.
 
     Raises:
-        UsageError: `wanted_rsd_percent` is not a percentage.
         DataError: the stamps of the joints are not in seconds.
     """
-    if wanted_rsd_percent is not None:
-        check_wanted_rsd(wanted_rsd_percent)
     streams = stream_qualities(recording)
     if JOINTS_STREAM in streams:
         check_rate(streams[JOINTS_STREAM].rate_hz, f"{recording.label}: {JOINTS_STREAM}")

@@ -6,22 +6,17 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import DELAY, FORCE, JSON
+from ident.commands.options import FORCE, JSON, takes
+from ident.tasks.options import CompareOptions
 
 app = typer.Typer()
 
 
 @app.command("compare")
+@takes(CompareOptions)
 def compare_methods(
-    recordings: list[Path] = typer.Argument(help="Recordings (.h5) of one arm; several are stacked."),
-    methods: str = typer.Option("ols,wls", "--methods", metavar="A,B,…", help="Methods, as identify takes them."),
-    friction: str = typer.Option(
-        None, "--friction", metavar="A,B,…", help="Friction models, as identify takes them; each with each method."
-    ),
-    validate_with: list[Path] = typer.Option([], "--validate", help="Held-out recordings; the last 30 % without any."),
-    split: float = typer.Option(None, "--split", help="Identify on the first SECONDS, validate on the rest."),
-    robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
-    delay: str = DELAY,
+    *,
+    options: CompareOptions,
     out: Path = typer.Option(None, "-o", "--out", help="Folder for comparison.json and report.html."),
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -33,23 +28,15 @@ def compare_methods(
     from daq.commands.console import print_table, progress_line
     from daq.output_files import REPORT_FILE, check_output_folder
     from daq.robot.loader import load_robot
-    from ident.commands.options import delay_option, names_option
     from ident.tasks.comparison import COMPARISON_FILE, compare
+    from ident.tasks.runs import paths_of
 
     if out is not None:
-        inputs = [*recordings, *validate_with, *(load_robot(robot).files if robot else ())]
+        robot = options.robot
+        inputs = [*paths_of(options.runs, options.validation), *(load_robot(robot).files if robot else ())]
         check_output_folder(out, (COMPARISON_FILE, REPORT_FILE), inputs, overwrite=force)
     with progress_line(quiet=as_json) as progress:
-        comparison = compare(
-            recordings,
-            names_option(methods, "--methods") or (),
-            friction=names_option(friction, "--friction") or (),
-            validation=validate_with,
-            robot=robot,
-            delay=delay_option(delay),
-            split=split,
-            progress=progress,
-        )
+        comparison = compare(**{**vars(options), "progress": progress})
         if out is not None:
             progress("report")
             comparison.save(out)

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import DELAY, FORCE, JSON
+from ident.commands.options import FORCE, JSON, takes
+from ident.tasks.options import FrictionOptions
 
 app = typer.Typer()
 
 
 @app.command("friction")
+@takes(FrictionOptions)
 def find_friction(
-    recordings: list[Path] = typer.Argument(help="Recordings (.h5) of one arm, one joint moving at a time."),
-    friction: str = typer.Option("auto", "--friction", help="coulomb-viscous+power+temperature, …, or auto; see docs."),
-    robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
-    delay: str = DELAY,
+    *,
+    options: FrictionOptions,
     out: Path = typer.Option(None, "-o", "--out", help="Folder for friction.json and report.html."),
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -29,22 +29,23 @@ def find_friction(
     from daq.output_files import REPORT_FILE, check_output_folder
     from daq.robot.loader import load_robot
     from drivers.core.units import common_unit
-    from ident.commands.options import delay_option
     from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
     from ident.result.friction_experiment import FRICTION_FILE
-    from ident.tasks.friction import friction as friction_task
+    from ident.tasks.friction import friction
+    from ident.tasks.runs import paths_of
 
+    recordings, robot = paths_of(options.runs), options.robot
     folder = out if out is not None else Path(f"{recordings[0].stem}-friction")
     inputs = [*recordings, *(load_robot(robot).files if robot else ())]
     check_output_folder(folder, (FRICTION_FILE, REPORT_FILE), inputs, overwrite=force)
     with progress_line(quiet=as_json) as progress:
-        found = friction_task(recordings, friction=friction, robot=robot, delay=delay_option(delay), progress=progress)
+        identified = friction(**{**vars(options), "progress": progress})
         progress("report")
-        found.save(folder)
+        identified.save(folder)
     if as_json:
-        print(found.to_json())
+        print(identified.to_json())
         return
-    result = found.result
+    result = identified.result
     print(f"delay: {result.delay_note}")
     rows = [
         (

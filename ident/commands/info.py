@@ -6,20 +6,17 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON
+from ident.commands.options import FORCE, JSON, takes
+from ident.tasks.options import InfoOptions
 
 app = typer.Typer()
 
 
 @app.command("info")
+@takes(InfoOptions)
 def show_info(
-    recording: Path = typer.Argument(help="Recording (.h5)."),
-    robot: str = typer.Option(None, "--robot", help="Robot file in place of the recording's own."),
-    wanted_rsd: float = typer.Option(
-        None,
-        "--wanted-rsd",
-        help="Estimate how long this motion must be recorded for this relative standard deviation [%].",
-    ),
+    *,
+    options: InfoOptions,
     page: Path = typer.Option(None, "--page", help="Folder for info.json and info.html, a page to look at."),
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -34,12 +31,14 @@ def show_info(
     from ident.checks.page.page import JSON_FILE, PAGE_FILE
     from ident.checks.recording_check import print_info
     from ident.tasks.recording_quality import info
+    from ident.tasks.runs import paths_of
 
     if page is not None:
-        inputs = [recording, *(load_robot(robot).files if robot else ())]
+        robot = options.robot
+        inputs = [*paths_of(options.run), *(load_robot(robot).files if robot else ())]
         check_output_folder(page, (JSON_FILE, PAGE_FILE), inputs, overwrite=force)
     with progress_line(quiet=as_json) as progress:
-        quality = info(recording, robot=robot, wanted_rsd=wanted_rsd, progress=progress)
+        quality = info(**{**vars(options), "progress": progress})
         if page is not None:
             progress("page")
             quality.save(page)

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import ESSENTIAL, FORCE, JSON, SIGNIFICANCE
+from ident.commands.options import FORCE, JSON, takes
+from ident.tasks.options import MergeOptions
 
 app = typer.Typer()
 
 
 @app.command("merge")
+@takes(MergeOptions)
 def merge_models(
-    models: list[Path] = typer.Argument(help="result.json files of one arm, or the folders that hold them."),
+    *,
     out: Path = typer.Option(Path("merged-model"), "-o", "--out", help="Folder for result.json and report.html."),
-    validate_with: Path = typer.Option(None, "--validate", help="Held-out recording (.h5), used by none of them."),
-    essential: str = ESSENTIAL,
-    significance: float = SIGNIFICANCE,
+    options: MergeOptions,
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
@@ -29,18 +29,14 @@ def merge_models(
     from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
     from ident.commands.print_result import print_result
     from ident.result.model import result_path
+    from ident.tasks.runs import paths_of
     from ident.tasks.validation import merge
 
-    inputs = [*map(result_path, models), validate_with]
+    inputs = [*map(result_path, paths_of(options.results)), *paths_of(options.validation)]
     check_output_folder(out, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
     with progress_line(quiet=as_json) as progress:
         progress("merging")
-        merged = merge(
-            models,
-            validation=validate_with,
-            essential=essential,  # type: ignore[arg-type]
-            significance=significance,
-        )
+        merged = merge(**vars(options))
         progress("report")
         merged.save(out)
     if as_json:

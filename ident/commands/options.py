@@ -1,8 +1,7 @@
-"""Arguments and options that several commands share, and the values of their texts."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +9,8 @@ import typer
 
 from daq.commands.options import FORCE as FORCE
 from daq.commands.options import JSON as JSON
-from drivers.core.errors import UsageError
-
-ROBOT = typer.Argument(help="Built-in robot or robot file.")
-ESSENTIAL = typer.Option(
-    "rsd", "--essential", help="Which parameters leave the essential model: rsd (--significance) or f-test."
-)
-SIGNIFICANCE = typer.Option(15.0, "--significance", help="Threshold of the relative standard deviation [%].")
+from daq.commands.options import ROBOT as ROBOT
+from daq.commands.options import takes as takes
 
 
 def _list_methods(text: str) -> str:
@@ -29,16 +23,8 @@ def _list_methods(text: str) -> str:
     return text
 
 
-METHOD = typer.Option(
-    "wls",
-    "--method",
-    metavar="NAME[:OPTION=VALUE]…",
-    help="Estimator with its options, such as wls or energy:window=0.5; 'help' lists them.",
-    callback=_list_methods,
-    is_eager=True,
-)
-DELAY = typer.Option("auto", "--delay", help="Delay of torque behind position: auto, or SECONDS.")
-
+METHOD = {"callback": _list_methods, "is_eager": True}
+"""What `--method` does beside: 'help' lists the methods."""
 
 ACCEPT = typer.Option(None, "--accept", help="YAML file of limits; exit status 1 where one is not kept.")
 MAX_ERROR = typer.Option(None, "--max-error", help="Limit of the held-out relative error, a ratio such as 0.08.")
@@ -66,48 +52,3 @@ def limits_option(
         if limit is not None:
             limits |= declared({key: limit}, option).model_dump(exclude_none=True)
     return limits or None
-
-
-def delay_option(text: str) -> float | None:
-    """Delay [s] of `--delay`; None for `auto`.
-
-    Raises:
-        UsageError: neither a number nor `auto`.
-    """
-    if text == "auto":
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise UsageError(f"--delay {text} is neither 'auto' nor a number of seconds")
-    return value
-
-
-def names_option(text: str | None, option: str) -> tuple[str, ...] | None:
-    """Names that commas separate; None where the option was not given.
-
-    Raises:
-        UsageError: there is no name in it.
-    """
-    if text is None:
-        return None
-    names = tuple(name for part in text.split(",") if (name := part.strip()))
-    if not names:
-        raise UsageError(f"{option} '{text}' holds no name")
-    return names
-
-
-def numbers_option(text: str | None, option: str) -> tuple[float, ...] | None:
-    """Numbers that commas separate; None where the option was not given.
-
-    Raises:
-        UsageError: they are not numbers.
-    """
-    if text is None:
-        return None
-    try:
-        return tuple(float(value) for value in text.split(","))
-    except ValueError:
-        raise UsageError(f"'{text}' are not numbers separated by commas", where=option) from None

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
-from ident.commands.two_runs import TwoRuns, takes_two_runs
+from ident.commands.options import FORCE, JSON, takes
+from ident.tasks.options import GainsOptions, LoadOptions
 
 if TYPE_CHECKING:
     from ident.experiments.gains.drive_gains import DriveGains
@@ -15,10 +17,29 @@ if TYPE_CHECKING:
 
 app = typer.Typer()
 
+OUT = typer.Option(None, "-o", "--out", help="Folder for the result (.json) and report.html.")
+
+
+def _folder(options: LoadOptions, out: Path | None, experiment: str, result: str, *, overwrite: bool) -> Path:
+    """The folder for the results, checked: `--out`, or the loaded recording's name and what the experiment is.
+
+    Raises:
+        UsageError: its files exist already, or cannot be written.
+    """
+    from daq.output_files import REPORT_FILE, check_output_folder
+    from daq.robot.loader import load_robot
+    from ident.tasks.runs import paths_of
+
+    free, loaded = paths_of(options.free, options.loaded)
+    folder = out if out is not None else Path(f"{loaded.stem}-{experiment}")
+    inputs = [free, loaded, *(load_robot(options.robot).files if options.robot else ())]
+    check_output_folder(folder, (result, REPORT_FILE), inputs, overwrite=overwrite)
+    return folder
+
 
 @app.command("payload")
-@takes_two_runs
-def identify_load(runs: TwoRuns) -> None:
+@takes(LoadOptions)
+def identify_load(*, options: LoadOptions, out: Path = OUT, force: bool = FORCE, as_json: bool = JSON) -> None:
     """Identify the load on the tool, and test whether a load explains what changed between the runs.
 
     Example: dynid payload free.h5 loaded.h5 --mass 2.8 -o load
@@ -27,13 +48,13 @@ def identify_load(runs: TwoRuns) -> None:
     from daq.output_files import REPORT_FILE
     from ident.tasks.loads import PAYLOAD_FILE, payload
 
-    folder, options = runs.folder("payload", PAYLOAD_FILE), runs.options()
-    with progress_line(quiet=runs.as_json) as progress:
+    folder = _folder(options, out, "payload", PAYLOAD_FILE, overwrite=force)
+    with progress_line(quiet=as_json) as progress:
         progress("payload")
-        load = payload(runs.free, runs.loaded, mass=runs.mass, **options)
+        load = payload(**vars(options))
         progress("report")
         load.save(folder)
-    if runs.as_json:
+    if as_json:
         print(load.to_json())
         return
     print_payload(load.estimate)
@@ -41,36 +62,24 @@ def identify_load(runs: TwoRuns) -> None:
 
 
 @app.command("gains")
-@takes_two_runs
-def identify_drive_gains(
-    runs: TwoRuns,
-    up_and_down: bool = typer.Option(
-        False, "--up-and-down", help="From slow passes of one joint at a time, up and down."
-    ),
-) -> None:
+@takes(GainsOptions)
+def identify_drive_gains(*, options: GainsOptions, out: Path = OUT, force: bool = FORCE, as_json: bool = JSON) -> None:
     """Identify the gains of all drives from a run without and a run with a load of known mass.
 
     Example: dynid gains free.h5 loaded.h5 --mass 2.8 -o gains
     """
     from daq.commands.console import progress_line
     from daq.output_files import REPORT_FILE
-    from drivers.core.errors import UsageError
     from ident.experiments.gains.drive_gains import DriveGains
     from ident.tasks.loads import GAINS_FILE, drive_gains
 
-    if runs.mass is None:
-        raise UsageError(
-            "the gains are not identifiable without the load's mass: twice the gains with twice the masses fit equally "
-            "well",
-            hint="weigh the load and add --mass KG",
-        )
-    folder, options = runs.folder("gains", GAINS_FILE), runs.options()
-    with progress_line(quiet=runs.as_json) as progress:
+    folder = _folder(options, out, "gains", GAINS_FILE, overwrite=force)
+    with progress_line(quiet=as_json) as progress:
         progress("gains")
-        identified = drive_gains(runs.free, runs.loaded, mass=runs.mass, up_and_down=up_and_down, **options)
+        identified = drive_gains(**vars(options))
         progress("report")
         identified.save(folder)
-    if runs.as_json:
+    if as_json:
         print(identified.to_json())
         return
     if isinstance(identified.estimate, DriveGains):

@@ -6,19 +6,18 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON
+from ident.commands.options import FORCE, JSON, takes
+from ident.tasks.options import PredictOptions
 
 app = typer.Typer()
 
 
 @app.command("predict")
+@takes(PredictOptions)
 def predict_torque(
-    model: Path = typer.Argument(help="Folder that identify wrote, or its result.json."),
-    recording: Path = typer.Argument(help="Recording of the same arm (.h5)."),
+    *,
     out: Path = typer.Option(None, "-o", "--out", help="Recording to write (.h5)."),
-    parameters: str = typer.Option(
-        None, "--parameters", help="consistent, full or essential; consistent where there are any, else full."
-    ),
+    options: PredictOptions,
     page: Path = typer.Option(None, "--page", help="Page with plots to write (.html)."),
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -31,12 +30,14 @@ def predict_torque(
     from daq.output_files import check_outputs
     from ident.result.model import result_path
     from ident.tasks.prediction import predict
+    from ident.tasks.runs import paths_of
 
+    model, recording = paths_of(options.identified, options.run)
     file = out if out is not None else Path(f"{recording.stem}-predicted.h5")
     check_outputs([file, page], [recording, result_path(model)], overwrite=force)
     with progress_line(quiet=as_json) as progress:
         progress("prediction")
-        prediction = predict(model, recording, parameters=parameters)  # type: ignore[arg-type]  # the task checks it
+        prediction = predict(**vars(options))
         progress(f"writing {file}")
         prediction.save(file, overwrite=force)
         if page is not None:
@@ -48,7 +49,7 @@ def predict_torque(
             {
                 "file": str(file),
                 "page": None if page is None else str(page),
-                "parameters": parameters,
+                "parameters": options.parameters,
                 "presliding": prediction.segments.presliding,
                 "samples": len(prediction.time),
                 "segments": len(prediction.segments.segments),

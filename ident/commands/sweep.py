@@ -6,22 +6,18 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON, ROBOT
-from ident.excite.sweep_choices import SweepChoices
+from ident.commands.options import FORCE, JSON, takes
+from ident.tasks.options import SweepOptions
 
 app = typer.Typer()
 
 
 @app.command("sweep")
+@takes(SweepOptions)
 def sweep_velocities(
-    robot: str = ROBOT,
+    *,
     out: Path = typer.Option(..., "-o", "--out", help="Trajectory file to write (.yaml)."),
-    joints: str = typer.Option(None, "--joints", help="Joints that move, separated by commas; all if absent."),
-    pose: str = typer.Option(None, "--pose", help="Pose of the robot file that the other joints rest in; its first."),
-    stroke: float = typer.Option(SweepChoices.stroke, "--stroke", help="Of each joint [rad or m]."),
-    slowest: float = typer.Option(SweepChoices.slowest, "--slowest", help="Peak of the slowest stroke [rad/s, m/s]."),
-    speeds: int = typer.Option(SweepChoices.speeds, "--speeds", help="Number of peak speeds up to the limits."),
-    prior: Path = typer.Option(None, "--prior", help="Model folder or result.json that predicts torque."),
+    options: SweepOptions,
     page: Path = typer.Option(None, "--page", help="Page to write (.html): plots, the arm in motion."),
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -36,23 +32,14 @@ def sweep_velocities(
     from daq.output_files import check_outputs, written_together
     from daq.robot.loader import load_robot
     from drivers.core.units import common_unit
-    from ident.commands.options import names_option
     from ident.result.model import result_path
     from ident.tasks.velocity_sweep import design_sweep
 
-    prior_file = None if prior is None else result_path(prior)
-    check_outputs([out, page], [*load_robot(robot).files, prior_file], overwrite=force)
+    prior_file = None if options.prior is None else result_path(options.prior)
+    check_outputs([out, page], [*load_robot(options.robot).files, prior_file], overwrite=force)
     with progress_line(quiet=as_json) as progress:
         progress("sweep")
-        motion, done = design_sweep(
-            robot,
-            joints=names_option(joints, "--joints") or (),
-            pose=pose,
-            stroke=stroke,
-            slowest=slowest,
-            speeds=speeds,
-            prior=prior_file,
-        )
+        motion, done = design_sweep(**vars(options))
         with written_together():
             motion.save(out)
             if page is not None:

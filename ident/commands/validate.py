@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ident.commands.options import ACCEPT, JSON, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE
+from ident.commands.options import ACCEPT, JSON, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, takes
+from ident.tasks.options import ValidateOptions
 
 if TYPE_CHECKING:
     from ident.tasks.validation import RecordingValidation, Validation
@@ -16,9 +17,10 @@ app = typer.Typer()
 
 
 @app.command("validate")
+@takes(ValidateOptions)
 def validate_model(
-    result: Path = typer.Argument(help="Folder that identify wrote, or its result.json."),
-    recordings: list[Path] = typer.Argument(help="Held-out recordings (.h5), each judged apart."),
+    *,
+    options: ValidateOptions,
     accept: Path = ACCEPT,
     max_error: float = MAX_ERROR,
     max_joint_error: float = MAX_JOINT_ERROR,
@@ -36,16 +38,16 @@ def validate_model(
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:
         progress("prediction")
-        validation = validate(result, recordings, accept=limits)
+        validation = validate(**{**vars(options), "accept": limits})
     if as_json:
-        _print_object(result, validation)
+        _print_object(str(options.identified), validation)
     else:
         _print_tables(validation)
     if validation.acceptance is not None and not validation.acceptance.passed:
         raise typer.Exit(1)
 
 
-def _print_object(result: Path, validation: Validation) -> None:
+def _print_object(result: str, validation: Validation) -> None:
     from dataclasses import asdict
 
     from daq.commands.console import print_json
@@ -61,7 +63,7 @@ def _print_object(result: Path, validation: Validation) -> None:
 
     print_json(
         {
-            "result": str(result),
+            "result": result,
             "joints": list(validation.joints),
             **fits(validation),
             "acceptance": None if validation.acceptance is None else asdict(validation.acceptance),

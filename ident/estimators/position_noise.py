@@ -17,8 +17,9 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.model.regressor import RegressorKernel
 from ident.regression.observation_matrix import Reduction, filtered_samples
+from ident.signals.cutoffs import choose_cutoffs
 from ident.signals.filters import butterworth
-from ident.signals.options import PreprocessChoices, choose_cutoffs
+from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared, Segment
 from ident.signals.segments import central_difference
 

@@ -13,7 +13,8 @@ from ident.regression.estimate import estimate_of
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import whole_arm
 from ident.regression.observation_matrix import Reduction
-from ident.signals.options import PreprocessChoices, choose_cutoffs
+from ident.signals.cutoffs import choose_cutoffs
+from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared, Segment
 from ident.simulation.closed_loop import simulated_segment
 

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq.motion.trajectories import SHORTEST_RAMP
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from drivers.core.ranges import PERIOD, PIECE, check_option
 from drivers.core.text import did_you_mean
 from ident.excite.choices import DesignChoices
 from ident.excite.constraints.constraints import constraints_of
@@ -39,7 +37,6 @@ from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.parameters import INERTIAL
 from ident.model.regressor import RegressorKernel, motion_factor
-from ident.ranges import HARMONICS, PERIODS, POINTS, RAMP
 from ident.regression.least_squares import EXCITATION_TOLERANCE
 
 POINTS_PER_WAVE = 20
@@ -56,7 +53,6 @@ def build_problem(robot_file: RobotFile, prior: Prior, choices: DesignChoices) -
     Raises:
         UsageError: a choice is not possible for this arm.
     """
-    _check(choices)
     model = build_model(robot_file)
     family = build_family(model, choices)
     time = family.grid(POINTS_PER_WAVE * _waves(choices))
@@ -72,7 +68,7 @@ def build_problem(robot_file: RobotFile, prior: Prior, choices: DesignChoices) -
 
 def build_family(model: DynamicModel, choices: DesignChoices) -> Family:
     """The family of motions of a design."""
-    moving = _moving(model, choices.moving)
+    moving = _moving(model, choices.joints)
     rest = np.array([middle_of_range(*limits.position) for limits in model.limits])
     common = (model.limits, moving, rest, choices.period)
     if choices.kind == "fourier":
@@ -195,23 +191,3 @@ def _moving(model: DynamicModel, names: tuple[str, ...] | None) -> tuple[int, ..
 
 def _waves(choices: DesignChoices) -> int:
     return choices.points if choices.kind == "points" else choices.harmonics
-
-
-def _check(choices: DesignChoices) -> None:
-    if choices.ramp < SHORTEST_RAMP:
-        raise UsageError(f"--ramp {choices.ramp:g} is too short; at least {SHORTEST_RAMP:g} s from rest to full speed")
-    for name, value, allowed in (
-        ("period", choices.period, PERIOD),
-        ("ramp", choices.ramp, RAMP),
-        ("harmonics", choices.harmonics, HARMONICS),
-        ("periods", choices.periods, PERIODS),
-        ("points", choices.points, POINTS),
-    ):
-        check_option(f"--{name}", value, allowed)
-    duration = choices.periods * choices.period + 2.0 * choices.ramp
-    if not PIECE.holds(duration):
-        raise UsageError(
-            f"--periods {choices.periods} of {choices.period:g} s last {duration:g} s; at most a day is played"
-        )
-    if not 0.0 <= choices.margin < 1.0:
-        raise UsageError(f"--margin {choices.margin:g} is not between 0 and 1")

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
+
+from drivers.core.errors import UsageError
+from drivers.core.options import Options, option, read_names
+from drivers.core.ranges import PERIOD, PIECE, Range
+from ident.ranges import SEARCH_TIME, SEED
 
 Kind = Literal["fourier", "fourier-quintic", "sines", "points"]
 CriterionName = Literal[
     "condition", "plain-condition", "moments", "d-optimal", "e-optimal", "hadamard", "deviations", "motion-size"
 ]
+LocalSolver = Literal["slsqp", "trust-constr", "ipopt"]
+"""With derivatives."""
+
+Solver = Literal[LocalSolver, "sfla"]
 
 
 DEFAULT_SECONDS = 20.0
@@ -18,34 +27,86 @@ DEFAULT_MARGIN = 0.1
 """Share of every limit kept free: late commands make the played path faster than the designed one."""
 
 
-@dataclass(frozen=True)
-class DesignChoices:
-    """Options of the design.
+@dataclass(frozen=True, kw_only=True)
+class DesignChoices(Options):
+    """Options of the motion and of what it is designed for."""
 
-    Attributes:
-        kind: form of the motion.
-        criterion: that is minimised.
-        harmonics: of a Fourier series, or number of sines of a sum of sines.
-        points: of a point-to-point motion.
-        period: of one repetition [s]; the duration of sums of sines and of point-to-point motions.
-        periods: repetitions.
-        ramp: from rest to full speed [s].
-        moving: names of the joints that move; all where None. The others rest in the middle of their range.
-        loaded: design for the ten parameters of the last link, which a payload changes, all others being known.
-        margin: share of every limit kept free.
-        self_collision: whether collisions between links are checked.
-        moment_weights: W1, W2 of AUBO eq. 21.
-    """
+    kind: Kind = option("fourier", "fourier, fourier-quintic, sines or points.", one_of=get_args(Kind))
+    criterion: CriterionName = option(
+        "d-optimal",
+        "d-optimal, e-optimal, deviations, condition, plain-condition, moments, hadamard or motion-size.",
+        meaning='what is minimised: "d-optimal", "e-optimal", "deviations", "condition", "plain-condition", '
+        '"moments", "hadamard" or "motion-size" (docs/excitation.md).',
+        one_of=get_args(CriterionName),
+    )
+    harmonics: int = option(5, "Harmonics of the series, or number of sines.", allowed=Range(1, 50))
+    points: int = option(12, "Points of a point-to-point motion.", allowed=Range(2, 200))
+    period: float = option(
+        10.0,
+        "Seconds of one repetition.",
+        meaning="duration of one repetition, or of all of a sum of sines or a point-to-point motion [s].",
+        allowed=PERIOD,
+    )
+    periods: int = option(1, "Repetitions.", allowed=Range(1, 10_000))
+    ramp: float = option(
+        2.0,
+        "Seconds from rest to full speed, and back.",
+        meaning="from rest to full speed, and back [s]; at least 0.1.",
+        allowed=Range(0.1, 3600.0, "s"),
+        hint="at least 0.1 s from rest to full speed",
+    )
+    loaded: bool = option(
+        False,
+        "Design for identifying a payload: the parameters of the last link.",
+        meaning="design for the ten parameters of the last link, which a payload changes, all others being known.",
+    )
+    joints: tuple[str, ...] | None = option(
+        None,
+        "Joints that move, separated by commas; the others rest.",
+        meaning="names of the joints that move; all where None. The others rest in the middle of their range.",
+        read=read_names,
+    )
+    margin: float = option(DEFAULT_MARGIN, "Share of every limit kept free.")
+    self_collision: bool = option(True, "Keep links apart.", flag="--self-collision/--no-self-collision")
+    moment_weights: tuple[float, float] = option((1.0, 1.0), meaning="W1, W2 of the criterion moments (AUBO eq. 21).")
 
-    kind: Kind = "fourier"
-    criterion: CriterionName = "d-optimal"
-    harmonics: int = 5
-    points: int = 12
-    period: float = 10.0
-    periods: int = 1
-    ramp: float = 2.0
-    moving: tuple[str, ...] | None = None
-    loaded: bool = False
-    margin: float = DEFAULT_MARGIN
-    self_collision: bool = True
-    moment_weights: tuple[float, float] = (1.0, 1.0)
+    def __post_init__(self) -> None:
+        """Check every option, and the duration of all.
+
+        Raises:
+            UsageError: names the option.
+        """
+        super().__post_init__()
+        duration = self.periods * self.period + 2.0 * self.ramp
+        if not PIECE.holds(duration):
+            raise UsageError(
+                f"--periods {self.periods} of {self.period:g} s last {duration:g} s; at most a day is played"
+            )
+        if not 0.0 <= self.margin < 1.0:
+            raise UsageError(f"--margin {self.margin:g} is not between 0 and 1")
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchOptions(Options):
+    """How long and how to search."""
+
+    seed: int = option(0, "Of the random starts.", allowed=SEED)
+    time: float | None = option(
+        None,
+        f"Search for SECONDS; {DEFAULT_SECONDS:g} without --starts.",
+        meaning=f"duration of the search [s]; {DEFAULT_SECONDS:g} s without `starts`.",
+        allowed=SEARCH_TIME,
+    )
+    starts: int | None = option(
+        None,
+        "Search from this many starts, whatever the machine's speed.",
+        meaning="number of starts; the result does not depend on the machine's speed.",
+        allowed=Range(1, 100_000),
+    )
+    solver: Solver = option(
+        "slsqp",
+        "slsqp, trust-constr, ipopt or sfla.",
+        meaning='"slsqp", "trust-constr" or "ipopt", with derivatives; "sfla", shuffled frog leaping without any.',
+        one_of=("slsqp", "trust-constr", "ipopt", "sfla"),
+    )
+    workers: int | None = option(None, meaning="processes; one per core where None, this one alone where 1.")

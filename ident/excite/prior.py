@@ -19,7 +19,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.result.model import result_path
 from ident.result.schema import Result, read_result
-from ident.signals.options import filtered_rate
+from ident.signals.cutoffs import filtered_rate
 
 ASSUMED_NOISE_SHARE = 0.01
 """Assumed torque noise of a joint, as a share of its torque limit."""

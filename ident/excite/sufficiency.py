@@ -9,17 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.errors import DynidError
-from drivers.core.ranges import check_option
 from drivers.core.text import percentage_text
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recorded_motion import RecordedMotion
 from ident.excite.forecast import Forecast, forecast
 from ident.excite.prior import Prior, find_prior, least_noise
-from ident.ranges import PERCENT
 from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import FilteredRun, block_jackknife
 from ident.regression.least_squares import weighted_least_squares
-from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.regression.options import SIGNIFICANT_RSD
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 
@@ -131,15 +129,6 @@ def _from_torque(motion: RecordedMotion) -> Sufficiency:
         rate=segments[0].rate / parallel_filter.factor,
     )
     return _summary(motion, prior, corrected.repetitions)
-
-
-def check_wanted_rsd(percent: float) -> None:
-    """Refuse an impossible relative standard deviation.
-
-    Raises:
-        UsageError: it is not within `PERCENT`.
-    """
-    check_option("--wanted-rsd", percent, PERCENT, hint="5 is usual")
 
 
 def times_needed(sufficiency: Sufficiency, wanted_rsd_percent: float) -> TimesNeeded:

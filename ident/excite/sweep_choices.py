@@ -2,37 +2,45 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drivers.core.ranges import Range, check_option
+from drivers.core.options import Options, option, read_names
+from drivers.core.ranges import Range
 
 SMALLEST_STROKE = 0.1
 """Shorter strokes [rad or m] pass too few positions to tell gravity from friction."""
 
-STROKE = Range(SMALLEST_STROKE, 12.0, "rad or m")
-SPEED = Range(1e-3, 20.0, "rad/s or m/s")
-SPEEDS = Range(2, 30)
 
+@dataclass(frozen=True, kw_only=True)
+class SweepChoices(Options):
+    """What a user may choose."""
 
-@dataclass(frozen=True)
-class SweepChoices:
-    """What a user may choose.
-
-    Attributes:
-        joints: that move, one after the other; all where empty.
-        pose: of the other joints, by its name in the robot file; its first, or the middle of the ranges, if None.
-        stroke: of each joint, halved until it is free [rad or m].
-        slowest: peak of the slowest stroke [rad/s or m/s].
-        speeds: number of peak speeds up to what the limits allow, in equal ratios.
-    """
-
-    joints: tuple[str, ...] = ()
-    pose: str | None = None
-    stroke: float = 1.2
-    slowest: float = 0.2
-    speeds: int = 6
-
-    def __post_init__(self) -> None:
-        check_option("--stroke", self.stroke, STROKE)
-        check_option("--slowest", self.slowest, SPEED)
-        check_option("--speeds", self.speeds, SPEEDS)
+    joints: Sequence[str] = option(
+        (),
+        "Joints that move, separated by commas; all if absent.",
+        meaning="joints that move, one after the other; all where empty.",
+        read=read_names,
+    )
+    pose: str | None = option(
+        None,
+        "Pose of the robot file that the other joints rest in; its first.",
+        meaning="of the other joints, by its name in the robot file; its first, or the middle of the ranges, if None.",
+    )
+    stroke: float = option(
+        1.2,
+        "Of each joint [rad or m].",
+        meaning="of each joint, halved until it is free [rad or m].",
+        allowed=Range(SMALLEST_STROKE, 12.0, "rad or m"),
+    )
+    slowest: float = option(
+        0.2,
+        "Peak of the slowest stroke [rad/s, m/s].",
+        allowed=Range(1e-3, 20.0, "rad/s or m/s"),
+    )
+    speeds: int = option(
+        6,
+        "Number of peak speeds up to the limits.",
+        meaning="number of peak speeds up to what the limits allow, in equal ratios.",
+        allowed=Range(2, 30),
+    )

@@ -381,7 +381,7 @@ def _reversal_checks(identification: Identification) -> list[Check]:
     text = (
         "Coulomb friction is not well defined near velocity reversals: with more of those equations left out the "
         f"delivered friction changes ({changes} of the jackknife), beyond chance; compare "
-        f"--leave-out-reversals {STICKING_SHARE:g}"
+        f"--reversals {STICKING_SHARE:g}"
     )
     return [raised("friction-near-reversals", text)]
 

@@ -17,8 +17,9 @@ from drivers.core.errors import DynidError
 from drivers.core.text import percent_text
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import rows_by_block
+from ident.signals.cutoffs import parallel_filter
 from ident.signals.filters import ZeroPhaseFilter
-from ident.signals.options import PreprocessChoices, parallel_filter
+from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
@@ -78,7 +79,7 @@ def lowered_cutoffs(
         torques: indices of the motors whose torques are used.
     """
     given = (choices.position_cutoff, choices.torque_cutoff, choices.decimate)
-    plain = choices.differentiation == choices.filter_kind == "butterworth" and choices.position_decimate == 1
+    plain = choices.differentiation == choices.filter == "butterworth" and choices.position_decimate == 1
     if not plain or any(value is not None for value in given):
         return None
     tried = [(choices, prepared)]
@@ -95,7 +96,7 @@ def lowered_cutoffs(
     if len(tried) == 1:
         return None
     slowest = tried[-1][1]
-    slow = parallel_filter(slowest.cutoffs, choices.filter_kind, slowest.segments[0].rate)
+    slow = parallel_filter(slowest.cutoffs, choices.filter, slowest.segments[0].rate)
     errors = [_held_out_error(kernel, one, slow, torques) for _, one in tried]
     best = next(place for place, error in enumerate(errors) if error <= AS_GOOD * min(errors))
     if errors[best] > BETTER * errors[0]:

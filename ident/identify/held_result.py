@@ -72,7 +72,7 @@ def _entries(model: DynamicModel, identification: Identification, joint: HeldJoi
                 rsd_percent=relative,
                 f_value=(value / std) ** 2 if std else None,
                 classical_std=std,
-                significant=relative is not None and relative < identification.choices.significant_rsd,
+                significant=relative is not None and relative < identification.choices.significance,
                 essential_value=value,
                 essential_std=std,
                 origin=ORIGIN,

@@ -10,7 +10,6 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import Friction
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from drivers.core.ranges import check_option
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.residual_tests import ResidualTests, filter_memory, residual_tests
 from ident.assessment.validation import FitFigures
@@ -22,19 +21,24 @@ from ident.identify.friction.choice import AUTO, check_friction, chosen_friction
 from ident.identify.friction.selection import FrictionStep
 from ident.identify.held_friction import HeldFriction, experiment_terms
 from ident.identify.held_out import HeldOutRun
+from ident.identify.options import ModelOptions
 from ident.identify.presliding import PreslidingFit, PreslidingTravel
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import friction_terms
-from ident.ranges import SMOOTHING
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import Estimate, estimate_of
 from ident.regression.jackknife import CorrectedCovariance
 from ident.regression.least_squares import LeastSquares
-from ident.regression.observability import Experiment, ExperimentChoices
+from ident.regression.observability import Experiment
 from ident.regression.observation_matrix import Reduction
-from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule, Pruned, check_rule
-from ident.regression.velocity_reversals import REVERSAL_SHARE, check_share
+from ident.regression.options import (
+    REVERSAL_SHARE,
+    EssentialOptions,
+    ExperimentChoices,
+    ReversalOptions,
+)
+from ident.regression.pruning import Pruned
 from ident.result.friction_experiment import FrictionExperimentResult
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
@@ -42,33 +46,24 @@ from ident.signals.prepared import Prepared
 from ident.verdict.check import Check, texts
 
 
-@dataclass(frozen=True)
-class ModelChoices:
-    """Departures from the robot file's columns; None follows the file.
+@dataclass(frozen=True, kw_only=True)
+class ModelChoices(ModelOptions):
+    """Departures from the robot file's columns.
 
     Attributes:
-        friction: which friction columns every joint has (`ident.identify.friction.choice`).
-        offset: whether every joint has an offset torque.
-        motor_inertia: whether every joint has a motor inertia.
-        smoothing: ε [rad/s] of tanh(q̇/ε); 0 for sign(q̇).
-        friction_from: friction experiment whose terms and shapes hold, and what the recordings cannot tell.
+        experiment: friction experiment whose terms and shapes hold, and what the recordings cannot tell.
     """
 
-    friction: str | None = None
-    offset: bool | None = None
-    motor_inertia: bool | None = None
-    smoothing: float | None = None
-    friction_from: FrictionExperimentResult | None = None
+    experiment: FrictionExperimentResult | None = None
 
     def __post_init__(self) -> None:
-        if self.friction is not None and self.friction_from is not None:
-            raise UsageError("--friction and --friction-from exclude each other", hint="the experiment has the terms")
+        super().__post_init__()
         if self.friction is not None:
             check_friction(self.friction)
 
 
 @dataclass(frozen=True)
-class IdentifyChoices:
+class IdentifyChoices(EssentialOptions, ReversalOptions):
     """What a user may choose.
 
     Attributes:
@@ -77,12 +72,7 @@ class IdentifyChoices:
         preprocess: filters, window, delay; `preprocess.delay` is not used where `search_delay` is set.
         search_delay: find the torque's delay from the data.
         split: end of the identification part of a single recording [s from its first stamp]; None takes the first 70 %.
-        essential: rule that ends the elimination of parameters from the essential model.
-        significant_rsd: threshold of significance [%].
         experiment: joints that must be locked, and motors whose torques are used.
-        reversals: equations of a motor slower than this share of its root mean square are left out; 0 keeps all, None
-            is `REVERSAL_SHARE` for methods with an equation per motor.
-        presliding: find pre-sliding travels (`ident.identify.presliding`), with methods that fit torques.
     """
 
     method: str = "wls"
@@ -90,16 +80,11 @@ class IdentifyChoices:
     preprocess: PreprocessChoices = field(default_factory=PreprocessChoices)
     search_delay: bool = True
     split: float | None = None
-    essential: EssentialRule = DEFAULT_RULE
-    significant_rsd: float = SIGNIFICANT_RSD
     experiment: ExperimentChoices = field(default_factory=ExperimentChoices)
-    reversals: float | None = None
-    presliding: bool = True
 
     def __post_init__(self) -> None:
-        check_rule(self.essential)
-        check_share(self.reversal_share)
-        options = (("--leave-out-reversals", self.reversals), ("--torques-of", self.experiment.torques_of))
+        super().__post_init__()
+        options = (("--reversals", self.reversals), ("--torques-of", self.experiment.torques_of))
         for option, given in options if self.estimator.equations == "energy" else ():
             if given:
                 raise UsageError(
@@ -118,7 +103,7 @@ class IdentifyChoices:
         Args:
             stated: the robot file's section.
         """
-        if self.model.friction is not None or self.model.friction_from is not None:
+        if self.model.friction is not None or self.model.experiment is not None:
             return self.model.friction == AUTO
         return stated.model == AUTO and self.estimator.equations == "torque"
 
@@ -144,8 +129,8 @@ def apply_model_choices(model: DynamicModel, choices: ModelChoices, friction: Fr
     model = replace(model, terms=friction_terms(section, model.joint_names))
     everywhere, nowhere = (True,) * model.dof, (False,) * model.dof
     changes: dict[str, tuple[bool, ...]] = {}
-    if choices.friction_from is not None:
-        model = replace(model, terms=experiment_terms(choices.friction_from, model.name, model.joint_names))
+    if choices.experiment is not None:
+        model = replace(model, terms=experiment_terms(choices.experiment, model.name, model.joint_names))
         changes |= {"viscous": everywhere, "coulomb": everywhere}
     if choices.friction is not None:
         for column in ("viscous", "coulomb"):
@@ -156,7 +141,6 @@ def apply_model_choices(model: DynamicModel, choices: ModelChoices, friction: Fr
         changes["motor_inertia"] = everywhere if choices.motor_inertia else nowhere
     model = replace(model, **changes)  # type: ignore[arg-type]
     if choices.smoothing is not None:
-        check_option("--smoothing", choices.smoothing, SMOOTHING)
         model = replace(model, smoothing=choices.smoothing)
     return model
 

@@ -77,9 +77,9 @@ def identify(
     robot_file = recordings[0].robot() if robot_file is None else robot_file
     model = apply_model_choices(build_model(robot_file), choices.model, robot_file.robot.friction)
     data = split_data(recordings, validation, robot_file.robot, choices.preprocess, choices.split)
-    if choices.model.friction_from is not None:
+    if choices.model.experiment is not None:
         temperatures = [(run.signals.label, run.temperature) for run in data.identification]
-        model, held = hold_temperatures(model, choices.model.friction_from, temperatures)
+        model, held = hold_temperatures(model, choices.model.experiment, temperatures)
         data = replace(data, held=held)
 
     progress("base parameters")
@@ -143,7 +143,7 @@ def identify(
         corrected.effective_rows,
         lambda columns: estimator.restricted(estimation, columns),
         choices.essential,
-        choices.significant_rsd,
+        choices.significance,
     )
 
     progress("physical consistency")

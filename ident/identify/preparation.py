@@ -17,7 +17,8 @@ from ident.identify.identification import IdentifyChoices, PreparedRun
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
 from ident.regression.velocity_reversals import leave_out_rest, leave_out_reversals
-from ident.signals.options import POSITION_CUTOFF_OF_RATE, POSITION_CUTOFF_PER_TORQUE, PreprocessChoices
+from ident.signals.cutoffs import POSITION_CUTOFF_OF_RATE, POSITION_CUTOFF_PER_TORQUE
+from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 from ident.signals.prepared import Prepared, Step
 

@@ -16,7 +16,8 @@ from ident.identify.data_split import RunWindow, run_window
 from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
-from ident.regression.observability import REST_TOLERANCE, predictable_torques
+from ident.regression.observability import predictable_torques
+from ident.regression.options import REST_TOLERANCE
 from ident.regression.velocity_reversals import leave_out_rest
 from ident.result.schema import Result, file_sha256
 from ident.result.stored_model import stored_model

@@ -100,7 +100,7 @@ def summarise(
             solution,
             identification.std,
             pruned,
-            identification.choices.significant_rsd,
+            identification.choices.significance,
             _gain_std(identification),
             identification.repeatability,
         ),
@@ -309,7 +309,7 @@ def _options(identification: Identification) -> dict[str, float | int | str | bo
         **asdict(choices.preprocess),
         "split": choices.split,
         "essential": choices.essential,
-        "significant_rsd": choices.significant_rsd,
+        "significance": choices.significance,
         "reversals": choices.reversal_share,
         "rest_tolerance": choices.experiment.rest_tolerance,
     }

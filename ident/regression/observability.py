@@ -31,13 +31,7 @@ from ident.model.base_parameters import (
 )
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, evaluate_in_chunks
-
-REST_TOLERANCE = 5e-3
-"""Default range [rad or m] within which a joint counts as locked.
-
-A joint on its brake sags by the backlash of its gear, some milliradians, while others move. Assumed fixed half a
-tolerance away, a moment of gravity of 100 N·m is off by 0.25 N·m, less than residuals are; a joint that is meant to
-move does so over a hundred times as much."""
+from ident.regression.options import REST_TOLERANCE, ExperimentChoices
 
 LARGEST_REST_TOLERANCE = 0.1
 """A joint that moves farther [rad or m] is not at rest by any standard."""
@@ -51,21 +45,6 @@ SAME_POSE = 0.01
 RIGHT_ANGLE = 2e-3
 """A joint locked so near [rad] to a multiple of 90° counts as being there: geometry is special there, and parameters
 that only this small angle separates are confounded with an error of the angle."""
-
-
-@dataclass(frozen=True)
-class ExperimentChoices:
-    """A user's description of the experiment.
-
-    Attributes:
-        locked: names of joints that must not move; other joints at rest are detected from the data.
-        torques_of: names of the joints whose motors' torques are used; all that turn where empty.
-        rest_tolerance: range of positions within which a joint counts as locked [rad or m].
-    """
-
-    locked: tuple[str, ...] = ()
-    torques_of: tuple[str, ...] = ()
-    rest_tolerance: float = REST_TOLERANCE
 
 
 @dataclass(frozen=True)

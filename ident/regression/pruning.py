@@ -15,26 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import UsageError
 from ident.regression.least_squares import LeastSquares
-
-SIGNIFICANT_RSD = 15.0
-"""Relative standard deviation [%] at and above which a parameter is not significant (SR400 .4.3 point 5)."""
+from ident.regression.options import SIGNIFICANT_RSD, EssentialOptions, EssentialRule
 
 F_LEVEL = 0.05
 """Level of the partial F-test (AUBO .IV: threshold 3.85). One parameter passes it at a relative deviation of 51 %."""
-
-EssentialRule = Literal["rsd", "f-test"]
-"""What ends the elimination: SR400's threshold of the relative standard deviation, or AUBO's F-test."""
-
-RULES: tuple[EssentialRule, ...] = get_args(EssentialRule)
-
-DEFAULT_RULE: EssentialRule = "rsd"
 
 
 @dataclass(frozen=True)
@@ -83,23 +72,12 @@ def partial_f(parameters: FloatArray, std: FloatArray) -> FloatArray:
     return result
 
 
-def check_rule(rule: str) -> EssentialRule:
-    """The rule of that name.
-
-    Raises:
-        UsageError: there is none.
-    """
-    if rule not in RULES:
-        raise UsageError(f"there is no '{rule}'", where="essential", hint="use " + " or ".join(RULES))
-    return rule
-
-
 def prune(
     solution: LeastSquares,
     inflation: FloatArray,
     effective_rows: float,
     refit: Callable[[tuple[int, ...]], LeastSquares],
-    rule: EssentialRule = DEFAULT_RULE,
+    rule: EssentialRule = EssentialOptions.essential,
     threshold: float = SIGNIFICANT_RSD,
 ) -> Pruned:
     """Drop the parameter with the largest relative standard deviation, refit, and so on.

@@ -15,16 +15,12 @@ import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import UsageError
 from drivers.core.text import percent_text
 from ident.model.joint_columns import combined
 from ident.model.regressor import RegressorKernel
+from ident.regression.options import REVERSAL_SHARE
 from ident.signals.motion_masks import SHORTEST_REST, moving_mask
 from ident.signals.prepared import Prepared, Segment, Step
-
-REVERSAL_SHARE = 0.05
-"""Of a velocity's root mean square: below it a motor is near a reversal, and its equation is left out by default
-(docs/identification.md has the figures)."""
 
 STICKING_SHARE = 0.2
 """The same, below which a joint that sticks can affect an equation: the search of a delay and the check of friction
@@ -81,11 +77,7 @@ def leave_out_reversals(kernel: RegressorKernel, prepared: Prepared, share: floa
         kernel: says which motors have Coulomb friction, and of which motion.
         prepared: data.
         share: a motor slower than this share of its root mean square is near a reversal; 0 leaves out nothing.
-
-    Raises:
-        UsageError: the share is not within [0, 1).
     """
-    check_share(share)
     if share == 0.0:
         return prepared
     masks = (reversal_mask(kernel, segment, share) for segment in prepared.segments)
@@ -114,16 +106,6 @@ def without_reversals(kernel: RegressorKernel, prepared: Prepared) -> Prepared:
         mask = reversal_mask(kernel, segment, REVERSAL_SHARE, reach)
         segments.append(replace(segment, reversing=mask if segment.reversing is None else mask | segment.reversing))
     return replace(prepared, segments=tuple(segments))
-
-
-def check_share(share: float) -> None:
-    """Refuse what is no share.
-
-    Raises:
-        UsageError: not within [0, 1).
-    """
-    if not 0.0 <= share < 1.0:
-        raise UsageError(f"{share:g} is not a share of a velocity", where="--leave-out-reversals", hint="give 0 to 0.9")
 
 
 def reversal_mask(kernel: RegressorKernel, segment: Segment, share: float, reach: float = 0.0) -> npt.NDArray[np.bool_]:

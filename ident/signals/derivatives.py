@@ -10,10 +10,11 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from drivers.core.text import percent_text
+from ident.signals.cutoffs import Cutoffs
 from ident.signals.filters import butterworth as butterworth_filter
 from ident.signals.filters import no_filter
 from ident.signals.motion_masks import BAND_POWER
-from ident.signals.options import Cutoffs, PreprocessChoices
+from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import SmoothMotion, Step
 from ident.signals.segments import UniformSegment, central_difference
 from ident.signals.smoothing.five_point import five_point_cubic, half_gain_frequency, passes_for

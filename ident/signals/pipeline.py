@@ -17,17 +17,12 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, DynidError, UsageError
 from drivers.core.units import common_unit
+from ident.signals.cutoffs import CHEBYSHEV_PASSBAND, choose_cutoffs, parallel_filter, resolve
 from ident.signals.derivatives import Smoother, choose_smoother, smooth_motion
 from ident.signals.filters import ZeroPhaseFilter, chebyshev_decimation, unit_gain
 from ident.signals.joint_signals import JointSignals
 from ident.signals.motion_masks import motion_band
-from ident.signals.options import (
-    CHEBYSHEV_PASSBAND,
-    PreprocessChoices,
-    choose_cutoffs,
-    parallel_filter,
-    resolve,
-)
+from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared, Segment, SmoothMotion, Step
 from ident.signals.resampling import (
     Irregularity,
@@ -89,10 +84,10 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     segments, ends_step = without_ends(moving, cutoffs)
     segments = _with_temperature(segments, signals)
     segments = _with_target(segments, aligned, signals, smoother, choices.position_decimate)
-    parallel = parallel_filter(cutoffs, choices.filter_kind, rate)
+    parallel = parallel_filter(cutoffs, choices.filter, rate)
     parallel_step = Step(
         "parallel filter",
-        {"kind": choices.filter_kind, "factor": parallel.factor, "torque_cutoff_hz": cutoffs.torque},
+        {"kind": choices.filter, "factor": parallel.factor, "torque_cutoff_hz": cutoffs.torque},
         f"τ and every column of W: {parallel.description}; {rate / parallel.factor:.4g} Hz remain",
     )
     steps = (

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
+from ident.signals.cutoffs import Cutoffs
 from ident.signals.filters import ZeroPhaseFilter
-from ident.signals.options import Cutoffs, PreprocessChoices
+from ident.signals.options import PreprocessChoices
 from ident.signals.resampling import Irregularity
 
 

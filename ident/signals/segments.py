@@ -10,8 +10,9 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
+from ident.signals.cutoffs import Cutoffs
 from ident.signals.motion_masks import SHORTEST_REST, default_rest_velocity, moving_mask
-from ident.signals.options import Cutoffs, PreprocessChoices
+from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Segment, SmoothMotion, Step
 
 END_PERIODS = 2.0

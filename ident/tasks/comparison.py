@@ -13,9 +13,10 @@ import numpy as np
 
 from daq.commands.console import json_text
 from daq.output_files import REPORT_FILE, write_folder
-from daq.robot.loader import RobotFile, load_robot
+from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import IdentificationError, UsageError
+from drivers.core.errors import IdentificationError
+from drivers.core.options import keywords_of
 from drivers.core.text import in_percent
 from drivers.core.units import common_unit
 from ident.experiments.method_comparison import (
@@ -28,14 +29,14 @@ from ident.experiments.method_comparison import (
 )
 from ident.identify.data_split import labelled
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
-from ident.identify.identify import Progress
 from ident.identify.identify import identify as identify_recordings
 from ident.identify.preparation import compare_run
 from ident.model.regressor import RegressorKernel
 from ident.report.comparison_page import comparison_page
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.options import PreprocessChoices
-from ident.tasks.runs import Runs, recordings_of
+from ident.tasks.options import CompareOptions
+from ident.tasks.runs import recordings_of
 
 COMPARISON_FILE = "comparison.json"
 """Name of the figures in the folder that `save` writes."""
@@ -204,28 +205,9 @@ class MethodComparison:
         return "".join(table._repr_html_() for table in (self.errors, self.maxima, self.differences) if len(table))
 
 
-def compare(
-    runs: Runs,
-    methods: Sequence[str] = ("ols", "wls"),
-    *,
-    friction: Sequence[str] = (),
-    validation: Runs = (),
-    robot: str | Path | RobotFile | None = None,
-    delay: float | None = None,
-    split: float | None = None,
-    progress: Progress = lambda step: None,
-) -> MethodComparison:
+@keywords_of(CompareOptions)
+def compare(options: CompareOptions) -> MethodComparison:
     """Identify with several methods and set their errors on held-out recordings side by side.
-
-    Args:
-        runs: a recording, or several of one arm, or their paths.
-        methods: as `identify` takes them.
-        friction: friction models, as `identify` takes them; each method with each of them. The robot file's where none.
-        validation: held-out recordings, each judged apart; the last 30 % of the others without any.
-        robot: in place of the recording's own robot file.
-        delay: of the torque behind the position [s]; searched where None.
-        split: identify on the data before this time, validate on the rest [s].
-        progress: called with the name of each step before it begins.
 
     Raises:
         InputError: invalid recordings, methods or friction models.
@@ -237,23 +219,18 @@ def compare(
         >>> dynid.compare(run, ("ols", "wls"), validation=other).differences.columns[1].heading
         'difference [N·m]'
     """
-    for names, option, example in ((methods, "methods", '("ols", "wls")'), (friction, "friction", '("coulomb",)')):
-        if isinstance(names, str):
-            raise UsageError(f"{option} must be a list of names", hint=f"{option}={example}")
-        if len(set(names)) < len(names):
-            raise UsageError(f"a name is given twice: {', '.join(names)}", where=option)
-    if not methods:
-        raise UsageError("no method to compare", hint='methods=("ols", "wls")')
     cases = [
-        (method, model, _choices(method, model, delay, split)) for method in methods for model in friction or ("",)
+        (method, model, _choices(method, model, options.delay, options.split))
+        for method in options.methods
+        for model in options.friction or ("",)
     ]
-    recordings, held_out = recordings_of(runs), recordings_of(validation)
-    robot_file = None if robot is None else load_robot(robot)
+    recordings, held_out = recordings_of(options.runs), recordings_of(options.validation)
+    robot_file = None if options.robot is None else load_robot(options.robot)
     models: list[ComparedModel] = []
     groups: tuple[JointGroup, ...] = ()
     labels: tuple[str, ...] = ()
     for method, model, choices in cases:
-        progress(f"{method} {model}".strip())
+        options.progress(f"{method} {model}".strip())
         start = time.process_time()
         try:
             identification = identify_recordings(recordings, held_out, choices, robot_file)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -20,18 +18,18 @@ from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, UsageError
-from drivers.core.ranges import check_option
+from drivers.core.options import keywords_of, same_named
 from drivers.core.text import percent_text, percentage_text
-from ident.excite.choices import DEFAULT_SECONDS, CriterionName, DesignChoices, Kind
+from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
 from ident.excite.constraints.surroundings import surroundings_warning
 from ident.excite.design import Design, design
 from ident.excite.forecast import ExcitationFigures, excitation_figures
 from ident.excite.page.page import write_page
 from ident.excite.prior import Prior, find_prior
 from ident.excite.search.search import SearchChoices, SearchResult
-from ident.excite.search.solve import Solver
-from ident.ranges import SEARCH_TIME, SEED, STARTS
+from ident.result.model import result_path
 from ident.result.tables import Table, table_of_rows
+from ident.tasks.options import ExciteOptions
 
 
 class ExcitationTrajectory:
@@ -138,55 +136,11 @@ class ExcitationTrajectory:
         return self.limits._repr_html_()
 
 
-def design_excitation(
-    robot: str | Path | RobotFile,
-    *,
-    kind: Kind = DesignChoices.kind,
-    criterion: CriterionName = DesignChoices.criterion,
-    harmonics: int = DesignChoices.harmonics,
-    points: int = DesignChoices.points,
-    period: float = DesignChoices.period,
-    periods: int = DesignChoices.periods,
-    ramp: float = DesignChoices.ramp,
-    seed: int = 0,
-    time: float | None = None,
-    starts: int | None = None,
-    loaded: bool = False,
-    joints: Sequence[str] | None = None,
-    prior: str | Path | None = None,
-    margin: float = DesignChoices.margin,
-    self_collision: bool = True,
-    solver: Solver = "slsqp",
-    earlier: ExcitationTrajectory | None = None,
-    workers: int | None = None,
-    progress: Callable[[SearchResult], None] = lambda result: None,
-) -> ExcitationTrajectory:
+@keywords_of(ExciteOptions)
+def design_excitation(options: ExciteOptions) -> ExcitationTrajectory:
     """Design an excitation trajectory within the arm's limits; Ctrl-C ends the search with the best so far.
 
     With several processes a script needs `if __name__ == "__main__":` around the call.
-
-    Args:
-        robot: built-in name, robot file, URDF, or the result of `load_robot`.
-        kind: "fourier", "fourier-quintic", "sines" or "points".
-        criterion: "d-optimal", "e-optimal", "deviations", "condition", "plain-condition", "moments", "hadamard" or
-            "motion-size" (docs/excitation.md).
-        harmonics: of the series, or number of sines.
-        points: of a point-to-point motion.
-        period: of one repetition [s].
-        periods: repetitions.
-        ramp: from rest to full speed, and back [s]; at least 0.1.
-        seed: of the random starts.
-        time: duration of the search [s]; 20 s without `starts`.
-        starts: number of starts; the result does not depend on the machine's speed.
-        loaded: design for identifying a payload: the parameters of the last link.
-        joints: names of the joints that move; the others rest.
-        prior: result.json with prior parameters and noise.
-        margin: share of every limit kept free.
-        self_collision: keep links apart.
-        solver: "slsqp", "trust-constr" or "ipopt", with derivatives; "sfla", shuffled frog leaping without any.
-        earlier: a trajectory to improve.
-        workers: processes; one per core where None, this one alone where 1.
-        progress: called after each better motion, and a few times per second.
 
     Raises:
         UsageError: an option is not possible, or no pose keeps all limits; names the limit.
@@ -199,31 +153,16 @@ def design_excitation(
         >>> motion.limits.columns[1].heading, motion.figures.worst_use <= 1.0
         ('position [%]', True)
     """
-    check_design(kind, criterion, solver, seed)
-    check_search(time, starts)
-    robot_file = load_robot(robot)
-    known = find_prior(robot_file, None if prior is None else Path(prior))
-    choices = DesignChoices(
-        kind=kind,
-        criterion=criterion,
-        harmonics=harmonics,
-        points=points,
-        period=period,
-        periods=periods,
-        ramp=ramp,
-        moving=None if joints is None else tuple(joints),
-        loaded=loaded,
-        margin=margin,
-        self_collision=self_collision,
-    )
-    search = SearchChoices(
-        seed=seed,
-        starts=starts,
-        seconds=DEFAULT_SECONDS if time is None and starts is None else time,
-        solver=solver,
-        workers=workers,
-    )
-    designed = design(robot_file, known, choices, search, None if earlier is None else earlier.motion, progress)
+    robot_file = load_robot(options.robot)
+    known = find_prior(robot_file, None if options.prior is None else result_path(options.prior))
+    joints = None if options.joints is None else tuple(options.joints)
+    choices = same_named(options, DesignChoices, joints=joints)
+    time = DEFAULT_SECONDS if options.time is None and options.starts is None else options.time
+    search = same_named(options, SearchChoices, time=time)
+    earlier = options.earlier
+    if isinstance(earlier, (str, PathLike)):
+        earlier = load_trajectory(earlier, robot_file)
+    designed = design(robot_file, known, choices, search, None if earlier is None else earlier.motion, options.progress)
     figures = excitation_figures(robot_file, designed.motion, known)
     text = trajectory_text(robot_file.robot, designed, figures)
     trajectory = ExcitationTrajectory(robot_file, text, designed.motion, known, designed)
@@ -253,38 +192,6 @@ def load_trajectory(path: str | PathLike[str], robot: str | Path | RobotFile) ->
     robot_file = load_robot(robot)
     read = read_trajectory(Path(path), robot_file.robot)
     return ExcitationTrajectory(robot_file, read.text, read.motion, find_prior(robot_file))
-
-
-def check_design(kind: str, criterion: str, solver: str, seed: int) -> None:
-    """Refuse what does not exist.
-
-    Raises:
-        UsageError: names the option and what is allowed.
-    """
-    for option, value, allowed in (
-        ("--kind", kind, get_args(Kind)),
-        ("--criterion", criterion, get_args(CriterionName)),
-        ("--solver", solver, get_args(Solver)),
-    ):
-        if value not in allowed:
-            raise UsageError(f"{option} '{value}' does not exist", hint=f"one of: {', '.join(allowed)}")
-    check_option("--seed", seed, SEED)
-
-
-def check_search(seconds: float | None, starts: int | None) -> None:
-    """Refuse a search that cannot end.
-
-    Raises:
-        UsageError: both are given, or one is not positive.
-    """
-    if seconds is not None and starts is not None:
-        raise UsageError(
-            "--time and --starts exclude each other", hint="--starts does not depend on the machine's speed"
-        )
-    if seconds is not None:
-        check_option("--time", seconds, SEARCH_TIME)
-    if starts is not None:
-        check_option("--starts", starts, STARTS)
 
 
 def design_summary(designed: Design, figures: ExcitationFigures) -> str:
@@ -345,7 +252,7 @@ def design_notes(designed: Design) -> list[tuple[str, str]]:
         ("Kind", choices.kind),
         ("Criterion", f"{choices.criterion}: {designed.cost:.4g} along one repetition at full speed"),
         ("Designed for", "the last link, which a payload changes" if choices.loaded else "all base parameters"),
-        ("Joints that move", ", ".join(choices.moving) if choices.moving else "all"),
+        ("Joints that move", ", ".join(choices.joints) if choices.joints else "all"),
         ("Margin", f"{percent_text(choices.margin)} of every limit"),
         ("Self-collision", "checked" if choices.self_collision else "not checked"),
         ("Search", search_words(designed)),

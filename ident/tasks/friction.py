@@ -9,15 +9,15 @@ from pathlib import Path
 
 from daq.commands.console import json_text
 from daq.output_files import REPORT_FILE, write_folder
-from daq.robot.loader import RobotFile, load_robot
-from drivers.core.reading_process import Progress
+from daq.robot.loader import load_robot
+from drivers.core.options import keywords_of
 from ident.experiments.friction.experiment import FrictionExperiment, analyse_friction
 from ident.experiments.friction.summary import friction_result, friction_table
-from ident.identify.friction.choice import AUTO
 from ident.report.friction_page import friction_page
 from ident.result.friction_experiment import FRICTION_FILE, FrictionExperimentResult
 from ident.result.tables import Table
-from ident.tasks.runs import Runs, recordings_of
+from ident.tasks.options import FrictionOptions
+from ident.tasks.runs import recordings_of
 
 
 @dataclass(frozen=True)
@@ -71,25 +71,11 @@ class IdentifiedFriction:
         return self.table._repr_html_()
 
 
-def friction(
-    runs: Runs,
-    *,
-    friction: str = AUTO,
-    robot: str | Path | RobotFile | None = None,
-    delay: float | None = None,
-    progress: Progress = lambda step: None,
-) -> IdentifiedFriction:
+@keywords_of(FrictionOptions)
+def friction(options: FrictionOptions) -> IdentifiedFriction:
     """Identify the friction of single joints from recordings in which one joint moves at a time (AUBO §2.2).
 
     Each movement has its own gravity and inertia, so that poses and weights on the tool may differ.
-
-    Args:
-        runs: a recording, or several of one arm; each read already or a path.
-        friction: terms as `identify` takes them, such as "coulomb-viscous+power+temperature"; or "auto", which chooses
-            those of each joint by held-out error. Temperature and load terms need recordings that span enough.
-        robot: in place of the first recording's own robot file.
-        delay: of the torque behind the position [s]; searched where None.
-        progress: called with the name of each step before it begins.
 
     Raises:
         InputError: invalid recordings or options; loops or coupled motors; no joint that moves alone.
@@ -101,5 +87,8 @@ def friction(
         Traceback (most recent call last):
         drivers.core.errors.RecordingError: sweep.h5: no such file
     """
-    robot_file = None if robot is None else load_robot(robot)
-    return IdentifiedFriction(analyse_friction(recordings_of(runs), friction, robot_file, delay, progress))
+    robot_file = None if options.robot is None else load_robot(options.robot)
+    recordings = recordings_of(options.runs)
+    return IdentifiedFriction(
+        analyse_friction(recordings, options.friction, robot_file, options.delay, options.progress)
+    )

@@ -7,27 +7,23 @@ from functools import cached_property
 from os import PathLike
 from pathlib import Path
 
-from daq.robot.loader import RobotFile, load_robot
-from drivers.core.errors import UsageError
-from drivers.core.ranges import check_option
-from drivers.core.reading_process import Progress
+from daq.robot.loader import load_robot
+from drivers.core.options import keywords_of, same_named
 from ident.identify.acceptance import result_figures
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify as identify_recordings
 from ident.identify.summary import summarise
-from ident.ranges import PERCENT
 from ident.regression.comparison import TorqueSeries
-from ident.regression.observability import REST_TOLERANCE, ExperimentChoices
-from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule
+from ident.regression.options import ExperimentChoices
 from ident.report import RecordedRuns, ReportData, recorded_runs, write_result_folder
 from ident.result.friction_experiment import read_friction_experiment
 from ident.result.model import Model, result_path
 from ident.result.schema import Delivered, Fit, Result, read_result, result_json
 from ident.result.tables import Cell, Table, table_of_rows
-from ident.signals.options import Differentiation, FilterKind
 from ident.signals.pipeline import PreprocessChoices
-from ident.tasks.acceptance import Limits, limits_of
-from ident.tasks.runs import Runs, recordings_of
+from ident.tasks.acceptance import limits_of
+from ident.tasks.options import IdentifyOptions
+from ident.tasks.runs import recordings_of
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
 
@@ -189,87 +185,11 @@ class IdentificationResult:
         return f"{self.verdict._repr_html_()}{self.errors._repr_html_()}{self.parameters._repr_html_()}"
 
 
-def identify(
-    runs: Runs,
-    *,
-    validation: Runs = (),
-    method: str = "wls",
-    split: float | None = None,
-    robot: str | Path | RobotFile | None = None,
-    friction: str | None = None,
-    friction_from: str | PathLike[str] | None = None,
-    offset: bool | None = None,
-    motor_inertia: bool | None = None,
-    smoothing: float | None = None,
-    delay: float | None = None,
-    position_cutoff: float | None = None,
-    torque_cutoff: float | None = None,
-    decimate: int | None = None,
-    position_decimate: int = 1,
-    filter: FilterKind = "butterworth",
-    differentiation: Differentiation = "butterworth",
-    kalman_noise: tuple[float, float] | None = None,
-    measured_velocity: bool = False,
-    locked: Sequence[str] = (),
-    torques_of: Sequence[str] = (),
-    rest_tolerance: float | None = None,
-    leave_out_reversals: float | None = None,
-    presliding: bool = True,
-    start: float | None = None,
-    stop: float | None = None,
-    keep_rest: bool = False,
-    essential: EssentialRule = DEFAULT_RULE,
-    significance: float = SIGNIFICANT_RSD,
-    accept: Limits | None = None,
-    progress: Progress = lambda step: None,
-) -> IdentificationResult:
+@keywords_of(IdentifyOptions)
+def identify(options: IdentifyOptions) -> IdentificationResult:
     """Identify the dynamic model from recordings and validate it on held-out data: all that `dynid identify` does.
 
     Method and options: docs/identification.md; weighted least squares after SR400 .4.3.
-
-    Args:
-        runs: a recording, or several of one arm, which stack; each read already or a path.
-        validation: held-out recordings; without any, the last 30 % of each of the others.
-        method: estimator, NAME[:OPTION=VALUE]…, such as "wls" or "energy:window=0.5"; docs/identification.md
-            lists them, and so does `dynid identify --method help`.
-        split: identify on the data before this time, validate on the rest [s].
-        robot: in place of the recording's own robot file.
-        friction: "none", "viscous", "coulomb" or "coulomb-viscous", and further terms with plus signs, as in
-            "coulomb-viscous+stribeck+load" (power, stribeck, load, load-linear, temperature, temperature-linear); or
-            "auto", which chooses the terms of each joint by held-out error; the robot file's where None, "auto" where
-            that states none.
-        friction_from: folder or friction.json of a friction experiment: its terms and shapes hold, and so do its
-            temperature terms where the recordings span too little temperature; the rest is estimated.
-        offset: a constant torque per joint [N·m].
-        motor_inertia: columns for motor inertia.
-        smoothing: ε of tanh(q̇/ε) in place of sign(q̇) [rad/s].
-        delay: of the torque behind the position [s]; searched where None.
-        position_cutoff: low-pass of the positions [Hz].
-        torque_cutoff: parallel filter of τ and W [Hz].
-        decimate: keep every N-th filtered sample.
-        position_decimate: decimate the positions first (Chebyshev).
-        filter: of the parallel filter: "butterworth" or "chebyshev".
-        differentiation: how q, q̇ and q̈ follow from the positions: "butterworth" (and central differences), "kalman",
-            "five-point" or "savitzky-golay".
-        kalman_noise: Q and R of the Kalman smoother: density of the white fourth derivative of every position [rad²/s⁷]
-            and variance of a sample [rad²]; from the data where None.
-        measured_velocity: use the recorded velocity.
-        locked: names of joints that must not move.
-        torques_of: names of the joints whose motors' torques are used; all moving motors where empty.
-        rest_tolerance: range of positions within which a joint counts as locked [rad or m]; 0.005 where None.
-        leave_out_reversals: leave out velocity reversals: motors slower than this share
-            of their RMS velocity; 0 leaves out none, None is 0.05 for methods with an equation per joint.
-        presliding: near velocity reversals, let dry friction change over a travel that is found for each joint, where
-            that lowers the error; `predict` and `validate` follow.
-        start: leave out samples before this time [s from the first stamp].
-        stop: leave out samples after this time [s from the first stamp].
-        keep_rest: keep segments in which no joint moves, and torques of motors at rest.
-        essential: what ends the elimination of parameters from the essential model: "rsd" removes those whose relative
-            standard deviation reaches `significance` (SR400), "f-test" those without a significant partial F (AUBO).
-        significance: threshold of the relative standard deviation [%].
-        accept: limits that the model must keep on held-out data, such as {"relative_error": 0.08}, or the path of a
-            YAML file with them; the outcome is the result's `acceptance`.
-        progress: called with the name of each step before it begins.
 
     Raises:
         InputError: invalid recordings or options; names the place.
@@ -282,44 +202,14 @@ def identify(
         >>> result.validation.relative_error < 0.2
         True
     """
-    check_significance(significance)
-    experiment = None if friction_from is None else read_friction_experiment(friction_from)
-    choices = IdentifyChoices(
-        method=method,
-        model=ModelChoices(friction, offset, motor_inertia, smoothing, experiment),
-        preprocess=PreprocessChoices(
-            position_cutoff=position_cutoff,
-            torque_cutoff=torque_cutoff,
-            decimate=decimate,
-            position_decimate=position_decimate,
-            filter_kind=filter,
-            delay=delay or 0.0,
-            differentiation=differentiation,
-            kalman_noise=kalman_noise,
-            measured_velocity=measured_velocity,
-            start=start,
-            stop=stop,
-            keep_rest=keep_rest,
-        ),
-        search_delay=delay is None,
-        split=split,
-        essential=essential,
-        significant_rsd=significance,
-        experiment=ExperimentChoices(
-            _names(locked, "locked"),
-            _names(torques_of, "torques_of"),
-            REST_TOLERANCE if rest_tolerance is None else rest_tolerance,
-        ),
-        reversals=leave_out_reversals,
-        presliding=presliding,
-    )
-    limits = None if accept is None else limits_of(accept)
-    progress("reading")
-    recordings, held_out = recordings_of(runs), recordings_of(validation)
-    robot_file = None if robot is None else load_robot(robot)
+    choices = _choices(options)
+    limits = None if options.accept is None else limits_of(options.accept)
+    options.progress("reading")
+    recordings, held_out = recordings_of(options.runs), recordings_of(options.validation)
+    robot_file = None if options.robot is None else load_robot(options.robot)
     if limits is not None and recordings:
         check_joints(limits, (robot_file or recordings[0].robot()).robot.joint_names)
-    identification = identify_recordings(recordings, held_out, choices, robot_file, progress)
+    identification = identify_recordings(recordings, held_out, choices, robot_file, options.progress)
     result = summarise(identification, recordings, held_out)
     if limits is not None:
         result = result.model_copy(update={"acceptance": judge_acceptance(limits, result_figures(result))})
@@ -328,19 +218,18 @@ def identify(
     return IdentificationResult(result, identification.fit_series, held_out_series, recorded)
 
 
-def check_significance(percent: float) -> None:
-    """Refuse a threshold of significance out of range.
-
-    Raises:
-        UsageError: it is not within `PERCENT`.
-    """
-    check_option("significance", percent, PERCENT, hint="the papers use 15")
-
-
-def _names(given: Sequence[str], option: str) -> tuple[str, ...]:
-    if isinstance(given, str):  # a string is a sequence of letters
-        raise UsageError(f"'{given}' is one text; a list of joint names is needed", where=option, hint=f"['{given}']")
-    return tuple(given)
+def _choices(options: IdentifyOptions) -> IdentifyChoices:
+    experiment = None if options.friction_from is None else read_friction_experiment(options.friction_from)
+    return same_named(
+        options,
+        IdentifyChoices,
+        model=same_named(options, ModelChoices, experiment=experiment),
+        preprocess=same_named(options, PreprocessChoices, delay=options.delay or 0.0),
+        search_delay=options.delay is None,
+        experiment=same_named(
+            options, ExperimentChoices, locked=tuple(options.locked), torques_of=tuple(options.torques_of)
+        ),
+    )
 
 
 def load_result(path: str | PathLike[str]) -> IdentificationResult:

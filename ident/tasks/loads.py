@@ -11,9 +11,11 @@ import numpy as np
 
 from daq.commands.console import json_text
 from daq.output_files import REPORT_FILE, write_folder
+from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
+from drivers.core.options import keywords_of
 from ident.experiments.gains.drive_gains import DriveGains, identify_gains
 from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains
 from ident.experiments.load.consistent_load import ConsistentLoad
@@ -32,7 +34,8 @@ from ident.experiments.schema import GainsResult, SlowGainsResult
 from ident.model.load import MASS, KnownLoad
 from ident.report.load_pages import gains_page, payload_page
 from ident.result.tables import Table, table_of_rows
-from ident.tasks.runs import Run, recording_of
+from ident.tasks.options import GainsOptions, LoadOptions
+from ident.tasks.runs import recording_of
 
 Vector = Sequence[float] | FloatArray
 
@@ -204,26 +207,9 @@ class IdentifiedGains:
         return self.gains._repr_html_()
 
 
-def payload(
-    free: Run,
-    loaded: Run,
-    *,
-    mass: float | None = None,
-    com: Vector | None = None,
-    inertia: Vector | None = None,
-    robot: str | Path | RobotFile | None = None,
-    delay: float | None = None,
-) -> IdentifiedPayload:
+@keywords_of(LoadOptions)
+def payload(options: LoadOptions) -> IdentifiedPayload:
     """Identify the load on the tool, and test whether a load explains what changed between the runs (SR400 .4.4).
-
-    Args:
-        free: recording without the load, or its path.
-        loaded: recording of the same arm with it.
-        mass: of the load, where it was weighed [kg].
-        com: its centre of mass x, y, z in the tool frame [m].
-        inertia: xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²].
-        robot: in place of the free recording's own robot file.
-        delay: of the torque behind the position [s]; searched where None.
 
     Raises:
         UsageError: com or inertia without a mass, or an impossible body.
@@ -236,35 +222,13 @@ def payload(
         >>> "M_L" in dynid.payload(free, loaded).parameters.names
         True
     """
-    if mass is None and (com is not None or inertia is not None):
-        raise UsageError("com and inertia describe a load whose mass is missing", hint="give its mass too [kg]")
-    known = None if mass is None else _known_load(mass, com, inertia)
-    robot_file = None if robot is None else load_robot(robot)
-    return IdentifiedPayload(identify_payload(recording_of(free), recording_of(loaded), known, robot_file, delay))
+    pair, known, robot_file = _given(options)
+    return IdentifiedPayload(identify_payload(*pair, known, robot_file, options.delay))
 
 
-def drive_gains(
-    free: Run,
-    loaded: Run,
-    *,
-    mass: float,
-    com: Vector | None = None,
-    inertia: Vector | None = None,
-    robot: str | Path | RobotFile | None = None,
-    delay: float | None = None,
-    up_and_down: bool = False,
-) -> IdentifiedGains:
+@keywords_of(GainsOptions)
+def drive_gains(options: GainsOptions) -> IdentifiedGains:
     """Identify the gains of all drives from a run without and a run with a load of known mass (Gautier, Briot 2014).
-
-    Args:
-        free: recording without the load, or its path.
-        loaded: recording of the same arm with it.
-        mass: of the load [kg]; without it the gains are not identifiable.
-        com: its centre of mass x, y, z in the tool frame [m].
-        inertia: xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²].
-        robot: in place of the free recording's own robot file.
-        delay: of the torque behind the position [s]; searched where None.
-        up_and_down: the runs are slow passes of one joint at a time, up and down.
 
     Raises:
         UsageError: an impossible body.
@@ -277,12 +241,17 @@ def drive_gains(
         Traceback (most recent call last):
         drivers.core.errors.RecordingError: free.h5: no such file
     """
-    known = _known_load(mass, com, inertia)
-    runs = recording_of(free), recording_of(loaded)
-    robot_file = None if robot is None else load_robot(robot)
-    if up_and_down:
-        return IdentifiedGains(identify_slow_gains(*runs, known, robot_file, delay))
-    return IdentifiedGains(identify_gains(*runs, known, robot_file, delay))
+    pair, known, robot_file = _given(options)
+    assert known is not None
+    identify = identify_slow_gains if options.up_and_down else identify_gains
+    return IdentifiedGains(identify(*pair, known, robot_file, options.delay))
+
+
+def _given(options: LoadOptions) -> tuple[tuple[Recording, Recording], KnownLoad | None, RobotFile | None]:
+    """The recordings, the load where it was weighed, and the robot file where one was given."""
+    known = None if options.mass is None else _known_load(options.mass, options.com, options.inertia)
+    pair = recording_of(options.free), recording_of(options.loaded)
+    return pair, known, None if options.robot is None else load_robot(options.robot)
 
 
 def _known_load(mass: float, com: Vector | None, inertia: Vector | None) -> KnownLoad:

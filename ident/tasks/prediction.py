@@ -16,6 +16,7 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, St
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
+from drivers.core.options import keywords_of
 from drivers.core.units import common_unit
 from drivers.streams import UNITS
 from ident.identify.predict import PARTS, RecordingPrediction, predict_recording
@@ -25,7 +26,8 @@ from ident.result.model import Model, load_model
 from ident.result.stored_model import stored_model
 from ident.result.tables import Table, table_of_rows
 from ident.tasks.identification import IdentificationResult
-from ident.tasks.runs import Run, recording_of
+from ident.tasks.options import PredictOptions
+from ident.tasks.runs import recording_of
 
 PREDICTION_STREAM = "prediction"
 
@@ -182,18 +184,9 @@ class Prediction:
         return self.summary._repr_html_()
 
 
-def predict(
-    identified: IdentificationResult | Model | str | PathLike[str],
-    run: Run,
-    *,
-    parameters: Parameters | None = None,
-) -> Prediction:
+@keywords_of(PredictOptions)
+def predict(options: PredictOptions) -> Prediction:
     """Predict the joint torques [N·m] of a recording, part by part, with standard deviations and what remains.
-
-    Args:
-        identified: a result, a model (its own parameters count), or the folder or file of a result.
-        run: a recording of the same arm, or its path; without a recorded torque there is no residual.
-        parameters: "consistent", "full" or "essential", as in `load_model`; None takes what that does.
 
     Raises:
         DataError: the recording lacks positions, a joint or a gain, or is too short.
@@ -208,8 +201,8 @@ def predict(
         >>> prediction.summary.columns[1].heading
         'measured [N·m]'
     """
-    model = _model(identified, parameters)
-    recording = recording_of(run)
+    model = _model(options.identified, options.parameters)
+    recording = recording_of(options.run)
     robot_file = stored_model(model.result).robot_file
     predicted = predict_recording(model, robot_file, recording)
     segments = predicted.segments

@@ -8,12 +8,13 @@ from pathlib import Path
 
 from daq.commands.console import json_text
 from daq.recording.recording import JOINTS_STREAM
-from daq.robot.loader import RobotFile, load_robot
-from drivers.core.reading_process import Progress
+from daq.robot.loader import load_robot
+from drivers.core.options import keywords_of
 from ident.checks.page.page import write_page
 from ident.checks.recording_check import RecordingInfo, info_object, recording_info
 from ident.result.tables import Table, table_of_rows
-from ident.tasks.runs import Run, recording_of
+from ident.tasks.options import InfoOptions
+from ident.tasks.runs import recording_of
 from ident.verdict.verdict import Verdict
 
 
@@ -88,20 +89,9 @@ class RecordingQuality:
         return f"{self.verdict._repr_html_()}{self.streams._repr_html_()}{self.motion._repr_html_()}"
 
 
-def info(
-    run: Run,
-    *,
-    robot: str | Path | RobotFile | None = None,
-    wanted_rsd: float | None = None,
-    progress: Progress = lambda step: None,
-) -> RecordingQuality:
+@keywords_of(InfoOptions)
+def info(options: InfoOptions) -> RecordingQuality:
     """Look at a recording's streams, clock and signal quality, and at how well its motion excites the arm.
-
-    Args:
-        run: the recording, or its path.
-        robot: in place of the recording's own robot file.
-        wanted_rsd: relative standard deviation [%] for which the duration needed is estimated.
-        progress: called with the name of each step before it begins.
 
     Raises:
         RecordingError: it cannot be read.
@@ -114,8 +104,9 @@ def info(
         >>> quality.figures.times.wanted_rsd_percent
         5.0
     """
-    progress("reading")
+    options.progress("reading")
+    run = options.run
     recording = recording_of(run)
-    robot_file = recording.robot() if robot is None else load_robot(robot)
+    robot_file = recording.robot() if options.robot is None else load_robot(options.robot)
     file = str(run) if isinstance(run, (str, PathLike)) else recording.label
-    return RecordingQuality(file, recording_info(recording, robot_file, wanted_rsd, progress))
+    return RecordingQuality(file, recording_info(recording, robot_file, options.wanted_rsd, options.progress))

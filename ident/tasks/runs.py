@@ -29,3 +29,9 @@ def recordings_of(runs: Runs) -> list[Recording]:
     if isinstance(runs, (Recording, str, PathLike)):
         return [recording_of(runs)]
     return [recording_of(run) for run in runs]
+
+
+def paths_of(*given: object) -> list[Path]:
+    """The paths among arguments of a task, and in lists of them; recordings that were read already have none."""
+    flat = [one for part in given for one in (part if isinstance(part, (list, tuple)) else [part])]
+    return [Path(one) for one in flat if isinstance(one, (str, PathLike))]

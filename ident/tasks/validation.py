@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
 
 from drivers.core.errors import UsageError
+from drivers.core.options import keywords_of
 from ident.assessment.validation import fit_figures
 from ident.experiments.merge.merged_result import merge_results
 from ident.identify.acceptance import acceptance_figures
 from ident.identify.held_out import delivered_model, model_checks, model_verdict
 from ident.identify.revalidate import revalidate
-from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule, check_rule
 from ident.result.consistent_model import fit_result
 from ident.result.model import Model, result_path
 from ident.result.schema import Delivered, Fit, HeldOutErrors, Result, read_result
 from ident.result.tables import Table
-from ident.tasks.acceptance import Limits, limits_of
-from ident.tasks.identification import IdentificationResult, check_significance, error_table
-from ident.tasks.runs import Run, Runs, recording_of, recordings_of
+from ident.tasks.acceptance import limits_of
+from ident.tasks.identification import IdentificationResult, error_table
+from ident.tasks.options import MergeOptions, ValidateOptions
+from ident.tasks.runs import recording_of, recordings_of
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
 
@@ -103,14 +103,9 @@ class Validation:
         return f"{self.verdict._repr_html_()}{self.errors._repr_html_()}"
 
 
-def validate(identified: Identified, runs: Runs, *, accept: Limits | None = None) -> Validation:
+@keywords_of(ValidateOptions)
+def validate(options: ValidateOptions) -> Validation:
     """Predict the torques [N·m] of recordings with an identified model and compare, each recording apart.
-
-    Args:
-        identified: a result, a model, or the folder or file of one.
-        runs: a held-out recording or several, or their paths.
-        accept: limits that all recordings together must keep, such as {"relative_error": 0.08}, or the path of a YAML
-            file with them.
 
     Raises:
         DataError: a recording lacks signals, or its motion is outside what the model covers.
@@ -123,8 +118,8 @@ def validate(identified: Identified, runs: Runs, *, accept: Limits | None = None
         >>> dynid.validate(result.model, dynid.simulate("ur5e", duration=10.0, seed=2)).full.relative_error < 0.2
         True
     """
-    limits = None if accept is None else limits_of(accept)
-    result, recordings = result_of(identified), recordings_of(runs)
+    limits = None if options.accept is None else limits_of(options.accept)
+    result, recordings = result_of(options.identified), recordings_of(options.runs)
     if not recordings:
         raise UsageError("no recording to validate with")
     if limits is not None:
@@ -159,20 +154,9 @@ def validate(identified: Identified, runs: Runs, *, accept: Limits | None = None
     )
 
 
-def merge(
-    results: Sequence[Identified],
-    *,
-    validation: Run | None = None,
-    essential: EssentialRule = DEFAULT_RULE,
-    significance: float = SIGNIFICANT_RSD,
-) -> IdentificationResult:
+@keywords_of(MergeOptions)
+def merge(options: MergeOptions) -> IdentificationResult:
     """One model from several experiments on one arm, each weighted by its covariance (SR400 .4.3 point 7).
-
-    Args:
-        results: results, models, or the folders or files of them.
-        validation: a held-out recording, used by none of them.
-        essential: what ends the elimination of parameters from the essential model, as in `identify`.
-        significance: threshold of the relative standard deviation [%].
 
     Raises:
         UsageError: fewer than two, different arms, or data that would count twice.
@@ -186,13 +170,12 @@ def merge(
         >>> merged.result.merge.consistency.agree in (True, False)
         True
     """
-    check_significance(significance)
-    check_rule(essential)
     named = [
-        (_label(identified, position), result_of(identified)) for position, identified in enumerate(results, start=1)
+        (_label(identified, position), result_of(identified))
+        for position, identified in enumerate(options.results, start=1)
     ]
-    held_out = None if validation is None else recording_of(validation)
-    merged, validated = merge_results(named, held_out, essential, significance)
+    held_out = None if options.validation is None else recording_of(options.validation)
+    merged, validated = merge_results(named, held_out, options.essential, options.significance)
     return IdentificationResult(merged, (), validated.series if validated is not None else ())
 
 

@@ -2,38 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 from daq.motion.trajectory_file import PointsTrajectory, dump_trajectory, parse_trajectory
-from daq.robot.loader import RobotFile, load_robot
+from daq.robot.loader import load_robot
+from drivers.core.options import keywords_of, same_named
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.prior import find_prior
 from ident.excite.sweep_choices import SweepChoices
 from ident.excite.velocity_sweep import JointSweep, velocity_sweep
+from ident.result.model import result_path
 from ident.tasks.excitation import ExcitationTrajectory
+from ident.tasks.options import SweepOptions
 
 
-def design_sweep(
-    robot: str | Path | RobotFile,
-    *,
-    joints: Sequence[str] = (),
-    pose: str | None = None,
-    stroke: float = SweepChoices.stroke,
-    slowest: float = SweepChoices.slowest,
-    speeds: int = SweepChoices.speeds,
-    prior: str | Path | None = None,
-) -> tuple[ExcitationTrajectory, tuple[JointSweep, ...]]:
+@keywords_of(SweepOptions)
+def design_sweep(options: SweepOptions) -> tuple[ExcitationTrajectory, tuple[JointSweep, ...]]:
     """Design a motion for friction: one joint at a time, forth and back, its speed rising and falling again.
-
-    Args:
-        robot: built-in name, robot file, URDF, or the result of `load_robot`.
-        joints: that move, one after the other; all where empty.
-        pose: of the other joints, by its name in the robot file; its first, or the middle of the ranges, if None.
-        stroke: of each joint, made shorter where it is not free [rad or m].
-        slowest: peak of the slowest stroke [rad/s or m/s].
-        speeds: number of peak speeds up to what the limits allow.
-        prior: model folder or result.json that predicts torque; the robot file's truth where None.
 
     Returns:
         The motion, and what each joint does in it.
@@ -42,9 +25,9 @@ def design_sweep(
         UsageError: an option is not possible for this arm.
         MotionRefusedError: no joint can move.
     """
-    robot_file = load_robot(robot)
-    known = None if prior is None else Path(prior)
-    choices = SweepChoices(tuple(joints), pose, stroke, slowest, speeds)
+    robot_file = load_robot(options.robot)
+    known = None if options.prior is None else result_path(options.prior)
+    choices = same_named(options, SweepChoices, joints=tuple(options.joints))
     sweep = velocity_sweep(robot_file, ArmMotionCheck(robot_file, known), choices)
     trajectory = PointsTrajectory(
         robot=robot_file.robot.name,

@@ -369,7 +369,7 @@ _MODEL = (
         "warning",
         PARAMETERS,
         "the friction of the delivered model changes with more equations left out near velocity reversals",
-        "Compare --leave-out-reversals with the share in the sentence.",
+        "Compare --reversals with the share in the sentence.",
     ),
     _note(
         "indefinite-inertia",

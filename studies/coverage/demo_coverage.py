@@ -35,7 +35,10 @@ RATE, RAMP = 500.0, 2.0
 CANDIDATES = 20
 """Random motions of which the best conditioned one is played: the demonstration designs its own."""
 
-CASES = {"default": IdentifyChoices(), "coulomb-viscous": IdentifyChoices(model=ModelChoices("coulomb-viscous"))}
+CASES = {
+    "default": IdentifyChoices(),
+    "coulomb-viscous": IdentifyChoices(model=ModelChoices(friction="coulomb-viscous")),
+}
 KINDS = ("viscous", "coulomb", "offset", "bodies and motors")
 
 

@@ -44,7 +44,8 @@ from ident.regression.comparison import compare_torques
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import FilteredRun
 from ident.regression.observability import whole_arm
-from ident.regression.velocity_reversals import REVERSAL_SHARE, leave_out_reversals
+from ident.regression.options import REVERSAL_SHARE
+from ident.regression.velocity_reversals import leave_out_reversals
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare

@@ -52,7 +52,7 @@ def line(arm: RobotFile, count: int, spread: float, seeds: int) -> str:
         return with_repeatability(corrected, *given)  # type: ignore[arg-type]
 
     identification.with_repeatability = kept  # type: ignore[assignment]
-    choices = IdentifyChoices(model=ModelChoices("coulomb-viscous"), presliding=False, search_delay=False)
+    choices = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False, search_delay=False)
     held_out = simulate_recording(arm, random_fourier_motion(model, PERIOD, 999, 2), 6.0, 999)
     errors, bodies, without, tau = [], [], [], []
     for seed in range(seeds):

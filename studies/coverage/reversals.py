@@ -2,7 +2,7 @@
 
 Simulated arms under their own controllers, with friction before sliding, noise and ripple, once with the friction of
 their files and once with a Stribeck term of 0.3 of Coulomb friction, play d-optimal excitations (15 s, two periods) and
-are judged on a motion of another criterion and seed. Prints, for each share of `--leave-out-reversals`, the part of the
+are judged on a motion of another criterion and seed. Prints, for each share of `--reversals`, the part of the
 95 % intervals that contain the true value, over all base parameters and over those without friction, the RMS of error
 over σ, the median σ, and the held-out error (root mean square over the recordings), of all samples and of those above
 0.1 rad/s. Then the held-out errors of the public recordings in the folder `DYNID_DATA`: first 70 % identified, last
@@ -84,7 +84,7 @@ def motions(robot_file: RobotFile) -> tuple[list[Motion], Motion]:
     return designs[:-1], designs[-1]
 
 
-PLAIN = IdentifyChoices(model=ModelChoices("coulomb-viscous"), presliding=False)
+PLAIN = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False)
 
 
 def line(robot_file: RobotFile, pairs: Sequence[tuple[Recording, Recording]], share: float) -> str:

@@ -69,7 +69,8 @@ def sweeps(robot_file: RobotFile) -> list[PointToPoint]:
     """The motion in each pose."""
     check = ArmMotionCheck(robot_file)
     return [
-        velocity_sweep(robot_file, check, SweepChoices(JOINTS, pose, slowest=0.2, speeds=5)).motion for pose in POSES
+        velocity_sweep(robot_file, check, SweepChoices(joints=JOINTS, pose=pose, slowest=0.2, speeds=5)).motion
+        for pose in POSES
     ]
 
 

@@ -50,7 +50,7 @@ def errors(found: Identification) -> list[float]:
 def choices_of(choices: IdentifyChoices, friction: str) -> IdentifyChoices:
     """The choices with a friction model."""
     inertia = choices.model.motor_inertia
-    return IdentifyChoices(model=ModelChoices(friction, motor_inertia=inertia), preprocess=choices.preprocess)
+    return IdentifyChoices(model=ModelChoices(friction=friction, motor_inertia=inertia), preprocess=choices.preprocess)
 
 
 def main(names: list[str]) -> None:

@@ -82,7 +82,7 @@ def main(names: list[str]) -> None:
     for name in names or ["ur10", "panda", "tx40"]:
         recording, choices = public(folder, name)
         inertia = False if name == "panda" else None
-        model = ModelChoices("auto", motor_inertia=inertia)
+        model = ModelChoices(friction="auto", motor_inertia=inertia)
         print(line(name, identify([recording], [], replace(choices, model=model))), flush=True)
 
 

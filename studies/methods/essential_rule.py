@@ -21,7 +21,8 @@ from ident.identify.identification import Identification
 from ident.identify.identify import identify
 from ident.identify.preparation import compare_run
 from ident.regression.least_squares import weighted_least_squares
-from ident.regression.pruning import SIGNIFICANT_RSD, EssentialRule, Pruned, prune, relative_std
+from ident.regression.options import SIGNIFICANT_RSD, EssentialRule
+from ident.regression.pruning import Pruned, prune, relative_std
 from studies.friction.friction_models import choices_of
 from studies.models.consistency import public
 

@@ -61,7 +61,7 @@ def found_errors(found: Identification) -> Errors:
 def identified(seed: int, stribeck: float, method: str) -> Errors:
     """Errors of one seed's model."""
     runs = recorded(seed, stribeck)
-    choices = IdentifyChoices(method, model=ModelChoices(FRICTION), search_delay=False)
+    choices = IdentifyChoices(method=method, model=ModelChoices(friction=FRICTION), search_delay=False)
     return found_errors(identify(list(runs), [held_out(stribeck)], choices))
 
 

@@ -164,7 +164,7 @@ def by_experiment(
     """Identified cold; the temperature's part of the friction from sweeps."""
     friction = sweep(arm)
     sweeps = [played(arm, friction, celsius, seed) for seed, celsius in enumerate(TEMPERATURES, start=11)]
-    choices = IdentifyChoices(model=ModelChoices(SWEEP_FRICTION), search_delay=False)
+    choices = IdentifyChoices(model=ModelChoices(friction=SWEEP_FRICTION), search_delay=False)
     known = identify(sweeps, held_out[:1], choices)
     print(f"friction experiment: {len(sweeps)} sweeps of {friction.duration:.0f} s")
     for kind in TEMPERATURE_KINDS[1:]:

@@ -120,7 +120,9 @@ def identified(
     data: Data, held_out: Data, method: str, differentiation: Differentiation = "butterworth"
 ) -> Identification:
     preprocess = PreprocessChoices(differentiation=differentiation)
-    choices = IdentifyChoices(method, ModelChoices(motor_inertia=False), preprocess, search_delay=False)
+    choices = IdentifyChoices(
+        method=method, model=ModelChoices(motor_inertia=False), preprocess=preprocess, search_delay=False
+    )
     return identify([data.recording], [held_out.recording], choices)
 
 

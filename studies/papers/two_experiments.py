@@ -32,7 +32,7 @@ from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from ident.regression.observability import ExperimentChoices
+from ident.regression.options import ExperimentChoices
 from ident.result.schema import Result
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording

@@ -73,7 +73,7 @@ def main(seconds: float) -> None:
     )
     report("the paper's Table 1", PAPER)
     robot_file = load_robot("up6")
-    search = SearchChoices(starts=None, seconds=seconds)
+    search = SearchChoices(starts=None, time=seconds)
     cases = {
         "ours, 3 sines, motion-size": DesignChoices(kind="sines", criterion="motion-size", harmonics=3),
         "ours, 3 sines, plain-condition": DesignChoices(kind="sines", criterion="plain-condition", harmonics=3),

@@ -136,7 +136,7 @@ def samples_of(values: int) -> str:
 NUMBERS = [
     *(f"identify run.h5 -o out {option}" for option in (
         "--delay 1e308", "--position-cutoff 1e-8", "--torque-cutoff 1e-8", "--decimate 1000000000", "--smoothing 1e308",
-        "--rest-tolerance 1e308", "--leave-out-reversals 1e308", "--start 1e308", "--split 1e308", "--split 1e-300",
+        "--rest-tolerance 1e308", "--reversals 1e308", "--start 1e308", "--split 1e308", "--split 1e-300",
         "--significance 1e-160", "--max-error 1e308", "--method energy --energy-window 1e-300",
     )),
     *(f"excite arm.yaml -o out.yaml {option}" for option in (

@@ -35,7 +35,7 @@ from sim_drivers.synthetic.motion import random_fourier_motion
 
 ROBOT = "ur5e"
 RATE = 500.0
-PLAIN = IdentifyChoices(model=ModelChoices("coulomb-viscous"), presliding=False)
+PLAIN = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False)
 """With further terms and presliding, friction would take part of a delay."""
 PERIOD = 20.0
 EARLY = -0.002
@@ -122,7 +122,7 @@ def public(folder: Path) -> None:
         robot_file = parse_robot(text, where=name, folder=folder)
         recording = import_file(folder / file, robot_file, ImportChoices())
         inertia = False if name == "Panda" else None
-        choices = replace(PLAIN, model=ModelChoices("coulomb-viscous", motor_inertia=inertia))
+        choices = replace(PLAIN, model=ModelChoices(friction="coulomb-viscous", motor_inertia=inertia))
         choices = replace(choices, preprocess=replace(choices.preprocess, stop=stop))
         search = identify([recording], [], choices)
         without = identify([recording], [], replace(choices, search_delay=False))

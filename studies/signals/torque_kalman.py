@@ -30,7 +30,7 @@ from studies.friction.friction_models import choices_of
 from studies.models.consistency import public
 
 RATIOS = (1.0, 0.1, 0.01, 0.001)
-PLAIN = IdentifyChoices(model=ModelChoices("coulomb-viscous"), presliding=False)
+PLAIN = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False)
 METHODS = ("wls", *(f"kalman-wls:ratio={ratio:g}" for ratio in RATIOS), "kalman-wls:ratio=0.01:rounds=5")
 
 

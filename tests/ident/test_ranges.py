@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -12,22 +12,33 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 import ident.ranges
+import ident.tasks.options
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot, parse_robot
 from drivers.core import ranges
 from drivers.core.errors import DataError, RobotFileError, UsageError
+from drivers.core.options import Options, declared
 from drivers.core.ranges import Range, check_option
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
-from ident.excite.sufficiency import check_wanted_rsd
 from ident.identify.identification import IdentifyChoices
 from ident.model.load import KnownLoad
 from ident.result.schema import EstimateResult, LinkResult
 from ident.signals.options import PreprocessChoices
 from ident.signals.resampling import check_stamps, measure_irregularity
+from ident.tasks.options import InfoOptions
 from ident.tasks.recording_quality import info
 
-TABLE = {name: value for name, value in (vars(ranges) | vars(ident.ranges)).items() if isinstance(value, Range)}
+DECLARED = {
+    f"{options.__name__}.{of.name}": stated.allowed
+    for options in vars(ident.tasks.options).values()
+    if isinstance(options, type) and issubclass(options, Options) and options is not Options
+    for of in fields(options)  # type: ignore[arg-type]
+    if (stated := declared(of)) is not None and stated.allowed is not None
+}
+TABLE = DECLARED | {
+    name: value for name, value in (vars(ranges) | vars(ident.ranges)).items() if isinstance(value, Range)
+}
 UR5E = load_robot("ur5e")
 
 
@@ -74,7 +85,7 @@ OPTIONS = {
     "mass of a load": lambda: KnownLoad(1e308),
     "centre of mass of a load": lambda: KnownLoad(1.0, (1e308, 0.0, 0.0)),
     "inertia of a load": lambda: KnownLoad(1.0, (0.0, 0.0, 0.0), (1e300, 0.0, 0.0, 1e300, 0.0, 1e300)),
-    "wanted RSD": lambda: check_wanted_rsd(1e-160),
+    "wanted RSD": lambda: InfoOptions("run.h5", wanted_rsd=1e-160),
 }
 
 

@@ -43,7 +43,7 @@ def demo(tmp_path_factory):
 def designed_before(robot_file: RobotFile, prior: Prior, choices: DesignChoices, search: SearchChoices) -> Design:
     """What the same design, which takes half a minute, once came to: `python tests/sim_drivers/designed` makes it."""
     earlier = load_trajectory(DESIGNED / f"{search.seed}.yaml", robot_file.robot).motion
-    return design(robot_file, prior, choices, SearchChoices(starts=None, seconds=1e-3, workers=1), earlier)
+    return design(robot_file, prior, choices, SearchChoices(starts=None, time=1e-3, workers=1), earlier)
 
 
 @pytest.mark.slow

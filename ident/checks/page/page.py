@@ -9,7 +9,7 @@ from daq.output_files import write_folder
 from daq.recording.recording import JOINTS_STREAM
 from ident.checks.page.plots import intervals_figure, shown_unit, signals_figure, spectra_figure
 from ident.checks.recording_check import RecordingInfo, info_object
-from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.regression.options import SIGNIFICANT_RSD
 from ident.report.html_file import page_templates
 from ident.report.number_text import DASH, number, percent, whole
 from ident.report.section import Tile

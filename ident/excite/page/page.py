@@ -16,7 +16,7 @@ from ident.excite.page.arm_scene import arm_figure
 from ident.excite.page.plots import clearance_figure, joints_figure, shown_part, tool_figure
 from ident.excite.prior import Prior
 from ident.model.dynamic_model import build_model
-from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.regression.options import SIGNIFICANT_RSD
 from ident.report import number_text
 from ident.report.figures.figures import KIND_STYLES
 from ident.report.html_file import page_templates

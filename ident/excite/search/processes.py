@@ -12,9 +12,9 @@ from typing import Any
 
 from drivers.core.clock import SYSTEM_CLOCK
 from drivers.core.errors import DynidError
+from ident.excite.choices import Solver
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.problem import Problem
-from ident.excite.search.solve import Solver
 from ident.excite.search.start import Report, random_start, run_start
 
 _JOINING = 1.0

@@ -11,11 +11,11 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import IdentificationError
+from ident.excite.choices import SearchOptions
 from ident.excite.search.acceptance import accepted
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.problem import Problem
 from ident.excite.search.processes import SearchProcesses, TimeIsUpError
-from ident.excite.search.solve import Solver
 from ident.excite.search.start import Candidate, Finished, Report, no_tick, random_start, run_start
 
 _POLL = 0.2
@@ -26,23 +26,11 @@ _LARGEST_RESERVE = 0.2
 """The same, as a share of the whole time at most."""
 
 
-@dataclass(frozen=True)
-class SearchChoices:
-    """How long and how to search.
+@dataclass(frozen=True, kw_only=True)
+class SearchChoices(SearchOptions):
+    """How long and how to search: for `time`, from so many starts, or both; start k is the same for any `workers`."""
 
-    Attributes:
-        seed: of the random starts; start k is the same whatever the number of processes.
-        starts: how many; None for as many as `seconds` allow, which depends on the machine.
-        seconds: after which the search ends with what it has; None for no limit.
-        workers: processes; one per core where None, this one alone where 1.
-        solver: of the local problems.
-    """
-
-    seed: int = 0
     starts: int | None = 8
-    seconds: float | None = None
-    workers: int | None = None
-    solver: Solver = "slsqp"
 
     @property
     def processes(self) -> int:
@@ -81,7 +69,7 @@ def search(
     clock: Clock = SYSTEM_CLOCK,
     begun: float | None = None,
 ) -> SearchResult:
-    """Search from `choices.starts` random starts, or for `choices.seconds`; Ctrl-C ends it with the best so far.
+    """Search from `choices.starts` random starts, or for `choices.time`; Ctrl-C ends it with the best so far.
 
     This process searches too: it has a feasible motion while the others are still being started. Start 0 has one
     whatever the time limit.
@@ -93,17 +81,17 @@ def search(
         first: variables of start 0, in place of random ones.
         progress: called after each better candidate, and a few times per second.
         clock: the host's.
-        begun: when `choices.seconds` began, by that clock; now where None.
+        begun: when `choices.time` began, by that clock; now where None.
 
     Raises:
         NoFeasiblePoseError: no pose was found that keeps all limits; names the one that excludes them.
         IdentificationError: a process crashed, and the result would depend on it.
         DynidError: from building the problem.
     """
-    if choices.starts is None and choices.seconds is None:
+    if choices.starts is None and choices.time is None:
         raise ValueError("a search needs a number of starts or a time limit")
     begun = clock.now() if begun is None else begun
-    left = None if choices.seconds is None else begun + choices.seconds - clock.now()
+    left = None if choices.time is None else begun + choices.time - clock.now()
     with SearchProcesses(choices.processes - 1, make, choices.seed, choices.solver, choices.starts, left) as others:
         run = _Run(problem, choices, others, progress, clock, begun)
         try:
@@ -130,7 +118,7 @@ class _Run:
         self.interrupted = False
         self._problem, self._choices, self._others = problem, choices, others
         self._progress, self._clock, self._begun = progress, clock, begun
-        self._end = np.inf if choices.seconds is None else begun + choices.seconds
+        self._end = np.inf if choices.time is None else begun + choices.time
         self._best: Candidate | None = None
         self._finished = 0
         self._next_look = begun + _POLL
@@ -193,10 +181,10 @@ class _Run:
         is_first = self._best is None
         self._add(report)
         since = self._clock.now()
-        if is_first and self._best is not None and self._choices.seconds is not None and since < self._end:
+        if is_first and self._best is not None and self._choices.time is not None and since < self._end:
             accepted(self._problem, self._best.variables)
             reserve = _CHECKS_IN_RESERVE * (self._clock.now() - since)
-            self._end -= min(reserve, _LARGEST_RESERVE * self._choices.seconds)
+            self._end -= min(reserve, _LARGEST_RESERVE * self._choices.time)
 
     def _add(self, report: Report) -> None:
         if isinstance(report, Finished):
@@ -211,5 +199,5 @@ class _Run:
         """The outcome so far."""
         seconds = self._clock.now() - self._begun
         return SearchResult(
-            self._best, self._finished, seconds, self._choices.seconds, self.interrupted, self._others.died
+            self._best, self._finished, seconds, self._choices.time, self.interrupted, self._others.died
         )

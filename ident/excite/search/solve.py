@@ -9,20 +9,15 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from scipy.optimize import BFGS, NonlinearConstraint, minimize
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
+from ident.excite.choices import LocalSolver
 from ident.excite.search.problem import Problem
-
-LocalSolver = Literal["slsqp", "trust-constr", "ipopt"]
-"""With derivatives."""
-
-Solver = Literal[LocalSolver, "sfla"]
-"""Those, or shuffled frog leaping without any."""
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,13 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
+from ident.excite.choices import LocalSolver, Solver
 from ident.excite.search.acceptance import LEAST_SHARE, ROUNDING, accepted, dense_use, shrunk_to_fit
 from ident.excite.search.error_bars import ErrorBar
 from ident.excite.search.frogs import leap
 from ident.excite.search.poses import NoFeasiblePoseError, feasible_pose
 from ident.excite.search.problem import Problem
-from ident.excite.search.solve import LocalSolver, Solver, Watch, open_search, solve, tighten
+from ident.excite.search.solve import Watch, open_search, solve, tighten
 
 DRAWS = 20
 """Random members that a start is chosen from."""

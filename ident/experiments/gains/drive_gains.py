@@ -36,7 +36,7 @@ from ident.experiments.gains.motor_signals import signal_of, torques_by
 from ident.experiments.run_pair import BlockGrams, RunPair, pair_warnings, prepare_pair
 from ident.model.load import KnownLoad, LoadColumns
 from ident.regression.jackknife import jackknife_covariance
-from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.regression.options import SIGNIFICANT_RSD
 
 LEAST_GAP = 2.0
 """Second-smallest over smallest singular value below which the null vector is poorly determined."""

@@ -36,7 +36,7 @@ from ident.model.parameters import INERTIAL
 from ident.model.regressor import regressor
 from ident.regression.autocorrelation import lag_one
 from ident.regression.jackknife import block_length, jackknife_covariance
-from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.regression.options import SIGNIFICANT_RSD
 from ident.regression.total_least_squares import NullVector, null_vector, null_vector_moves, signal_noise
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare

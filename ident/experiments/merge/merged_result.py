@@ -32,7 +32,8 @@ from ident.identify.summary import (
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.estimate import Estimate
-from ident.regression.pruning import DEFAULT_RULE, SIGNIFICANT_RSD, EssentialRule, Pruned, prune
+from ident.regression.options import SIGNIFICANT_RSD, EssentialOptions, EssentialRule
+from ident.regression.pruning import Pruned, prune
 from ident.regression.repeatability import RunDeviations, friction_columns, friction_sizes, repeatability
 from ident.result.consistent_model import consistent_model, fit_result, link_results
 from ident.result.schema import (
@@ -61,7 +62,7 @@ CHECKED_AGAIN = ("indefinite-inertia", "no-consistent-model", "simulation-failed
 def merge_results(
     results: Sequence[tuple[str, Result]],
     held_out: Recording | None = None,
-    essential: EssentialRule = DEFAULT_RULE,
+    essential: EssentialRule = EssentialOptions.essential,
     threshold: float = SIGNIFICANT_RSD,
 ) -> tuple[Result, Revalidation | None]:
     """One model from several.
@@ -181,7 +182,7 @@ def _result(
             "stop": None,
             "split": None,
             "essential": essential,
-            "significant_rsd": threshold,
+            "significance": threshold,
         },
         model_options=first.model_options,
         preprocessing=[

@@ -33,7 +33,7 @@ def section(data: ReportData) -> ReportSection:
 
 def _threshold(result: Result) -> float | None:
     """Relative standard deviation [%] below which a parameter is significant, as the run's options say."""
-    value = result.options.get("significant_rsd")
+    value = result.options.get("significance")
     return float(value) if isinstance(value, int | float) and value > 0 else None
 
 

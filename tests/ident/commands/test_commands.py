@@ -250,7 +250,7 @@ BAD = [
     (["identify", "run.h5", "--split", "5", "--validate", "val.h5"], ["exclude each other"]),
     (["identify", "run.h5", "--torque-cutoff", "500"], ["500 Hz", "half the sampling rate"]),
     (["identify", "run.h5", "--position-cutoff", "0"], ["cut-off of 0 Hz"]),
-    (["identify", "run.h5", "--decimate", "0"], ["decimation by 0"]),
+    (["identify", "run.h5", "--decimate", "0"], ["--decimate 0 is not within 1 to 10000", "1 keeps every sample"]),
     (["identify", "run.h5", "--filter", "boxcar"], ["'boxcar'", "butterworth or chebyshev"]),
     (["identify", "run.h5", "--differentiation", "spline"], ["'spline'", "five-point or savitzky-golay"]),
     (["identify", "run.h5", "--start", "9", "--stop", "3"], ["window", "empty"]),

@@ -140,12 +140,12 @@ def test_an_earlier_motion_of_another_kind_is_refused():
 
 
 def test_some_joints_can_move_alone():
-    found = designed(harmonics=2, moving=("L", "U"))
+    found = designed(harmonics=2, joints=("L", "U"))
     time = np.linspace(0.0, found.motion.duration, 500)
     position, _, _ = found.motion.evaluate(time)
     assert np.ptp(position[0]) == 0.0
     assert np.ptp(position[1]) > 0.5
-    problem = build_problem(UP6, find_prior(UP6), DesignChoices(moving=("L", "U")))
+    problem = build_problem(UP6, find_prior(UP6), DesignChoices(joints=("L", "U")))
     everything = build_problem(UP6, find_prior(UP6), DesignChoices())
     assert isinstance(problem.criterion, RegressorCriterion)
     assert isinstance(everything.criterion, RegressorCriterion)
@@ -182,8 +182,8 @@ def test_torque_limits_are_kept_where_a_prior_is_known():
         ({"periods": 0}, "periods"),
         ({"kind": "points", "points": 1}, "points"),
         ({"margin": 1.0}, "margin"),
-        ({"moving": ("elbow",)}, "elbow"),
-        ({"moving": ()}, "joint"),
+        ({"joints": ("elbow",)}, "elbow"),
+        ({"joints": ()}, "joint"),
         ({"criterion": "deviations", "loaded": True}, "payload"),
     ],
 )
@@ -202,14 +202,14 @@ def test_deviations_need_a_prior():
 
 def test_limits_that_exclude_every_motion_are_named():
     with pytest.raises(UsageError, match="torque of L"):
-        made(with_joint(UP6, 1, torque=5.0), harmonics=1, moving=("S",))
+        made(with_joint(UP6, 1, torque=5.0), harmonics=1, joints=("S",))
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", builtin_robots())
 def test_every_robot_has_a_feasible_motion_of_every_kind_however_short_the_time(name, kind):
     robot_file = load_robot(name)
-    found = made(robot_file, SearchChoices(starts=None, seconds=1e-3, workers=1), kind=kind)
+    found = made(robot_file, SearchChoices(starts=None, time=1e-3, workers=1), kind=kind)
     assert found.use.max() <= 1.0
     check_limits(found.motion, robot_file.robot.joints, kind)
     check_rest(found.motion, robot_file.robot.joints, kind)
@@ -226,7 +226,7 @@ def test_a_narrow_room_leaves_a_small_motion(kind):
     problem = build_problem(narrow, find_prior(narrow), DesignChoices(kind=kind))
     begin = random_start(problem, [0, 0])
     assert problem.use(begin).max() > problem.allowed
-    found = made(narrow, SearchChoices(starts=None, seconds=1e-3, workers=1), kind=kind)
+    found = made(narrow, SearchChoices(starts=None, time=1e-3, workers=1), kind=kind)
     assert found.use.max() <= 1.0
 
 

@@ -28,7 +28,7 @@ def test_frogs_reach_the_constrained_optimum_and_every_candidate_keeps_the_limit
 
 
 def test_time_and_ctrl_c_end_them_with_the_best_so_far(clock):
-    choices = SearchChoices(starts=None, seconds=10.0, workers=1, solver="sfla")
+    choices = SearchChoices(starts=None, time=10.0, workers=1, solver="sfla")
     found = search(slow_problem(clock, 0.01), maker(), choices, clock=clock)
     assert 8.0 <= found.seconds <= 10.1
     assert found.best is not None

@@ -16,7 +16,7 @@ from ident.excite.search.poses import NoFeasiblePoseError, feasible_pose, moving
 @pytest.fixture(scope="module")
 def problem():
     ur10 = load_robot("ur10")
-    return build_problem(ur10, find_prior(ur10), DesignChoices(moving=("shoulder_lift_joint", "elbow_joint")))
+    return build_problem(ur10, find_prior(ur10), DesignChoices(joints=("shoulder_lift_joint", "elbow_joint")))
 
 
 def test_a_pose_is_led_out_of_a_collision(problem):

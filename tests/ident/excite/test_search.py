@@ -77,7 +77,7 @@ def test_the_first_start_can_be_given():
 def test_time_ends_a_search_that_has_no_end(clock, workers):
     """Every evaluation takes 10 ms here, so that the search ends within a few of them."""
     found = search(
-        slow_problem(clock, 0.01), maker(), SearchChoices(starts=None, seconds=10.0, workers=workers), clock=clock
+        slow_problem(clock, 0.01), maker(), SearchChoices(starts=None, time=10.0, workers=workers), clock=clock
     )
     assert 8.0 <= found.seconds <= 10.1
     assert found.best is not None
@@ -88,7 +88,7 @@ def test_time_ends_a_search_that_has_no_end(clock, workers):
 
 def test_however_short_the_time_there_is_a_feasible_motion(clock):
     """A single evaluation takes more than the search has."""
-    found = search(slow_problem(clock, 2.0), maker(), SearchChoices(starts=None, seconds=1.0, workers=1), clock=clock)
+    found = search(slow_problem(clock, 2.0), maker(), SearchChoices(starts=None, time=1.0, workers=1), clock=clock)
     assert found.best is not None
     assert toy_problem().use(found.best.variables).max() <= 0.99
     assert found.seconds <= 10.0
@@ -96,7 +96,7 @@ def test_however_short_the_time_there_is_a_feasible_motion(clock):
 
 def test_time_is_kept_for_the_last_check(clock):
     """A check of a motion takes three evaluations of the limits; eight checks are kept for what follows the search."""
-    choices = SearchChoices(starts=None, seconds=100.0, workers=1)
+    choices = SearchChoices(starts=None, time=100.0, workers=1)
     found = search(slow_problem(clock, 0.1), maker(), choices, clock=clock)
     assert 100.0 - 8 * 3 * 0.1 - 1.0 <= found.seconds <= 100.0 - 2.0
 
@@ -140,7 +140,7 @@ def test_with_a_time_limit_the_search_goes_on_without_a_process_that_died(clock)
         if found.died and found.finished > 1:
             raise KeyboardInterrupt
 
-    choices = SearchChoices(starts=None, seconds=1e9, workers=2)
+    choices = SearchChoices(starts=None, time=1e9, workers=2)
     found = search(slow_problem(clock, 0.1), maker(fault="die"), choices, progress=interrupt, clock=clock)
     assert found.died == 1
     assert found.best is not None

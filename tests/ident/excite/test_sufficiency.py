@@ -16,9 +16,10 @@ from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import UsageError
 from dynid import command
 from ident.assessment.recorded_motion import recorded_motion
-from ident.excite.sufficiency import OWN_TORQUE, Sufficiency, check_wanted_rsd, motion_sufficiency, times_needed
+from ident.excite.sufficiency import OWN_TORQUE, Sufficiency, motion_sufficiency, times_needed
 from ident.model.dynamic_model import build_model
-from ident.regression.pruning import SIGNIFICANT_RSD
+from ident.regression.options import SIGNIFICANT_RSD
+from ident.tasks.options import InfoOptions
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
@@ -109,7 +110,7 @@ def test_nothing_significant_is_said(three_joint):
 @pytest.mark.parametrize("value", [0.0, -1.0, 100.1, float("nan"), float("inf")])
 def test_a_wanted_rsd_that_is_none_is_refused(value):
     with pytest.raises(UsageError, match="--wanted-rsd"):
-        check_wanted_rsd(value)
+        InfoOptions("run.h5", wanted_rsd=value)
 
 
 def run(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:

@@ -16,7 +16,7 @@ from ident.excite.velocity_sweep import velocity_sweep
 def sweep():
     robot_file = load_robot("ur5e")
     joints = ("shoulder_lift_joint", "wrist_3_joint")
-    return robot_file, velocity_sweep(robot_file, ArmMotionCheck(robot_file), SweepChoices(joints, speeds=3))
+    return robot_file, velocity_sweep(robot_file, ArmMotionCheck(robot_file), SweepChoices(joints=joints, speeds=3))
 
 
 def test_one_joint_moves_at_a_time_and_both_return(sweep):
@@ -64,12 +64,12 @@ class _Refusing(ArmMotionCheck):
 
 def test_a_stroke_that_is_not_free_is_halved_and_a_joint_that_cannot_move_says_why():
     robot_file = load_robot("ur5e")
-    choices = SweepChoices(("shoulder_pan_joint", "shoulder_lift_joint"))
+    choices = SweepChoices(joints=("shoulder_pan_joint", "shoulder_lift_joint"))
     free, caught = velocity_sweep(robot_file, _Refusing(), choices).joints
     assert free.high - free.low == pytest.approx(0.3)
     assert (caught.speeds, caught.refusal) == ((), "too near")
     with pytest.raises(MotionRefusedError, match=r"no joint can move from this pose: too near"):
-        velocity_sweep(robot_file, _Refusing(), SweepChoices(("shoulder_lift_joint",)))
+        velocity_sweep(robot_file, _Refusing(), SweepChoices(joints=("shoulder_lift_joint",)))
 
 
 @pytest.mark.parametrize(

@@ -99,8 +99,8 @@ def test_truth_lies_within_the_error_bars(friction):
 def test_automatic_choice_finds_what_there_is():
     robot_file = arm(stribeck=True, stribeck_velocity=0.12, joints={"j2": {"stribeck": False}})
     runs = [recorded(robot_file, 1)], [recorded(robot_file, 2)]
-    plain = identify(*runs, IdentifyChoices(model=ModelChoices("coulomb-viscous"), search_delay=False))
-    found = identify(*runs, IdentifyChoices(model=ModelChoices("auto"), search_delay=False))
+    plain = identify(*runs, IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), search_delay=False))
+    found = identify(*runs, IdentifyChoices(model=ModelChoices(friction="auto"), search_delay=False))
     assert [(step.joint, step.term) for step in found.friction.steps if step.accepted] == [("j1", "stribeck")]
     assert found.model.terms.stribeck == (True, False)
     assert found.validation.relative_error < 0.7 * plain.validation.relative_error

@@ -24,7 +24,8 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import truth_vector
 from ident.regression import least_squares
-from ident.regression.observability import ExperimentChoices, find_experiment
+from ident.regression.observability import find_experiment
+from ident.regression.options import ExperimentChoices
 from ident.regression.velocity_reversals import STICKING_SHARE
 from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
@@ -113,7 +114,7 @@ def test_every_option_runs_with_every_other(
     choices = IdentifyChoices(
         method=method,
         model=ModelChoices(friction=friction, offset=offset, motor_inertia=inertia, smoothing=smoothing),
-        preprocess=PreprocessChoices(filter_kind=kind),
+        preprocess=PreprocessChoices(filter=kind),
         search_delay=search,
     )
     found = identify([recorded()], [], choices)
@@ -145,7 +146,9 @@ def test_the_full_model_is_within_its_error_bars(recorded, three_joint):
 def test_choices_of_columns_change_the_model_and_nothing_else(three_joint):
     model = build_model(three_joint)
     assert apply_model_choices(model, ModelChoices()) == model
-    changed = apply_model_choices(model, ModelChoices("viscous", offset=False, motor_inertia=False, smoothing=0.3))
+    changed = apply_model_choices(
+        model, ModelChoices(friction="viscous", offset=False, motor_inertia=False, smoothing=0.3)
+    )
     assert changed.viscous == (True,) * 3
     assert changed.coulomb == changed.offset == changed.motor_inertia == (False,) * 3
     assert changed.smoothing == 0.3
@@ -312,14 +315,13 @@ def test_a_joint_that_sags_on_its_brake_is_locked_within_the_tolerance(three_joi
 
 @pytest.mark.parametrize("tolerance", [-1e-3, 0.2, float("nan")])
 def test_a_rest_tolerance_that_is_a_motion_is_refused(tolerance):
-    choices = ExperimentChoices(rest_tolerance=tolerance)
-    with pytest.raises(UsageError, match=r"moves over \S+ rad is not at rest"):
-        find_experiment(build_model(load_robot("ur5e")), [], choices)
+    with pytest.raises(UsageError, match=r"moves over \S+ rad is not at rest|--rest-tolerance nan"):
+        find_experiment(build_model(load_robot("ur5e")), [], ExperimentChoices(rest_tolerance=tolerance))
     row = "{joint: s, type: prismatic, alpha: 0, d: 0, r: 0}"
     text = f"name: a\nmodel: {{mdh: [{row}]}}\njoints: [{{name: s, position: [0, 1], velocity: 1}}]"
     slides = parse_robot(text, where="a", folder=None)
-    with pytest.raises(UsageError, match=r"moves over \S+ m is not at rest"):
-        find_experiment(build_model(slides), [], choices)
+    with pytest.raises(UsageError, match=r"moves over \S+ m is not at rest|--rest-tolerance nan"):
+        find_experiment(build_model(slides), [], ExperimentChoices(rest_tolerance=tolerance))
 
 
 def test_recordings_that_were_not_closed_are_warned_of(recorded):
@@ -591,7 +593,7 @@ def test_friction_that_sticks_at_reversals_is_warned_of(recorded, three_joint):
     stated = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False)
     (told,) = warned(identify([sticking], [], replace(stated, reversals=0.0)))
     assert "Fs" in told
-    assert f"--leave-out-reversals {STICKING_SHARE:g}" in told
+    assert f"--reversals {STICKING_SHARE:g}" in told
     assert warned(identify([sticking], [], stated))
     assert not warned(identify([sticking], [], replace(stated, reversals=STICKING_SHARE)))
     assert not warned(identify([sticking], [], IdentifyChoices(model=ModelChoices(friction="viscous"))))

@@ -32,9 +32,9 @@ def recordings(three_joint):
 CHOICES = {
     "default": IdentifyChoices(),
     "ols, other columns": IdentifyChoices(
-        method="ols", model=ModelChoices("coulomb", offset=False, motor_inertia=False, smoothing=0.1)
+        method="ols", model=ModelChoices(friction="coulomb", offset=False, motor_inertia=False, smoothing=0.1)
     ),
-    "chebyshev": IdentifyChoices(preprocess=PreprocessChoices(filter_kind="chebyshev", position_decimate=2)),
+    "chebyshev": IdentifyChoices(preprocess=PreprocessChoices(filter="chebyshev", position_decimate=2)),
     "kalman": IdentifyChoices(preprocess=PreprocessChoices(differentiation="kalman")),
     "given": IdentifyChoices(
         preprocess=PreprocessChoices(
@@ -100,7 +100,7 @@ def test_parameters_that_do_not_belong_to_the_robot_are_refused(result, recordin
     [
         ("torque_cutoff", "high"),
         ("decimate", 2.5),
-        ("filter_kind", "box"),
+        ("filter", "box"),
         ("differentiation", "spline"),
         ("keep_rest", "perhaps"),
     ],

@@ -13,10 +13,8 @@ from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import regressor
 from ident.regression.observability import (
-    REST_TOLERANCE,
     RIGHT_ANGLE,
     Experiment,
-    ExperimentChoices,
     describe,
     experiment_base,
     find_experiment,
@@ -24,6 +22,7 @@ from ident.regression.observability import (
     predictable_torques,
     whole_arm,
 )
+from ident.regression.options import REST_TOLERANCE, ExperimentChoices
 
 
 @pytest.fixture(scope="module")

@@ -74,7 +74,7 @@ def test_an_identification_of_several_runs_states_the_repeatability():
         simulate_recording(arm(factor), motion, 5.0, seed)
         for seed, (factor, motion) in enumerate(zip(factors, motions, strict=True))
     ]
-    choices = IdentifyChoices(model=ModelChoices("coulomb-viscous"), search_delay=False, presliding=False)
+    choices = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), search_delay=False, presliding=False)
     found = identify(runs, [held_out], choices)
     result = summarise(found, runs, [held_out])
     truth = found.base.projection @ truth_vector(nominal, found.model)

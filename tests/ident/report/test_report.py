@@ -102,7 +102,7 @@ def result(**changes: Any) -> Result:
         urdf="",
         joints=JOINTS,
         method="wls",
-        options={"torque_cutoff": None, "decimate": 10, "significant_rsd": 30.0},
+        options={"torque_cutoff": None, "decimate": 10, "significance": 30.0},
         model_options=ModelOptions(
             motor_inertia=[True, False],
             viscous=[True, True],

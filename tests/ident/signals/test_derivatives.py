@@ -126,7 +126,7 @@ def test_impossible_cutoffs_are_refused(cutoff: float) -> None:
 
 
 def test_an_unknown_way_is_refused() -> None:
-    with pytest.raises(UsageError, match="no differentiation is called 'spline'"):
+    with pytest.raises(UsageError, match="--differentiation 'spline' does not exist"):
         PreprocessChoices(differentiation="spline")  # type: ignore[arg-type]
 
 
@@ -143,7 +143,7 @@ def test_stated_noise_levels_are_those_of_all_joints_and_of_the_next_recording()
     ("choices", "words"),
     [
         ({"differentiation": "kalman", "kalman_noise": (1.0,)}, "Q and R"),
-        ({"differentiation": "kalman", "kalman_noise": (1.0, 0.0)}, "kalman_noise: R"),
+        ({"differentiation": "kalman", "kalman_noise": (1.0, 0.0)}, "--kalman-noise 0 is not within"),
         ({"differentiation": "kalman", "kalman_noise": (1.0, 1.0), "position_cutoff": 20.0}, "fix the cut-off"),
         ({"kalman_noise": (1.0, 1.0)}, "without the Kalman smoother"),
     ],

@@ -13,7 +13,7 @@ from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
-from ident.regression.observability import ExperimentChoices
+from ident.regression.options import ExperimentChoices
 from ident.signals.played_motion import MOTION_BEGINS, MOTION_ENDS, played_window
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from drivers.core.errors import DataError, InputError, UsageError
+from ident.signals.cutoffs import choose_cutoffs
 from ident.signals.joint_signals import JointSignals
 from ident.signals.motion_masks import default_rest_velocity, motion_band, moving_mask
-from ident.signals.options import PreprocessChoices, choose_cutoffs
+from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare as prepare_signals
 from ident.signals.prepared import Prepared, Segment
 
@@ -137,7 +138,7 @@ def test_ends_without_a_valid_low_pass_are_left_out(recording: tuple[np.ndarray,
 def test_resolved_choices_give_the_same_again(recording: tuple[np.ndarray, ...]) -> None:
     time, position, torque, _ = recording
     for kind, decimate in itertools.product(("butterworth", "chebyshev"), (1, 4)):
-        choices = PreprocessChoices(filter_kind=kind, position_decimate=decimate)  # type: ignore[arg-type]
+        choices = PreprocessChoices(filter=kind, position_decimate=decimate)  # type: ignore[arg-type]
         first = prepare(time, position, torque, choices)
         again = prepare(time, position, torque, first.choices)
         assert first.parallel_filter.description == again.parallel_filter.description
@@ -287,7 +288,7 @@ OPTIONS: dict[str, tuple[object, ...]] = {
     "torque_cutoff": (None, 5.0),
     "decimate": (None, 1, 3),
     "position_decimate": (1, 4),
-    "filter_kind": ("butterworth", "chebyshev"),
+    "filter": ("butterworth", "chebyshev"),
     "delay": (0.0, 0.003),
     "measured_velocity": (False, True),
     "keep_rest": (False, True),
@@ -298,7 +299,7 @@ def test_every_combination_of_options_runs(recording: tuple[np.ndarray, ...]) ->
     time, position, torque, velocity = (values[:1200] for values in recording)
     for values in itertools.product(*OPTIONS.values()):
         chosen = dict(zip(OPTIONS, values, strict=True))
-        if chosen["filter_kind"] == "chebyshev" and chosen["torque_cutoff"] and chosen["decimate"]:
+        if chosen["filter"] == "chebyshev" and chosen["torque_cutoff"] and chosen["decimate"]:
             with pytest.raises(UsageError, match="one of the two"):
                 PreprocessChoices(**chosen)  # type: ignore[arg-type]
             continue
@@ -338,7 +339,7 @@ def check_consistent(prepared: Prepared) -> None:
         ("torque_cutoff", float("inf")),
         ("decimate", 0),
         ("position_decimate", 0),
-        ("filter_kind", "bessel"),
+        ("filter", "bessel"),
         ("delay", float("nan")),
         ("rest_velocity", -1.0),
         ("start", -1.0),

@@ -31,7 +31,7 @@ from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression import least_squares
-from ident.regression.observability import ExperimentChoices
+from ident.regression.options import ExperimentChoices
 from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
 from ident.verdict.catalogue import CATALOGUE

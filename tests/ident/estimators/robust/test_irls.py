@@ -15,7 +15,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import regressor
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.regression.observability import ExperimentChoices
+from ident.regression.options import ExperimentChoices
 from ident.report import ReportData
 from ident.report.page import render_report
 from sim_drivers.synthetic.measurement import simulate_recording

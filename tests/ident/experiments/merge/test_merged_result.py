@@ -20,7 +20,7 @@ from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from ident.regression.observability import ExperimentChoices
+from ident.regression.options import ExperimentChoices
 from ident.report.page import render_report
 from ident.report.section import ReportData
 from ident.result.schema import read_result, result_json, write_result
@@ -51,7 +51,9 @@ def recorded(three_joint, tmp_path_factory):
 
 
 def result_of(recording, *, locked=(), torques_of=(), robot_file=None, **options):
-    choices = IdentifyChoices(experiment=ExperimentChoices(locked, torques_of), search_delay=False, **options)
+    choices = IdentifyChoices(
+        experiment=ExperimentChoices(locked=locked, torques_of=torques_of), search_delay=False, **options
+    )
     return summarise(identify([recording], [], choices, robot_file=robot_file), [recording], [])
 
 

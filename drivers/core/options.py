@@ -1,0 +1,194 @@
+"""Options declared once: a dataclass field holds the name, type, default, range and texts of command line and API.
+
+A dataclass of options derives from `Options`, which checks every value. `@keywords_of(SomeOptions)` gives a function of
+Python the dataclass's arguments, which type checkers and editors see; `takes` of `daq/commands/options.py` gives
+them to a command.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import textwrap
+from collections.abc import Callable
+from dataclasses import Field, dataclass, field, fields
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar, cast
+
+from drivers.core.errors import UsageError
+from drivers.core.ranges import Range, check_option
+
+_Value = TypeVar("_Value")
+_Options = TypeVar("_Options")
+_Result = TypeVar("_Result")
+_Arguments = ParamSpec("_Arguments")
+
+_METADATA = "option"
+_WIDTH = 112
+"""Characters of a line of a docstring."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """What a field declares beside its name, type and default.
+
+    Attributes:
+        help: text of the command's `--help`; empty for an argument of the API alone.
+        meaning: text of the API's docstring, with the unit; the same as `help` where empty.
+        flag: on the command line; `--name` where empty.
+        allowed: range of the number, or of each number of a tuple.
+        one_of: allowed texts.
+        hint: what to do about a value that is refused.
+        metavar: what `--help` calls the value.
+        read: turns the text of the command line and the flag into the value; None where Typer does.
+        shown: default of the command line's text where `read` turns it into the field's default.
+        command_type: type on the command line where it is not that of the field, such as `Path` or `list[Path]`.
+        argument: name of a positional argument of the command; empty for an option.
+    """
+
+    help: str = ""
+    meaning: str = ""
+    flag: str = ""
+    allowed: Range | None = None
+    one_of: tuple[str, ...] = ()
+    hint: str = ""
+    metavar: str | None = None
+    read: Callable[[str, str], Any] | None = None
+    shown: str | None = None
+    command_type: Any = None
+    argument: str = ""
+
+    def check(self, flag: str, value: Any) -> None:
+        """Refuse a value that is not allowed; None always is.
+
+        Raises:
+            UsageError: names the option, its value and what is allowed.
+        """
+        if self.read is read_names and isinstance(value, str):  # a string is a sequence of letters
+            raise UsageError(f"'{value}' is one text; a list of joint names is needed", where=flag, hint=f"['{value}']")
+        if self.one_of and value is not None and value not in self.one_of:
+            raise UsageError(
+                f"{flag} '{value}' does not exist", hint=" or ".join([", ".join(self.one_of[:-1]), self.one_of[-1]])
+            )
+        for number in value if isinstance(value, tuple) else (value,):
+            if isinstance(number, float) and not math.isfinite(number):
+                raise UsageError(f"{flag} {number} is not a finite number")
+            if self.allowed is not None and number is not None:
+                check_option(flag, number, self.allowed, self.hint)
+
+
+def option(default: _Value, help: str = "", **more: Any) -> _Value:
+    """A field with a default; `more` are fields of `Option`."""
+    return field(default=default, metadata={_METADATA: Option(help, **more)})
+
+
+def argument(name: str, help: str, **more: Any) -> dict[str, Option]:
+    """Metadata of a field without a default, a positional argument called `name` on the command line."""
+    return {_METADATA: Option(help, argument=name, **more)}
+
+
+def declared(of: Field[Any]) -> Option | None:
+    """What a field declares; None of a field that is no option."""
+    return of.metadata.get(_METADATA)
+
+
+def flag_of(of: Field[Any]) -> str:
+    """A field's flag on the command line, as in `--offset/--no-offset`."""
+    stated = declared(of)
+    return (stated.flag if stated is not None else "") or f"--{of.name.replace('_', '-')}"
+
+
+class Options:
+    """Base of a dataclass of options: its values are checked when it is made."""
+
+    def __post_init__(self) -> None:
+        """Check every field by what it declares.
+
+        Raises:
+            UsageError: a value is not allowed.
+        """
+        for of in fields(cast(Any, self)):
+            if (stated := declared(of)) is not None:
+                stated.check(flag_of(of).partition("/")[0], getattr(self, of.name))
+
+
+def same_named(options: object, dataclass_type: type[_Options], **others: Any) -> _Options:
+    """An instance of a dataclass with the values that `options` has under its fields' names, and with the others."""
+    names = [of.name for of in fields(cast(Any, dataclass_type)) if hasattr(options, of.name)]
+    return dataclass_type(**{name: getattr(options, name) for name in names} | others)
+
+
+def keywords_of(
+    options: Callable[_Arguments, _Options],
+) -> Callable[[Callable[[_Options], _Result]], Callable[_Arguments, _Result]]:
+    """A function of one dataclass of options as a function of the dataclass's arguments, described in its docstring."""
+
+    def decorate(function: Callable[[_Options], _Result]) -> Callable[_Arguments, _Result]:
+        @wraps(function)
+        def call(*args: _Arguments.args, **keywords: _Arguments.kwargs) -> _Result:
+            return function(options(*args, **keywords))
+
+        del call.__wrapped__  # what takes the dataclass is not what users call  # type: ignore[attr-defined]
+        annotations = {name: value for name, value in function.__annotations__.items() if name == "return"}
+        signature = inspect.signature(options)
+        call.__signature__ = signature.replace(return_annotation=annotations.get("return"))  # type: ignore[attr-defined]
+        call.__annotations__ = {name: one.annotation for name, one in signature.parameters.items()} | annotations
+        call.__doc__ = _described(function.__doc__ or "", options)
+        return call
+
+    return decorate
+
+
+def _described(docstring: str, options: Any) -> str:
+    """The docstring with a section `Args` of the fields' meanings before the first other section."""
+    if not docstring:  # python -OO
+        return ""
+    lines = ["    Args:"]
+    by_name = {of.name: declared(of) or Option() for of in fields(options)}
+    for name in inspect.signature(options).parameters:
+        text = f"{name}: {by_name[name].meaning or by_name[name].help}"
+        lines += textwrap.wrap(text, _WIDTH, initial_indent=" " * 8, subsequent_indent=" " * 12, break_on_hyphens=False)
+    places = [place for name in ("Returns", "Raises", "Example") if (place := docstring.find(f"\n    {name}:\n")) >= 0]
+    place = min(places, default=len(docstring)) + 1
+    return docstring[:place] + "\n".join(lines) + "\n\n" + docstring[place:]
+
+
+def read_names(text: str, flag: str) -> tuple[str, ...]:
+    """Names that commas separate.
+
+    Raises:
+        UsageError: there is no name in it.
+    """
+    names = tuple(name for part in text.split(",") if (name := part.strip()))
+    if not names:
+        raise UsageError(f"{flag} '{text}' holds no name")
+    return names
+
+
+def read_numbers(text: str, flag: str) -> tuple[float, ...]:
+    """Numbers that commas separate.
+
+    Raises:
+        UsageError: they are not numbers.
+    """
+    try:
+        return tuple(float(value) for value in text.split(","))
+    except ValueError:
+        raise UsageError(f"'{text}' are not numbers separated by commas", where=flag) from None
+
+
+def read_delay(text: str, flag: str) -> float | None:
+    """Delay [s]; None for `auto`.
+
+    Raises:
+        UsageError: neither a number nor `auto`.
+    """
+    if text == "auto":
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise UsageError(f"{flag} {text} is neither 'auto' nor a number of seconds")
+    return value

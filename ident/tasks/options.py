@@ -1,0 +1,410 @@
+"""What each task is given: the arguments of the Python API and the options of its command, declared once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from drivers.core.errors import UsageError
+from drivers.core.options import Options, argument, option, read_names, read_numbers
+from ident.excite.choices import DesignChoices, SearchOptions
+from ident.excite.sweep_choices import SweepChoices
+from ident.identify.options import ModelOptions
+from ident.regression.options import PERCENT, EssentialOptions, ExperimentChoices, ReversalOptions
+from ident.signals.options import FilterOptions, WindowOptions, delay_option
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from daq.robot.loader import RobotFile
+    from drivers.core.arrays import FloatArray
+    from drivers.core.reading_process import Progress
+    from ident.excite.search.search import SearchResult
+    from ident.result.delivered import Parameters
+    from ident.tasks.acceptance import Limits
+    from ident.tasks.excitation import ExcitationTrajectory
+    from ident.tasks.runs import Run, Runs
+    from ident.tasks.validation import Identified
+
+_RUNS = argument(
+    "recordings",
+    "Recordings (.h5) of one arm; several are stacked.",
+    meaning="a recording, or several of one arm, which stack; each read already or a path.",
+    command_type=list[Path],
+)
+_PROGRESS = "called with the name of each step before it begins."
+
+
+def _robot_option() -> str | Path | RobotFile | None:
+    return option(
+        None, "Robot file in place of the recording's own.", meaning="in place of the recording's own robot file."
+    )
+
+
+def _split_option() -> float | None:
+    return option(
+        None,
+        "Identify on the first SECONDS, validate on the rest.",
+        meaning="identify on the data before this time, validate on the rest [s].",
+    )
+
+
+def _silent(step: Any) -> None:
+    """Nobody is told of the steps."""
+
+
+def _progress_option() -> Progress:
+    return option(_silent, meaning=_PROGRESS)
+
+
+def _accept_option() -> Limits | None:
+    return option(
+        None,
+        meaning='limits that the model must keep on held-out data, such as {"relative_error": 0.08}, or the path of a '
+        "YAML file with them; the outcome is `acceptance`.",
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataOptions(Options):
+    """Method and data of an identification."""
+
+    method: str = option(
+        "wls",
+        "Estimator with its options, such as wls or energy:window=0.5; 'help' lists them.",
+        meaning='estimator, NAME[:OPTION=VALUE]…, such as "wls" or "energy:window=0.5"; docs/identification.md lists '
+        "them, and so does `dynid identify --method help`.",
+        metavar="NAME[:OPTION=VALUE]…",
+    )
+    validation: Runs = option(
+        (),
+        "Held-out recording; the last 30 % without one.",
+        meaning="held-out recordings; without any, the last 30 % of each of the others.",
+        flag="--validate",
+        command_type=list[Path],
+    )
+    split: float | None = _split_option()
+    robot: str | Path | RobotFile | None = _robot_option()
+
+
+@dataclass(frozen=True)
+class IdentifyOptions(
+    EssentialOptions, WindowOptions, ReversalOptions, ExperimentChoices, FilterOptions, ModelOptions, DataOptions
+):
+    """Arguments of `identify`; of a dataclass with several bases, the last one's fields come first."""
+
+    runs: Runs = field(metadata=_RUNS)
+    _: KW_ONLY
+    accept: Limits | None = _accept_option()
+    progress: Progress = _progress_option()
+
+
+@dataclass(frozen=True)
+class CompareOptions(Options):
+    """Arguments of `compare`."""
+
+    runs: Runs = field(metadata=_RUNS)
+    methods: Sequence[str] = option(
+        ("ols", "wls"),
+        "Methods, as identify takes them.",
+        metavar="A,B,…",
+        read=read_names,
+        shown="ols,wls",
+    )
+    _: KW_ONLY
+    friction: Sequence[str] = option(
+        (),
+        "Friction models, as identify takes them; each with each method.",
+        meaning="as `identify` takes them; each method with each of them. The robot file's where none.",
+        metavar="A,B,…",
+        read=read_names,
+    )
+    validation: Runs = option(
+        (),
+        "Held-out recordings; the last 30 % without any.",
+        meaning="held-out recordings, each judged apart; the last 30 % of the others without any.",
+        flag="--validate",
+        command_type=list[Path],
+    )
+    split: float | None = _split_option()
+    robot: str | Path | RobotFile | None = _robot_option()
+    delay: float | None = delay_option()
+    progress: Progress = _progress_option()
+
+    def __post_init__(self) -> None:
+        """Check every option, and that both lists are lists of different names.
+
+        Raises:
+            UsageError: names the list.
+        """
+        for names, name, example in (
+            (self.methods, "methods", '("ols", "wls")'),
+            (self.friction, "friction", '("coulomb",)'),
+        ):
+            if isinstance(names, str):
+                raise UsageError(f"{name} must be a list of names", hint=f"{name}={example}")
+            if len(set(names)) < len(names):
+                raise UsageError(f"a name is given twice: {', '.join(names)}", where=name)
+        if not self.methods:
+            raise UsageError("no method to compare", hint='methods=("ols", "wls")')
+        super().__post_init__()
+
+
+@dataclass(frozen=True)
+class FrictionOptions(Options):
+    """Arguments of `friction`."""
+
+    runs: Runs = field(
+        metadata=argument(
+            "recordings",
+            "Recordings (.h5) of one arm, one joint moving at a time.",
+            meaning="a recording, or several of one arm; each read already or a path.",
+            command_type=list[Path],
+        )
+    )
+    _: KW_ONLY
+    friction: str = option(
+        "auto",
+        "coulomb-viscous+power+temperature, …, or auto; see docs.",
+        meaning='terms as `identify` takes them, such as "coulomb-viscous+power+temperature"; or "auto", which chooses '
+        "those of each joint by held-out error. Temperature and load terms need recordings that span enough.",
+    )
+    robot: str | Path | RobotFile | None = _robot_option()
+    delay: float | None = delay_option()
+    progress: Progress = _progress_option()
+
+
+@dataclass(frozen=True)
+class LoadOptions(Options):
+    """Arguments of `payload`: a run without and a run with a load, and what is known of it."""
+
+    free: Run = field(
+        metadata=argument(
+            "free",
+            "Recording (.h5) of the arm without the load.",
+            meaning="recording without the load, or its path.",
+            command_type=Path,
+        )
+    )
+    loaded: Run = field(
+        metadata=argument(
+            "loaded",
+            "Recording (.h5) of the same arm with it.",
+            meaning="recording of the same arm with it.",
+            command_type=Path,
+        )
+    )
+    _: KW_ONLY
+    mass: float | None = option(None, "Mass of the load [kg].", meaning="of the load, where it was weighed [kg].")
+    com: Sequence[float] | FloatArray | None = option(
+        None,
+        "Its centre of mass in the tool frame [m].",
+        meaning="its centre of mass x, y, z in the tool frame [m].",
+        metavar="X,Y,Z",
+        read=read_numbers,
+    )
+    inertia: Sequence[float] | FloatArray | None = option(
+        None,
+        "Its inertia about the centre of mass [kg·m²].",
+        meaning="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²].",
+        metavar="XX,XY,XZ,YY,YZ,ZZ",
+        read=read_numbers,
+    )
+    robot: str | Path | RobotFile | None = option(
+        None,
+        "Robot file in place of the free recording's own.",
+        meaning="in place of the free recording's own robot file.",
+    )
+    delay: float | None = delay_option()
+
+    def __post_init__(self) -> None:
+        """Check every option, and that a load that is described has a mass.
+
+        Raises:
+            UsageError: names the option.
+        """
+        super().__post_init__()
+        if self.mass is None and (self.com is not None or self.inertia is not None):
+            raise UsageError("com and inertia describe a load whose mass is missing", hint="give its mass too [kg]")
+
+
+@dataclass(frozen=True)
+class GainsOptions(LoadOptions):
+    """Arguments of `drive_gains`, which needs the mass."""
+
+    _: KW_ONLY
+    up_and_down: bool = option(
+        False,
+        "From slow passes of one joint at a time, up and down.",
+        meaning="the runs are slow passes of one joint at a time, up and down.",
+    )
+
+    def __post_init__(self) -> None:
+        """Check every option, and that there is a mass.
+
+        Raises:
+            UsageError: names the option.
+        """
+        super().__post_init__()
+        if self.mass is None:
+            raise UsageError(
+                "the gains are not identifiable without the load's mass: twice the gains with twice the masses fit "
+                "equally well",
+                hint="weigh the load and add --mass KG",
+            )
+
+
+@dataclass(frozen=True)
+class PredictOptions(Options):
+    """Arguments of `predict`."""
+
+    identified: Identified = field(
+        metadata=argument(
+            "model",
+            "Folder that identify wrote, or its result.json.",
+            meaning="a result, a model (its own parameters count), or the folder or file of a result.",
+            command_type=Path,
+        )
+    )
+    run: Run = field(
+        metadata=argument(
+            "recording",
+            "Recording of the same arm (.h5).",
+            meaning="a recording of the same arm, or its path; without a recorded torque there is no residual.",
+            command_type=Path,
+        )
+    )
+    _: KW_ONLY
+    parameters: Parameters | None = option(
+        None,
+        "consistent, full or essential; consistent where there are any, else full.",
+        meaning='"consistent", "full" or "essential", as in `load_model`; None takes what that does.',
+    )
+
+
+@dataclass(frozen=True)
+class ValidateOptions(Options):
+    """Arguments of `validate`."""
+
+    identified: Identified = field(
+        metadata=argument(
+            "result",
+            "Folder that identify wrote, or its result.json.",
+            meaning="a result, a model, or the folder or file of one.",
+            command_type=Path,
+        )
+    )
+    runs: Runs = field(
+        metadata=argument(
+            "recordings",
+            "Held-out recordings (.h5), each judged apart.",
+            meaning="a held-out recording or several, or their paths.",
+            command_type=list[Path],
+        )
+    )
+    _: KW_ONLY
+    accept: Limits | None = _accept_option()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _MergedOptions(Options):
+    """Data of a merge."""
+
+    validation: Run | None = option(
+        None,
+        "Held-out recording (.h5), used by none of them.",
+        meaning="a held-out recording, used by none of them.",
+        flag="--validate",
+        command_type=Path,
+    )
+
+
+@dataclass(frozen=True)
+class MergeOptions(EssentialOptions, _MergedOptions):
+    """Arguments of `merge`."""
+
+    results: Sequence[Identified] = field(
+        metadata=argument(
+            "models",
+            "result.json files of one arm, or the folders that hold them.",
+            meaning="results, models, or the folders or files of them.",
+            command_type=list[Path],
+        )
+    )
+
+
+@dataclass(frozen=True)
+class InfoOptions(Options):
+    """Arguments of `info`."""
+
+    run: Run = field(
+        metadata=argument("recording", "Recording (.h5).", meaning="the recording, or its path.", command_type=Path)
+    )
+    _: KW_ONLY
+    robot: str | Path | RobotFile | None = _robot_option()
+    wanted_rsd: float | None = option(
+        None,
+        "Estimate how long this motion must be recorded for this relative standard deviation [%].",
+        meaning="relative standard deviation [%] for which the duration needed is estimated.",
+        allowed=PERCENT,
+        hint="5 is usual",
+    )
+    progress: Progress = _progress_option()
+
+
+_ROBOT = argument(
+    "robot",
+    "Built-in robot or robot file.",
+    meaning="built-in name, robot file, URDF, or the result of `load_robot`.",
+)
+
+
+@dataclass(frozen=True)
+class ExciteOptions(SearchOptions, DesignChoices):
+    """Arguments of `design_excitation`."""
+
+    robot: str | Path | RobotFile = field(metadata=_ROBOT)
+    _: KW_ONLY
+    earlier: ExcitationTrajectory | str | PathLike[str] | None = option(
+        None,
+        "Trajectory file to improve.",
+        meaning="a trajectory to improve, or its file.",
+        flag="--from",
+        command_type=Path,
+    )
+    prior: str | Path | None = option(
+        None,
+        "Model folder or result.json with prior parameters and noise.",
+        command_type=Path,
+    )
+    progress: Callable[[SearchResult], None] = option(
+        _silent, meaning="called after each better motion, and a few times per second."
+    )
+
+    def __post_init__(self) -> None:
+        """Check every option, and that the search ends in one way.
+
+        Raises:
+            UsageError: names the option.
+        """
+        super().__post_init__()
+        if self.time is not None and self.starts is not None:
+            raise UsageError(
+                "--time and --starts exclude each other", hint="--starts does not depend on the machine's speed"
+            )
+
+
+@dataclass(frozen=True)
+class SweepOptions(SweepChoices):
+    """Arguments of `design_sweep`."""
+
+    robot: str | Path | RobotFile = field(metadata=_ROBOT)
+    _: KW_ONLY
+    prior: str | Path | None = option(
+        None,
+        "Model folder or result.json that predicts torque.",
+        meaning="model folder or result.json that predicts torque; the robot file's truth where None.",
+        command_type=Path,
+    )

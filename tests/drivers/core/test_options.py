@@ -1,0 +1,98 @@
+"""Options declared once: their checks, the texts of the command line, the signature and docstring of the API."""
+
+from __future__ import annotations
+
+import inspect
+from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass, field
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.core.errors import UsageError
+from drivers.core.options import Options, argument, keywords_of, option, read_delay, read_names, same_named
+from drivers.core.ranges import Range
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False))
+def test_a_delay_is_a_number_of_seconds(value):
+    assert read_delay(repr(value), "--delay") == value
+
+
+@given(st.text())
+def test_any_text_is_a_finite_delay_or_refused(text):
+    with suppress(UsageError):
+        value = read_delay(text, "--delay")
+        assert value is None or abs(value) < float("inf")
+
+
+def test_auto_leaves_the_delay_open():
+    assert read_delay("auto", "--delay") is None
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "-inf", "", "soon", "1,2", "AUTO"])
+def test_what_is_no_delay_is_refused(text):
+    with pytest.raises(UsageError, match="neither 'auto' nor a number of seconds"):
+        read_delay(text, "--delay")
+
+
+@pytest.mark.parametrize(("text", "names"), [("a", ("a",)), ("a,b", ("a", "b")), (" a , b c ,", ("a", "b c"))])
+def test_commas_separate_names(text, names):
+    assert read_names(text, "--joints") == names
+
+
+@pytest.mark.parametrize("text", ["", ",", " , "])
+def test_an_option_without_a_name_is_refused(text):
+    with pytest.raises(UsageError, match=r"--locked '.*' holds no name"):
+        read_names(text, "--locked")
+
+
+@dataclass(frozen=True)
+class Grasp(Options):
+    """Options of a test."""
+
+    hand: str = field(metadata=argument("hand", "Which hand."))
+    _: KW_ONLY
+    force: float | None = option(None, "Force [N].", allowed=Range(0.0, 50.0, "N"), hint="10 is gentle")
+    fingers: tuple[float, ...] = option((), "Angles [rad].", allowed=Range(0.0, 2.0, "rad"))
+    style: str = option("pinch", "Style.", one_of=("pinch", "power"))
+    joints: tuple[str, ...] = option((), "Joints.", read=read_names)
+
+
+@keywords_of(Grasp)
+def grasp(options: Grasp) -> Grasp:
+    """Grasp something.
+
+    Raises:
+        UsageError: impossible.
+    """
+    return options
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"force": 60.0}, r"--force 60 is not within 0 to 50 N.*10 is gentle"),
+        ({"force": float("nan")}, "nan is not a finite number"),
+        ({"fingers": (1.0, 3.0)}, "--fingers 3 is not within"),
+        ({"style": "hook"}, "--style 'hook' does not exist.*pinch or power"),
+        ({"joints": "thumb"}, "a list of joint names is needed"),
+    ],
+)
+def test_a_value_that_is_not_allowed_is_refused_by_its_flag(given, message):
+    with pytest.raises(UsageError, match=message):
+        grasp("left", **given)
+
+
+def test_a_function_has_the_arguments_and_the_texts_of_its_options():
+    assert list(inspect.signature(grasp).parameters) == ["hand", "force", "fingers", "style", "joints"]
+    assert grasp("left", force=10.0) == Grasp("left", force=10.0)
+    with pytest.raises(TypeError):
+        grasp()
+    doc = inspect.getdoc(grasp)
+    assert doc.index("    hand: Which hand.") < doc.index("    force: Force [N].") < doc.index("Raises:")
+
+
+def test_another_dataclass_takes_the_values_of_the_same_names():
+    assert same_named(Grasp("left", force=1.0), Grasp, hand="right") == Grasp("right", force=1.0)
