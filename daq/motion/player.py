@@ -22,6 +22,8 @@ UNHELD_STALL_LIMIT = 0.0
 KEPT_UP, BEHIND, SLOW = 25, 0.25, 0.004
 """A motion ends where more than this share of about so many positions took longer than a period, and than so long [s],
 to send: the bus does not carry them, and what the arm makes of them is no longer the motion that was checked."""
+UNHELD_KEPT_UP, UNHELD_SLOW = 5, 0.0
+"""The same for an arm that is not held where commands pause, and so sees those at uneven times: two of six."""
 DRY_RUN = 0.3
 """Length of the dry run [s]."""
 DRY_RUN_PERIODS = 5
@@ -236,11 +238,13 @@ class Player:
         Raises:
             SafetyStopError: it takes too long again and again.
         """
-        self._behind += (float(took > max(self._period, SLOW)) - self._behind) / KEPT_UP
+        count, floor = (KEPT_UP, SLOW) if self._held else (UNHELD_KEPT_UP, UNHELD_SLOW)
+        slow = max(self._period, floor)
+        self._behind += (float(took > slow) - self._behind) / count
         if self._behind > BEHIND:
             raise SafetyStopError(
                 "the bus, or this computer, does not keep up: more than a quarter of the last positions took longer "
-                f"than {1e3 * max(self._period, SLOW):.3g} ms to send",
+                f"than {1e3 * slow:.3g} ms to send",
                 hint="lower the connection's rate (sync_rate), end other programs, or use --realtime",
             )
 

@@ -20,6 +20,7 @@ from drivers.core.errors import InputError
 from drivers.core.text import percent_text
 from ident.checks.tool_pose import ToolPose, tool_poses
 from ident.estimators.feasible.centre_bounds import CentreBound, centre_bounds
+from ident.excite.constraints.collision_geometry import arm_geometry
 from ident.excite.constraints.constraints import unchecked_pairs
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
@@ -73,6 +74,10 @@ def check_robot(robot_file: RobotFile) -> RobotCheck:
             if pose.beyond and pose.name in robot_file.robot.poses
         ]
         try:
+            assumed += [
+                f"a tube along its axes in place of the shape of link {link}"
+                for link in arm_geometry(robot_file, model).unread
+            ]
             if unchecked := unchecked_pairs(robot_file, model):
                 assumed.append(f"{UNCHECKED}: {'; '.join(unchecked)}")
             warnings += _bound_warnings(centre_bounds(model, robot_file))

@@ -139,8 +139,8 @@ class ArmMotionCheck:
                 yield _Watched(clearance.name, kind, names, clearance.distance, clearance.kept)
         for collision in self._pairs:
             # Only the pair that comes nearest tells something of a motion; any pair may be the one that breaks it.
-            distances = collision.distances(path)
-            named = [tuple(link_name(self._model, link) for link in pair) for pair in collision.pairs.checked]
+            pairs, distances = collision.clearances(path)
+            named = [tuple(link_name(self._model, link) for link in pair) for pair in pairs]
             for row in [*np.flatnonzero(distances.min(axis=1) < -TOLERANCE), int(distances.min(axis=1).argmin())]:
                 first, second = named[row]
                 yield _Watched(f"link {first}", "link", [second] * path.time.size, distances[row], 0.0)

@@ -44,12 +44,13 @@ from daq.session.supervisor import Limits, Supervisor
 from drivers.can_signals.motion import Commander
 from drivers.can_signals.settings import parse_settings
 from drivers.canopen402.motion.target_path import TargetPath
+from drivers.canopen402.samples.sync import LATEST
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
 from drivers.core.errors import SafetyStopError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from sim_drivers.can_signals.arm import TableArm
-from sim_drivers.canopen.motion import AxisReference, CyclicPosition
+from sim_drivers.canopen.motion import AxisReference, CyclicPosition, SyncClock
 from sim_drivers.plant.control import Reference
 from sim_drivers.plant.sensors import Measurement
 from sim_drivers.rtde.joint_motion import ServoJ
@@ -100,10 +101,14 @@ class RtdeArm:
 
 
 class CiA402Arm:
-    """Targets as the driver gives them at SYNC, cyclic set-points as the simulated drives interpolate them."""
+    """Targets as the driver gives them at SYNC, cyclic set-points as the simulated drives interpolate them.
 
-    def __init__(self, start: FloatArray, rate: float, begun: float, busy: Callable[[float], bool]) -> None:
-        self._period, self._time, self._busy = 1.0 / rate, begun, busy
+    A SYNC that this computer cannot send in time is sent late, or left out, as `SyncProducer` does.
+    """
+
+    def __init__(self, start: FloatArray, rate: float, begun: float, free: Callable[[float], float]) -> None:
+        self._period, self._time, self._free = 1.0 / rate, begun, free
+        self._clock = SyncClock(self._period)
         self._path = TargetPath(np.rint(start * COUNTS).astype(int).tolist(), self._period)
         self._syncs, self._begun = 0, begun
         self._axes = [CyclicPosition(AxisReference(float(position)), begun) for position in start]
@@ -116,14 +121,14 @@ class CiA402Arm:
     def advance(self, now: float) -> None:
         while self._time + STEP <= now + 1e-9:
             self._time += STEP
-            while self._begun + self._syncs * self._period <= self._time + 1e-9:
-                moment = self._begun + self._syncs * self._period
+            while (sent := self._free(moment := self._begun + self._syncs * self._period)) <= self._time + 1e-9:
                 self._syncs += 1
-                if self._busy(moment):
+                if sent - moment > LATEST * self._period:
                     continue
                 target = np.array(self._path.at(moment)) / COUNTS
+                heard = self._clock.tick(sent)
                 for axis, position in zip(self._axes, target.tolist(), strict=True):
-                    axis.aim(position, moment, self._period)
+                    axis.aim(position, heard, self._clock.cycle)
             self.reference = np.array([axis.step(STEP).position for axis in self._axes])
             self.log.append((self._time, self.reference))
 
@@ -202,10 +207,10 @@ class SignalTableArm:
             self._time = now
 
 
-def new_arm(bus: str, start: FloatArray, rate: float, begun: float, busy: Callable[[float], bool]) -> Arm:
+def new_arm(bus: str, start: FloatArray, rate: float, begun: float, free: Callable[[float], float]) -> Arm:
     if bus == "RTDE":
         return RtdeArm(start, rate, begun)
-    return CiA402Arm(start, rate, begun, busy) if bus == "CiA 402" else SignalTableArm(start, rate, begun)
+    return CiA402Arm(start, rate, begun, free) if bus == "CiA 402" else SignalTableArm(start, rate, begun)
 
 
 class Inline(threading.Thread):
@@ -240,14 +245,16 @@ class World(Clock):
     def now(self) -> float:
         return self.jump(self.time)
 
-    def busy(self, moment: float) -> bool:
-        return any(begin <= moment < end for begin, end in self._stalls)
+    def free(self, moment: float) -> float:
+        """When this computer runs, from a moment on."""
+        for begin, end in self._stalls:
+            if begin <= moment < end:
+                moment = end
+        return moment
 
     def sleep_until(self, moment: float) -> float:
         goal = max(moment - (self.now() - self.time), self.time)
-        for begin, end in self._stalls:
-            if begin <= goal < end:
-                goal = end
+        goal = self.free(goal)
         slept = goal - self.time
         self.time = goal
         self.arm.advance(goal)
@@ -316,6 +323,7 @@ class Case:
         honest: whether the motion keeps the limits by its making.
         stalls: of this computer, when and how long [s] after the begin.
         take: how long the driver takes for a command [s].
+        slow_from: when it begins to take so long [s after the begin].
         restart: when the player is stopped and a second one begins [s]; infinite for never.
         lie: of the host's clock, from true time [s] to what it says.
         measure: of the measured position, from time [s] and the arm's own.
@@ -328,6 +336,7 @@ class Case:
     honest: bool = True
     stalls: tuple[tuple[float, float], ...] = ()
     take: float = 0.0
+    slow_from: float = 0.0
     restart: float = np.inf
     lie: Callable[[float], float] = lambda now: now
     measure: Callable[[float, FloatArray], FloatArray] = lambda _, position: position
@@ -361,7 +370,7 @@ def played(case: Case, start: FloatArray) -> Outcome:
     period = 1.0 / case.rate
     world, outcome = World(case.stalls, period), Outcome()
     world.jump, world.measure = case.lie, case.measure
-    world.arm = new_arm(case.bus, start, case.rate, world.time, world.busy)
+    world.arm = new_arm(case.bus, start, case.rate, world.time, world.free)
     goal = case.motion.evaluate(np.zeros(1))[0][:, 0]
     here = start
     parts = 2 if case.restart < np.inf else 1
@@ -375,7 +384,7 @@ def played(case: Case, start: FloatArray) -> Outcome:
         ) -> None:
             world.arm.command(world.time, position)
             log.append((world.time, dues[-1], position))
-            if case.take:
+            if case.take and world.time >= world.begun + case.slow_from:
                 world.sleep_until(world.now() + case.take)
 
         world.gate = gate = CommandGate(send, lambda *_: None, LIMITS, period, world)
@@ -403,7 +412,7 @@ def played(case: Case, start: FloatArray) -> Outcome:
         if part < parts - 1 and not said:
             here = world.arm.reference
             judge_arm(outcome, world.arm, period, log, ended)  # control is taken anew: what was aimed at before is void
-            world.arm = new_arm(case.bus, here, case.rate, world.time, world.busy)
+            world.arm = new_arm(case.bus, here, case.rate, world.time, world.free)
         else:
             break
     judge_arm(outcome, world.arm, period, log, ended)
@@ -514,7 +523,8 @@ def random_case(draw: np.random.Generator) -> tuple[Case, FloatArray]:
             stalls.append((draw.uniform(0.0, 1.5), float(np.exp(draw.uniform(np.log(1e-3), np.log(longest))))))
     take = float(draw.choice([0.0, 2e-4, 1e-3])) if draw.random() < 0.8 else float(draw.uniform(0.0, 2.0 / rate))
     restart = float(draw.uniform(0.1, 1.5)) if draw.random() < 0.1 else np.inf
-    return Case(bus, rate, motion, honest, tuple(stalls), take, restart), start
+    slow_from = float(draw.uniform(0.0, 1.5)) if take > 1.0 / rate and draw.random() < 0.5 else 0.0
+    return Case(bus, rate, motion, honest, tuple(stalls), take, slow_from, restart), start
 
 
 ABOVE = 1.0 + MARGIN + 1e-3
@@ -593,6 +603,7 @@ def named_cases() -> dict[str, dict[str, Any]]:
     cases["ten stalls of 8 ms"] = {"stalls": tuple((0.5 + 0.1 * index, 0.008) for index in range(10))}
     cases["ten stalls of 40 ms"] = {"stalls": tuple((0.5 + 0.1 * index, 0.04) for index in range(10))}
     cases["each command takes 1.2 periods"] = {"take": 1.2 / 200.0}
+    cases["each command takes 1.2 periods, motion is fastest"] = {"take": 1.2 / 200.0, "slow_from": FASTEST}
     cases["restart while the motion is fastest"] = {"restart": FASTEST}
     cases["restart in the approach"] = {"restart": 0.1}
     for word, change in (

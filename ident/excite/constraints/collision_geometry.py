@@ -4,7 +4,8 @@ A capsule is a straight segment with a radius. It has a distance that is smooth 
 samples at once, so every shape is replaced by capsules that enclose it: clear of the capsules is clear of the
 shape. Where the URDF has a link's collision shapes, and its meshes can be found, they are enclosed; otherwise the link
 is a tube along the straight lines from its joint's origin to the next joints' origins (with a corner where an
-MDH row has one), and for the last link to the tool point.
+MDH row has one), and for the last link to the tool point. Where there are meshes, the shapes' convex hulls say more
+where capsules touch (`ident.excite.constraints.hulls`).
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from daq.robot.schema import BASE, MdhRow
 from daq.robot.workspace import Workspace
 from drivers.core.arrays import FloatArray, IndexArray
 from ident.excite.constraints.capsules import Capsule
-from ident.excite.constraints.urdf_capsules import urdf_capsules
+from ident.excite.constraints.hulls import Hull, hull_of_capsule
+from ident.excite.constraints.urdf_capsules import UrdfShapes, urdf_shapes
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX, Joint
 
@@ -38,10 +40,14 @@ class ArmGeometry:
         capsules: every link has at least one; those of one link are consecutive, the base's first.
         from_shapes: names of the links (by joint, or `base`) whose capsules enclose shapes of the URDF; the others
             are tubes along their axes.
+        hulls: of the same shapes, links in the same order, where the URDF has meshes; else none.
+        unread: links whose shapes cannot be used, and why: `wrist: no such file: wrist.stl`.
     """
 
     capsules: tuple[Capsule, ...]
     from_shapes: tuple[str, ...]
+    hulls: tuple[Hull, ...] = ()
+    unread: tuple[str, ...] = ()
 
     @cached_property
     def links(self) -> IndexArray:
@@ -76,7 +82,8 @@ def arm_geometry(robot_file: RobotFile, model: DynamicModel) -> ArmGeometry:
         RobotFileError: the URDF and the file's joints do not fit together.
     """
     robot = robot_file.robot
-    shapes = urdf_capsules(robot_file) if robot.model.urdf is not None else {}
+    found = urdf_shapes(robot_file) if robot.model.urdf is not None else UrdfShapes({}, {}, {})
+    shapes = found.capsules
     tubes = tube_capsules(model, robot.model.mdh, robot.workspace)
     capsules: list[Capsule] = []
     for link in (BASE_INDEX, *range(len(model.joints))):
@@ -84,7 +91,15 @@ def arm_geometry(robot_file: RobotFile, model: DynamicModel) -> ArmGeometry:
     last = model.tool_link
     if last in shapes and any(robot.workspace.tool):
         capsules.append(_tool_tube(last, model.joints[last].name, robot.workspace))
-    return ArmGeometry(tuple(capsules), tuple(link_name(model, link) for link in sorted(shapes)))
+    hulls: list[Hull] = []
+    if found.hulls:
+        tool = capsules[-1:] if len(capsules) and capsules[-1] not in shapes.get(last, capsules) else []
+        for link in (BASE_INDEX, *range(len(model.joints))):
+            hulls += found.hulls.get(link) or [hull_of_capsule(one) for one in capsules if one.link == link]
+        hulls += [hull_of_capsule(one) for one in tool if found.hulls.get(last)]
+    unread = tuple(f"{link_name(model, link)}: {why}" for link, why in sorted(found.unread.items()))
+    names = tuple(link_name(model, link) for link in sorted(shapes))
+    return ArmGeometry(tuple(capsules), names, tuple(hulls), unread)
 
 
 def tube_capsules(model: DynamicModel, rows: Sequence[MdhRow] | None, workspace: Workspace) -> tuple[Capsule, ...]:

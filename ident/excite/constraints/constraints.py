@@ -49,7 +49,10 @@ def constraints_of(
     geometry = arm_geometry(robot_file, model)
     constraints.append(WorkspaceLimits(model, geometry, robot_file.robot.workspace, obstacles_of(robot_file.robot)))
     if self_collision:
-        constraints.append(SelfCollision(model, geometry, checked_pairs(robot_file, model, geometry)))
+        pairs = checked_pairs(robot_file, model, geometry)
+        constraints.append(SelfCollision(model, geometry, pairs))
+        if pairs.by_hull:
+            return (*(one for one in constraints[:-1] if one.names), constraints[-1])
     return tuple(constraint for constraint in constraints if constraint.names)
 
 

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import numpy as np
+import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
 from ident.excite.constraints.collision_geometry import DISTANCE_SCALE, ArmGeometry, link_name
+from ident.excite.constraints.hull_distance import HullDistances
 from ident.excite.constraints.placements import Placements, moved_by, place_arm, wrench
 from ident.excite.constraints.segment_distance import Nearest, nearest_points
 from ident.excite.constraints.soft_maximum import soft_maximum
@@ -26,6 +28,11 @@ CLOSE = 0.02
 """Links nearer than this [m] by construction are not checked: their capsules always overlap."""
 
 _CONFIGURATIONS = 500
+_STILL = 1e-9
+"""[rad or m]: a joint that moves by less does not follow."""
+
+NEAR = 5e-3
+"""Where capsules are nearer than this [m], the links' convex hulls are asked."""
 
 _TRAVEL = 1.0
 """A sliding joint is moved by at least this much [m] to either side of the middle of its range."""
@@ -42,12 +49,14 @@ class LinkPairs:
         neighbours: joined by a joint.
         close: left out since their capsules touch or nearly touch in nearly every configuration, whatever the limits.
         ignored: left out by the robot file.
+        by_hull: those whose capsules touch by construction, but whose shapes' convex hulls do not.
     """
 
     checked: tuple[Pair, ...]
     neighbours: tuple[Pair, ...]
     close: tuple[Pair, ...]
     ignored: tuple[Pair, ...]
+    by_hull: tuple[Pair, ...] = ()
 
 
 def link_pairs(model: DynamicModel, geometry: ArmGeometry, ignore: Iterable[tuple[str, str]] = ()) -> LinkPairs:
@@ -61,32 +70,54 @@ def link_pairs(model: DynamicModel, geometry: ArmGeometry, ignore: Iterable[tupl
             ignored.append((first, second))
         else:
             others.append((first, second))
-    placements = place_arm(model, _anywhere(model))
-    distance = _PairDistances(model, geometry, others).smallest(placements)
+    positions = _anywhere(model)
+    distance = _PairDistances(model, geometry, others).smallest(place_arm(model, positions))
     always_close = (distance < CLOSE).mean(axis=1) >= ALWAYS_CLOSE
+    close = [pair for pair, near in zip(others, always_close, strict=True) if near]
+    hulls = HullDistances(model, geometry.hulls)
+    by_hull = [
+        pair
+        for pair in (close if geometry.hulls else ())
+        if (hulls.between(pair, positions) < CLOSE).mean() < ALWAYS_CLOSE
+    ]
     return LinkPairs(
-        checked=tuple(pair for pair, close in zip(others, always_close, strict=True) if not close),
+        checked=tuple(pair for pair, near in zip(others, always_close, strict=True) if not near),
         neighbours=tuple(neighbours),
-        close=tuple(pair for pair, close in zip(others, always_close, strict=True) if close),
+        close=tuple(pair for pair in close if pair not in by_hull),
         ignored=tuple(ignored),
+        by_hull=tuple(by_hull),
     )
 
 
 def _anywhere(model: DynamicModel) -> FloatArray:
     """Random positions (n, N) over full turns, or a wide travel: joint limits hide what links do beyond them.
 
-    A loop closes within its limits only, so an arm with one stays within them.
+    Joints that move a loop stay within their limits, where the loop closes: beyond them its bars would go through each
+    other. The others go anywhere.
     """
-    if len(model.active) < len(model.joints):
-        return random_states(model, _CONFIGURATIONS)[0]
     share = np.random.default_rng(0).uniform(-1.0, 1.0, (model.dof, _CONFIGURATIONS))
+    within, moving = random_states(model, _CONFIGURATIONS)[0], _moves_loops(model)
     for row, (joint, limits) in enumerate(zip(model.active, model.limits, strict=True)):
         low, high = limits.position
-        if model.joints[joint].prismatic:
+        if moving[row]:
+            share[row] = within[row]
+        elif model.joints[joint].prismatic:
             share[row] = 0.5 * (low + high) + share[row] * max(0.5 * (high - low), _TRAVEL)
         else:
             share[row] *= np.pi
     return share
+
+
+def _moves_loops(model: DynamicModel) -> npt.NDArray[np.bool_]:
+    """Which of the joints with a motor (n,) move joints without one."""
+    passive = [joint for joint in range(len(model.joints)) if joint not in model.active]
+    if not passive:
+        return np.zeros(model.dof, dtype=bool)
+    here, there = random_states(model, 2)[0].T
+    # One joint after the other goes from one position within the limits to another.
+    positions = np.where(np.eye(model.dof, dtype=bool), there, here).T
+    followed = model.tree_position(np.column_stack([here, positions]))[passive]
+    return np.asarray(np.any(np.abs(followed[:, 1:] - followed[:, :1]) > _STILL, axis=0))
 
 
 class _PairDistances:
@@ -132,6 +163,7 @@ class SelfCollision:
         self._model = model
         self.pairs = pairs
         self._distances = _PairDistances(model, geometry, pairs.checked)
+        self._hulls = HullDistances(model, geometry.hulls) if geometry.hulls else None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -156,6 +188,25 @@ class SelfCollision:
             chunk = slice(start, start + SAMPLES_AT_ONCE)
             distance[:, chunk] = self._distances.smallest(place_arm(self._model, path.position[:, chunk]))
         return distance
+
+    def clearances(self, path: Path) -> tuple[tuple[Pair, ...], FloatArray]:
+        """The pairs that are kept apart, and lower bounds (m, N) [m] of their distances along a path.
+
+        Where capsules touch, convex hulls are asked, and the motion between samples is counted. A linkage is in its
+        closed configuration.
+        """
+        distance = self.distances(path)
+        if self._hulls is None:
+            return self.pairs.checked, distance
+        for row, pair in enumerate(self.pairs.checked):
+            # A hull is within its capsules: where they are clear until the next sample, it need not be asked.
+            touching = distance[row] < NEAR + self._hulls.ways(pair, path.position)
+            if touching.any():
+                distance[row] = np.where(touching, self._hulls.along(pair, path.position, touching), distance[row])
+        everywhere = np.ones(path.time.size, dtype=bool)
+        by_hull = [self._hulls.along(pair, path.position, everywhere) for pair in self.pairs.by_hull]
+        rows = np.array(by_hull).reshape(len(by_hull), path.time.size)
+        return (*self.pairs.checked, *self.pairs.by_hull), np.concatenate([distance, rows])
 
     def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """Smooth upper bound (m,) and its derivatives (m, 3, n, N): ∂d/∂q = nᵀ(J_1 − J_2) at the nearest points."""

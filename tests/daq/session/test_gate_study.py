@@ -39,3 +39,22 @@ def test_what_no_check_has_seen_is_not_sent(study: ModuleType, name: str, bus: s
     outcome = study.played(case, study.START)
     assert outcome.refused
     assert max(np.max(outcome.sender), outcome.moved) < 0.82
+
+
+@pytest.mark.parametrize("periods", [1.2, 1.9])
+@pytest.mark.parametrize("slow_from", [0.0, 0.62, 0.8])
+def test_an_arm_whose_bus_takes_commands_slowly_is_ended_before_it_feels_it(
+    study: ModuleType, periods: float, slow_from: float
+) -> None:
+    outcome = study.played(
+        study.Case("signal table", 100.0, study.WAY, take=0.01 * periods, slow_from=slow_from), study.START
+    )
+    assert "does not keep up" in outcome.refused
+    assert np.max(outcome.fed) < 0.82
+
+
+def test_a_sync_that_is_sent_late_is_smoothed_by_the_drives(study: ModuleType) -> None:
+    stalls = tuple((0.4 + 0.1 * index, 0.004) for index in range(10))
+    outcome = study.played(study.Case("CiA 402", 100.0, study.WAY, stalls=stalls), study.START)
+    assert not outcome.refused
+    assert np.max(outcome.arm) < 0.9

@@ -207,7 +207,7 @@ def test_nothing_to_check_is_no_constraint(random_tree):
     assert constraint.smooth_use(path, 3.0)[1].shape == (0, 3, 1, 7)
 
 
-@pytest.mark.parametrize("robot", ["ur5e", "panda", "rocr6"])
+@pytest.mark.parametrize("robot", ["ur5e", "panda", "rocr6", "sr400"])
 @pytest.mark.parametrize("pose", ["folded", "random"])
 def test_narrow_limits_hide_no_pair_of_links(robot, pose):
     """Within them links may always touch, or never come near each other; what the arm is has not changed."""
@@ -215,7 +215,10 @@ def test_narrow_limits_hide_no_pair_of_links(robot, pose):
     wide = parse_robot(text, where=robot, folder=None)
     content = yaml.safe_load(text)
     generator = np.random.default_rng(5)
+    loops = {"sr400": ("j2", "j7")}.get(robot, ())  # beyond the limits of these, bars would go through each other
     for number, joint in enumerate(content["joints"]):
+        if joint["name"] in loops:
+            continue
         low, high = wide.robot.joints[number].position
         middle = (low, high)[number % 2] if pose == "folded" else generator.uniform(low, high)
         joint["position"] = [float(max(low, middle - 0.02)), float(min(high, middle + 0.02))]

@@ -1,0 +1,130 @@
+"""Distances of links' convex hulls along a path, also between its samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.core.arrays import FloatArray
+from ident.excite.constraints.hulls import Hull, coal_shape
+from ident.excite.constraints.placements import moved_by, place_arm
+from ident.model.dynamic_model import DynamicModel
+from ident.model.kinematics.joints import ancestors
+
+Pair = tuple[int, int]
+
+ROUNDING = 1e-6
+"""[m] that every distance is less by: Coal stops its iterations there."""
+_SHARE = 0.5
+"""A distance is asked again when the links may have come nearer by this share of it."""
+_NEAR = 2e-3
+"""Below this distance [m] every sample is asked."""
+
+
+class HullDistances:
+    """Distances between the hulls of links, pair by pair.
+
+    Args:
+        model: of the arm.
+        hulls: of all its links.
+    """
+
+    def __init__(self, model: DynamicModel, hulls: Sequence[Hull]) -> None:
+        self._model = model
+        self._of_link: dict[int, list[tuple[Any, FloatArray, FloatArray]]] = {}
+        self._reach: dict[int, float] = {}
+        for hull in hulls:
+            self._of_link.setdefault(hull.link, []).append(coal_shape(hull))
+            self._reach[hull.link] = max(hull.reach, self._reach.get(hull.link, 0.0))
+        self._moves = moved_by(model.joints)
+
+    def between(self, pair: Pair, position: FloatArray) -> FloatArray:
+        """(N,) [m] distance of two links at positions (dof, N), negative where they overlap: never more than it is."""
+        import coal
+
+        placements = place_arm(self._model, position)
+        asked, answer = coal.DistanceRequest(), coal.DistanceResult()
+        asked.enable_signed_distance = True
+        shapes = [self._of_link[link] for link in pair]
+        nearest = np.full(position.shape[1], np.inf)
+        for sample in range(position.shape[1]):
+            placed = [
+                [
+                    (shape, coal.Transform3s(rotation @ own, origin + rotation @ place))
+                    for shape, own, place in shapes[side]
+                ]
+                for side, link in enumerate(pair)
+                for rotation, origin in [(placements.rotation[link, :, :, sample], placements.origin[link, :, sample])]
+            ]
+            for one, at_one in placed[0]:
+                for other, at_other in placed[1]:
+                    answer.clear()
+                    distance = coal.distance(one, at_one, other, at_other, asked, answer)
+                    nearest[sample] = min(nearest[sample], distance)
+        return nearest - ROUNDING
+
+    def along(self, pair: Pair, position: FloatArray, wanted: npt.NDArray[np.bool_]) -> FloatArray:
+        """Lower bounds (N,) [m] of the distance at samples of a path (dof, N), and until the next one.
+
+        No point of one link moves past the other faster than the joints between them do, each times the greatest
+        distance of the link from its axis. So a distance holds, less that way, for the samples that follow, and is
+        asked anew only where the links may have come much nearer.
+
+        Args:
+            pair: of links.
+            position: of the motors' joints, closely sampled.
+            wanted: (N,) at which samples; infinite elsewhere, where links are known not to touch.
+        """
+        way = self.ways(pair, position)
+        result = np.full(position.shape[1], np.inf)
+        exact = np.zeros(position.shape[1], dtype=bool)
+        for first, last in _runs(wanted):
+            sample = first
+            while sample <= last:
+                distance = float(self.between(pair, position[:, sample : sample + 1])[0])
+                result[sample], exact[sample] = distance, True
+                gone, sample = way[sample], sample + 1
+                while sample <= last and distance - gone - way[sample] > max(_SHARE * distance, _NEAR):
+                    result[sample] = distance - gone
+                    gone, sample = gone + way[sample], sample + 1
+        # Until the next sample, links come nearer from both ends, together by the way between.
+        following = np.append(result[1:], np.inf)
+        following = np.where(np.isfinite(following), following, np.maximum(result - way, 0.0))
+        return np.where(exact, 0.5 * (result + following - way), result - way)
+
+    def ways(self, pair: Pair, position: FloatArray) -> FloatArray:
+        """How far (N,) [m] a point of one link may move, seen from the other, from each sample to the next."""
+        tree = self._model.tree_position(position)
+        steps = np.abs(np.diff(tree, axis=1, append=tree[:, -1:]))
+        bends = np.abs(np.diff(tree, 2, axis=1))  # what a joint moves beyond a straight line, or there and back
+        wide = np.zeros_like(steps)
+        wide[:, :-2] = bends
+        wide[:, 1:-1] = np.maximum(wide[:, 1:-1], bends)
+        travelled = steps + 0.25 * wide
+        relative = self._moves[pair[0]] - self._moves[pair[1]]
+        total = np.zeros(position.shape[1])
+        for joint in np.flatnonzero(relative).tolist():
+            link = pair[0] if relative[joint] > 0 else pair[1]
+            total += self._arm_length(joint, link, tree) * travelled[joint]
+        return total
+
+    def _arm_length(self, joint: int, link: int, tree: FloatArray) -> float:
+        """The greatest distance [m] of a link's points from a joint's axis; 1 of a sliding joint."""
+        joints = self._model.joints
+        if joints[joint].prismatic:
+            return 1.0
+        length = self._reach[link]
+        for beyond in [*ancestors(joints, link), link]:
+            if beyond != joint and joint in ancestors(joints, beyond):
+                travel = float(np.abs(tree[beyond]).max()) if joints[beyond].prismatic else 0.0
+                length += float(np.linalg.norm(joints[beyond].translation)) + travel
+        return length
+
+
+def _runs(wanted: npt.NDArray[np.bool_]) -> Iterable[Pair]:
+    """First and last index of every run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]]).astype(np.int8)))
+    return zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True)
