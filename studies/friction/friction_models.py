@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -58,11 +57,10 @@ def main(names: list[str]) -> None:
     folder = Path(os.environ.get("DYNID_DATA", "../shared/data"))
     for name in names or ["ur10", "panda", "tx40"]:
         recording, choices = public(folder, name)
-        print(f"\n{name:36} {'all':>7} {'fast':>7} {'slow':>7} {'CPU s':>7}")
+        print(f"\n{name:36} {'all':>7} {'fast':>7} {'slow':>7}")
         for friction in MODELS:
-            start = time.process_time()
             found = identify([recording], [], choices_of(choices, friction))
-            figures = [*errors(found), time.process_time() - start]
+            figures = errors(found)
             print(f"{friction:36} " + " ".join(f"{figure:7.3f}" for figure in figures), flush=True)
         for step in found.friction.steps:
             errors_text = f"{step.error_before:.4f} → {step.error_after:.4f}"
