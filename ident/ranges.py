@@ -7,13 +7,8 @@ from drivers.core.ranges import Range
 RECORDED_POSITION = Range(-1e6, 1e6, "rad or m")
 RECORDED_VELOCITY = Range(-1e5, 1e5, "rad/s or m/s")
 RECORDED_TORQUE = Range(-1e8, 1e8, "N·m or N")
-ENERGY_WINDOW = Range(1e-3, 3600.0, "s")
-RIDGE_WEIGHT = Range(0.0, 1e3)
-"""Of a penalty, over a column's squared length; from 1 on parameters are pulled half way to 0."""
 LOOP_BANDWIDTH = Range(1.0, 1000.0, "rad/s")
 """Of a simulated position loop; arms have 10 to 100."""
-AR_ORDER = Range(0, 50)
-"""Of an autoregressive noise model."""
 SMOOTHING = Range(0.0, 10.0, "rad/s")
 PRESLIDING_TRAVEL = Range(1e-6, 1.0, "rad or m")
 SEARCH_TIME = Range(1e-3, 604_800.0, "s")
@@ -26,12 +21,6 @@ LEARNING_FACTOR = Range(0.0, 100.0)
 """Of a swarm's moves towards good points."""
 FRICTION_SHARE = Range(1e-3, 10.0)
 """Largest torque of a friction term over the joint's torque limit."""
-NOISE_RATIO = Range(1e-12, 1e12)
-"""Variance of a process over that of a sample."""
-LEAP = Range(1e-6, 1e3)
-"""Longest leap of a frog over the width of the search range."""
-WEIGHT = Range(0.0, 100.0)
-"""Of inertia in a swarm."""
 BOX_SHARE = Range(1e-6, 1e3)
 """Half of a search range over the size of its middle."""
 RESULT_VALUE = Range(-1e100, 1e100)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Generic, TypeVar
 
 from pydantic import AfterValidator
@@ -28,12 +28,14 @@ class Method(Generic[Options]):
         equations: that it solves.
         options: frozen dataclass; each field has a type that pydantic validates, a description and a default.
         estimator: builds it for the data.
+        aliases: names of papers for some of its options, as `--method` takes them.
     """
 
     summary: str
     equations: Equations
     options: type[Options]
     estimator: Callable[[Options, Setup], Estimator]
+    aliases: Mapping[str, str] = field(default_factory=dict)
 
 
 def within(allowed: Range) -> AfterValidator:

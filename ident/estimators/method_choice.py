@@ -62,6 +62,13 @@ def all_methods() -> MappingProxyType[str, Method[Any]]:
 
 
 @cache
+def _aliases() -> dict[str, str]:
+    """Papers' names of methods with some of their options → that method, as `--method` takes it."""
+    methods = all_methods().items()
+    return {alias: f"{name}:{options}" for name, method in methods for alias, options in method.aliases.items()}
+
+
+@cache
 def chosen_method(text: str) -> MethodChoice:
     """The method that a text names.
 
@@ -72,6 +79,9 @@ def chosen_method(text: str) -> MethodChoice:
         UsageError: no such method or option, or a value that it cannot have; says what there is.
     """
     name, *pairs = text.split(":")
+    if name in _aliases():
+        name, *chosen = _aliases()[name].split(":")
+        pairs = chosen + pairs
     method = all_methods().get(name)
     if method is None:
         *others, last = all_methods()
@@ -105,6 +115,7 @@ def describe_method(name: str) -> str:
     properties = TypeAdapter(method.options).json_schema().get("properties", {})
     defaults = asdict(method.options())
     lines = [f"{name}: {method.summary}"]
+    lines += [f"  {alias} is {name}:{options}" for alias, options in method.aliases.items()]
     for option, schema in properties.items():
         default = defaults[option]
         shown = "" if default is None else f" (default {str(default).lower() if default in (True, False) else default})"

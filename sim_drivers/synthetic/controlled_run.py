@@ -36,7 +36,7 @@ def record_plant(robot_file: RobotFile, plant: Plant, motion: Motion, rate: floa
     period = plant.settings.control_steps * plant.settings.step
     samples: list[Measurement] = []
     count = round(motion.duration * rate)
-    ticks = period * np.arange(int(np.ceil(round(count / (rate * period), 9))))
+    ticks = period * np.arange(int(np.ceil(round(count / (rate * period), 9))), dtype=np.float64)
     reached = 0.0
     for tick, *reference in zip(ticks, *(values.T for values in motion.evaluate(ticks)), strict=True):
         plant.set_target(*reference)

@@ -8,12 +8,12 @@ from typing import Annotated
 from pydantic import Field
 
 from drivers.core.errors import UsageError
+from drivers.core.ranges import Range
 from ident.estimators.energy.estimator import EnergyEstimator
 from ident.estimators.energy.windows import EnergyWindows, exchange_for, mean_duration, moving_spans
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.model.energy import EnergyKernel
-from ident.ranges import ENERGY_WINDOW
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class EnergyOptions:
 
     window: Annotated[
         float | None,
-        within(ENERGY_WINDOW),
+        within(Range(1e-3, 3600.0, "s")),
         Field(description="mean duration of the windows [s]; from the parallel filter and the data if absent"),
     ] = None
 

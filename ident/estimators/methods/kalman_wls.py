@@ -17,12 +17,13 @@ import numpy as np
 from pydantic import Field
 
 from drivers.core.arrays import FloatArray
+from drivers.core.ranges import Range
 from ident.estimators.estimator import Estimation, Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.model.presliding import presliding_states
 from ident.model.regressor import model_torque
-from ident.ranges import GENERATIONS, NOISE_RATIO
+from ident.ranges import GENERATIONS
 from ident.regression.least_squares import LeastSquares, weighted_least_squares
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared, Segment
@@ -32,7 +33,9 @@ from ident.signals.prepared import Prepared, Segment
 class KalmanOptions:
     """Options of least squares on Kalman-filtered torques."""
 
-    ratio: Annotated[float, within(NOISE_RATIO), Field(description="Q/R: variance of the model's change over R")] = 0.1
+    ratio: Annotated[
+        float, within(Range(1e-12, 1e12)), Field(description="Q/R: variance of the model's change over R")
+    ] = 0.1
     rounds: Annotated[int, within(GENERATIONS), Field(description="of filter and estimate; the first model is wls")] = 1
 
 

@@ -10,11 +10,11 @@ import numpy as np
 from pydantic import Field
 
 from drivers.core.arrays import FloatArray
+from drivers.core.ranges import Range
 from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.linear_algebra.triangular import QrAccumulator
-from ident.ranges import AR_ORDER
 from ident.regression.autoregression import WhitenedRows, whitening_filters
 from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun
@@ -40,7 +40,7 @@ class MlOptions:
 
     order: Annotated[
         int | None,
-        within(AR_ORDER),
+        within(Range(0, 50)),
         Field(description=f"of the noise model, every joint alike; by BIC per joint, up to {MOST}, if absent"),
     ] = None
 

@@ -10,12 +10,12 @@ import numpy as np
 from pydantic import Field
 
 from drivers.core.arrays import FloatArray
+from drivers.core.ranges import Range
 from ident.estimators.estimator import Estimation, Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
 from ident.linear_algebra.triangular import triangular
-from ident.ranges import RIDGE_WEIGHT
 from ident.regression.autocorrelation import independent_share, residual_autocorrelation
 from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun
@@ -34,7 +34,7 @@ class RidgeOptions:
 
     weight: Annotated[
         float | None,
-        within(RIDGE_WEIGHT),
+        within(Range(0.0, 1e3)),
         Field(description="of the penalty, over a column's squared length; by generalised cross-validation if absent"),
     ] = None
 

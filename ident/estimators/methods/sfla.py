@@ -7,13 +7,14 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from drivers.core.ranges import Range
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.physical_space import physical_space
 from ident.estimators.search_estimator import SearchEstimator
 from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.minimisation import Budget
-from ident.ranges import BOX_SHARE, GENERATIONS, LEAP, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
+from ident.ranges import BOX_SHARE, GENERATIONS, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
 from ident.regression.least_squares import weighted_least_squares
 
 
@@ -30,7 +31,9 @@ class FrogOptions:
         FrogLeaping.random
     )
     largest_leap: Annotated[
-        float | None, within(LEAP), Field(description="D_max, longest leap in widths of the box; no limit if absent")
+        float | None,
+        within(Range(1e-6, 1e3)),
+        Field(description="D_max, longest leap in widths of the box; no limit if absent"),
     ] = FrogLeaping.largest_leap
     box: Annotated[float, within(BOX_SHARE), Field(description="factor of every search range about the prior body")] = (
         1.0

@@ -17,7 +17,7 @@ DOCS = Path(__file__).parents[3] / "docs" / "identification.md"
 
 def test_every_module_of_the_folder_is_a_method():
     files = {path.stem.replace("_", "-") for path in Path(methods.__path__[0]).glob("*.py")} - {"--init--"}
-    assert set(all_methods()) == files >= {"ols", "wls", "energy", "power"}
+    assert set(all_methods()) == files >= {"ols", "wls", "energy", "power", "pso"}
 
 
 @pytest.mark.parametrize("name", list(all_methods()))

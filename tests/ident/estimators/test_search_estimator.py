@@ -107,6 +107,8 @@ def test_settings_reach_the_optimiser() -> None:
     options = chosen_method("wls-rwpso:particles=9:c1=1:c2=2:least=0.1:most=0.2:spread=0.05").options
     assert options.swarm == ParticleSwarm(9, RandomWeight(0.1, 0.2, 0.05), 1.0, 2.0)
     assert chosen_method("wls-pso:weight=1.3").options.swarm.weight.value == 1.3
+    assert chosen_method("wls-rwpso:seed=3") == chosen_method("pso:inertia=random:seed=3")
+    assert chosen_method("ls-pso") == chosen_method("pso:about=ols")
     assert chosen_method("sfla:largest_leap=0.3").options.optimiser == FrogLeaping(largest_leap=0.3)
 
 
@@ -133,6 +135,9 @@ def test_frogs_keep_to_the_box_that_was_asked_for(found, box, near) -> None:
         "sfla:random=x",
         "wls-pso:particles=1",
         "wls-rwpso:least=2",
+        "wls-rwpso:weight=1",
+        "wls-pso:least=0.1",
+        "ls-pso:about=wls",
         "ls-pso:box=0",
         "sfla:box=0",
         "sfla:largest_leap=0",
