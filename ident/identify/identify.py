@@ -117,26 +117,31 @@ def identify(
 
     progress("error bars")
     filtered = list(_filtered_runs(runs, fit))
-    corrected, shape_std = with_free_shapes(
-        estimator, estimation, experiment, filtered, estimator.covariance(filtered, estimation)
+    corrected, free = with_free_shapes(
+        estimator, estimation, experiment.torques, filtered, estimator.covariance(filtered, estimation)
     )
     if choices.estimator.equations == "torque":
         # iirls moves the shapes of the friction, and with them the columns.
-        equations = reduction if kernel is setup.kernel else reduce_torques(kernel, setup.runs, experiment.torques)
-        weights = _weights(equations, solution)
+        equations = free.reduction
+        if equations is None:
+            equations = reduction if kernel is setup.kernel else reduce_torques(kernel, setup.runs, experiment.torques)
+        weights = _weights(equations, replace(solution, parameters=free.parameters))
         corrected = with_systematic_errors(
             corrected,
-            kernel,
+            free.kernel,
             setup.runs,
             equations,
             weights,
-            solution.active,
+            free.active,
             experiment.torques,
             _remaining_delay(prepared),
         )
+    corrected, shape_std = free.split(corrected)
+    if choices.estimator.equations == "torque":
         corrected = with_repeatability(corrected, kernel, base, filtered, replace(solution, weights=weights))
     inflation = np.ones(base.count)
-    inflation[list(active)] = np.sqrt(np.diag(corrected.covariance) / np.diag(solution.covariance))
+    random = np.sqrt(np.diag(corrected.covariance)) if corrected.random_std is None else corrected.random_std
+    inflation[list(active)] = random / np.sqrt(np.diag(solution.covariance))
     pruned = prune(
         solution,
         inflation,

@@ -61,7 +61,8 @@ def main(names: list[str]) -> None:
 def _inflation(found: Identification) -> np.ndarray:
     inflation = np.ones(found.base.count)
     active = list(found.solution.active)
-    inflation[active] = found.std[active] / found.solution.std[active]
+    random = found.corrected.random_std
+    inflation[active] = (found.std[active] if random is None else random) / found.solution.std[active]
     return inflation
 
 

@@ -1,23 +1,23 @@
 """Error bars of an estimate whose friction has estimated shapes: their uncertainty is in every parameter's.
 
 A small change of α or v_s changes the torque by its sensitivity, a column of the regressor. With these columns beside
-the others, the jackknife's covariance is that of all parameters and shapes together, to first order.
+the others, the jackknife's covariance is that of all parameters and shapes together, to first order, and so is what
+systematic errors add to it (`ident.regression.systematic_errors`): near reversals, a wrong torque moves α and all that
+depends on it many times as far as it moves any of them alone.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import get_args
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation, Estimator
-from ident.estimators.friction_steps import COEFFICIENT_OF
-from ident.estimators.robust.sensitivities import with_shapes
-from ident.model.base_parameters import BaseParameters
-from ident.model.dynamic_model import DynamicModel
+from ident.estimators.friction_steps import COEFFICIENT_OF, own_column
+from ident.estimators.robust.sensitivities import ShapeColumns, shape_columns, with_shapes
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun, block_jackknife
 from ident.regression.least_squares import (
@@ -26,106 +26,101 @@ from ident.regression.least_squares import (
     ordinary_least_squares,
     weighted_least_squares,
 )
-from ident.regression.observability import Experiment, experiment_base
-from ident.regression.observation_matrix import only_torques, reduce_segments, stack_reductions
+from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments, stack_reductions
+
+
+@dataclass(frozen=True, eq=False)
+class FreeShapes:
+    """An estimate with its friction's free shapes beside the parameters.
+
+    Attributes:
+        kernel: base columns first (b), then the sensitivities to the shapes.
+        parameters: (b + all sensitivities,) the estimate; 0 for sensitivities.
+        active: of these columns, those that were estimated: parameters (a), then shapes (s).
+        names: kind and motor of the shapes (s,).
+        coefficients: (s,) of the friction whose shape each is: a sensitivity's parameter over it is the shape's change.
+        reduction: the motors' plain equations of these columns; None where no shape is free.
+    """
+
+    kernel: RegressorKernel
+    parameters: FloatArray
+    active: tuple[int, ...]
+    names: tuple[tuple[str, int], ...] = ()
+    coefficients: tuple[float, ...] = ()
+    reduction: Reduction | None = None
+
+    def split(self, corrected: CorrectedCovariance) -> tuple[CorrectedCovariance, dict[tuple[str, int], float]]:
+        """The covariance of the parameters alone, and σ of each shape by kind and motor; inf where its friction is 0.
+
+        Args:
+            corrected: of parameters and shapes (a + s).
+        """
+        count = len(self.active) - len(self.names)
+        kept = replace(corrected, covariance=corrected.covariance[:count, :count])
+        if corrected.random_std is not None:
+            kept = replace(kept, random_std=corrected.random_std[:count])
+        variances = np.diag(corrected.covariance)[count:]
+        return kept, {
+            name: float(np.sqrt(variance)) / abs(coefficient) if coefficient else float("inf")
+            for name, variance, coefficient in zip(self.names, variances, self.coefficients, strict=True)
+        }
 
 
 def with_free_shapes(
     estimator: Estimator,
     estimation: Estimation,
-    experiment: Experiment,
+    torques: Sequence[int],
     runs: Sequence[FilteredRun],
     corrected: CorrectedCovariance,
-) -> tuple[CorrectedCovariance, dict[tuple[str, int], float]]:
-    """The covariance of a solution with the uncertainty of its friction's shapes, and σ of these.
+) -> tuple[CorrectedCovariance, FreeShapes]:
+    """The covariance of a solution together with its friction's shapes.
 
     Args:
         estimator: of the parameters.
         estimation: what it gave, by OLS, WLS or a robust method; of other methods the shapes count as known. The
             covariance remains where no shape was estimated.
-        experiment: locked joints, and motors whose torques were used.
+        torques: motors whose torques were used.
         runs: the data.
         corrected: its covariance for shapes that are known.
     """
-    model, solution = estimation.kernel.model, estimation.solution
-    terms = model.terms
-    if terms is None or not terms.shaped:
-        return corrected, {}
-    if estimation.joint_covariance.size:
-        return _whitened(estimator, estimation, experiment, runs, corrected)
-    if solution.method not in get_args(LinearMethod):
-        return corrected, {}
-    linear = replace(model, terms=replace(terms, sensitivities=True))
-    plain, base = experiment_base(model, [experiment]), experiment_base(linear, [experiment])
-    kernel = RegressorKernel(linear, base.columns)
+    kernel, solution = estimation.kernel, estimation.solution
+    known = FreeShapes(kernel, solution.parameters, tuple(solution.active))
+    terms = kernel.model.terms
+    whitened = bool(estimation.joint_covariance.size)
+    if terms is None or not terms.shaped or not (whitened or solution.method in get_args(LinearMethod)):
+        return corrected, known
+    shapes = shape_columns(kernel, torques)
     reduction = only_torques(
-        stack_reductions([reduce_segments(kernel, run.segments, run.parallel_filter) for run in runs]),
-        experiment.torques,
+        stack_reductions([reduce_segments(shapes.kernel, run.segments, run.parallel_filter) for run in runs]), torques
     )
-    estimated = {plain.names[column] for column in solution.active}
-    active = [
-        column
-        for column in excited_columns(reduction)
-        if base.names[column] in estimated or base.kinds[column] in COEFFICIENT_OF
-    ]
+    excited = set(excited_columns(reduction))
+    if whitened:
+        extended, _ = with_shapes(estimation, torques)
+        return estimator.covariance(runs, extended), _free_shapes(estimation, shapes, shapes.columns, reduction)
+    if not set(solution.active) <= excited:
+        return corrected, known
+    free = _free_shapes(estimation, shapes, [column for column in shapes.columns if column in excited], reduction)
     solve = ordinary_least_squares if solution.method == "ols" else weighted_least_squares
-    solved = solve(reduction, active)
-    covariance = block_jackknife(kernel, runs, solved).covariance
-    place = {base.names[column]: index for index, column in enumerate(active)}
-    if not estimated <= place.keys():  # the shapes are confounded with parameters
-        return corrected, {}
-    kept = [place[plain.names[column]] for column in solution.active]
-    deviations = np.full(base.count, np.inf)
-    deviations[active] = np.sqrt(np.diag(covariance))
-    return (
-        replace(corrected, covariance=covariance[np.ix_(kept, kept)]),
-        shape_deviations(linear, base, solved.parameters, deviations),
+    covariance = block_jackknife(shapes.kernel, runs, solve(reduction, free.active)).covariance
+    return replace(corrected, covariance=covariance), free
+
+
+def _free_shapes(
+    estimation: Estimation, shapes: ShapeColumns, columns: Sequence[int], reduction: Reduction
+) -> FreeShapes:
+    """The estimate beside these sensitivities (s,) of `shapes`."""
+    kernel, solution = estimation.kernel, estimation.solution
+    names = [
+        (kind, motor)
+        for column, kind, motor in zip(shapes.columns, shapes.kinds, shapes.motors, strict=True)
+        if column in columns
+    ]
+    places = [own_column(kernel.model, kernel.columns, COEFFICIENT_OF[kind], motor) for kind, motor in names]
+    return FreeShapes(
+        kernel=shapes.kernel,
+        parameters=np.concatenate([solution.parameters, np.zeros(len(shapes.columns))]),
+        active=(*solution.active, *columns),
+        names=tuple(names),
+        coefficients=tuple(0.0 if place is None else float(solution.parameters[place]) for place in places),
+        reduction=reduction,
     )
-
-
-def _whitened(
-    estimator: Estimator,
-    estimation: Estimation,
-    experiment: Experiment,
-    runs: Sequence[FilteredRun],
-    corrected: CorrectedCovariance,
-) -> tuple[CorrectedCovariance, dict[tuple[str, int], float]]:
-    """The same for equations that were whitened across the joints and weighted."""
-    extended, shapes = with_shapes(estimation, experiment.torques)
-    covariance = estimator.covariance(runs, extended).covariance
-    count = len(estimation.solution.active)
-    model, kernel = estimation.kernel.model, estimation.kernel
-    deviations = {}
-    for place, (kind, motor) in enumerate(zip(shapes.kinds, shapes.motors, strict=True), count):
-        coefficient = next(
-            abs(float(value))
-            for value, column in zip(estimation.solution.parameters, kernel.columns, strict=True)
-            if model.parameters[column].kind == COEFFICIENT_OF[kind]
-            and model.parameters[column].joint == model.active[motor]
-        )
-        sigma = float(np.sqrt(covariance[place, place]))
-        deviations[kind, motor] = sigma / coefficient if coefficient > 0.0 else float("inf")
-    return replace(corrected, covariance=covariance[:count, :count]), deviations
-
-
-def shape_deviations(
-    model: DynamicModel, base: BaseParameters, parameters: FloatArray, deviations: FloatArray
-) -> dict[tuple[str, int], float]:
-    """σ of each free shape, by kind of its sensitivity and motor; inf where the coefficient is 0.
-
-    Args:
-        model: with sensitivities.
-        base: its base parameters.
-        parameters: (b,) of the solution.
-        deviations: (b,) corrected σ; inf where a parameter was not estimated.
-    """
-    place: dict[tuple[str, int], int] = {
-        (kind, joint): index for index, (kind, joint) in enumerate(zip(base.kinds, base.joints, strict=True))
-    }
-    found: dict[tuple[str, int], float] = {}
-    for (kind, joint), index in place.items():
-        if kind in COEFFICIENT_OF and (COEFFICIENT_OF[kind], joint) in place:
-            coefficient = abs(float(parameters[place[COEFFICIENT_OF[kind], joint]]))
-            motor = model.active.index(joint)
-            found[kind, motor] = float(deviations[index]) / coefficient if coefficient > 0.0 else float("inf")
-    return found
