@@ -7,14 +7,14 @@ that of the cost with all linear parameters estimated anew (variable projection;
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from drivers.core.ranges import EXPONENT, STRIBECK_VELOCITY, Range
+from drivers.core.ranges import EXPONENT, STRIBECK_VELOCITY
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import FrictionTerms, LoadTorque
@@ -93,26 +93,41 @@ def moved_shapes(terms: FrictionTerms, value: Callable[[str, int], float | None]
         share: 0 to 1.
     """
 
-    def moved(shape: float, free: bool, kind: str, motor: int, allowed: Range) -> float:
-        low, high = allowed.least, allowed.most
-        if kind == "exponent" and terms.temperature[motor] != "none":
-            # Both columns are √|q̇| at 0.5; a step does not lead past it.
-            low, high = (max(low, 0.5 + ROOT_DISTANCE), high) if shape > 0.5 else (low, 0.5 - ROOT_DISTANCE)
+    def moved(shape: float, free: bool, kind: str, motor: int) -> float:
         slope, coefficient = value(kind, motor), value(COEFFICIENT_OF[kind], motor)
         if not free or slope is None or coefficient is None or coefficient == 0.0:
             return shape
         near = np.clip(shape + share * slope / coefficient, shape / LARGEST_FACTOR, shape * LARGEST_FACTOR)
-        return float(np.clip(near, low, high))
+        return within_range(terms, kind, motor, float(near))
 
     exponents = zip(terms.exponent, terms.free_exponent, strict=True)
     velocities = zip(terms.stribeck_velocity, terms.free_stribeck_velocity, strict=True)
     return replace(
         terms,
-        exponent=tuple(moved(shape, free, "exponent", m, EXPONENT) for m, (shape, free) in enumerate(exponents)),
+        exponent=tuple(moved(shape, free, "exponent", m) for m, (shape, free) in enumerate(exponents)),
         stribeck_velocity=tuple(
-            moved(shape, free, "stribeck_velocity", m, STRIBECK_VELOCITY) for m, (shape, free) in enumerate(velocities)
+            moved(shape, free, "stribeck_velocity", m) for m, (shape, free) in enumerate(velocities)
         ),
     )
+
+
+def within_range(terms: FrictionTerms, kind: str, motor: int, value: float) -> float:
+    """The allowed value of a motor's shape that is nearest to `value`."""
+    allowed = EXPONENT if kind == "exponent" else STRIBECK_VELOCITY
+    low, high = allowed.least, allowed.most
+    if kind == "exponent" and terms.temperature[motor] != "none":
+        # Both columns are √|q̇| at 0.5; no step leads past it.
+        low, high = (max(low, 0.5 + ROOT_DISTANCE), high) if terms.exponent[motor] > 0.5 else (low, 0.5 - ROOT_DISTANCE)
+    return float(np.clip(value, low, high))
+
+
+def shifted_shapes(terms: FrictionTerms, changes: Mapping[tuple[str, int], float]) -> FrictionTerms:
+    """The terms with shapes changed, by kind and motor, within their ranges."""
+    exponent, velocity = list(terms.exponent), list(terms.stribeck_velocity)
+    for (kind, motor), change in changes.items():
+        values = exponent if kind == "exponent" else velocity
+        values[motor] = within_range(terms, kind, motor, values[motor] + change)
+    return replace(terms, exponent=tuple(exponent), stribeck_velocity=tuple(velocity))
 
 
 def braking(terms: FrictionTerms, value: Callable[[str, int], float | None]) -> bool:

@@ -277,8 +277,9 @@ class Identification:
     @property
     def std(self) -> FloatArray:
         """Corrected standard deviations (b,) of the full model; inf where a parameter was not estimated."""
-        deviations = np.full(self.base.count, np.inf)
-        deviations[list(self.solution.active)] = np.sqrt(np.diag(self.corrected.covariance))
+        deviations, corrected = np.full(self.base.count, np.inf), self.corrected
+        further = 0.0 if corrected.curvature is None else corrected.curvature
+        deviations[list(self.solution.active)] = np.hypot(np.sqrt(np.diag(corrected.covariance)), further)
         return deviations
 
     @property

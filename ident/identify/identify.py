@@ -24,6 +24,7 @@ from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.body_checks import refuse_denied
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import check_torques, split_data
+from ident.identify.friction.curvature import with_curvature
 from ident.identify.friction.shapes import with_free_shapes
 from ident.identify.friction_fit import fit_friction
 from ident.identify.held_friction import hold_temperatures
@@ -138,6 +139,7 @@ def identify(
         )
     corrected, shape_std = free.split(corrected)
     if choices.estimator.equations == "torque":
+        corrected = with_curvature(corrected, shape_std, free, kernel, setup.runs, weights)
         corrected = with_repeatability(corrected, kernel, base, filtered, replace(solution, weights=weights))
     inflation = np.ones(base.count)
     random = np.sqrt(np.diag(corrected.covariance)) if corrected.random_std is None else corrected.random_std

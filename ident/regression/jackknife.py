@@ -55,6 +55,8 @@ class CorrectedCovariance:
         repeatability: (a,) σ of friction between runs, part of `covariance` (`repeatability`); nan of bodies, None
             where it is not known.
         within: (a, a) covariance without what changes between runs, where `covariance` holds that, too; else None.
+        curvature: (a,) σ that uncertain shapes of friction add beyond the first order, which is all that `covariance`
+            holds; None where nothing was added.
     """
 
     covariance: FloatArray
@@ -66,6 +68,7 @@ class CorrectedCovariance:
     random_std: FloatArray | None = None
     repeatability: FloatArray | None = None
     within: FloatArray | None = None
+    curvature: FloatArray | None = None
 
 
 @dataclass(frozen=True)

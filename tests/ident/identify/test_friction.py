@@ -12,13 +12,18 @@ from friction_experiment_arm import TWO_JOINTS
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import DataError, ModelError, UsageError
 from ident.identify.friction.choice import check_friction, chosen_friction
+from ident.identify.friction.curvature import with_curvature
+from ident.identify.friction.shapes import with_free_shapes
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.predict import predict_recording
 from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
+from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import true_model, truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.regression.jackknife import FilteredRun
+from ident.regression.systematic_errors import with_systematic_errors
 from ident.result.model import Model
 from ident.result.schema import Result, result_json
 from sim_drivers.synthetic.measurement import simulate_recording
@@ -94,6 +99,32 @@ def test_truth_lies_within_the_error_bars(friction):
         assert abs(estimated - true) < 4.0 * deviation_of_shape
     assert len(found.shape_std) == 2 * (friction.get("exponent") == "estimated") + 2 * ("stribeck" in friction)
     assert found.friction.settled
+
+
+def test_error_bars_hold_what_is_not_linear_in_the_shapes_and_what_a_delay_does_to_them(full):
+    _, found, _ = full
+    runs = [run.prepared for run in found.runs]
+    (run,) = runs
+    filtered = [FilteredRun(run.segments, run.parallel_filter, found.fit_series)]
+    kernel, weights = RegressorKernel(found.model, found.base.columns), found.solution.weights
+    corrected, free = with_free_shapes(found.choices.estimator, found.estimation, [0, 1], filtered, found.corrected)
+    alone, shape_std = free.split(corrected)
+    assert shape_std.keys() == found.shape_std.keys()
+    assert all(std > 0.0 for std in shape_std.values())
+
+    def curvature(share: float):
+        shapes = {name: share * std for name, std in shape_std.items()}
+        return with_curvature(alone, shapes, free, kernel, runs, weights).curvature
+
+    whole, tenth = curvature(1.0), curvature(0.1)
+    kinds = np.array([found.base.kinds[column] for column in found.solution.active])
+    assert np.all(whole[kinds == "inertial"] == 0.0)
+    assert np.all(whole[kinds == "viscous"] > 0.0)
+    assert np.all(tenth[kinds == "viscous"] < 0.03 * whole[kinds == "viscous"])  # of second order
+    assert np.all(found.std[list(found.solution.active)] >= np.sqrt(np.diag(found.corrected.covariance)))
+    late = with_systematic_errors(corrected, free.kernel, runs, free.reduction, weights, free.active, [0, 1], 0.01)
+    _, later = free.split(late)
+    assert all(later[name] > std for name, std in shape_std.items())
 
 
 def test_automatic_choice_finds_what_there_is():
