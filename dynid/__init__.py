@@ -17,7 +17,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from daq.importers.one_call import import_recording as import_recording
+    from daq.importers.import_file import import_recording as import_recording
     from daq.recording.reader import read_recording as read_recording
     from daq.recording.recording import Recording as Recording
     from daq.recording.writer import write_recording as write_recording
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from sim_drivers.synthetic.simulated_run import simulate as simulate
 
 _HOMES = {
-    "daq.importers.one_call": ("import_recording",),
+    "daq.importers.import_file": ("import_recording",),
     "daq.recording.reader": ("read_recording",),
     "daq.recording.writer": ("write_recording",),
     "daq.robot.loader": ("RobotFile", "builtin_robots", "load_robot"),

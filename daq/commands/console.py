@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -10,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from drivers.core.terminal import styled, visible
-from drivers.core.text import DASH, percentage_text
+from drivers.core.text import DASH, json_text, percentage_text
 
 WIDTH_WITHOUT_TERMINAL = 160
 
@@ -18,21 +17,6 @@ WIDTH_WITHOUT_TERMINAL = 160
 def print_json(content: Any) -> None:
     """One JSON object on standard output; what is not a finite number becomes null."""
     print(json_text(content))
-
-
-def json_text(content: Any) -> str:
-    """The JSON text of an object; what is not a finite number becomes null."""
-    return json.dumps(_strict(content), ensure_ascii=False, indent=1, allow_nan=False)
-
-
-def _strict(content: Any) -> Any:
-    if isinstance(content, float):
-        return content if math.isfinite(content) else None
-    if isinstance(content, dict):
-        return {str(key): _strict(value) for key, value in content.items()}
-    if isinstance(content, (list, tuple)):
-        return [_strict(value) for value in content]
-    return content
 
 
 def print_table(title: str, headers: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -62,7 +62,8 @@ def _parameter(of: Field[Any], told: Option, more: dict[str, Any]) -> inspect.Pa
     """A field as Typer reads it."""
     plain = str if told.read is not None else _TYPES.get(str(of.type).removesuffix(" | None"), str)
     value_type = told.command_type or plain
-    default = ... if of.default is MISSING else told.shown if told.read is not None else of.default
+    required = of.default is MISSING and of.default_factory is MISSING
+    default = ... if required else told.shown if told.read is not None else of.default
     flags = () if told.argument else (flag_of(of),)
     place = (typer.Argument if told.argument else typer.Option)(
         default, *flags, help=told.help, metavar=told.metavar, **more

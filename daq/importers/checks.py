@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from daq.importers.assembly import ImportedSamples, rows
-from daq.importers.choices import (
-    DROP_DUPLICATES,
-    DROP_NAN,
-    DROP_REPEATS,
-    OPPOSITE_TORQUE,
-    SORT,
-    TIME_UNITS,
-    ImportChoices,
-)
+from daq.importers.choices import ImportChoices, TimeUnit
 from daq.importers.table import Note, printable
 from daq.importers.units import REVOLUTE
+from daq.recording.repairs import DROP_DUPLICATES, DROP_NAN, DROP_REPEATS, OPPOSITE_TORQUE, SORT
 from daq.recording.stale_samples import stale_samples
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError
@@ -187,7 +181,7 @@ def _plausible_rate(samples: ImportedSamples, choices: ImportChoices, where: str
     outside = f"{rate:.4g} samples per second is no plausible rate of a robot arm ({SAMPLING_RATE})"
     if choices.rate is not None:
         raise ImportFileError(f"--rate: {outside}", where=where)
-    fitting = [unit for unit in TIME_UNITS[1:] if SAMPLING_RATE.holds(rate / REVOLUTE["time"][unit])]
+    fitting = [unit for unit in get_args(TimeUnit)[1:] if SAMPLING_RATE.holds(rate / REVOLUTE["time"][unit])]
     if fitting and choices.time_unit is None:
         guesses = " or ".join(f"{unit} ({rate / REVOLUTE['time'][unit]:.4g} Hz)" for unit in fitting)
         raise ImportFileError(

@@ -2,70 +2,91 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Literal
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
 
+from daq.recording.repairs import REPAIRS
 from drivers.core.errors import UsageError
+from drivers.core.options import Options, option
+from drivers.core.ranges import Range
 from drivers.core.text import did_you_mean
 
-DROP_NAN = "drop-nan"
-DROP_DUPLICATES = "drop-duplicates"
-DROP_REPEATS = "drop-repeats"
-OPPOSITE_TORQUE = "opposite-torque"
-SORT = "sort"
-REPAIRS: Mapping[str, str] = {
-    DROP_NAN: "leave out samples with NaN or infinite values, and quantities that have no finite value at all",
-    DROP_DUPLICATES: "of samples with the same time stamp keep the first",
-    DROP_REPEATS: "leave out samples that repeat the one before while the arm moves",
-    OPPOSITE_TORQUE: "change the sign of all torques, currents and voltages",
-    SORT: "sort samples that arrived out of order by their time stamp",
-}
-"""Repairs by name, with what each one does; none is made without a request."""
-
 TimeUnit = Literal["s", "ms", "us", "ns"]
-TIME_UNITS: tuple[TimeUnit, ...] = ("s", "ms", "us", "ns")
+Effort = Literal["torque", "current"]
 
 
-@dataclass(frozen=True)
-class ImportChoices:
-    """The user's choices for one file.
-
-    Attributes:
-        columns: our name (`t`, `q1`, `qd1`, `torque3`, `current2`, `temperature4`, or `q` for a whole array) → the
-            file's name. For a whole quantity also a pattern, `q{}` with the joints' numbers or names in place of {},
-            or numbers of CSV columns, `2-7`. A quantity that is named here is taken from these names only.
-        degrees: positions and velocities of revolute joints are in degrees.
-        effort: quantity of an array called `effort`; unused without one.
-        topic: which topic of a bag, where several carry sensor_msgs/JointState.
-        rate: [Hz] of uniform stamps, for a file without a time column.
-        repair: names of the requested `REPAIRS`.
-        by_order: joints whose names don't match the robot's are taken in the file's order.
-        time_unit: unit of the time column, where neither the file nor seconds are right.
+def _read_columns(pairs: list[str], flag: str) -> dict[str, str]:
+    """Our names of the file's columns, from NAME=COLUMN each.
 
     Raises:
-        UsageError: an unknown repair, effort or time unit, or a rate that is not positive.
+        UsageError: a pair that is none, or a name that is given twice.
     """
+    mapping: dict[str, str] = {}
+    for pair in pairs:
+        name, equals, column = (part.strip() for part in pair.partition("="))
+        if not (name and equals and column):
+            raise UsageError(f"{flag} {pair} is not NAME=COLUMN", hint=f"for example {flag} q1=JointPos1")
+        if name in mapping:
+            raise UsageError(f"{flag} gives '{name}' twice")
+        mapping[name] = column
+    return mapping
 
-    columns: Mapping[str, str] = field(default_factory=dict)
-    degrees: bool = False
-    effort: Literal["torque", "current"] | None = None
-    topic: str | None = None
-    rate: float | None = None
-    repair: frozenset[str] = frozenset()
-    by_order: bool = False
-    time_unit: TimeUnit | None = None
+
+@dataclass(frozen=True, kw_only=True)
+class ImportChoices(Options):
+    """The user's choices for one file."""
+
+    columns: Mapping[str, str] = option(
+        {},
+        "NAME=COLUMN: q1=JointPos1; position='q{}' for all joints; position=2-7 by number (CSV).",
+        meaning="our name (`t`, `q1`, `qd1`, `torque3`, `current2`, `temperature4`, or `q` for a whole array) → the "
+        "file's name. For a whole quantity also a pattern, `q{}` with the joints' numbers or names in place of {}, or "
+        "numbers of CSV columns, `2-7`. A quantity that is named here is taken from these names only.",
+        flag="--column",
+        command_type=list[str],
+        read=_read_columns,
+    )
+    degrees: bool = option(
+        False,
+        "Positions and velocities of the file are in degrees.",
+        meaning="positions and velocities of revolute joints are in degrees.",
+    )
+    effort: Effort | None = option(
+        None,
+        "What JointState.effort is: torque or current.",
+        meaning='whether an array called `effort` is "torque" [N·m] or "current" [A].',
+        one_of=get_args(Effort),
+    )
+    topic: str | None = option(None, "Topic of a bag with several JointState topics.")
+    rate: float | None = option(
+        None,
+        "Rate [Hz] of a file without a time column.",
+        meaning="of uniform stamps [Hz], for a file without a time column.",
+        allowed=Range(1e-6, 1e9, "Hz"),
+    )
+    time_unit: TimeUnit | None = option(None, "Unit of the time column: s, ms, us or ns.", one_of=get_args(TimeUnit))
+    repair: Collection[str] = option(
+        (),
+        "Repair to make: drop-nan, drop-duplicates, drop-repeats, opposite-torque, sort.",
+        meaning='of "drop-nan", "drop-duplicates", "drop-repeats", "opposite-torque" and "sort"; none is made unasked.',
+        command_type=list[str],
+    )
+    by_order: bool = option(
+        False,
+        "Match joints by their order, whatever their names.",
+        meaning="take joints of other names in the file's order.",
+    )
 
     def __post_init__(self) -> None:
+        """Check every option, and that the repairs exist.
+
+        Raises:
+            UsageError: names the option or the repair.
+        """
+        super().__post_init__()
         for name in sorted(self.repair):
             if name not in REPAIRS:
                 raise UsageError(
                     f"unknown repair '{name}'; known: {', '.join(REPAIRS)}", hint=did_you_mean(name, REPAIRS)
                 )
-        if self.effort not in (None, "torque", "current"):
-            raise UsageError(f"effort is either torque or current, not '{self.effort}'")
-        if self.time_unit is not None and self.time_unit not in TIME_UNITS:
-            raise UsageError(f"a time unit is one of {', '.join(TIME_UNITS)}, not '{self.time_unit}'")
-        if self.rate is not None and not (math.isfinite(self.rate) and self.rate > 0):
-            raise UsageError(f"a rate is a positive number of samples per second, not {self.rate}")

@@ -7,8 +7,8 @@ from typing import Protocol
 
 import numpy as np
 
+from daq.recording.clocks import ClockLog
 from daq.recording.recording import JOINTS_STREAM
-from daq.session.clocks import ClockLog
 from daq.session.command_gate import CommandGate
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock

@@ -18,9 +18,9 @@ import numpy as np
 
 from daq.motion.player import Path as MotionPath
 from daq.motion.player import Player, Punctuality, dry_run
+from daq.recording.clocks import ClockLog
 from daq.recording.recorder import Recorder
 from daq.robot.schema import Robot
-from daq.session.clocks import ClockLog
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
 from daq.session.course import Course, View
 from daq.session.play import (

@@ -79,7 +79,10 @@ class Option:
 
 def option(default: _Value, help: str = "", **more: Any) -> _Value:
     """A field with a default; `more` are fields of `Option`."""
-    return field(default=default, metadata={_METADATA: Option(help, **more)})
+    metadata = {_METADATA: Option(help, **more)}
+    if isinstance(default, dict):  # each instance has its own
+        return cast(_Value, field(default_factory=default.copy, metadata=metadata))
+    return field(default=default, metadata=metadata)
 
 
 def argument(name: str, help: str, **more: Any) -> dict[str, Option]:

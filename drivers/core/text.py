@@ -1,10 +1,12 @@
-"""Texts of messages: suggestions for misspelt names; percentages as people write them (0.34 %, 12.5 %, 1230 %)."""
+"""Texts: suggestions for misspelt names; percentages as people write them (0.34 %, 12.5 %, 1230 %); strict JSON."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Any
 
 DASH = "–"
 """What stands for a missing value."""
@@ -43,3 +45,18 @@ def percentage_text(percentage: float | None, digits: int = 3) -> str:
         return f"{sign}{size:.0f}"
     exponent = int(f"{size:.{digits - 1}e}".partition("e")[2])  # after rounding: 9.996 is 10.0
     return f"{sign}{size:.{max(0, digits - 1 - exponent)}f}"
+
+
+def json_text(content: Any) -> str:
+    """The JSON text of an object; what is not a finite number becomes null."""
+    return json.dumps(_strict(content), ensure_ascii=False, indent=1, allow_nan=False)
+
+
+def _strict(content: Any) -> Any:
+    if isinstance(content, float):
+        return content if math.isfinite(content) else None
+    if isinstance(content, dict):
+        return {str(key): _strict(value) for key, value in content.items()}
+    if isinstance(content, (list, tuple)):
+        return [_strict(value) for value in content]
+    return content

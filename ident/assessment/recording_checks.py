@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from daq.importers.choices import DROP_REPEATS
 from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.repairs import DROP_REPEATS
 from daq.recording.signal_quality import ColumnQuality, channel_quality
 from daq.recording.stale_samples import fresh_recording, stale_rows
 from daq.recording.stream_quality import StreamQuality, stream_quality

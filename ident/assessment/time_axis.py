@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from daq.recording.clocks import ClockEstimate, ClockFit
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.unit_plausibility import displacement_ratios
-from daq.session.clocks import ClockEstimate, ClockFit
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from daq.commands.console import print_table
 from daq.robot.loader import RobotFile
 from daq.session.connections import connection_names
 from daq.session.device_limits import before_a_motion
@@ -155,40 +154,6 @@ def check_connection(
     warnings += _gain_warnings(robot_file, identities) + to_mind
     limits = {} if own is None else _limits_told(robot.joint_names, own)
     return CheckedConnection(name, kind, identities, tuple(streams), limits, notices, tuple(warnings))
-
-
-def print_connection(connection: CheckedConnection) -> None:
-    """Print the outcome of the check."""
-    print(f"\nconnection {connection.name} ({connection.driver}) answers")
-    for identity in connection.identities:
-        shown = {key.replace("_", " "): value for key, value in identity.items() if value not in (None, "")}
-        print(
-            "  "
-            + ", ".join(
-                f"{key} {value:.10g}" if isinstance(value, float) else f"{key} {value}" for key, value in shown.items()
-            )
-        )
-    if connection.limits:
-        joints = dict.fromkeys(joint for told in connection.limits.values() for joint in told)
-        limits = [(joint, *(told.get(joint) for told in connection.limits.values())) for joint in joints]
-        print_table("  limits of its own", ("", *connection.limits), limits)
-    for stream in connection.streams:
-        rate = "" if stream.rate_hz is None else f" at {stream.rate_hz:.4g} Hz"
-        stated = f" (nominal: {stream.nominal_hz:.4g} Hz)" if stream.nominal_hz > 0 else ""
-        print(f"  stream {stream.name}{rate}{stated}; first sample:")
-        alike: dict[tuple[str, ...], list[str]] = {}
-        for quantity, values in stream.first.items():
-            alike.setdefault(tuple(values), []).append(quantity)
-        for columns, quantities in alike.items():
-            headers = [f"{quantity} [{stream.units[quantity]}]" for quantity in quantities]
-            rows = [(column, *(stream.first[quantity][column] for quantity in quantities)) for column in columns]
-            print_table("", ("", *headers), rows)
-    for notice in connection.notices:
-        print(f"  {notice}")
-    for warning in connection.warnings:
-        print(f"  warning: {warning}")
-    if not connection.warnings:
-        print("  consistent with the robot file")
 
 
 def _listen(driver: Driver, name: str, clock: Clock) -> list[Batch]:

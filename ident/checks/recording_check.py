@@ -6,9 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import numpy as np
-
-from daq.commands.console import print_table
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.signal_quality import ColumnQuality
 from daq.recording.stream_quality import StreamQuality
@@ -218,81 +215,3 @@ def _sufficiency_object(info: RecordingInfo) -> dict[str, Any] | None:
         **asdict(info.sufficiency.forecast),
     }
     return content if info.times is None else {**content, "needed": asdict(info.times)}
-
-
-def print_info(info: RecordingInfo, file: str) -> None:
-    """The same for a person."""
-    recording = info.recording
-    state = "complete" if recording.complete else "NOT closed properly"
-    print(f"{file}: {info.robot.name}, {state}, created {recording.created or 'at an unknown time'}")
-    print(f"As far as the recording goes: {info.verdict.headline}\n")
-    clock = ("samples", "seconds", "rate [Hz]", "jitter [ms]", "longest [ms]", "lost", "duplicates")
-    print_table(
-        "Streams",
-        ("stream", "quantities", *clock),
-        [
-            (
-                name,
-                ", ".join(recording.streams[name].channels),
-                quality.samples,
-                quality.duration,
-                quality.rate_hz,
-                quality.jitter_ms,
-                quality.longest_ms,
-                quality.lost,
-                quality.duplicates,
-            )
-            for name, quality in info.streams.items()
-        ],
-    )
-    for (stream, quantity), qualities in info.columns.items():
-        unit = recording.streams[stream].channels[quantity].unit
-        print_table(
-            f"\n{stream}/{quantity} [{unit}]",
-            ("column", "smallest", "largest", "noise", "step", "clipped [%]", "outliers"),
-            [(c.name, c.smallest, c.largest, c.noise, c.step, c.clipped_percent, c.outliers) for c in qualities],
-        )
-    if info.excitation is not None:
-        travel, speed = info.motion_units
-        print_table(
-            f"\nMotion: column-normalised condition number {info.excitation.scaled_condition:.1f}",
-            ("joint", f"range [{travel}]", f"velocity [{speed}]", "limit utilisation [%]"),
-            zip(
-                recording.streams[JOINTS_STREAM].channels["position"].columns,
-                info.excitation.position_range,
-                info.excitation.velocity_reached,
-                info.excitation.velocity_share_percent,
-                strict=False,
-            ),
-        )
-    if info.delay is not None and np.isfinite(info.delay.best):
-        print(f"\ndelay: {info.delay.note}")
-    if info.sufficiency is not None:
-        _print_sufficiency(info.sufficiency, info.times)
-    for event in recording.events:
-        print(f"{event.level} at {event.time:.3f} s, {event.source}: {event.message}")
-    if info.verdict.checks:
-        print("\nChecks on this recording:")
-        for check in info.verdict.checks:
-            print(f"  {check.severity}: {check.text} [{check.name}]")
-    else:
-        print("\nChecks on this recording: no problems found.")
-
-
-def _print_sufficiency(sufficiency: Sufficiency, times: TimesNeeded | None) -> None:
-    expected = sufficiency.forecast
-    known = [p.rsd_percent for p in expected.parameters if p.rsd_percent is not None]
-    text = f"\nInformation: log det {expected.log_det:.1f} over {sufficiency.seconds:.1f} s of motion"
-    if known:
-        significant = sum(value < SIGNIFICANT_RSD for value in known)
-        text += f"; predicted RSD below {SIGNIFICANT_RSD:g} % for {significant} of {len(known)} base parameters"
-    print(f"{text} (parameters and noise: {sufficiency.source})")
-    if times is None:
-        return
-    if times.parameters:
-        print_table(
-            f"\nTime needed for an RSD of {times.wanted_rsd_percent:g} %",
-            ("parameter", "RSD now [%]", "needed [s]"),
-            [(entry.name, entry.rsd_percent, entry.seconds) for entry in times.parameters],
-        )
-    print(times.sentence)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
@@ -17,7 +16,6 @@ from daq.session.session import load_driver
 from drivers.base import DRIVERS_GROUP
 from drivers.bus_budget import TIGHT_SHARE, Budget
 from drivers.core.errors import InputError
-from drivers.core.text import percent_text
 from ident.checks.tool_pose import ToolPose, tool_poses
 from ident.estimators.feasible.centre_bounds import CentreBound, centre_bounds
 from ident.excite.constraints.collision_geometry import arm_geometry
@@ -157,19 +155,3 @@ def budget_object(budget: Budget) -> dict[str, float]:
         "highest_rate_hz": budget.highest_rate(),
         "highest_rate_at_80_percent_hz": budget.highest_rate(TIGHT_SHARE),
     }
-
-
-def print_budget(name: str, budget: Budget) -> None:
-    """The same for a person."""
-    print(
-        f"  connection {name}: bus load {percent_text(budget.load)} ({budget.bitrate / 1e3:g} kbit/s) at "
-        f"{budget.rate:g} Hz with every stuffed bit; at most {budget.highest_rate():.0f} Hz, "
-        f"{budget.highest_rate(TIGHT_SHARE):.0f} Hz for {percent_text(TIGHT_SHARE)}"
-    )
-    cycle = Counter[tuple[str, int]]()
-    for group in budget.cycle:
-        cycle[group.meaning, group.data_bytes] += group.count
-    listed = ", ".join(f"{count} × {meaning} ({size} bytes)" for (meaning, size), count in cycle.items())
-    print(f"    a cycle of {budget.cycle_bits} bits: {listed}")
-    for group, rate in budget.beside:
-        print(f"    beside it: {group.count} × {group.meaning} ({group.data_bytes} bytes) at {rate:g} Hz")

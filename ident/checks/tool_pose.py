@@ -76,21 +76,3 @@ def _tool_pose(robot_file: RobotFile, model: DynamicModel, name: str, joints: tu
 
 def _numbers(values: np.ndarray) -> tuple[float, ...]:
     return tuple(0.0 if abs(value) < ROUNDING else float(value) for value in values)
-
-
-def print_poses(poses: tuple[ToolPose, ...]) -> None:
-    """The poses as a table, lengths in mm as pendants show them."""
-    from daq.commands.console import print_table
-
-    rows = []
-    for pose in poses:
-        rows.append(
-            (
-                pose.name + (f" (beyond the limits of {', '.join(pose.beyond)})" if pose.beyond else ""),
-                *(f"{1000 * value:.2f}" for value in pose.position),
-                *(f"{value:.4f}" for value in pose.rotation_vector),
-                *(f"{np.degrees(value):.2f}" for value in pose.rpy),
-            )
-        )
-    heads = ("pose", "x mm", "y mm", "z mm", "RX rad", "RY rad", "RZ rad", "roll °", "pitch °", "yaw °")
-    print_table("Tool in the base frame (compare with the pendant)", heads, rows)

@@ -34,10 +34,10 @@ def check(
     from daq.robot.loader import load_robot
     from drivers.core.clock import SYSTEM_CLOCK
     from drivers.core.errors import RobotFileError, UsageError
-    from ident.checks.connection_check import check_connections, print_connection
-    from ident.checks.robot_check import budget_object, check_robot, print_budget
+    from ident.checks.connection_check import check_connections
+    from ident.checks.robot_check import budget_object, check_robot
     from ident.checks.robot_description import description, inertial_count
-    from ident.checks.tool_pose import print_poses
+    from ident.commands.print_checks import print_budget, print_connection, print_poses
     from ident.model.base_parameters import base_parameters
     from ident.model.dynamic_model import build_model
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.importers.choices import OPPOSITE_TORQUE
+from daq.recording.repairs import OPPOSITE_TORQUE
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError

@@ -21,7 +21,7 @@ from ident.identify.friction.choice import AUTO, check_friction, chosen_friction
 from ident.identify.friction.selection import FrictionStep
 from ident.identify.held_friction import HeldFriction, experiment_terms
 from ident.identify.held_out import HeldOutRun
-from ident.identify.options import ModelOptions
+from ident.identify.options import ColumnOptions
 from ident.identify.presliding import PreslidingFit, PreslidingTravel
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -47,7 +47,7 @@ from ident.verdict.check import Check, texts
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelChoices(ModelOptions):
+class ModelChoices(ColumnOptions):
     """Departures from the robot file's columns.
 
     Attributes:

@@ -8,14 +8,11 @@ from pathlib import Path
 
 from drivers.core.errors import UsageError
 from drivers.core.options import Options, option
-from drivers.core.ranges import Range
-
-SMOOTHING = Range(0.0, 10.0, "rad/s")
-"""ε of tanh(q̇/ε); 0 for sign(q̇)."""
+from ident.ranges import SMOOTHING
 
 
 @dataclass(frozen=True, kw_only=True)
-class ModelOptions(Options):
+class ColumnOptions(Options):
     """Departures from the robot file's columns; None follows the file."""
 
     friction: str | None = option(

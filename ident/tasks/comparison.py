@@ -11,13 +11,12 @@ from typing import Literal
 
 import numpy as np
 
-from daq.commands.console import json_text
 from daq.output_files import REPORT_FILE, write_folder
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from drivers.core.options import keywords_of
-from drivers.core.text import in_percent
+from drivers.core.text import in_percent, json_text
 from drivers.core.units import common_unit
 from ident.experiments.method_comparison import (
     JointGroup,

@@ -7,10 +7,10 @@ from functools import cached_property
 from os import PathLike
 from pathlib import Path
 
-from daq.commands.console import json_text
 from daq.output_files import REPORT_FILE, write_folder
 from daq.robot.loader import load_robot
 from drivers.core.options import keywords_of
+from drivers.core.text import json_text
 from ident.experiments.friction.experiment import FrictionExperiment, analyse_friction
 from ident.experiments.friction.summary import friction_result, friction_table
 from ident.report.friction_page import friction_page

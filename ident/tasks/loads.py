@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.commands.console import json_text
 from daq.output_files import REPORT_FILE, write_folder
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from drivers.core.options import keywords_of
+from drivers.core.text import json_text
 from ident.experiments.gains.drive_gains import DriveGains, identify_gains
 from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains
 from ident.experiments.load.consistent_load import ConsistentLoad

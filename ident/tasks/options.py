@@ -11,7 +11,7 @@ from drivers.core.errors import UsageError
 from drivers.core.options import Options, argument, option, read_names, read_numbers
 from ident.excite.choices import DesignChoices, SearchOptions
 from ident.excite.sweep_choices import SweepChoices
-from ident.identify.options import ModelOptions
+from ident.identify.options import ColumnOptions
 from ident.regression.options import PERCENT, EssentialOptions, ExperimentChoices, ReversalOptions
 from ident.signals.options import FilterOptions, WindowOptions, delay_option
 
@@ -91,7 +91,7 @@ class DataOptions(Options):
 
 @dataclass(frozen=True)
 class IdentifyOptions(
-    EssentialOptions, WindowOptions, ReversalOptions, ExperimentChoices, FilterOptions, ModelOptions, DataOptions
+    EssentialOptions, WindowOptions, ReversalOptions, ExperimentChoices, FilterOptions, ColumnOptions, DataOptions
 ):
     """Arguments of `identify`; of a dataclass with several bases, the last one's fields come first."""
 

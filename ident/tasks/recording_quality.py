@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from daq.commands.console import json_text
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot
 from drivers.core.options import keywords_of
+from drivers.core.text import json_text
 from ident.checks.page.page import write_page
 from ident.checks.recording_check import RecordingInfo, info_object, recording_info
 from ident.result.tables import Table, table_of_rows

@@ -20,7 +20,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 import dynid
-from daq.importers import ImportChoices, import_file
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import DynidError

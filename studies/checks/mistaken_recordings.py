@@ -24,7 +24,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 import numpy as np
 from random_arms import random_arm
 
-from daq.importers import ImportChoices, import_file
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray

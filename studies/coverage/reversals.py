@@ -22,7 +22,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import yaml
 
-from daq.importers import ImportChoices, import_file
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.motion.trajectories import Motion
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot

@@ -18,7 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.importers import ImportChoices, import_file
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.estimators.feasible.consistent import consistent_parameters

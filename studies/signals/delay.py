@@ -22,7 +22,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from daq.importers import ImportChoices, import_file
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.importers import ImportChoices, import_file
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import ImportFileError

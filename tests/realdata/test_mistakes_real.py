@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daq.importers import ImportChoices, import_file
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.robot.loader import parse_robot
 from ident.assessment.instants import Columns, Instants, instants
 from ident.assessment.mistakes.competition import Competition, explanations

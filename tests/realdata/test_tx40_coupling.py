@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from daq.importers import ImportChoices, import_file
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.robot.loader import RobotFile, parse_robot
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq.commands.console import json_text
 from daq.output_files import write_folder
 from daq.recording.recording import JOINTS_STREAM
+from drivers.core.text import json_text
 from ident.checks.page.plots import intervals_figure, shown_unit, signals_figure, spectra_figure
 from ident.checks.recording_check import RecordingInfo, info_object
 from ident.regression.options import SIGNIFICANT_RSD

@@ -16,7 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from three_links import NAMES, make_robot
 
-from daq.importers import ImportChoices, import_file
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.robot.loader import RobotFile
 from drivers.core.errors import ImportFileError, UsageError
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.importers import ImportChoices
+from daq.importers.choices import ImportChoices
 from daq.importers.naming import parse_name
 from drivers.core.errors import UsageError
 
@@ -99,10 +99,10 @@ def test_any_name_is_parsed(name: str) -> None:
     ("choices", "message"),
     [
         ({"repair": frozenset({"drop-nans"})}, "unknown repair 'drop-nans'.*did you mean 'drop-nan'"),
-        ({"effort": "force"}, "effort is either torque or current"),
-        ({"rate": 0.0}, "a rate is a positive number"),
-        ({"rate": float("nan")}, "a rate is a positive number"),
-        ({"time_unit": "min"}, "a time unit is one of"),
+        ({"effort": "force"}, "--effort .* does not exist .torque or current."),
+        ({"rate": 0.0}, "--rate .* is not (within|a finite number)"),
+        ({"rate": float("nan")}, "--rate .* is not (within|a finite number)"),
+        ({"time_unit": "min"}, "--time-unit .* does not exist .s, ms, us or ns."),
     ],
 )
 def test_choices_that_cannot_be(choices: dict[str, Any], message: str) -> None:

@@ -15,8 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from three_links import make_robot
 
-from daq.importers import SUPPORTED, ImportChoices, import_file
-from daq.importers.choices import REPAIRS
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import SUPPORTED, import_file
+from daq.recording.repairs import REPAIRS
 from daq.robot.loader import RobotFile
 from drivers.core.errors import ImportFileError, InputError, UsageError
 

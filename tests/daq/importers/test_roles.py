@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from three_links import NAMES, Arrays, make_robot, samples, write_csv, write_npz
 
-from daq.importers import ImportChoices, import_file
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.importers.roles import assign_roles
 from daq.recording.recording import JOINTS_STREAM, Recording
 from drivers.core.errors import ImportFileError, InputError, UsageError

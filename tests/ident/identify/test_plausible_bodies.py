@@ -11,7 +11,8 @@ import pytest
 import yaml
 from random_arm import random_arm, recorded
 
-from daq.importers import ImportChoices, import_file
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.errors import RobotFileError

@@ -1,0 +1,219 @@
+"""Other people's files as recordings: CSV, .npz, .mat, HDF5, ROS 2 bags (sqlite3 and MCAP).
+
+A reader (`csv`, `npz`, `mat`, `rosbag`) gives a `Table`; `assembly` puts it into the robot's joint order and into SI;
+`checks` and `plausibility` refuse what is wrong. All assumptions and repairs become events of the recording.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import partial
+from importlib import import_module
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from daq.importers.assembly import ImportedSamples, assemble
+from daq.importers.checks import check_samples
+from daq.importers.choices import ImportChoices
+from daq.importers.csv import read_csv
+from daq.importers.mat import read_hdf5, read_mat
+from daq.importers.npz import read_npz
+from daq.importers.plausibility import check_units
+from daq.importers.rosbag import bag_files, read_rosbag
+from daq.importers.table import ForeignTable, parsing, printable
+from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
+from daq.robot.loader import RobotFile, load_robot
+from daq.robot.schema import Robot
+from drivers.core.errors import ImportFileError
+from drivers.core.files import ARRAY_FILE, open_input
+from drivers.core.options import argument, keywords_of
+from drivers.core.reading_process import TIME_LIMIT, Progress, read_apart
+from drivers.streams import UNITS
+
+Reader = Callable[[Path, Sequence[str], ImportChoices], ForeignTable]
+
+_READERS: Mapping[str, Reader] = {
+    ".csv": read_csv,
+    ".tsv": read_csv,
+    ".txt": read_csv,
+    ".dat": read_csv,
+    ".npz": read_npz,
+    ".mat": read_mat,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
+    ".db3": read_rosbag,
+    ".mcap": read_rosbag,
+}
+SUPPORTED = (*_READERS, "a ROS 2 bag's folder")
+"""Endings that `import_file` reads."""
+
+_LIBRARIES = {".mat": "scipy.io", ".db3": "rosbags.rosbag2", ".mcap": "rosbags.rosbag2"}
+BAG_SPEED = 2e6
+"""Bytes of a bag [B/s] that are surely read in so much processor time: messages are read one by one, 20 µs each."""
+
+_ORDER = ("position", "velocity", "current", "torque", "temperature")
+_MAGIC = (
+    (b"SQLite format 3\0", ".db3"),
+    (b"\x89MCAP0\r\n", ".mcap"),
+    (b"PK\x03\x04", ".npz"),
+    (b"MATLAB ", ".mat"),
+    (b"\x89HDF\r\n\x1a\n", ".h5"),
+)
+
+
+def import_file(
+    path: Path, robot: RobotFile, choices: ImportChoices, progress: Progress = lambda step: None
+) -> Recording:
+    """Import a foreign file as a recording in memory, with one stream `joints`.
+
+    Current stays current: it becomes torque at identification, with the drive gains.
+
+    Args:
+        path: of the file, or of a ROS 2 bag's folder.
+        robot: whose joints the columns are matched to.
+        choices: the user's choices.
+        progress: called with what is being done.
+
+    Returns:
+        A recording in SI, columns in the robot's order, every assumption and repair as an event.
+
+    Raises:
+        ImportFileError: an unknown kind of file, one that is wrong, incomplete or ambiguous, or one that takes too much
+            time or memory to read.
+        UsageError: choices that don't apply to this kind of file.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise ImportFileError("no such file", where=str(path))
+    reader = _reader(path)
+    if path.suffix.lower() in _LIBRARIES:  # once, not in every reading process
+        import_module(_LIBRARIES[path.suffix.lower()])
+    time_limit = TIME_LIMIT
+    if reader is read_rosbag:
+        time_limit += sum(file.stat().st_size for file in bag_files(path) if file.is_file()) / BAG_SPEED
+
+    def read(progress: Progress) -> Recording:
+        return _import(reader, path, robot, choices, progress)
+
+    return read_apart(read, path, ImportFileError, time_limit=time_limit, progress=progress)
+
+
+def _import(reader: Reader, path: Path, robot: RobotFile, choices: ImportChoices, progress: Progress) -> Recording:
+    where = str(path)
+    progress(f"reading {printable(path.name)}")
+    if reader is read_rosbag:  # the only one that is not done in seconds
+        reader = partial(read_rosbag, progress=progress)
+    table = reader(path, robot.robot.joint_names, choices)
+    progress("checking the samples")
+    # Absurd values overflow on their way to being refused; the refusal says it, not a warning of NumPy.
+    with np.errstate(over="ignore", invalid="ignore"):
+        samples = assemble(table, robot, choices, where)
+        samples = check_samples(samples, choices, where)
+        samples = check_units(samples, robot.robot, robot.prismatic_joints, choices, where)
+    return Recording(
+        robot_text=robot.text,
+        urdf_text=robot.urdf_text or "",
+        streams={JOINTS_STREAM: _stream(samples, table.source, robot.robot)},
+        events=_events(samples),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        versions=software_versions(),
+        host=platform.node(),
+        comment=f"imported from {printable(path.name)} ({table.source}), SHA-256 {_sha256(path)}",
+    )
+
+
+def _reader(path: Path) -> Reader:
+    if path.is_dir() or path.name == "metadata.yaml":
+        return read_rosbag
+    suffix = path.suffix.lower()
+    if suffix in _READERS:
+        return _READERS[suffix]
+    if suffix == ".bag":
+        raise ImportFileError(
+            "is a ROS 1 bag, which is not read",
+            where=str(path),
+            hint="convert it: rosbags-convert --src FILE --dst FOLDER",
+        )
+    with open_input(path, ARRAY_FILE, ImportFileError) as file:
+        head = file.read(16)
+    looks = next((ending for magic, ending in _MAGIC if head.startswith(magic)), None)
+    raise ImportFileError(
+        f"unknown kind of file '{printable(path.suffix) or path.name}'; supported are: {', '.join(SUPPORTED)}",
+        where=str(path),
+        hint=f"its content looks like {looks}; rename it" if looks else "",
+    )
+
+
+def _stream(samples: ImportedSamples, source: str, robot: Robot) -> Stream:
+    channels = {
+        quantity: Channel(
+            quantity=quantity,
+            values=entry.values,
+            unit=robot.column_unit(UNITS[quantity], entry.joints),
+            columns=entry.joints,
+            description=f"imported ({source}): {', '.join(dict.fromkeys(map(printable, entry.labels)))}",
+        )
+        for quantity in _ORDER
+        if (entry := samples.quantities.get(quantity)) is not None
+    }
+    return Stream(name=JOINTS_STREAM, time=samples.time, host_time=samples.time, channels=channels)
+
+
+def _events(samples: ImportedSamples) -> tuple[Event, ...]:
+    return tuple(
+        Event(float(samples.time[note.sample or 0]), note.level, "import", _one_line(note.message))
+        for note in samples.notes
+    )
+
+
+def _one_line(text: str) -> str:
+    """A message without characters that HDF5 texts cannot hold."""
+    return "".join(character if character.isprintable() else " " for character in text)
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with parsing(path, "a file"):
+        for bag_file in bag_files(path):
+            with bag_file.open("rb") as file:
+                while chunk := file.read(1 << 20):
+                    digest.update(chunk)
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True)
+class ImportOptions(ImportChoices):
+    """Arguments of `import_recording`."""
+
+    path: str | PathLike[str] = field(metadata=argument("file", "Path of the file, or of a bag's folder."))
+    robot: str | Path | RobotFile = field(
+        metadata=argument("robot", "Built-in name, robot file, URDF, or the result of `load_robot`.")
+    )
+
+
+@keywords_of(ImportOptions)
+def import_recording(options: ImportOptions) -> Recording:
+    """Import a CSV, npz, mat, HDF5, ROS 2 bag or MCAP file as a recording in memory, in SI.
+
+    Raises:
+        ImportFileError: an unknown kind of file, or one that is wrong, incomplete or ambiguous.
+        UsageError: options that do not apply.
+
+    Example:
+        >>> import dynid, numpy as np, pathlib, tempfile
+        >>> time = np.arange(0, 4, 0.01)
+        >>> q = 0.5 * np.sin(time)[:, None] * np.ones(6)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = pathlib.Path(folder, "run.npz")
+        ...     np.savez(path, t=time, q=q, torque=10 * q)
+        ...     run = dynid.import_recording(path, "ur5e")
+        >>> run.streams["joints"].channels["torque"].values.shape
+        (400, 6)
+    """
+    return import_file(Path(options.path), load_robot(options.robot), options)

@@ -1,0 +1,161 @@
+"""What `dynid check` and `dynid info` print for people."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from daq.commands.console import print_table
+from daq.recording.recording import JOINTS_STREAM
+from drivers.bus_budget import TIGHT_SHARE, Budget
+from drivers.core.text import percent_text
+from ident.checks.connection_check import CheckedConnection
+from ident.checks.recording_check import RecordingInfo
+from ident.checks.tool_pose import ToolPose
+from ident.excite.sufficiency import Sufficiency, TimesNeeded
+from ident.regression.options import SIGNIFICANT_RSD
+
+
+def print_budget(name: str, budget: Budget) -> None:
+    """Print the load of a bus."""
+    print(
+        f"  connection {name}: bus load {percent_text(budget.load)} ({budget.bitrate / 1e3:g} kbit/s) at "
+        f"{budget.rate:g} Hz with every stuffed bit; at most {budget.highest_rate():.0f} Hz, "
+        f"{budget.highest_rate(TIGHT_SHARE):.0f} Hz for {percent_text(TIGHT_SHARE)}"
+    )
+    cycle = Counter[tuple[str, int]]()
+    for group in budget.cycle:
+        cycle[group.meaning, group.data_bytes] += group.count
+    listed = ", ".join(f"{count} × {meaning} ({size} bytes)" for (meaning, size), count in cycle.items())
+    print(f"    a cycle of {budget.cycle_bits} bits: {listed}")
+    for group, rate in budget.beside:
+        print(f"    beside it: {group.count} × {group.meaning} ({group.data_bytes} bytes) at {rate:g} Hz")
+
+
+def print_poses(poses: tuple[ToolPose, ...]) -> None:
+    """The poses as a table, lengths in mm as pendants show them."""
+    rows = []
+    for pose in poses:
+        rows.append(
+            (
+                pose.name + (f" (beyond the limits of {', '.join(pose.beyond)})" if pose.beyond else ""),
+                *(f"{1000 * value:.2f}" for value in pose.position),
+                *(f"{value:.4f}" for value in pose.rotation_vector),
+                *(f"{np.degrees(value):.2f}" for value in pose.rpy),
+            )
+        )
+    heads = ("pose", "x mm", "y mm", "z mm", "RX rad", "RY rad", "RZ rad", "roll °", "pitch °", "yaw °")
+    print_table("Tool in the base frame (compare with the pendant)", heads, rows)
+
+
+def print_connection(connection: CheckedConnection) -> None:
+    """Print the outcome of the check."""
+    print(f"\nconnection {connection.name} ({connection.driver}) answers")
+    for identity in connection.identities:
+        shown = {key.replace("_", " "): value for key, value in identity.items() if value not in (None, "")}
+        print(
+            "  "
+            + ", ".join(
+                f"{key} {value:.10g}" if isinstance(value, float) else f"{key} {value}" for key, value in shown.items()
+            )
+        )
+    if connection.limits:
+        joints = dict.fromkeys(joint for told in connection.limits.values() for joint in told)
+        limits = [(joint, *(told.get(joint) for told in connection.limits.values())) for joint in joints]
+        print_table("  limits of its own", ("", *connection.limits), limits)
+    for stream in connection.streams:
+        rate = "" if stream.rate_hz is None else f" at {stream.rate_hz:.4g} Hz"
+        stated = f" (nominal: {stream.nominal_hz:.4g} Hz)" if stream.nominal_hz > 0 else ""
+        print(f"  stream {stream.name}{rate}{stated}; first sample:")
+        alike: dict[tuple[str, ...], list[str]] = {}
+        for quantity, values in stream.first.items():
+            alike.setdefault(tuple(values), []).append(quantity)
+        for columns, quantities in alike.items():
+            headers = [f"{quantity} [{stream.units[quantity]}]" for quantity in quantities]
+            rows = [(column, *(stream.first[quantity][column] for quantity in quantities)) for column in columns]
+            print_table("", ("", *headers), rows)
+    for notice in connection.notices:
+        print(f"  {notice}")
+    for warning in connection.warnings:
+        print(f"  warning: {warning}")
+    if not connection.warnings:
+        print("  consistent with the robot file")
+
+
+def print_info(info: RecordingInfo, file: str) -> None:
+    """Print the quality of a recording: streams, columns, motion, delay, expected error bars, checks."""
+    recording = info.recording
+    state = "complete" if recording.complete else "NOT closed properly"
+    print(f"{file}: {info.robot.name}, {state}, created {recording.created or 'at an unknown time'}")
+    print(f"As far as the recording goes: {info.verdict.headline}\n")
+    clock = ("samples", "seconds", "rate [Hz]", "jitter [ms]", "longest [ms]", "lost", "duplicates")
+    print_table(
+        "Streams",
+        ("stream", "quantities", *clock),
+        [
+            (
+                name,
+                ", ".join(recording.streams[name].channels),
+                quality.samples,
+                quality.duration,
+                quality.rate_hz,
+                quality.jitter_ms,
+                quality.longest_ms,
+                quality.lost,
+                quality.duplicates,
+            )
+            for name, quality in info.streams.items()
+        ],
+    )
+    for (stream, quantity), qualities in info.columns.items():
+        unit = recording.streams[stream].channels[quantity].unit
+        print_table(
+            f"\n{stream}/{quantity} [{unit}]",
+            ("column", "smallest", "largest", "noise", "step", "clipped [%]", "outliers"),
+            [(c.name, c.smallest, c.largest, c.noise, c.step, c.clipped_percent, c.outliers) for c in qualities],
+        )
+    if info.excitation is not None:
+        travel, speed = info.motion_units
+        print_table(
+            f"\nMotion: column-normalised condition number {info.excitation.scaled_condition:.1f}",
+            ("joint", f"range [{travel}]", f"velocity [{speed}]", "limit utilisation [%]"),
+            zip(
+                recording.streams[JOINTS_STREAM].channels["position"].columns,
+                info.excitation.position_range,
+                info.excitation.velocity_reached,
+                info.excitation.velocity_share_percent,
+                strict=False,
+            ),
+        )
+    if info.delay is not None and np.isfinite(info.delay.best):
+        print(f"\ndelay: {info.delay.note}")
+    if info.sufficiency is not None:
+        _print_sufficiency(info.sufficiency, info.times)
+    for event in recording.events:
+        print(f"{event.level} at {event.time:.3f} s, {event.source}: {event.message}")
+    if info.verdict.checks:
+        print("\nChecks on this recording:")
+        for check in info.verdict.checks:
+            print(f"  {check.severity}: {check.text} [{check.name}]")
+    else:
+        print("\nChecks on this recording: no problems found.")
+
+
+def _print_sufficiency(sufficiency: Sufficiency, times: TimesNeeded | None) -> None:
+    expected = sufficiency.forecast
+    known = [p.rsd_percent for p in expected.parameters if p.rsd_percent is not None]
+    text = f"\nInformation: log det {expected.log_det:.1f} over {sufficiency.seconds:.1f} s of motion"
+    if known:
+        significant = sum(value < SIGNIFICANT_RSD for value in known)
+        text += f"; predicted RSD below {SIGNIFICANT_RSD:g} % for {significant} of {len(known)} base parameters"
+    print(f"{text} (parameters and noise: {sufficiency.source})")
+    if times is None:
+        return
+    if times.parameters:
+        print_table(
+            f"\nTime needed for an RSD of {times.wanted_rsd_percent:g} %",
+            ("parameter", "RSD now [%]", "needed [s]"),
+            [(entry.name, entry.rsd_percent, entry.seconds) for entry in times.parameters],
+        )
+    print(times.sentence)
