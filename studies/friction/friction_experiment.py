@@ -5,14 +5,13 @@ encoder and torque noise. Each seed records the sweep of `dynid sweep` in two po
 exponential), and asks how often the true value lies within the 95 % interval: with the terms given, and with those that
 `auto` chose.
 
-    python -m studies.friction.friction_experiment [SEEDS]          coverage over seeds, 20 by default
+    python -m studies.friction.friction_experiment [SEEDS [auto]]   coverage over seeds, 20 by default
     python -m studies.friction.friction_experiment plant            one arm with bristle friction that heats itself
 """
 
 from __future__ import annotations
 
 import sys
-import time
 from collections import defaultdict
 from collections.abc import Iterable
 
@@ -115,38 +114,39 @@ def estimates(joint: JointFrictionExperiment) -> Iterable[tuple[str, float, floa
             yield f"beta{index}", value, std
 
 
-def coverage(seeds: int) -> None:
-    """Share of true values within the 95 % intervals."""
+def coverage(seeds: int, text: str) -> None:
+    """Share of true values within the 95 % intervals, with these terms."""
     robot_file = arm()
     motions = sweeps(robot_file)
-    print("sweeps of", [f"{motion.duration:.0f} s" for motion in motions], "each", REPEATS, "times")
-    for text in (GIVEN, "auto"):
-        deviations: dict[str, list[float]] = defaultdict(list)
-        relative: dict[str, list[float]] = defaultdict(list)
-        chosen: dict[str, int] = defaultdict(int)
-        begin = time.process_time()
-        for seed in range(seeds):
-            result = dynid.friction(
-                warming(robot_file, motions, seed), friction=text, robot=arm(plain=True), delay=0.0
-            ).result
-            for joint in result.joints:
-                truth = true_values(robot_file, joint.joint)
-                power = "" if joint.load_power is None else f" load^{joint.load_power:g}"
-                alpha = "" if joint.exponent is None else " power"
-                extra = "" if joint.stribeck is None else " stribeck"
-                chosen[f"{alpha}{extra}{power} temperature:{joint.temperature_term}"] += 1
-                if joint.load_power != 2.0 or joint.exponent is None:
-                    continue  # other terms, other meanings
-                for name, value, std in estimates(joint):
-                    deviations[name].append((value - truth[name]) / std)
-                    relative[name].append(WITHIN_95_PERCENT * std / abs(truth[name]) if truth[name] else np.nan)
-        print(f"\n{text}: {seeds} seeds, {time.process_time() - begin:.0f} s CPU; chosen: {dict(chosen)}")
-        for name, values in deviations.items():
-            inside = np.mean(np.abs(values) < WITHIN_95_PERCENT)
-            print(
-                f"{name:10} n {len(values):3}  within 95 % interval {inside:6.1%}  rms error {np.std(values):5.2f} σ  "
-                f"mean {np.mean(values):+5.2f} σ  ±{np.median(relative[name]):.2%} of the value"
-            )
+    deviations: dict[str, list[float]] = defaultdict(list)
+    relative: dict[str, list[float]] = defaultdict(list)
+    chosen: dict[str, int] = defaultdict(int)
+    for seed in range(seeds):
+        result = dynid.friction(
+            warming(robot_file, motions, seed), friction=text, robot=arm(plain=True), delay=0.0
+        ).result
+        for joint in result.joints:
+            truth = true_values(robot_file, joint.joint)
+            power = "" if joint.load_power is None else f" load^{joint.load_power:g}"
+            alpha = "" if joint.exponent is None else " power"
+            extra = "" if joint.stribeck is None else " stribeck"
+            chosen[f"{alpha}{extra}{power} temperature:{joint.temperature_term}".strip()] += 1
+            if joint.load_power != 2.0 or joint.exponent is None:
+                continue  # other terms, other meanings
+            for name, value, std in estimates(joint):
+                deviations[name].append((value - truth[name]) / std)
+                relative[name].append(WITHIN_95_PERCENT * std / abs(truth[name]) if truth[name] else np.nan)
+    print("| parameter | joints | ± (median) | true value within the 95 % interval | RMS error | mean error |")
+    print("|---|---|---|---|---|---|")
+    for name, values in deviations.items():
+        inside = np.mean(np.abs(values) < WITHIN_95_PERCENT)
+        print(
+            f"| {name} | {len(values)} | {np.median(relative[name]):.2%} | {inside:.1%} | {np.std(values):.2f} σ | "
+            f"{np.mean(values):+.2f} σ |"
+        )
+    print("\n| terms | joints |\n|---|---|")
+    for terms, count in chosen.items():
+        print(f"| {terms} | {count} |")
 
 
 def plant_run() -> None:
@@ -183,4 +183,7 @@ def _approach(motion: PointToPoint, position: FloatArray) -> PointToPoint:
 
 if __name__ == "__main__":
     argument = sys.argv[1] if len(sys.argv) > 1 else "20"
-    plant_run() if argument == "plant" else coverage(int(argument))
+    if argument == "plant":
+        plant_run()
+    else:
+        coverage(int(argument), sys.argv[2] if len(sys.argv) > 2 else GIVEN)
