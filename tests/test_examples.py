@@ -65,6 +65,14 @@ def test_links_lead_somewhere(page):
         assert not anchor or anchor in anchors(linked), f"{target}#{anchor}"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(REPOSITORY).as_posix())
+def test_files_that_are_named_exist(page):
+    packages = "drivers|daq|ident|sim_drivers|dynid|tests|studies|benchmarks|examples|docs"
+    for path in re.findall(rf"`((?:{packages})/[\w./-]*)", page.read_text(encoding="utf-8")):
+        if path != "tests/soak/found/":  # written by `make soak`
+            assert (REPOSITORY / path).exists(), path
+
+
 def test_the_robot_file_of_the_docs_is_valid():
     from daq.robot.loader import parse_robot
     from ident.model.base_parameters import base_parameters

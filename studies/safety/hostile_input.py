@@ -153,7 +153,7 @@ CLASSES = (
     HostileClass(
         "no regular file, or one of 1 TB",
         "`drivers/core/files.py`",
-        "`tests/drivers/test_input_files.py`, `tests/daq/importers/test_bounds.py`",
+        "`tests/drivers/core/test_files.py`, `tests/daq/importers/test_bounds.py`",
         [
             ("x.h5", "info x.h5", sparse),
             ("x.yaml", "check x.yaml", link("/dev/zero")),
@@ -167,7 +167,7 @@ CLASSES = (
     HostileClass(
         "HDF5 over which the library loops, waits or crashes",
         "`drivers/core/reading_process.py`",
-        "`tests/drivers/test_reading_process.py`, `tests/daq/recording/test_recover.py`",
+        "`tests/drivers/core/test_reading_process.py`, `tests/daq/recording/test_recover.py`",
         [
             ("x.h5", "info x.h5", looping_heap),
             ("x.h5", "identify x.h5 -o out", looping_heap),
