@@ -14,16 +14,18 @@ joint by itself, on the equations that the fit uses. Two things make them say so
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic.dataclasses import dataclass as stored
 
 from drivers.core.arrays import BoolArray, FloatArray
 from drivers.core.text import percent_text
 from ident.regression.comparison import TorqueSeries
 from ident.regression.hypothesis_tests import LEVEL, p_text
 from ident.signals.filters import ZeroPhaseFilter
+from ident.stored import Real
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -48,7 +50,7 @@ LAGS = 10
 _FORGOTTEN = 0.07  # autocorrelation of filtered white noise that counts as none
 
 
-@dataclass(frozen=True)
+@stored(frozen=True)
 class AssumptionTest:
     """One assumption of one joint.
 
@@ -59,18 +61,18 @@ class AssumptionTest:
         violated: whether the test rejects it and the effect is large.
     """
 
-    statistic: float
-    p_value: float
-    effect: float
+    statistic: Real
+    p_value: Real
+    effect: Real
     violated: bool
 
 
-@dataclass(frozen=True)
+@stored(frozen=True)
 class ResidualTests:
     """The assumptions of one joint.
 
     Attributes:
-        joint: its number.
+        joint: its name.
         residuals: that the fit uses.
         independent: that lie far enough apart.
         independence: Ljung-Box; effect: largest |autocorrelation|.
@@ -80,7 +82,7 @@ class ResidualTests:
         normality: Jarque-Bera; effect: the larger of |skewness| and half the |excess kurtosis|.
     """
 
-    joint: int
+    joint: str
     residuals: int
     independent: int
     independence: AssumptionTest
@@ -118,7 +120,7 @@ def filter_memory(parallel_filter: ZeroPhaseFilter) -> int:
 
 
 def residual_tests(
-    series: Sequence[TorqueSeries], equations: Sequence[BoolArray], memory: int, joints: Sequence[int]
+    series: Sequence[TorqueSeries], equations: Sequence[BoolArray], memory: int, joints: Mapping[int, str]
 ) -> list[ResidualTests]:
     """Test the assumptions of each joint; one with too few residuals is left out.
 
@@ -126,25 +128,25 @@ def residual_tests(
         series: torques of the fit, a part per gap-free segment.
         equations: (n, M) of each part, whether the fit uses the joint's sample.
         memory: of the parallel filter, in samples (see `filter_memory`).
-        joints: whose torques were used.
+        joints: number and name of those whose torques were used.
     """
     level = LEVEL / max(1, len(joints))
-    tests = (_joint_tests(series, [each[joint] for each in equations], memory, joint, level) for joint in joints)
+    tests = (
+        _joint_tests(series, [each[joint] for each in equations], memory, joint, name, level)
+        for joint, name in joints.items()
+    )
     return [test for test in tests if test is not None]
 
 
-def residual_checks(tests: Sequence[ResidualTests], names: Sequence[str]) -> list[Check]:
+def residual_checks(tests: Sequence[ResidualTests]) -> list[Check]:
     """A note for each assumption that joints violate.
 
     Args:
         tests: of the joints.
-        names: of all joints.
     """
     checks = []
     for check, assumption, sentence in _NOTES:
-        of_joints: list[tuple[str, AssumptionTest | None]] = [
-            (names[test.joint], getattr(test, assumption)) for test in tests
-        ]
+        of_joints: list[tuple[str, AssumptionTest | None]] = [(test.joint, getattr(test, assumption)) for test in tests]
         violating = [(name, one) for name, one in of_joints if one is not None and one.violated]
         if violating:
             worst, one = max(violating, key=lambda pair: pair[1].effect)
@@ -187,7 +189,7 @@ def _effect_text(assumption: str, effect: float) -> str:
 
 
 def _joint_tests(
-    series: Sequence[TorqueSeries], used: Sequence[BoolArray], memory: int, joint: int, level: float
+    series: Sequence[TorqueSeries], used: Sequence[BoolArray], memory: int, joint: int, name: str, level: float
 ) -> ResidualTests | None:
     samples = [
         _Samples(part.measured[joint] - part.predicted[joint], part.predicted[joint], part.velocity[joint])
@@ -211,7 +213,7 @@ def _joint_tests(
     if sum(int(mask.sum()) for mask in thinned[1]) < FEWEST_RESIDUALS:
         return None
     return ResidualTests(
-        joint=joint,
+        joint=name,
         residuals=len(every.residual),
         independent=len(apart.residual),
         independence=_independence(*thinned, correlation[memory : LAGS * memory + 1 : memory], level),

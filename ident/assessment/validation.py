@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
 from drivers.core.text import percent_text
 from ident.regression.comparison import TorqueSeries
+from ident.stored import Number, Real, Stored
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -26,31 +26,32 @@ MUCH_LARGER = 2.0
 """Ratio of the validation's errors to the identification's beyond which there is a check."""
 
 
-@dataclass(frozen=True)
-class FitFigures:
-    """Errors of filtered torques.
+class Fit(Stored):
+    """Errors of filtered torques; the lists have one entry per joint.
 
-    Attributes:
-        relative_error: ‖τ − Ŵx‖ / ‖τ‖ over all samples of the joints whose torque is predicted, where they do not rest.
-        joint_relative_error: (n,) the same of each joint; nan where it has no torque.
-        rmse: (n,) root mean square error [N·m]; nan, as all errors, where the model predicts no torque, or where the
-            joint rests throughout.
-        low_speed_rmse, high_speed_rmse: (n,) below and above `LOW_SPEED` [N·m]; nan where there is no such sample.
-        max_error: (n,) largest error [N·m].
-        samples: filtered samples that count.
+    An error is None where the model predicts no torque, or where the joint rests throughout.
     """
 
-    relative_error: float
-    joint_relative_error: FloatArray
-    rmse: FloatArray
-    low_speed_rmse: FloatArray
-    high_speed_rmse: FloatArray
-    max_error: FloatArray
-    samples: int
+    relative_error: Real = Field(
+        description="‖τ − Ŵx‖ / ‖τ‖ over all samples of the joints whose torque is predicted, where they do not rest"
+    )
+    joint_relative_error: list[Number] = Field(description="the same of each joint; null where it has no torque")
+    rmse: list[Number] = Field(description="root mean square error [N·m]")
+    low_speed_rmse: list[Number] = Field(description="below 0.1 rad/s or m/s [N·m]; null where there is no such sample")
+    high_speed_rmse: list[Number] = Field(description="from there on [N·m]")
+    max_error: list[Number] = Field(description="largest error [N·m]")
+    samples: int = Field(description="filtered samples that count")
+    held_out: bool | None = Field(
+        default=None, description="of a validation: false where data of the identification are in it; else null"
+    )
 
 
-def fit_figures(series: Sequence[TorqueSeries]) -> FitFigures:
+def fit_errors(series: Sequence[TorqueSeries], held_out: bool | None = None) -> Fit:
     """Errors over all segments together.
+
+    Args:
+        series: measured and predicted torques, one per segment.
+        held_out: of a validation, whether none of its data was used in the identification.
 
     Raises:
         DataError: no sample counts (the arm never moves).
@@ -66,34 +67,19 @@ def fit_figures(series: Sequence[TorqueSeries]) -> FitFigures:
     torque_norms, error_norms = np.linalg.norm(measured, axis=1), np.linalg.norm(error, axis=1)
     predicted = ~np.isnan(error_norms)
     total = float(np.linalg.norm(torque_norms[predicted]))
-    return FitFigures(
+    return Fit(
         relative_error=float(np.linalg.norm(error_norms[predicted])) / total if total > 0 else float("nan"),
-        joint_relative_error=_ratio(error_norms, torque_norms),
-        rmse=_rmse_where(error, counted),
-        low_speed_rmse=_rmse_where(error, counted & slow),
-        high_speed_rmse=_rmse_where(error, counted & ~slow),
-        max_error=np.where(counted.any(axis=1), np.max(np.abs(error), axis=1), np.nan),
+        joint_relative_error=_ratio(error_norms, torque_norms).tolist(),
+        rmse=_rmse_where(error, counted).tolist(),
+        low_speed_rmse=_rmse_where(error, counted & slow).tolist(),
+        high_speed_rmse=_rmse_where(error, counted & ~slow).tolist(),
+        max_error=np.where(counted.any(axis=1), np.max(np.abs(error), axis=1), np.nan).tolist(),
         samples=measured.shape[1],
+        held_out=held_out,
     )
 
 
-class TorqueErrors(Protocol):
-    """Errors as in `FitFigures`, or as they are stored; None or nan where there is no such sample."""
-
-    @property
-    def relative_error(self) -> float | None:
-        """‖τ − Ŵx‖ / ‖τ‖."""
-
-    @property
-    def rmse(self) -> FloatArray | Sequence[float | None]:
-        """(n,) [N·m]."""
-
-    @property
-    def high_speed_rmse(self) -> FloatArray | Sequence[float | None]:
-        """(n,) above `LOW_SPEED` [N·m]."""
-
-
-def overfitting_checks(fitted: TorqueErrors, held_out: TorqueErrors) -> list[Check]:
+def overfitting_checks(fitted: Fit, held_out: Fit) -> list[Check]:
     """Whether errors on held-out data are much larger than the identification's, and the cause.
 
     The relative error is larger, too, on a motion that needs less torque. That is no sign of a bad model: the errors in
@@ -103,7 +89,7 @@ def overfitting_checks(fitted: TorqueErrors, held_out: TorqueErrors) -> list[Che
     if not ratio > MUCH_LARGER:
         return []
     larger = f"the validation's torque errors are {ratio:.1f} times the identification's"
-    if fitted.relative_error is not None and held_out.relative_error is not None:
+    if np.isfinite(fitted.relative_error) and np.isfinite(held_out.relative_error):
         shares = (percent_text(errors.relative_error, 2) for errors in (held_out, fitted))
         larger += f" ({' against '.join(shares)} of the torque)"
     moving = _times_larger(fitted.high_speed_rmse, held_out.high_speed_rmse)
@@ -114,7 +100,7 @@ def overfitting_checks(fitted: TorqueErrors, held_out: TorqueErrors) -> list[Che
     return [raised("overfitting", text)]
 
 
-def _times_larger(fitted: FloatArray | Sequence[float | None], held_out: FloatArray | Sequence[float | None]) -> float:
+def _times_larger(fitted: Sequence[float | None], held_out: Sequence[float | None]) -> float:
     """Ratio of the joints' errors (root mean square over the joints with both); nan without any."""
     one, other = np.array(fitted, dtype=np.float64), np.array(held_out, dtype=np.float64)
     both = (one > 0.0) & np.isfinite(other)

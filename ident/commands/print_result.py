@@ -1,14 +1,26 @@
-"""A result at the terminal."""
+"""Results and their tables at the terminal."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from daq.commands.console import print_table
 from drivers.core.text import in_percent, percent_text
+from ident.assessment.validation import Fit
 from ident.result.delivered import DELIVERED_WORDS
-from ident.result.schema import Fit, Merge, Result
+from ident.result.schema import Merge, Result
+from ident.result.tables import Table
 from ident.verdict.verdict import Verdict
+
+
+def print_tables(tables: Iterable[Table]) -> None:
+    """Print tables on standard output, each with its title and its note; those without rows are left out."""
+    for table in tables:
+        if len(table):
+            headings = [column.heading for column in table.columns]
+            print_table(f"\n{table.title}", headings, zip(*(column.texts for column in table.columns), strict=True))
+            if table.note:
+                print(table.note)
 
 
 def print_result(result: Result) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
+from pydantic.dataclasses import dataclass as stored
 
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
@@ -22,6 +23,7 @@ from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import Experiment
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared, Step
+from ident.stored import Real
 
 Equations = Literal["torque", "energy"]
 """One equation per joint and sample, or one for the whole arm."""
@@ -46,7 +48,7 @@ class Setup:
     runs: tuple[Prepared, ...]
 
 
-@dataclass(frozen=True)
+@stored(frozen=True)
 class Loop:
     """How one loop of an iterative estimator converged.
 
@@ -60,7 +62,7 @@ class Loop:
 
     name: str
     unit: str
-    values: tuple[float, ...]
+    values: tuple[Real, ...]
     settled: bool
     joint: str = ""
 

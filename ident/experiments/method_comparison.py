@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.assessment.validation import LOW_SPEED, fit_figures
+from ident.assessment.validation import LOW_SPEED, fit_errors
 from ident.regression.comparison import TorqueSeries
 
 MAIN_AXES = 3
@@ -93,7 +93,7 @@ def run_errors(series: Sequence[TorqueSeries], groups: Sequence[JointGroup]) -> 
     errors = np.where(counted, errors, 0.0)
     low, high = counted & slow, counted & ~slow
     return RunErrors(
-        relative_error=fit_figures(series).relative_error,
+        relative_error=fit_errors(series).relative_error,
         rmse=_rms(errors[counted]),
         low_speed_rmse=_rms(errors[low]),
         high_speed_rmse=_rms(errors[high]),

@@ -9,26 +9,19 @@ import numpy as np
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.units import common_unit
+from ident.experiments.consistent_load_summary import consistent_load_result
 from ident.experiments.gains.drive_gains import DriveGains
 from ident.experiments.gains.up_and_down import SlowGains
-from ident.experiments.load.consistent_load_summary import consistent_load_result
 from ident.experiments.load.load_estimate import LoadEstimate
 from ident.experiments.load.payload import Payload
 from ident.experiments.schema import (
-    BaseParameterChange,
     CentreOfMass,
     DelayUsed,
     EstimatedValue,
-    GainResult,
     GainsResult,
-    KnownLoadValues,
     LoadParameter,
     PayloadResult,
-    PayloadTests,
-    SignificanceResult,
-    SlowGainResult,
     SlowGainsResult,
-    UnchangedResult,
 )
 from ident.model.load import FIRST_MOMENTS, KnownLoad, LoadColumns
 from ident.model.parameters import INERTIAL
@@ -43,25 +36,25 @@ def payload_sentences(payload: Payload) -> list[str]:
     """The tests in words."""
     sentences = []
     mass, known = payload.load.standard[INERTIAL.index("M")], _known(payload)
-    if payload.mass_test is not None and known is not None:
+    if payload.tests.mass is not None and known is not None:
         place = payload.load.columns.kept.index(INERTIAL.index("M"))
         noise = float(np.sqrt(payload.load.covariance[place, place]))
         gains = float(gain_deviations(payload.load.gain_moves)[place])
-        verdict = "agrees with" if payload.mass_test.passed else "does not agree with"
+        verdict = "agrees with" if payload.tests.mass.passed else "does not agree with"
         text = (
             f"mass: identified without it, {mass:.4g} ± {WITHIN_95_PERCENT * noise:.2g} kg {verdict} the known "
-            f"{known.mass:g} kg ({_test_text(payload.mass_test)})"
+            f"{known.mass:g} kg ({_test_text(payload.tests.mass)})"
         )
-        if not payload.mass_test.passed and abs(mass - known.mass) < WITHIN_95_PERCENT * np.hypot(noise, gains):
+        if not payload.tests.mass.passed and abs(mass - known.mass) < WITHIN_95_PERCENT * np.hypot(noise, gains):
             text += (
                 f"; the drive gains' standard deviations in the robot file add ± {WITHIN_95_PERCENT * gains:.2g} kg, "
                 "which covers the difference"
             )
         sentences.append(text)
-    if payload.values_test is not None:
+    if payload.tests.values is not None:
         sentences.append(
             _sentence(
-                payload.values_test,
+                payload.tests.values,
                 "the identified load parameters agree with all the known ones",
                 "the identified load parameters do not agree with all the known ones",
                 "",
@@ -69,7 +62,7 @@ def payload_sentences(payload: Payload) -> list[str]:
         )
     sentences.append(
         _sentence(
-            payload.load_test,
+            payload.tests.load,
             "what changed between the runs is what a load on the last link changes",
             "what changed between the runs is not what a load on the last link changes",
             "whether a load explains what changed",
@@ -78,19 +71,19 @@ def payload_sentences(payload: Payload) -> list[str]:
     if known is not None and len(known.known) == len(INERTIAL):
         sentences.append(
             _sentence(
-                payload.known_test,
+                payload.tests.known_load,
                 "the free run's base parameters plus the known load agree with those identified loaded",
                 "the free run's base parameters plus the known load do not agree with those identified loaded",
                 "whether the known load explains what changed",
             )
         )
-    if payload.rest is not None:
-        rest, unit = payload.rest, parameter_unit(payload.pair.model, payload.pair.base.columns[payload.rest.index])
-        stayed = "stayed" if rest.test.passed else "did not stay"
+    rest = payload.tests.unchanged
+    if rest is not None:
+        stayed = "stayed" if rest.passed else "did not stay"
         sentences.append(
             f"what a load does not change (friction, motor inertia, …) {stayed} the same: the largest difference is "
-            f"{payload.pair.base.names[rest.index]}'s, from {rest.free:.4g} to "
-            f"{rest.loaded:.4g} {unit}, {rest.test.statistic**0.5:.1f} σ ({_p_value_text(rest.test)})"
+            f"{rest.worst}'s, from {rest.free:.4g} to {rest.loaded:.4g} {rest.unit}, {rest.statistic**0.5:.1f} σ "
+            f"({_p_value_text(rest)})"
         )
     return sentences
 
@@ -125,22 +118,10 @@ def load_parameters(estimate: LoadEstimate) -> list[LoadParameter]:
     return [LoadParameter(**dict(zip(LoadParameter.model_fields, column, strict=True))) for column in columns]
 
 
-def base_changes(payload: Payload) -> list[BaseParameterChange]:
-    """Base parameters that the load changes, as SR400 Table 4 has them."""
-    pair, changes = payload.pair, payload.changes
-    values = (changes.free, changes.free_std, changes.predicted, changes.loaded, changes.loaded_std)
-    rows = [
-        (pair.base.names[index], parameter_unit(pair.model, pair.base.columns[index]), *row)
-        for index, row in zip(changes.indices, np.array(values).T.tolist(), strict=True)
-    ]
-    return [BaseParameterChange(**dict(zip(BaseParameterChange.model_fields, row, strict=True))) for row in rows]
-
-
 def payload_result(payload: Payload) -> PayloadResult:
     """Output of `dynid payload --json`."""
-    pair, base = payload.pair, payload.pair.base
+    pair = payload.pair
     centre = (payload.with_mass or payload.load).centre
-    known, unchanged = _known(payload), payload.rest
     return PayloadResult(
         robot=pair.robot_file.robot.name,
         runs=[run.label for run in pair.runs],
@@ -151,19 +132,9 @@ def payload_result(payload: Payload) -> PayloadResult:
         centre_of_mass=None if centre is None else CentreOfMass(value=centre[0].tolist(), std=centre[1].tolist()),
         not_identifiable=_regrouped(payload.load.columns),
         unexcited=list(payload.load.unexcited),
-        known=None if known is None else KnownLoadValues.model_validate(known),
-        base_parameters=base_changes(payload),
-        tests=PayloadTests(
-            mass=_test_result(payload.mass_test),
-            values=_test_result(payload.values_test),
-            load=_test_result(payload.load_test),
-            known_load=_test_result(payload.known_test),
-            unchanged=None
-            if unchanged is None
-            else UnchangedResult(
-                **SignificanceResult.model_validate(unchanged.test).model_dump(), worst=base.names[unchanged.index]
-            ),
-        ),
+        known=_known(payload),
+        base_parameters=list(payload.changes),
+        tests=payload.tests,
         sentences=payload_sentences(payload),
         delay=DelayUsed(used=pair.delay, note=pair.delay_note),
         blocks=payload.blocks,
@@ -180,8 +151,8 @@ def gains_result(drives: DriveGains) -> GainsResult:
         runs=[run.label for run in pair.runs],
         signal=drives.signal,
         unit=gain_unit(drives.signal, drives.robot),
-        known=KnownLoadValues.model_validate(drives.known),
-        gains=[GainResult.model_validate(gain) for gain in drives.gains],
+        known=drives.known,
+        gains=list(drives.gains),
         covariance=drives.covariance.tolist(),
         base_parameters=_estimated(
             base.names, [parameter_unit(pair.model, i) for i in base.columns], drives.parameters, drives.parameter_std
@@ -205,11 +176,8 @@ def slow_gains_result(drives: SlowGains) -> SlowGainsResult:
         runs=list(drives.runs),
         signal=drives.signal,
         unit=gain_unit(drives.signal, drives.robot),
-        known=KnownLoadValues.model_validate(drives.known),
-        gains=[
-            SlowGainResult.model_validate(gain).model_copy(update={"sliding": slides})
-            for gain, slides in zip(drives.gains, drives.robot.sliding, strict=True)
-        ],
+        known=drives.known,
+        gains=list(drives.gains),
         load=_estimated(moments, ["kg·m"] * len(moments), drives.moments, drives.moments_std),
         gap=drives.gap,
         robot_file_text=drives_text(drives),
@@ -250,10 +218,6 @@ def drives_text(drives: DriveGains | SlowGains) -> str:
 
 def _known(payload: Payload) -> KnownLoad | None:
     return None if payload.with_mass is None else payload.with_mass.known
-
-
-def _test_result(test: SignificanceTest | None) -> SignificanceResult | None:
-    return None if test is None else SignificanceResult.model_validate(test)
 
 
 def _regrouped(columns: LoadColumns) -> list[str]:

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import AliasPath, BaseModel, ConfigDict, Field
+from pydantic import Field
 
-from ident.result.schema import Number
+from ident.experiments.gains.drive_gains import GainEstimate
+from ident.experiments.gains.up_and_down import SlowGain
+from ident.experiments.load.payload import BaseParameterChange, PayloadTests
+from ident.model.load import KnownLoad
+from ident.regression.hypothesis_tests import SignificanceTest
+from ident.stored import Number, Stored
 
 
-class _Entry(BaseModel):
-    """Filled by name, or from the attributes of the dataclass that holds the same."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", from_attributes=True, validate_by_name=True)
-
-
-class LoadParameter(_Entry):
+class LoadParameter(Stored):
     """One identifiable combination of load parameters, in the tool frame."""
 
     name: str
@@ -29,7 +28,7 @@ class LoadParameter(_Entry):
     )
 
 
-class EstimatedValue(_Entry):
+class EstimatedValue(Stored):
     """One estimated parameter."""
 
     name: str
@@ -38,66 +37,21 @@ class EstimatedValue(_Entry):
     std: Number
 
 
-class BaseParameterChange(_Entry):
-    """A base parameter that a load changes, as in SR400 Table 4."""
-
-    name: str
-    unit: str
-    free: float
-    free_std: Number
-    predicted: Number = Field(description="free plus the effect of the load")
-    loaded: float
-    loaded_std: Number
-
-
-class CentreOfMass(_Entry):
+class CentreOfMass(Stored):
     """Of the load in the tool frame [m]."""
 
     value: list[Number]
     std: list[Number]
 
 
-class KnownLoadValues(_Entry):
-    """Known parameters of the load, in the tool frame."""
-
-    mass: float = Field(description="[kg]")
-    com: list[float] | None = Field(description="centre of mass [m]")
-    inertia: list[float] | None = Field(description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]")
-
-
-class SignificanceResult(_Entry):
-    """A test of whether a difference is statistically significant."""
-
-    statistic: float
-    degrees_of_freedom: int = Field(validation_alias="freedom")
-    p_value: float
-    passed: bool = Field(description="the difference is not significant")
-
-
-class UnchangedResult(SignificanceResult):
-    """Of the base parameters that a load does not change, the one that changed most."""
-
-    worst: str
-
-
-class PayloadTests(_Entry):
-    """All tests of a payload; null where there is nothing to test or too little data for it."""
-
-    mass: SignificanceResult | None
-    values: SignificanceResult | None
-    load: SignificanceResult | None
-    known_load: SignificanceResult | None
-    unchanged: UnchangedResult | None
-
-
-class DelayUsed(_Entry):
+class DelayUsed(Stored):
     """Torque against position [s]."""
 
     used: float
     note: str
 
 
-class RunError(_Entry):
+class RunError(Stored):
     """Relative error ‖τ − Wx‖/‖τ‖ of the torque in a run."""
 
     run: str
@@ -105,7 +59,7 @@ class RunError(_Entry):
     consistent: Number
 
 
-class BodyResult(_Entry):
+class BodyResult(Stored):
     """A rigid body."""
 
     mass: float = Field(description="[kg]")
@@ -131,12 +85,12 @@ class ConsistentLoadResult(BodyResult):
     held: list[str] = Field(description="standard parameters held at known values")
     on_boundary: bool = Field(description="the condition that it can exist holds it")
     boundary_links: list[str] = Field(description="links that the condition holds")
-    cost: SignificanceResult | None = Field(description="rise in the sum of squares over the unconstrained estimate")
+    cost: SignificanceTest | None = Field(description="rise in the sum of squares over the unconstrained estimate")
     errors: list[RunError]
     links: list[LinkBody] = Field(description="the arm with the load: its last link carries it")
 
 
-class PayloadResult(_Entry):
+class PayloadResult(Stored):
     """Results of a free and a loaded run about a load."""
 
     kind: Literal["payload"] = "payload"
@@ -149,7 +103,7 @@ class PayloadResult(_Entry):
     centre_of_mass: CentreOfMass | None
     not_identifiable: list[str]
     unexcited: list[str]
-    known: KnownLoadValues | None
+    known: KnownLoad | None
     base_parameters: list[BaseParameterChange]
     tests: PayloadTests
     sentences: list[str]
@@ -159,23 +113,7 @@ class PayloadResult(_Entry):
     warnings: list[str]
 
 
-class GainResult(_Entry):
-    """The gain of one joint's drive."""
-
-    joint: str
-    gain: Number
-    std: Number
-    rsd_percent: Number = Field(validation_alias="relative_std")
-    file_gain: Number
-    angle_degrees: Number = Field(
-        validation_alias="angle", description="between the motor signal and the columns that act on this joint alone"
-    )
-    confused_with: str = Field(validation_alias=AliasPath("confused_with", 0))
-    correlation: Number = Field(validation_alias=AliasPath("confused_with", 1))
-    noise: Number
-
-
-class GainsResult(_Entry):
+class GainsResult(Stored):
     """Gains of all drives from exciting motions."""
 
     kind: Literal["gains"] = "gains"
@@ -183,8 +121,8 @@ class GainsResult(_Entry):
     runs: list[str] = Field(description="free, loaded")
     signal: str
     unit: str
-    known: KnownLoadValues
-    gains: list[GainResult]
+    known: KnownLoad
+    gains: list[GainEstimate]
     covariance: list[list[Number]]
     base_parameters: list[EstimatedValue]
     load: list[EstimatedValue]
@@ -197,24 +135,7 @@ class GainsResult(_Entry):
     warnings: list[str]
 
 
-class SlowGainResult(_Entry):
-    """The gain of one joint's drive from slow passes up and down."""
-
-    joint: str
-    sliding: bool = Field(default=False, description="whether the joint slides: N and m/s for N·m and rad/s")
-    gain: Number
-    std: Number
-    rsd_percent: Number = Field(validation_alias="relative_std")
-    file_gain: Number
-    sweeps: int
-    positions: int = Field(validation_alias="bins")
-    speed: Number
-    friction_free: Number = Field(validation_alias="free_friction")
-    friction_loaded: Number = Field(validation_alias="loaded_friction")
-    reason: str | None = Field(description="why there is no value; null where there is one")
-
-
-class SlowGainsResult(_Entry):
+class SlowGainsResult(Stored):
     """Gains of the drives from slow up-and-down runs."""
 
     kind: Literal["gains-up-and-down"] = "gains-up-and-down"
@@ -222,8 +143,8 @@ class SlowGainsResult(_Entry):
     runs: list[str] = Field(description="free, loaded")
     signal: str
     unit: str
-    known: KnownLoadValues
-    gains: list[SlowGainResult]
+    known: KnownLoad
+    gains: list[SlowGain]
     load: list[EstimatedValue]
     gap: Number
     robot_file_text: str

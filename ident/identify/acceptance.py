@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from ident.assessment.validation import Fit
 from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
-from ident.result.schema import Fit, HeldOutErrors, Result
+from ident.result.schema import HeldOutErrors, Result
 from ident.verdict.acceptance import ModelFigures
+from ident.verdict.evidence import known
 from ident.verdict.verdict import Verdict
 
 
@@ -29,13 +31,13 @@ def acceptance_figures(
         runs: each apart.
         verdict: on the model with these data.
     """
-    known = errors if runs and all(run.held_out for run in runs) else None
+    held_out = errors if runs and all(run.held_out for run in runs) else None
     joints = result.joints
     return ModelFigures(
         model=DELIVERED_WORDS[delivered_parameters(result.consistent)],
-        relative_error=None if known is None else known.relative_error,
-        joint_relative_error=_by_joint(joints, None if known is None else known.joint_relative_error),
-        rmse=_by_joint(joints, None if known is None else known.rmse),
+        relative_error=None if held_out is None else held_out.relative_error,
+        joint_relative_error=_by_joint(joints, None if held_out is None else held_out.joint_relative_error),
+        rmse=_by_joint(joints, None if held_out is None else held_out.rmse),
         motion_rmse=_by_joint(joints, _motion_error(runs)),
         sliding=dict(zip(joints, result.sliding, strict=True)),
         consistent=result.consistent is not None,
@@ -63,6 +65,6 @@ def _by_joint(joints: Sequence[str], values: Sequence[float | None] | None) -> M
 
 
 def _ratio(consistent: Fit | None, full: Fit | None) -> float | None:
-    if consistent is None or full is None or consistent.relative_error is None or not full.relative_error:
+    if consistent is None or full is None or not full.relative_error:
         return None
-    return consistent.relative_error / full.relative_error
+    return known(consistent.relative_error / full.relative_error)

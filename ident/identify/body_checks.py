@@ -13,7 +13,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
 from drivers.core.text import percent_text
 from ident.assessment.arm_mass import ArmMass, arm_length, mass_of_size
-from ident.assessment.validation import fit_figures
+from ident.assessment.validation import fit_errors
 from ident.estimators.feasible.armature import ASSUMED
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.estimators.feasible.problem import MASS
@@ -104,7 +104,7 @@ def _error(identification: Identification, parameters: FloatArray) -> float:
     """Relative torque error of base parameters on the identification data."""
     model, columns = identification.model, identification.base.columns
     runs = [run.prepared for run in identification.runs]
-    return fit_figures(
+    return fit_errors(
         [
             part
             for run in runs

@@ -116,7 +116,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         whole = identification.experiment == whole_arm(identification.model)
         bodies = body_checks(identification.model, identification.robot_file, consistent.parameters, whole=whole)
         checks += [check for check in bodies if not (named and check.name == "implausible-mass")]
-    return checks + residual_checks(identification.residual_tests, identification.model.joint_names)
+    return checks + residual_checks(identification.residual_tests)
 
 
 def consistency_checks(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ident.identify.identification import Identification
-from ident.result.schema import Convergence, JointEquations, LoopResult
+from ident.result.schema import Convergence, JointEquations
 
 
 def convergence_result(identification: Identification) -> Convergence | None:
@@ -31,7 +31,7 @@ def convergence_result(identification: Identification) -> Convergence | None:
     deviations = np.sqrt(np.diag(covariance)) if covariance.size else np.empty(0)
     return Convergence(
         passes=estimation.passes,
-        loops=[LoopResult.model_validate(loop, from_attributes=True) for loop in estimation.loops],
+        loops=list(estimation.loops),
         equations=equations,
         joint_correlation=(covariance / np.outer(deviations, deviations)).tolist() if covariance.size else [],
     )

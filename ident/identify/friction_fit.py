@@ -34,7 +34,7 @@ from ident.identify.friction.rows import FrictionRows
 from ident.identify.friction.selection import FrictionSearch
 from ident.identify.identification import FrictionFit, IdentifyChoices
 from ident.identify.preparation import PreparedData, compare_run
-from ident.identify.presliding import PreslidingTravel, find_travels
+from ident.identify.presliding import find_travels
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import FrictionTerms, LoadTorque, no_terms
@@ -52,6 +52,7 @@ from ident.regression.least_squares import (
 )
 from ident.regression.observability import Experiment, experiment_base
 from ident.regression.observation_matrix import Reduction
+from ident.result.schema import PreslidingTravel
 
 ROUNDS = 20
 """Of Gauss-Newton steps and new load torques."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -11,18 +12,18 @@ from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from drivers.core.units import joint_unit
-from ident.assessment.validation import fit_figures, overfitting_checks
+from ident.assessment.validation import Fit, fit_errors, overfitting_checks
 from ident.identify.data_split import labelled
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
-from ident.result.consistent_model import fit_result, simulated_motion_error
 from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
-from ident.result.schema import Delivered, Fit, HeldOutErrors, OpenLoopError, Result, SimulatedMotionError
+from ident.result.schema import Delivered, HeldOutErrors, Result
 from ident.signals.prepared import Prepared
-from ident.simulation.open_loop import open_loop
-from ident.simulation.tracking import track_longest
+from ident.simulation.open_loop import OpenLoop, open_loop
+from ident.simulation.tracking import TrackingError, track_longest
+from ident.stored import finite_or_none
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 from ident.verdict.evidence import Evidence, MotionError, TorqueError
@@ -319,17 +320,15 @@ def _costly(delivered: float | None, full: float | None) -> bool:
 
 
 def _fit(series: Sequence[TorqueSeries], data: HeldOutData) -> Fit:
-    return fit_result(fit_figures(series)).model_copy(update={"held_out": data.overlap == 0.0})
+    return fit_errors(series, held_out=data.overlap == 0.0)
 
 
 def _of_all(series: Sequence[Sequence[TorqueSeries]], runs: Sequence[HeldOutRun]) -> Fit | None:
     """Errors over all recordings together."""
     if not runs:
         return None
-    held_out = all(run.errors.held_out for run in runs)
-    return fit_result(fit_figures([part for of_run in series for part in of_run])).model_copy(
-        update={"held_out": held_out}
-    )
+    parts = [part for of_run in series for part in of_run]
+    return fit_errors(parts, held_out=all(run.errors.held_out for run in runs))
 
 
 def _share_at_rest(in_motion: Sequence[TorqueSeries], all_samples: Sequence[TorqueSeries]) -> float:
@@ -364,8 +363,8 @@ def _whole(parameters: ParameterSets) -> bool:
 class _Simulated:
     """Motion errors with a soft controller and without one; why there are none; what failed."""
 
-    tracked: SimulatedMotionError | None = None
-    driven: OpenLoopError | None = None
+    tracked: TrackingError | None = None
+    driven: OpenLoop | None = None
     reason: str = ""
     failure: str = ""
 
@@ -378,32 +377,22 @@ def _simulated(parameters: ParameterSets, data: HeldOutData) -> _Simulated:
         return _Simulated(reason="not all joints moved, or not all torques were used")
     inverse = InverseDynamics(parameters.model, parameters.base, parameters.consistent, armature=parameters.armature)
     segments, sliding = data.prepared.segments, parameters.model.sliding
-    tracking, failure = track_longest(inverse, segments)
-    tracked = None if tracking is None else simulated_motion_error(tracking)
+    tracked, failure = track_longest(inverse, segments)
     driven = open_loop(inverse, segments)
     if driven is None:
         return _Simulated(tracked, None, failure, failure)
-    if tracking is not None and tracked is not None:
-        whole, ratios = _ratios(tracking.position_rmse, driven.reference_rmse, sliding)
-        tracked = tracked.model_copy(update={"ratio": whole, "joint_ratio": ratios})
-    whole, ratios = _ratios(driven.position_rmse, driven.reference_rmse, sliding)
-    stored = OpenLoopError(
-        window=driven.window,
-        windows=driven.windows,
-        position_rmse=driven.position_rmse.tolist(),
-        reference_rmse=driven.reference_rmse.tolist(),
-        ratio=whole,
-        joint_ratio=ratios,
-        diverged=driven.diverged,
-    )
-    return _Simulated(tracked, stored, failure, failure or driven.diverged)
+    if tracked is not None:
+        tracked = tracked.model_copy(update=_ratios(tracked.position_rmse, driven.reference_rmse, sliding))
+    driven = driven.model_copy(update=_ratios(driven.position_rmse, driven.reference_rmse, sliding))
+    return _Simulated(tracked, driven, failure, failure or driven.diverged)
 
 
-def _ratios(error: FloatArray, reference: FloatArray, sliding: Sequence[bool]) -> tuple[float, list[float | None]]:
+def _ratios(errors: Sequence[float | None], references: Sequence[float], sliding: Sequence[bool]) -> dict[str, Any]:
     """Errors over those of constant velocity: the larger one of rotations and of slides together, and of each joint.
 
     A joint that hardly departs from constant velocity is compared with `LEAST_MOTION` of the one that departs most.
     """
+    error, reference = np.array(errors, dtype=np.float64), np.array(references)
     kinds, ratios, of_kinds = np.array(sliding), np.zeros(len(error)), [0.0]
     for kind in set(sliding):
         own = kinds == kind
@@ -412,4 +401,5 @@ def _ratios(error: FloatArray, reference: FloatArray, sliding: Sequence[bool]) -
             continue
         ratios[own] = error[own] / np.maximum(reference[own], LEAST_MOTION * largest)
         of_kinds.append(float(np.sqrt(np.sum(error[own] ** 2) / np.sum(reference[own] ** 2))))
-    return float(np.max(of_kinds)), list(ratios.tolist())
+    whole, of_joints = float(np.max(of_kinds)), ratios.tolist()
+    return {"ratio": finite_or_none(whole), "joint_ratio": [finite_or_none(ratio) for ratio in of_joints]}

@@ -12,17 +12,15 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.residual_tests import ResidualTests, filter_memory, residual_tests
-from ident.assessment.validation import FitFigures
+from ident.assessment.validation import Fit
 from ident.estimators.estimator import Estimation
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.method_choice import MethodChoice, chosen_method
 from ident.identify.cutoff_search import LoweredCutoffs
 from ident.identify.friction.choice import AUTO, check_friction, chosen_friction, friction_columns
-from ident.identify.friction.selection import FrictionStep
 from ident.identify.held_friction import HeldFriction, experiment_terms
 from ident.identify.held_out import HeldOutRun
 from ident.identify.options import ColumnOptions
-from ident.identify.presliding import PreslidingFit, PreslidingTravel
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import friction_terms
@@ -40,6 +38,7 @@ from ident.regression.options import (
 )
 from ident.regression.pruning import Pruned
 from ident.result.friction_experiment import FrictionExperimentResult
+from ident.result.schema import FrictionStep, Presliding, PreslidingTravel
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared
@@ -176,8 +175,8 @@ class ConsistentFit:
     """
 
     parameters: ConsistentParameters
-    fit: FitFigures
-    validation: FitFigures
+    fit: Fit
+    validation: Fit
 
 
 @dataclass(frozen=True)
@@ -246,21 +245,21 @@ class Identification:
     consistent: ConsistentFit | None
     fit_series: tuple[TorqueSeries, ...]
     validation_series: tuple[TorqueSeries, ...]
-    fit: FitFigures
-    validation: FitFigures
-    essential_fit: FitFigures
-    essential_validation: FitFigures
+    fit: Fit
+    validation: Fit
+    essential_fit: Fit
+    essential_validation: Fit
     validation_source: str
     checks: tuple[Check, ...]
     friction: FrictionFit
     shape_std: dict[tuple[str, int], float]
     held: HeldFriction | None = None
-    presliding: PreslidingFit | None = None
+    presliding: Presliding | None = None
     lowered: LoweredCutoffs | None = None
     held_out: tuple[HeldOutRun, ...] = ()
 
     @property
-    def delivered_fit(self) -> FitFigures:
+    def delivered_fit(self) -> Fit:
         """Errors of the delivered model on the identification data."""
         return self.fit if self.consistent is None else self.consistent.fit
 
@@ -312,8 +311,9 @@ class Identification:
                 counted = next(series).counted
                 reversing = segment.reversing
                 equations.append(counted if reversing is None else counted & ~reversing[:, ::factor])
+        names = {joint: self.model.joint_names[joint] for joint in self.experiment.torques}
         memory = filter_memory(self.runs[0].prepared.parallel_filter)
-        return residual_tests(self.fit_series, equations, memory, self.experiment.torques)
+        return residual_tests(self.fit_series, equations, memory, names)
 
     @property
     def joint_std(self) -> FloatArray:

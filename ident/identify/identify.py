@@ -15,7 +15,7 @@ from drivers.core.errors import UsageError
 from drivers.core.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recording_checks import recording_checks
-from ident.assessment.validation import fit_figures
+from ident.assessment.validation import fit_errors
 from ident.estimators.energy.estimator import estimable
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.armature import armature_vector
@@ -37,7 +37,7 @@ from ident.identify.identification import (
     apply_model_choices,
 )
 from ident.identify.preparation import PreparedData, compare_run, prepare_data
-from ident.identify.presliding import PreslidingFit, low_speed_error
+from ident.identify.presliding import low_speed_error
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
@@ -49,7 +49,7 @@ from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import prune
 from ident.regression.repeatability import with_repeatability
 from ident.regression.systematic_errors import with_systematic_errors
-from ident.result.consistent_model import fit_result
+from ident.result.schema import Presliding
 
 __all__ = ["Progress", "apply_model_choices", "identify"]
 
@@ -184,10 +184,10 @@ def identify(
         consistent=consistent,
         fit_series=fit_series,
         validation_series=validation_series,
-        fit=fit_figures(fit_series),
-        validation=fit_figures(validation_series),
-        essential_fit=fit_figures(_flat(compare_run(kernel, essential, run) for run in runs)),
-        essential_validation=fit_figures(_flat(compare_run(kernel, essential, run) for run in held_out)),
+        fit=fit_errors(fit_series),
+        validation=fit_errors(validation_series),
+        essential_fit=fit_errors(_flat(compare_run(kernel, essential, run) for run in runs)),
+        essential_validation=fit_errors(_flat(compare_run(kernel, essential, run) for run in held_out)),
         validation_source=data.validation_source,
         checks=(),
         friction=replace(friction, model=model),
@@ -233,17 +233,21 @@ def _consistent_fit(
         return None
     return ConsistentFit(
         parameters,
-        fit=fit_figures(_flat(compare_run(kernel, parameters.base, run) for run in data.runs)),
-        validation=fit_figures(_flat(compare_run(kernel, parameters.base, run) for run in data.validation_runs)),
+        fit=fit_errors(_flat(compare_run(kernel, parameters.base, run) for run in data.runs)),
+        validation=fit_errors(_flat(compare_run(kernel, parameters.base, run) for run in data.validation_runs)),
     )
 
 
-def _presliding(identification: Identification) -> PreslidingFit:
+def _presliding(identification: Identification) -> Presliding:
     """The travels, and what they are worth near standstill on the held-out data."""
     found = identification
     static = RegressorKernel(replace(found.model, presliding=()), found.base.columns)
     without = _flat(compare_run(static, found.solution.parameters, run) for run in found.validation_runs)
-    return PreslidingFit(found.friction.travels, low_speed_error(without), low_speed_error(found.validation_series))
+    return Presliding(
+        travels=list(found.friction.travels),
+        static_error=low_speed_error(without),
+        error=low_speed_error(found.validation_series),
+    )
 
 
 def held_out_runs(identification: Identification, validation: Sequence[Recording]) -> tuple[HeldOutRun, ...]:
@@ -259,7 +263,7 @@ def held_out_runs(identification: Identification, validation: Sequence[Recording
         if found.consistent is None
         else armature_vector(found.model, found.consistent.parameters.armatures),
     )
-    fitted = fit_result(found.delivered_fit)
+    fitted = found.delivered_fit
     apart: list[Recording | None] = [*validation] or [None] * len(found.validation_runs)
     return tuple(
         held_out_run(

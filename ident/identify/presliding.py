@@ -8,7 +8,6 @@ left out decide.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from ident.assessment.validation import LOW_SPEED
 from ident.model.presliding import DryFriction
 from ident.regression.comparison import TorqueSeries
 from ident.regression.jackknife import block_count, distinct_samples
+from ident.result.schema import PreslidingTravel
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
 
@@ -28,37 +28,6 @@ The least error at either end is no presliding: static friction does as well, or
 
 Run = tuple[Sequence[Segment], ZeroPhaseFilter]
 """Segments of a recording and the filter of its torques."""
-
-
-@dataclass(frozen=True)
-class PreslidingTravel:
-    """The travel of one motion.
-
-    Attributes:
-        parameter: name of its Coulomb parameter.
-        travel: δ of Dahl's model [rad or m].
-        std: σ by the delete-block jackknife, all other parameters held [rad or m].
-    """
-
-    parameter: str
-    travel: float
-    std: float
-
-
-@dataclass(frozen=True)
-class PreslidingFit:
-    """Travels, and what they are worth on held-out data.
-
-    Attributes:
-        travels: of the motions in which presliding lowers the error on blocks that had no part in finding the travel.
-        static_error: relative error of held-out torques of joints slower than `LOW_SPEED`, without presliding, all
-            parameters the same.
-        error: the same with it.
-    """
-
-    travels: tuple[PreslidingTravel, ...]
-    static_error: float
-    error: float
 
 
 def find_travels(
@@ -99,7 +68,7 @@ def find_travels(
         step = np.log(TRAVELS[1] / TRAVELS[0])
         deviation = np.sqrt((count - 1) / count * np.sum(np.square(np.array(without_each) - place)))
         travel = float(TRAVELS[0] * np.exp(step * place))
-        found.append(PreslidingTravel(name, travel, float(step * deviation * travel)))
+        found.append(PreslidingTravel(parameter=name, travel=travel, std=float(step * deviation * travel)))
     return tuple(found)
 
 

@@ -10,7 +10,7 @@ from pydantic import TypeAdapter, ValidationError
 from daq.recording.recording import Recording
 from drivers.core.errors import ResultFileError
 from ident.assessment.recording_checks import recording_checks
-from ident.assessment.validation import FitFigures, fit_figures
+from ident.assessment.validation import Fit, fit_errors
 from ident.estimators.feasible.armature import armature_vector
 from ident.identify.data_split import RunWindow, run_window
 from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
@@ -42,19 +42,19 @@ class Revalidation:
     delivered: HeldOutRun
 
     @property
-    def full(self) -> FitFigures:
+    def full(self) -> Fit:
         """Errors of the full model."""
-        return fit_figures(self.series)
+        return fit_errors(self.series)
 
     @property
-    def essential(self) -> FitFigures:
+    def essential(self) -> Fit:
         """Errors of the essential model."""
-        return fit_figures(self.essential_series)
+        return fit_errors(self.essential_series)
 
     @property
-    def consistent(self) -> FitFigures | None:
+    def consistent(self) -> Fit | None:
         """Errors of the physically consistent model."""
-        return None if self.consistent_series is None else fit_figures(self.consistent_series)
+        return None if self.consistent_series is None else fit_errors(self.consistent_series)
 
 
 def revalidate(result: Result, recording: Recording) -> Revalidation:

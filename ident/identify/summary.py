@@ -17,7 +17,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from drivers.core.units import common_unit
 from ident.assessment.delay.delay import DelaySearch
-from ident.assessment.validation import LOW_SPEED, FitFigures
+from ident.assessment.validation import LOW_SPEED, Fit
 from ident.identify.convergence import convergence_result
 from ident.identify.data_split import RunWindow
 from ident.identify.held_out import delivered_model, model_verdict
@@ -33,7 +33,7 @@ from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import Experiment, describe
 from ident.regression.pruning import Pruned, partial_f, relative_std
-from ident.result.consistent_model import consistent_model, fit_result, link_results
+from ident.result.consistent_model import consistent_model, link_results
 from ident.result.schema import (
     BaseParameterResult,
     DelayFigures,
@@ -42,14 +42,8 @@ from ident.result.schema import (
     EstimateResult,
     Excitation,
     ExperimentResult,
-    Fit,
-    FrictionStepResult,
-    JointAssumptions,
-    JointDelayFigures,
     JointFrictionResult,
     ModelOptions,
-    Presliding,
-    ProcessingStep,
     RecordingUse,
     Residuals,
     Result,
@@ -83,15 +77,12 @@ def summarise(
         options=_options(identification),
         model_options=model_options(model),
         preprocessing=[
-            ProcessingStep.model_validate(step, from_attributes=True)
-            for step in (
-                _torque_step(identification),
-                *identification.runs[0].prepared.steps,
-                *identification.estimation.steps,
-                _experiment_step(identification),
-                *_friction_step(identification),
-                *_presliding_step(identification),
-            )
+            _torque_step(identification),
+            *identification.runs[0].prepared.steps,
+            *identification.estimation.steps,
+            _experiment_step(identification),
+            *_friction_step(identification),
+            *_presliding_step(identification),
         ],
         delay=delay_figures(identification.choices.preprocess.delay, identification.delay),
         base_parameters=parameter_results(
@@ -114,9 +105,7 @@ def summarise(
             identification.repeatability,
         ),
         friction_note=friction_note(len(identification.runs), identification.repeatability),
-        friction_steps=[
-            FrictionStepResult.model_validate(step, from_attributes=True) for step in identification.friction.steps
-        ],
+        friction_steps=list(identification.friction.steps),
         standard_parameters=None
         if identification.consistent is None
         else link_results(model, identification.consistent.parameters),
@@ -131,9 +120,7 @@ def summarise(
             identification.consistent.validation,
             [run.errors for run in identification.held_out],
         ),
-        delivered=delivered_model(
-            identification.consistent, fit_result(identification.delivered_fit), identification.held_out
-        ),
+        delivered=delivered_model(identification.consistent, identification.delivered_fit, identification.held_out),
         drive_gains=gain_results(
             robot,
             {
@@ -143,14 +130,14 @@ def summarise(
                 if joint in run.torques and name in run.signals.gains_used
             },
         ),
-        fit=fit_result(identification.fit),
+        fit=identification.fit,
         validation=_validation(identification, identification.validation),
         validation_source=identification.validation_source,
         essential=Essential(
             count=len(pruned.solution.active),
             dropped=[base.names[i] for i in pruned.dropped],
             stopped_by=pruned.stopped_by,
-            fit=fit_result(identification.essential_fit),
+            fit=identification.essential_fit,
             validation=_validation(identification, identification.essential_validation),
         ),
         excitation=Excitation(
@@ -166,10 +153,7 @@ def summarise(
             joint_std=identification.joint_std.tolist(),
             correction=f"delete-block jackknife, {corrected.blocks} blocks of {corrected.block_length} samples, "
             "repetitions of a motion in the same block",
-            assumptions=[
-                JointAssumptions.model_validate(asdict(test) | {"joint": model.joint_names[test.joint]})
-                for test in identification.residual_tests
-            ],
+            assumptions=identification.residual_tests,
         ),
         rank_margin=base.margin,
         recordings=[
@@ -181,9 +165,7 @@ def summarise(
         experiments=[experiment_result(model, identification.experiment)],
         estimate=estimate_result(identification.estimate, base.names),
         convergence=convergence_result(identification),
-        presliding=None
-        if identification.presliding is None
-        else Presliding.model_validate(identification.presliding, from_attributes=True),
+        presliding=identification.presliding,
     )
     judged = with_held_friction(result, identification)
     of_runs = {check for run in identification.held_out for check in run.errors.checks}
@@ -192,10 +174,10 @@ def summarise(
     return judged.model_copy(update={"verdict": verdict})
 
 
-def _validation(identification: Identification, figures: FitFigures) -> Fit:
+def _validation(identification: Identification, figures: Fit) -> Fit:
     """Errors of a validation, marked as held out or not."""
     held_out = all(run.errors.held_out for run in identification.held_out)
-    return fit_result(figures).model_copy(update={"held_out": held_out})
+    return figures.model_copy(update={"held_out": held_out})
 
 
 def delay_figures(used: float, search: DelaySearch | None) -> DelayFigures:
@@ -209,7 +191,7 @@ def delay_figures(used: float, search: DelaySearch | None) -> DelayFigures:
         interval=search.interval,
         gain=search.gain,
         leads=search.leads,
-        joints=[JointDelayFigures.model_validate(joint, from_attributes=True) for joint in search.joints],
+        joints=list(search.joints),
     )
 
 

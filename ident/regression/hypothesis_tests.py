@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
+from pydantic import computed_field
+from pydantic.dataclasses import dataclass as stored
 
 from drivers.core.arrays import FloatArray
 from ident.model.load import INDEPENDENT
@@ -19,7 +19,7 @@ FEWEST_EXTRA_BLOCKS = 5
 """The test needs so many blocks more than it has degrees of freedom."""
 
 
-@dataclass(frozen=True)
+@stored(frozen=True)
 class SignificanceTest:
     """A comparison of two sets of values that should differ by noise only.
 
@@ -33,6 +33,7 @@ class SignificanceTest:
     freedom: int
     p_value: float
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def passed(self) -> bool:
         """Whether the difference is not statistically significant."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ident.report import number_text
+from ident.report.table_html import table_html
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -13,7 +14,8 @@ if TYPE_CHECKING:
 def page_templates(*packages: str) -> Environment:
     """The templates of these packages and, behind them, those of the report: its style, script and macros.
 
-    They know the number filters, `dash`, and `plotlyjs`, the plotting library as text. What they are given is escaped.
+    They know the number filters, `dash`, `table_html`, and `plotlyjs`, the plotting library as text. What they are
+    given is escaped.
     """
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup
@@ -26,7 +28,7 @@ def page_templates(*packages: str) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals |= {"dash": number_text.DASH, "plotlyjs": Markup(get_plotlyjs())}
+    environment.globals |= {"dash": number_text.DASH, "plotlyjs": Markup(get_plotlyjs()), "table_html": table_html}
     for name in ("number", "percent", "percentage", "whole", "with_error", "half_interval", "setting"):
         environment.filters[name] = getattr(number_text, name)
     return environment

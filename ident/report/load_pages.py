@@ -3,36 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import isfinite
 from typing import Any
 
-from drivers.core.units import common_unit
-from ident.experiments.load.consistent_load_summary import consistent_load_rows, consistent_load_sentences
+from ident.experiments.consistent_load_summary import consistent_load_sentences
+from ident.experiments.gains.drive_gains import JointGain
+from ident.experiments.load.payload import BaseParameterChange
 from ident.experiments.schema import (
-    BaseParameterChange,
-    GainResult,
     GainsResult,
     LoadParameter,
     PayloadResult,
-    SignificanceResult,
-    SlowGainResult,
     SlowGainsResult,
 )
-from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, p_text
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure
 from ident.report.figures.interval_panel import IntervalSeries, interval_panel
 from ident.report.figures.panels import panel_figure
 from ident.report.html_file import page_templates
 from ident.report.number_text import DASH, number, with_error
 from ident.report.section import Tile
+from ident.views.load_tables import gains_tables, payload_tables
 
 IDENTIFIED = {"color": MEASURED, "symbol": "circle", "size": 6}
 COMPARED = {"color": PREDICTED, "symbol": "diamond-open", "size": 9, "line": {"width": 1.5}}
 
-Gain = GainResult | SlowGainResult
-
 
 def payload_page(result: PayloadResult) -> str:
     """The page of a load: the tests in words, its parameters, the body, what it changes."""
+    tables = payload_tables(result)
     return (
         page_templates()
         .get_template("payload_page.html.j2")
@@ -40,7 +38,10 @@ def payload_page(result: PayloadResult) -> str:
             result=result,
             tiles=_payload_tiles(result),
             load=_load_figure(result),
-            body_rows=() if result.consistent_load is None else consistent_load_rows(result.consistent_load),
+            load_table=tables[0],
+            known_table=None if result.load_with_known is None else tables[1],
+            body_table=None if result.consistent_load is None else tables[-2],
+            changes_table=tables[-1],
             body_sentences=() if result.consistent_load is None else consistent_load_sentences(result.consistent_load),
             changes=_changes_figure(result.base_parameters),
         )
@@ -60,12 +61,12 @@ def _payload_tiles(result: PayloadResult) -> list[Tile]:
     return tiles
 
 
-def _test_word(test: SignificanceResult | None) -> str:
+def _test_word(test: SignificanceTest | None) -> str:
     return DASH if test is None else "yes" if test.passed else "no"
 
 
-def _p_value(test: SignificanceResult | None) -> str:
-    return "too little data to tell" if test is None else p_text(test.p_value)
+def _p_value(test: SignificanceTest | None) -> str:
+    return "too little data to tell" if test is None else test.p_text
 
 
 def _load_figure(result: PayloadResult) -> Figure | None:
@@ -95,7 +96,7 @@ def _changes_figure(changes: Sequence[BaseParameterChange]) -> Figure | None:
     sigma = {
         row.name: (row.free_std**2 + row.loaded_std**2) ** 0.5
         for row in changes
-        if row.free_std is not None and row.loaded_std is not None and row.free_std + row.loaded_std > 0
+        if isfinite(row.free_std + row.loaded_std) and row.free_std + row.loaded_std > 0
     }
     if not sigma:
         return None
@@ -103,7 +104,7 @@ def _changes_figure(changes: Sequence[BaseParameterChange]) -> Figure | None:
     left = {
         row.name: (row.loaded - row.predicted) / sigma[row.name]
         for row in changes
-        if row.name in sigma and row.predicted is not None
+        if row.name in sigma and isfinite(row.predicted)
     }
     series = [
         IntervalSeries("loaded − free", changed, COMPARED),
@@ -120,24 +121,24 @@ def _changes_figure(changes: Sequence[BaseParameterChange]) -> Figure | None:
 def gains_page(result: GainsResult | SlowGainsResult) -> str:
     """The page of drive gains: beside those of the robot file, with their intervals, and the text for it."""
     slow = isinstance(result, SlowGainsResult)
-    sliding = [gain.sliding for gain in result.gains if isinstance(gain, SlowGainResult)]
+    gains, *parameters = gains_tables(result)
     return (
         page_templates()
         .get_template("gains_page.html.j2")
         .render(
             result=result,
             slow=slow,
-            units={"speed": common_unit("rad/s", sliding), "torque": common_unit("N·m", sliding)},
             tiles=_gain_tiles(result),
-            gains=[(gain, _change(gain.gain, gain)) for gain in result.gains],
+            gains=gains,
+            muted=[not isfinite(gain.gain) for gain in result.gains],
             figure=_gains_figure(result.gains, result.unit),
-            base_parameters=() if isinstance(result, SlowGainsResult) else result.base_parameters,
+            parameters=parameters[0] if parameters else None,
         )
     )
 
 
 def _gain_tiles(result: GainsResult | SlowGainsResult) -> list[Tile]:
-    identified = sum(gain.gain is not None for gain in result.gains)
+    identified = sum(isfinite(gain.gain) for gain in result.gains)
     return [
         Tile("Gains identified", str(identified), f"of {len(result.gains)}"),
         Tile("Signal", result.signal, f"joint torque = gain · {result.signal}"),
@@ -146,13 +147,8 @@ def _gain_tiles(result: GainsResult | SlowGainsResult) -> list[Tile]:
     ]
 
 
-def _change(value: float | None, gain: Gain) -> float | None:
-    """How much a gain is above the robot file's [%]."""
-    return None if value is None or not gain.file_gain else 100.0 * (value / gain.file_gain - 1.0)
-
-
-def _gains_figure(gains: Sequence[Gain], unit: str) -> Figure | None:
-    having = [gain for gain in gains if gain.gain is not None]
+def _gains_figure(gains: Sequence[JointGain], unit: str) -> Figure | None:
+    having = [gain for gain in gains if isfinite(gain.gain)]
     if not having:
         return None
     rows = [gain.joint for gain in gains]
@@ -167,7 +163,7 @@ def _gains_figure(gains: Sequence[Gain], unit: str) -> Figure | None:
     if any(gain.file_gain for gain in having):
         change = IntervalSeries(
             "change",
-            {gain.joint: _change(gain.gain, gain) for gain in gains},
+            {gain.joint: gain.change for gain in gains},
             IDENTIFIED,
             {gain.joint: 100.0 * gain.std / abs(gain.file_gain) for gain in gains if gain.file_gain and gain.std},
             shown=False,

@@ -7,23 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from daq.robot.loader import RobotFile
-from ident.assessment.validation import FitFigures
+from ident.assessment.validation import Fit
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.feasible.pseudo_inertia import body_of
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import INERTIAL
 from ident.result.schema import (
-    ArmatureResult,
     ConsistentModel,
-    Fit,
     HeldOutErrors,
     LinkResult,
-    SimulatedMotionError,
     StandardParameterResult,
 )
 from ident.result.units import parameter_unit
-from ident.simulation.tracking import NATURAL_FREQUENCY, TrackingError
 
 
 def link_results(model: DynamicModel, consistent: ConsistentParameters) -> list[LinkResult]:
@@ -53,8 +49,8 @@ def consistent_model(
     base: BaseParameters,
     robot_file: RobotFile,
     consistent: ConsistentParameters,
-    fit: FitFigures | None = None,
-    validation: FitFigures | None = None,
+    fit: Fit | None = None,
+    validation: Fit | None = None,
     runs: Sequence[HeldOutErrors] = (),
 ) -> ConsistentModel:
     """The consistent model with what it costs.
@@ -99,30 +95,12 @@ def consistent_model(
         p_value=None if consistent.cost is None else consistent.cost.p_value,
         boundary=[model.link_names[link] for link in consistent.boundary],
         limits_hit=list(consistent.limits_hit),
-        fit=None if fit is None else fit_result(fit),
+        fit=fit,
         validation=None
         if validation is None
-        else fit_result(validation).model_copy(update={"held_out": all(run.held_out for run in runs)}),
+        else validation.model_copy(update={"held_out": all(run.held_out for run in runs)}),
         simulation=simulation,
         not_simulated="" if simulation else next((run.not_simulated for run in runs), "nothing was held out"),
-        armature=[ArmatureResult.model_validate(vars(one)) for one in consistent.armatures],
+        armature=list(consistent.armatures),
         apparent_mass=consistent.apparent_mass,
-    )
-
-
-def simulated_motion_error(tracking: TrackingError) -> SimulatedMotionError:
-    """How far the simulated arm departs from the motion, as it is stored."""
-    return SimulatedMotionError(
-        duration=tracking.duration,
-        natural_frequency=NATURAL_FREQUENCY,
-        position_rmse=tracking.position_rmse.tolist(),
-        velocity_rmse=tracking.velocity_rmse.tolist(),
-        max_position_error=tracking.max_position_error.tolist(),
-    )
-
-
-def fit_result(figures: FitFigures) -> Fit:
-    """Errors as they are stored."""
-    return Fit.model_validate(
-        {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(figures).items()}
     )

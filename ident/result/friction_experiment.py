@@ -16,7 +16,8 @@ from drivers.core.files import RESULT_FILE, read_text
 from drivers.core.ranges import EXPONENT, STRIBECK_VELOCITY
 from ident.model.friction_terms import TEMPERATURE_KINDS
 from ident.model.parameters import Kind
-from ident.result.schema import FrictionStepResult, JointFrictionResult, Number, Value
+from ident.result.schema import FrictionStep, JointFrictionResult
+from ident.stored import Number, Value
 
 FRICTION_FILE = "friction.json"
 """Its name in the folder that `dynid friction` writes."""
@@ -97,7 +98,7 @@ class FrictionExperimentResult(BaseModel):
     delay: Value = Field(description="of the torque behind the position [s]")
     delay_note: str
     joints: list[JointFrictionExperiment] = Field(description="those that moved alone")
-    friction_steps: list[FrictionStepResult]
+    friction_steps: list[FrictionStep]
     not_moved: list[str] = Field(description="joints that never move alone")
     versions: dict[str, str]
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 from daq.recording.recording import software_versions
 from drivers.core.text import percent_text
+from ident.assessment.validation import Fit
 from ident.result.delivered import Parameters
-from ident.result.schema import Fit, Result
+from ident.result.schema import Result
 
 
 def origin_lines(result: Result, kind: Parameters) -> tuple[str, ...]:
@@ -33,7 +36,7 @@ def held_out(result: Result, kind: Parameters) -> Fit | None:
 
 
 def _error(fit: Fit | None) -> str:
-    if fit is None or fit.relative_error is None:
+    if fit is None or not math.isfinite(fit.relative_error):
         return "Held-out error: not known, no recording was held out."
     joints = ", ".join(percent_text(error) for error in fit.joint_relative_error)
     return f"Held-out error of the torque: {percent_text(fit.relative_error)}; joint by joint {joints}."

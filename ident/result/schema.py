@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
 import re
 import warnings
 from pathlib import Path
@@ -12,9 +11,6 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
     Field,
     ValidationError,
     computed_field,
@@ -27,11 +23,20 @@ from drivers.core.errors import DynidWarning, ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
 from drivers.core.ranges import EXPONENT, STRIBECK_VELOCITY
 from drivers.core.units import common_unit, joint_unit
+from ident.assessment.delay.delay import JointDelay
+from ident.assessment.residual_tests import ResidualTests
+from ident.assessment.validation import Fit
+from ident.estimators.estimator import Loop
+from ident.estimators.feasible.armature import Armature
 from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import Kind
 from ident.ranges import PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.delivered import DeliveredParameters
+from ident.signals.prepared import Step
+from ident.simulation.open_loop import OpenLoop
+from ident.simulation.tracking import TrackingError
+from ident.stored import Number, Real, Stored, Value
 from ident.verdict.acceptance import Acceptance
 from ident.verdict.check import PURPOSES, Check, texts
 from ident.verdict.verdict import Verdict
@@ -57,20 +62,7 @@ _NUMBERS = re.compile(r"\[\n[-+.0-9eEnul,\s]+\]")
 """A list of nothing but numbers, which stands in one line."""
 
 
-def _finite_or_none(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
-Value = Annotated[float, AfterValidator(within(RESULT_VALUE))]
-Number = Annotated[Value | None, BeforeValidator(_finite_or_none)]
-"""A number; null where there is none (JSON knows no infinity and no NaN)."""
-
-
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="ignore")
-
-
-class BaseParameterResult(_Part):
+class BaseParameterResult(Stored):
     """One base parameter; the standard deviations are corrected for autocorrelated residuals."""
 
     name: str
@@ -102,7 +94,7 @@ class BaseParameterResult(_Part):
     origin: str = Field(default="", description="of a value that was held; empty where the recordings give it")
 
 
-class JointFrictionResult(_Part):
+class JointFrictionResult(Stored):
     """Friction of one joint; null where the model has no such column.
 
     F = sign(q̇)·(coulomb + viscous·|q̇|^exponent + stribeck·exp(−(q̇/stribeck_velocity)²) + load·|τ_L|^load_power
@@ -172,7 +164,7 @@ def _with_interval(value: float | None, std: float | None) -> str:
     return text if std is None else f"{text} ± {WITHIN_95_PERCENT * std:.2g}"
 
 
-class FrictionStepResult(_Part):
+class FrictionStep(Stored):
     """One step of complexity that `--friction auto` tried for a joint: the best one at that point."""
 
     joint: str
@@ -188,7 +180,7 @@ class FrictionStepResult(_Part):
     accepted: bool
 
 
-class DriveGainResult(_Part):
+class DriveGainResult(Stored):
     """The gain that turned the recorded signal into torque."""
 
     joint: str
@@ -197,22 +189,7 @@ class DriveGainResult(_Part):
     std: Number
 
 
-class Fit(_Part):
-    """Errors of the filtered torques; lists have one entry per joint [N·m]."""
-
-    relative_error: Number
-    joint_relative_error: list[Number]
-    rmse: list[Number]
-    low_speed_rmse: list[Number]
-    high_speed_rmse: list[Number]
-    max_error: list[Number]
-    samples: int
-    held_out: bool | None = Field(
-        default=None, description="of a validation: false where data of the identification are in it; else null"
-    )
-
-
-class Essential(_Part):
+class Essential(Stored):
     """The model with significant parameters only."""
 
     count: int
@@ -222,32 +199,7 @@ class Essential(_Part):
     validation: Fit | None
 
 
-class AssumptionResult(_Part):
-    """One assumption of least squares, tested; see ident.assessment.residual_tests."""
-
-    statistic: Number = Field(description="χ² or F")
-    p_value: Number = Field(description="probability of a larger one if the assumption holds")
-    effect: Number = Field(description="how far the residuals are from it, in the assumption's own measure")
-    violated: bool = Field(description="the test rejects it, and the effect is large")
-
-
-class JointAssumptions(_Part):
-    """What least squares assumes of one joint's residuals."""
-
-    joint: str
-    residuals: int = Field(description="that the fit uses")
-    independent: int = Field(description="that lie far enough apart to be independent; the tests look at these")
-    independence: AssumptionResult = Field(description="effect: largest autocorrelation")
-    linearity: AssumptionResult | None = Field(
-        description="effect: share of variance that curves explain; null, as the next two, where few are independent"
-    )
-    constant_variance: AssumptionResult | None = Field(description="effect: ratio of standard deviations")
-    normality: AssumptionResult | None = Field(
-        description="effect: larger of |skewness| and half the |excess kurtosis|"
-    )
-
-
-class Residuals(_Part):
+class Residuals(Stored):
     """Statistics of the residuals."""
 
     rows: int = Field(description="equations: torques of single joints, or energies of the whole arm")
@@ -258,12 +210,12 @@ class Residuals(_Part):
     blocks: int = Field(description="number of its blocks")
     repetitions: float = Field(description="how often the motion was repeated, on average")
     correction: str = Field(description="how the standard deviations were corrected")
-    assumptions: list[JointAssumptions] = Field(
+    assumptions: list[ResidualTests] = Field(
         default_factory=list, description="tested per joint; joints with few independent residuals are left out"
     )
 
 
-class Excitation(_Part):
+class Excitation(Stored):
     """How well the recordings excite the parameters."""
 
     condition: Number = Field(description="of W, columns not normalised")
@@ -272,22 +224,14 @@ class Excitation(_Part):
     unexcited: list[str] = Field(description="base parameters that the recording does not excite")
 
 
-class ProcessingStep(_Part):
-    """One step of the preprocessing."""
-
-    name: str
-    settings: dict[str, float | int | str | bool | None]
-    text: str
-
-
-class ExperimentResult(_Part):
+class ExperimentResult(Stored):
     """What the recordings make identifiable: joints that were locked, motors whose torques were used."""
 
     locked: dict[str, list[Value]] = Field(description="positions of a joint at rest, one per pose [rad or m]")
     torques_of: list[str]
 
 
-class LinkResult(_Part):
+class LinkResult(Stored):
     """A link of the physically consistent model, in the frame of its joint."""
 
     link: str = Field(description="name of the joint that moves it")
@@ -298,7 +242,7 @@ class LinkResult(_Part):
     identified: float = Field(description="share of its ten parameters that the data determine")
 
 
-class StandardParameterResult(_Part):
+class StandardParameterResult(Stored):
     """One standard parameter of the physically consistent model."""
 
     name: str
@@ -309,27 +253,7 @@ class StandardParameterResult(_Part):
     known: bool = Field(description="named in the robot file")
 
 
-class SimulatedMotionError(_Part):
-    """How far the simulated arm departs from a held-out motion, driven by its recorded torque and a soft controller."""
-
-    duration: float = Field(description="of the simulated motion, the beginning of the longest held-out segment [s]")
-    natural_frequency: float = Field(description="of the critically damped PD controller [rad/s]")
-    position_rmse: list[float] = Field(description="per joint [rad or m]")
-    velocity_rmse: list[float] = Field(description="per joint [rad/s or m/s]")
-    max_position_error: list[float] = Field(description="per joint [rad or m]")
-    ratio: Number = Field(default=None, description="position_rmse over that of constant velocity for 1 s")
-    joint_ratio: list[Number] = Field(default=[], description="the same per joint")
-
-
-class ArmatureResult(_Part):
-    """Inertia of a motor that the measured torque does not carry: in no torque, but in simulation and MJCF."""
-
-    joint: str
-    value: float = Field(description="on the side of the joint [kg·m² or kg]")
-    source: str = Field(description="'robot file' (`drives[].armature`) or 'assumed'")
-
-
-class ConsistentModel(_Part):
+class ConsistentModel(Stored):
     """The model whose links, inertias and friction can exist, and what this costs."""
 
     parameters: list[StandardParameterResult]
@@ -342,9 +266,9 @@ class ConsistentModel(_Part):
     limits_hit: list[str] = Field(description="ranges of the robot file that hold a parameter")
     fit: Fit | None
     validation: Fit | None
-    simulation: SimulatedMotionError | None = None
+    simulation: TrackingError | None = None
     not_simulated: str = Field(default="", description="why `simulation` is null; empty in results of earlier versions")
-    armature: list[ArmatureResult] = Field(
+    armature: list[Armature] = Field(
         default_factory=list, description="of the joints whose drive says `inertia: false`"
     )
     apparent_mass: Number = Field(
@@ -352,24 +276,7 @@ class ConsistentModel(_Part):
     )
 
 
-class OpenLoopError(_Part):
-    """Motion of the arm simulated on recorded torque alone, without a controller, over windows of held-out data.
-
-    Each window starts at the measured position and velocity. The reference is the same window at constant velocity.
-    """
-
-    window: float = Field(description="length of a window [s]")
-    windows: int = Field(description="number of windows, spread over the held-out motion")
-    position_rmse: list[Number] = Field(description="per joint [rad or m]; null where the simulation diverged")
-    reference_rmse: list[float] = Field(description="the same of constant velocity")
-    ratio: Number = Field(
-        description="of both over all joints; below 1 the simulation is better than constant velocity"
-    )
-    joint_ratio: list[Number] = Field(description="the same per joint, the reference at least a share of the largest")
-    diverged: str = Field(default="", description="where and when a window diverged; empty where none did")
-
-
-class HeldOutErrors(_Part):
+class HeldOutErrors(Stored):
     """The delivered model on one held-out recording."""
 
     recording: str
@@ -382,8 +289,8 @@ class HeldOutErrors(_Part):
     )
     full_in_motion: Fit | None = Field(description="of the full model; null where that is the delivered one")
     full_all_samples: Fit | None = None
-    simulation: SimulatedMotionError | None = Field(default=None, description="with a soft controller")
-    open_loop: OpenLoopError | None = Field(default=None, description="without one")
+    simulation: TrackingError | None = Field(default=None, description="with a soft controller")
+    open_loop: OpenLoop | None = Field(default=None, description="without one")
     not_simulated: str = Field(default="", description="why there is no simulation")
     checks: list[Check] = Field(default=[], description="that this recording raises, among the verdict's")
 
@@ -393,7 +300,7 @@ class HeldOutErrors(_Part):
         return self.overlap == 0.0
 
 
-class Delivered(_Part):
+class Delivered(Stored):
     """The model that `load_model`, `predict` and the exports hand out by default, which the verdict grades."""
 
     parameters: DeliveredParameters
@@ -403,7 +310,7 @@ class Delivered(_Part):
     runs: list[HeldOutErrors] = Field(default=[], description="each held-out recording apart")
 
 
-class EstimateResult(_Part):
+class EstimateResult(Stored):
     """The estimated values with their whole covariance, for merging; see ident.regression.estimate."""
 
     parameters: list[str] = Field(description="names of the estimated base parameters, a of them")
@@ -413,7 +320,7 @@ class EstimateResult(_Part):
     blocks: int = Field(description="of the jackknife behind the covariance")
 
 
-class MergedModel(_Part):
+class MergedModel(Stored):
     """One of the models that were merged."""
 
     file: str
@@ -425,7 +332,7 @@ class MergedModel(_Part):
     )
 
 
-class Contradiction(_Part):
+class Contradiction(Stored):
     """A value that differs significantly from the merged one."""
 
     file: str
@@ -435,7 +342,7 @@ class Contradiction(_Part):
     deviations: float = Field(description="difference in its own standard deviations")
 
 
-class Consistency(_Part):
+class Consistency(Stored):
     """Whether the merged models agree on what they share, as a chi-square test."""
 
     statistic: float
@@ -446,14 +353,14 @@ class Consistency(_Part):
     contradictions: list[Contradiction]
 
 
-class Merge(_Part):
+class Merge(Stored):
     """Where a merged model comes from."""
 
     models: list[MergedModel]
     consistency: Consistency | None = Field(description="null where the models share nothing, or too little is known")
 
 
-class RecordingUse(_Part):
+class RecordingUse(Stored):
     """A recording used in the identification or the validation."""
 
     file: str
@@ -469,16 +376,7 @@ class RecordingUse(_Part):
     )
 
 
-class JointDelayFigures(_Part):
-    """One joint's torque against its position [s]; positive where the torque lags."""
-
-    joint: str
-    used: float
-    best: Number = Field(description="estimate for this joint alone; null where its torque shows none")
-    interval: Number = Field(description="half of its 95 % interval")
-
-
-class DelayFigures(_Part):
+class DelayFigures(Stored):
     """Torque against position [s]; positive where the torque lags."""
 
     used: float = Field(description="of all joints that have none of their own")
@@ -487,10 +385,10 @@ class DelayFigures(_Part):
     interval: Number = Field(default=None, description="half of the 95 % interval of `best`")
     gain: Number = Field(default=None, description="share by which `best` lowers the error on blocks held out")
     leads: bool = Field(default=False, description="the torque is ahead of its motion beyond the interval")
-    joints: list[JointDelayFigures] = Field(default=[], description="empty where it was not searched")
+    joints: list[JointDelay] = Field(default=[], description="empty where it was not searched")
 
 
-class ModelOptions(_Part):
+class ModelOptions(Stored):
     """Which columns the model has."""
 
     motor_inertia: list[bool]
@@ -525,17 +423,7 @@ class ModelOptions(_Part):
         return self
 
 
-class LoopResult(_Part):
-    """How one loop of an iterative estimator converged."""
-
-    name: str
-    unit: str
-    values: list[Number] = Field(description="after each iteration")
-    settled: bool
-    joint: str = Field(default="", description="empty: of the whole arm")
-
-
-class JointEquations(_Part):
+class JointEquations(Stored):
     """How one joint's equations took part in a robust estimate."""
 
     joint: str
@@ -544,33 +432,33 @@ class JointEquations(_Part):
     mean_weight: Number
 
 
-class Convergence(_Part):
+class Convergence(Stored):
     """What an iterative estimator did."""
 
     passes: int = Field(description="over the data")
-    loops: list[LoopResult] = Field(description="innermost first")
+    loops: list[Loop] = Field(description="innermost first")
     equations: list[JointEquations] = Field(default=[], description="empty where all count alike")
     joint_correlation: list[list[Number]] = Field(
         default=[], description="of the joints' residuals, by which the equations were whitened; else empty"
     )
 
 
-class PreslidingTravel(_Part):
+class PreslidingTravel(Stored):
     """The pre-sliding travel of one motion."""
 
     parameter: str = Field(description="name of the motion's Coulomb parameter")
     travel: Annotated[float, AfterValidator(within(PRESLIDING_TRAVEL))] = Field(description="rad or m")
-    std: Number = Field(description="σ, other parameters held")
+    std: Real = Field(description="σ, other parameters held")
 
 
-class Presliding(_Part):
+class Presliding(Stored):
     """Dahl's state in place of sign(q̇) along a motion in time: in fit, validation and prediction."""
 
     travels: list[PreslidingTravel] = Field(description="where presliding lowers the error")
-    static_error: Number = Field(
+    static_error: Real = Field(
         description="relative, of held-out torques of joints below 0.1 rad/s, the same parameters without it"
     )
-    error: Number = Field(description="the same with it")
+    error: Real = Field(description="the same with it")
 
     @property
     def by_parameter(self) -> dict[str, float]:
@@ -593,7 +481,7 @@ _LISTS_OF_JOINTS = (
 )
 
 
-class Result(_Part):
+class Result(Stored):
     """The outcome of an identification."""
 
     dynid_schema: Literal[1] = 1
@@ -607,12 +495,12 @@ class Result(_Part):
     method_options: dict[str, float | int | str | bool | None] = Field(default={}, description="of the method")
     options: dict[str, float | int | str | bool | list[float] | None]
     model_options: ModelOptions
-    preprocessing: list[ProcessingStep]
+    preprocessing: list[Step]
     delay: DelayFigures
     base_parameters: list[BaseParameterResult]
     friction: list[JointFrictionResult]
     friction_note: str = Field(default="", description="what the intervals of friction hold of changes between runs")
-    friction_steps: list[FrictionStepResult] = Field(default=[], description="empty without --friction auto")
+    friction_steps: list[FrictionStep] = Field(default=[], description="empty without --friction auto")
     standard_parameters: list[LinkResult] | None = Field(
         default=None, description="of the physically consistent model; null where none was found"
     )
@@ -706,7 +594,7 @@ def result_file_text(result: Result) -> str:
 
 def result_json(result: Result) -> str:
     """The JSON text, strict: null stands for what is not a number."""
-    text = json.dumps(result.model_dump(mode="json"), ensure_ascii=False, indent=1, allow_nan=False)
+    text = json.dumps(json.loads(result.model_dump_json()), ensure_ascii=False, indent=1, allow_nan=False)
     return _NUMBERS.sub(lambda match: re.sub(r"\s+", " ", match[0]), text)
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -19,19 +19,35 @@ if TYPE_CHECKING:
 
 Cell = str | float | int | bool | None
 
+Kind = Literal["plain", "std", "detail", "minor"]
+
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a table: a cell per row; None where a row has no value. `unit` is empty where there is none."""
+    """One column of a table.
+
+    Attributes:
+        name: for programs.
+        cells: one per row; None where a row has no value.
+        unit: empty where there is none.
+        label: for people; the name where it is empty.
+        kind: `std` is σ of the column before it, `detail` belongs under it in small print; a page has neither as a
+            column of its own. `minor` is what narrow paper can do without.
+        digits: significant ones on a page.
+    """
 
     name: str
-    cells: tuple[Cell, ...]
+    cells: tuple[Cell, ...] = ()
     unit: str = ""
+    label: str = ""
+    kind: Kind = "plain"
+    digits: int = 4
 
     @property
     def heading(self) -> str:
-        """Name and unit."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
+        """Label and unit."""
+        label = self.label or self.name.replace("_", " ")
+        return f"{label} [{self.unit}]" if self.unit else label
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -50,6 +66,7 @@ class Table:
     Attributes:
         title: what the table holds.
         columns: in order; the first one names the rows.
+        note: sentences below it; empty where there are none.
 
     Example:
         >>> import dynid
@@ -62,6 +79,7 @@ class Table:
 
     title: str
     columns: tuple[Column, ...]
+    note: str = ""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -96,6 +114,17 @@ class Table:
             raise UsageError(f"the table has no row '{name}'", hint=f"rows: {', '.join(self.names)}")
         return self._row(self.names.index(name))
 
+    def pick(self, *names: str) -> Table:
+        """The table with only these columns, in this order.
+
+        Raises:
+            UsageError: there is no such column.
+        """
+        by_name = {column.name: column for column in self.columns}
+        for name in names:
+            self[name]
+        return replace(self, columns=tuple(by_name[name] for name in names))
+
     def to_frame(self) -> DataFrame:
         """The table as a pandas data frame, indexed by the rows' names; units in `frame.attrs["units"]`.
 
@@ -117,20 +146,20 @@ class Table:
 
     def __str__(self) -> str:
         texts = [[column.heading, *column.texts] for column in self.columns]
-        numeric = [_numeric(column.cells) for column in self.columns]
+        numbers = [numeric(column.cells) for column in self.columns]
         widths = [max(map(len, column)) for column in texts]
         lines = [
             "  ".join(
                 text.rjust(width) if right else text.ljust(width)
-                for text, width, right in zip(row, widths, numeric, strict=True)
+                for text, width, right in zip(row, widths, numbers, strict=True)
             ).rstrip()
             for row in zip(*texts, strict=True)
         ]
-        return "\n".join([self.title, *lines])
+        return "\n".join([self.title, *lines, *([self.note] if self.note else [])])
 
     def _repr_html_(self) -> str:
         head = "".join(f"<th>{escape(column.heading)}</th>" for column in self.columns)
-        align = ["right" if _numeric(column.cells) else "left" for column in self.columns]
+        align = ["right" if numeric(column.cells) else "left" for column in self.columns]
         rows = "".join(
             "<tr>"
             + "".join(
@@ -141,15 +170,20 @@ class Table:
             for row in range(len(self))
         )
         caption = f"<caption>{escape(self.title)}</caption>"
-        return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        note = f"<p>{escape(self.note)}</p>" if self.note else ""
+        return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{note}"
 
 
-def table_of_rows(title: str, headings: Sequence[tuple[str, str]], rows: Sequence[Sequence[Cell]]) -> Table:
-    """A table from rows; `headings` are a name and a unit per column."""
-    cells = list(zip(*rows, strict=True)) if rows else [()] * len(headings)
-    return Table(
-        title, tuple(Column(name, tuple(values), unit) for (name, unit), values in zip(headings, cells, strict=True))
-    )
+def table_of_rows(title: str, columns: Sequence[Column | tuple[str, str]], rows: Sequence[Sequence[Cell]]) -> Table:
+    """A table from rows; `columns` are without cells, or a name and a unit each."""
+    empty = [one if isinstance(one, Column) else Column(one[0], unit=one[1]) for one in columns]
+    cells = list(zip(*rows, strict=True)) if rows else [()] * len(empty)
+    return Table(title, tuple(replace(one, cells=tuple(own)) for one, own in zip(empty, cells, strict=True)))
+
+
+def table_of(title: str, columns: Sequence[Column], rows: Sequence[object]) -> Table:
+    """A table of objects, whose attributes of the columns' names are the cells."""
+    return table_of_rows(title, columns, [[getattr(row, column.name) for column in columns] for row in rows])
 
 
 def cell_text(cell: Cell, unit: str = "") -> str:
@@ -163,7 +197,8 @@ def cell_text(cell: Cell, unit: str = "") -> str:
     return f"{cell:.4g}" if isinstance(cell, float) else str(cell)
 
 
-def _numeric(cells: Sequence[Cell]) -> bool:
+def numeric(cells: Sequence[Cell]) -> bool:
+    """Whether a column holds numbers."""
     there = [cell for cell in cells if cell is not None]
     return bool(there) and all(isinstance(cell, (int, float)) and not isinstance(cell, bool) for cell in there)
 

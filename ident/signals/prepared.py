@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic.dataclasses import dataclass as stored
 
 from drivers.core.arrays import FloatArray
 from ident.signals.cutoffs import Cutoffs
@@ -15,7 +16,7 @@ from ident.signals.options import PreprocessChoices
 from ident.signals.resampling import Irregularity
 
 
-@dataclass(frozen=True)
+@stored(frozen=True)
 class Step:
     """One step of the pipeline as it was done; for people only, nothing is computed from it.
 
@@ -26,7 +27,7 @@ class Step:
     """
 
     name: str
-    settings: Mapping[str, float | int | str]
+    settings: Mapping[str, float | int | str | bool | None]
     text: str
 
 

@@ -8,9 +8,9 @@ A model whose simulated motion is farther off than that is of no use for simulat
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from pydantic import Field
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
@@ -19,6 +19,7 @@ from ident.signals.prepared import Segment
 from ident.simulation.forward_arm import ForwardArm
 from ident.simulation.time_stepping import integrate
 from ident.simulation.tracking import STEP, at_times, driving_torque
+from ident.stored import Number, Stored
 
 WINDOW = 1.0
 """Length of a window [s]; shorter where no segment is that long."""
@@ -30,23 +31,23 @@ WINDOWS = 6
 """Windows at most, spread over the held-out motion: they bound the CPU time."""
 
 
-@dataclass(frozen=True)
-class OpenLoop:
-    """How far simulated windows depart from the recorded motion.
+class OpenLoop(Stored):
+    """Motion of the arm simulated on recorded torque alone, without a controller, over windows of held-out data.
 
-    Attributes:
-        window: length of each [s].
-        windows: how many.
-        position_rmse: (n,) root mean square over all windows [rad or m]; nan where one diverged.
-        reference_rmse: (n,) the same of constant velocity [rad or m].
-        diverged: where and when the first diverged; empty where none did.
+    Each window starts at the measured position and velocity. The reference is the same window at constant velocity.
     """
 
-    window: float
-    windows: int
-    position_rmse: FloatArray
-    reference_rmse: FloatArray
-    diverged: str = ""
+    window: float = Field(description="length of a window [s]")
+    windows: int = Field(description="number of windows, spread over the held-out motion")
+    position_rmse: list[Number] = Field(description="per joint [rad or m]; null where the simulation diverged")
+    reference_rmse: list[float] = Field(description="the same of constant velocity")
+    ratio: Number = Field(
+        default=None, description="of both over all joints; below 1 the simulation is better than constant velocity"
+    )
+    joint_ratio: list[Number] = Field(
+        default=[], description="the same per joint, the reference at least a share of the largest"
+    )
+    diverged: str = Field(default="", description="where and when a window diverged; empty where none did")
 
 
 def open_loop(inverse: InverseDynamics, segments: Sequence[Segment]) -> OpenLoop | None:
@@ -85,7 +86,13 @@ def open_loop(inverse: InverseDynamics, segments: Sequence[Segment]) -> OpenLoop
             simulated[:] = np.nan
             continue
         simulated += np.mean(np.square(motion - position), axis=0)
-    return OpenLoop(window, len(chosen), np.sqrt(simulated / len(chosen)), np.sqrt(reference / len(chosen)), diverged)
+    return OpenLoop(
+        window=window,
+        windows=len(chosen),
+        position_rmse=np.sqrt(simulated / len(chosen)).tolist(),
+        reference_rmse=np.sqrt(reference / len(chosen)).tolist(),
+        diverged=diverged,
+    )
 
 
 def _simulated(

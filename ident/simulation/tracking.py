@@ -16,6 +16,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import Field
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
@@ -23,6 +24,7 @@ from ident.model.inverse_dynamics import InverseDynamics
 from ident.signals.prepared import Segment
 from ident.simulation.forward_arm import ForwardArm
 from ident.simulation.time_stepping import Motion, integrate
+from ident.stored import Number, Stored
 
 NATURAL_FREQUENCY = 10.0
 """ω [rad/s] of the controller, critically damped: soft, so that it does not hide the model's errors."""
@@ -34,21 +36,16 @@ LONGEST = 10.0
 """Duration [s] of the motion that is simulated at most: its beginning."""
 
 
-@dataclass(frozen=True)
-class TrackingError:
-    """How far a simulated arm departs from a recorded motion.
+class TrackingError(Stored):
+    """How far the simulated arm departs from a held-out motion, driven by its recorded torque and a soft controller."""
 
-    Attributes:
-        duration: of the motion [s].
-        position_rmse: (n,) root mean square error [rad or m].
-        velocity_rmse: (n,) [rad/s or m/s].
-        max_position_error: (n,) [rad or m].
-    """
-
-    duration: float
-    position_rmse: FloatArray
-    velocity_rmse: FloatArray
-    max_position_error: FloatArray
+    duration: float = Field(description="of the simulated motion, the beginning of the longest held-out segment [s]")
+    natural_frequency: float = Field(description="of the critically damped PD controller [rad/s]")
+    position_rmse: list[float] = Field(description="per joint [rad or m]")
+    velocity_rmse: list[float] = Field(description="per joint [rad/s or m/s]")
+    max_position_error: list[float] = Field(description="per joint [rad or m]")
+    ratio: Number = Field(default=None, description="position_rmse over that of constant velocity for 1 s")
+    joint_ratio: list[Number] = Field(default=[], description="the same per joint")
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,9 +112,10 @@ def tracking_error(inverse: InverseDynamics, segment: Segment) -> TrackingError:
     departed = tracking.motion.position - tracking.position
     return TrackingError(
         duration=float(tracking.motion.time[-1]),
-        position_rmse=np.sqrt(np.mean(departed**2, axis=0)),
-        velocity_rmse=np.sqrt(np.mean((tracking.motion.velocity - tracking.velocity) ** 2, axis=0)),
-        max_position_error=np.max(np.abs(departed), axis=0),
+        natural_frequency=NATURAL_FREQUENCY,
+        position_rmse=np.sqrt(np.mean(departed**2, axis=0)).tolist(),
+        velocity_rmse=np.sqrt(np.mean((tracking.motion.velocity - tracking.velocity) ** 2, axis=0)).tolist(),
+        max_position_error=np.max(np.abs(departed), axis=0).tolist(),
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from daq.robot.loader import load_robot
 from drivers.core.options import keywords_of, same_named
+from ident.assessment.validation import Fit
 from ident.identify.acceptance import result_figures
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify as identify_recordings
@@ -18,7 +19,7 @@ from ident.regression.options import ExperimentChoices
 from ident.report import RecordedRuns, ReportData, recorded_runs, write_result_folder
 from ident.result.friction_experiment import read_friction_experiment
 from ident.result.model import Model, result_path
-from ident.result.schema import Delivered, Fit, Result, read_result, result_json
+from ident.result.schema import Delivered, Result, read_result, result_json
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.pipeline import PreprocessChoices
 from ident.tasks.acceptance import limits_of

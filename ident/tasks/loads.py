@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 
@@ -21,21 +22,17 @@ from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains
 from ident.experiments.load.consistent_load import ConsistentLoad
 from ident.experiments.load.payload import Payload, identify_payload
 from ident.experiments.payload_summary import (
-    base_changes,
-    drives_text,
-    gain_unit,
     gains_result,
-    load_parameters,
     payload_result,
-    payload_sentences,
     slow_gains_result,
 )
-from ident.experiments.schema import GainsResult, SlowGainsResult
+from ident.experiments.schema import GainsResult, PayloadResult, SlowGainsResult
 from ident.model.load import MASS, KnownLoad
 from ident.report.load_pages import gains_page, payload_page
-from ident.result.tables import Table, table_of_rows
+from ident.result.tables import Table
 from ident.tasks.options import GainsOptions, LoadOptions
 from ident.tasks.runs import recording_of
+from ident.views.load_tables import changes_table, gains_tables, load_table
 
 Vector = Sequence[float] | FloatArray
 
@@ -61,6 +58,11 @@ class IdentifiedPayload:
     """
 
     estimate: Payload
+
+    @cached_property
+    def result(self) -> PayloadResult:
+        """All of it, as `payload.json` holds it."""
+        return payload_result(self.estimate)
 
     @property
     def mass(self) -> float:
@@ -95,21 +97,17 @@ class IdentifiedPayload:
     @property
     def parameters(self) -> Table:
         """The identifiable combinations of the load's ten parameters, with known ones held fixed."""
-        rows = load_parameters(self.estimate.with_mass or self.estimate.load)
-        headings = [(name, "") for name in ("name", "value", "std", "noise_std", "gain_std", "unit", "expression")]
-        return table_of_rows("Load", headings, [tuple(getattr(row, name) for name, _ in headings) for row in rows])
+        return load_table(self.result.load_with_known or self.result.load)
 
     @property
     def changes(self) -> Table:
         """Base parameters that a load changes: without it, predicted and identified with it (SR400 Table 4)."""
-        names = ("name", "free", "free_std", "predicted", "loaded", "loaded_std", "unit")
-        rows = [tuple(getattr(row, name) for name in names) for row in base_changes(self.estimate)]
-        return table_of_rows("Base parameters that a load changes", [(name, "") for name in names], rows)
+        return changes_table(self.result)
 
     @property
     def sentences(self) -> tuple[str, ...]:
         """The hypothesis tests in words: does a load, and does the known one, explain what changed?"""
-        return tuple(payload_sentences(self.estimate))
+        return tuple(self.result.sentences)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -118,7 +116,7 @@ class IdentifiedPayload:
 
     def to_json(self) -> str:
         """Output of `dynid payload --json`."""
-        return json_text(payload_result(self.estimate).model_dump())
+        return json_text(self.result.model_dump())
 
     def save(self, folder: str | PathLike[str]) -> None:
         """Write `payload.json` and `report.html` into a folder, as `dynid payload -o` does; replaces those in it.
@@ -127,7 +125,7 @@ class IdentifiedPayload:
             UsageError: it is a file, or cannot be written.
             DiskError: the disk is full or fails.
         """
-        page = payload_page(payload_result(self.estimate))
+        page = payload_page(self.result)
         write_folder(Path(folder), {PAYLOAD_FILE: self.to_json() + "\n", REPORT_FILE: page})
 
     def __str__(self) -> str:
@@ -148,7 +146,7 @@ class IdentifiedGains:
     Example:
         >>> import dynid
         >>> dynid.IdentifiedGains.gains.__doc__.split(";")[0]
-        "One row per joint: the robot file's gain, the identified one with its σ [N·m/A or N·m/V]"
+        "One row per joint: the identified gain with its σ, the robot file's [N·m/A or N·m/V], its basis."
     """
 
     estimate: DriveGains | SlowGains
@@ -165,16 +163,13 @@ class IdentifiedGains:
 
     @property
     def gains(self) -> Table:
-        """One row per joint: the robot file's gain, the identified one with its σ [N·m/A or N·m/V]; relative σ [%]."""
-        unit = gain_unit(self.estimate.signal, self.estimate.robot)
-        headings = [("joint", ""), ("file_gain", unit), ("gain", unit), ("std", unit), ("rsd", "%")]
-        rows = [(gain.joint, gain.file_gain, gain.gain, gain.std, gain.relative_std) for gain in self.estimate.gains]
-        return table_of_rows("Drive gains", headings, rows)
+        """One row per joint: the identified gain with its σ, the robot file's [N·m/A or N·m/V], its basis."""
+        return gains_tables(self.result)[0]
 
     @property
     def robot_file_text(self) -> str:
         """The robot file's section `drives` with these gains."""
-        return drives_text(self.estimate)
+        return self.result.robot_file_text
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -183,7 +178,7 @@ class IdentifiedGains:
 
     def to_json(self) -> str:
         """Output of `dynid gains --json`."""
-        return json_text(self._result.model_dump())
+        return json_text(self.result.model_dump())
 
     def save(self, folder: str | PathLike[str]) -> None:
         """Write `gains.json` and `report.html` into a folder, as `dynid gains -o` does; replaces those in it.
@@ -192,11 +187,12 @@ class IdentifiedGains:
             UsageError: it is a file, or cannot be written.
             DiskError: the disk is full or fails.
         """
-        page = gains_page(self._result)
+        page = gains_page(self.result)
         write_folder(Path(folder), {GAINS_FILE: self.to_json() + "\n", REPORT_FILE: page})
 
-    @property
-    def _result(self) -> GainsResult | SlowGainsResult:
+    @cached_property
+    def result(self) -> GainsResult | SlowGainsResult:
+        """All of it, as `gains.json` holds it."""
         estimate = self.estimate
         return gains_result(estimate) if isinstance(estimate, DriveGains) else slow_gains_result(estimate)
 

@@ -7,14 +7,13 @@ from os import PathLike
 
 from drivers.core.errors import UsageError
 from drivers.core.options import keywords_of
-from ident.assessment.validation import fit_figures
+from ident.assessment.validation import Fit, fit_errors
 from ident.experiments.merge.merged_result import merge_results
 from ident.identify.acceptance import acceptance_figures
 from ident.identify.held_out import delivered_model, model_checks, model_verdict
 from ident.identify.revalidate import revalidate
-from ident.result.consistent_model import fit_result
 from ident.result.model import Model, result_path
-from ident.result.schema import Delivered, Fit, HeldOutErrors, Result, read_result
+from ident.result.schema import Delivered, HeldOutErrors, Result, read_result
 from ident.result.tables import Table
 from ident.tasks.acceptance import limits_of
 from ident.tasks.identification import IdentificationResult, error_table
@@ -69,7 +68,7 @@ class Validation:
         >>> result = dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=1))
         >>> validation = dynid.validate(result, dynid.simulate("ur5e", duration=10.0, seed=2))
         >>> validation.errors.columns[1].heading
-        'delivered_rmse [N·m]'
+        'delivered rmse [N·m]'
         >>> validation.verdict.purposes["torque_prediction"].grade in ("good", "usable", "poor")
         True
     """
@@ -129,9 +128,9 @@ def validate(options: ValidateOptions) -> Validation:
     apart = tuple(
         RecordingValidation(
             recording=recording.label,
-            full=fit_result(fits.full),
-            essential=fit_result(fits.essential),
-            consistent=None if fits.consistent is None else fit_result(fits.consistent),
+            full=fits.full,
+            essential=fits.essential,
+            consistent=fits.consistent,
             delivered=fits.delivered.errors,
             verdict=model_verdict(result, checks, [fits.delivered.errors]),
         )
@@ -144,9 +143,9 @@ def validate(options: ValidateOptions) -> Validation:
     return Validation(
         joints=tuple(result.joints),
         torque_unit=result.unit("N·m"),
-        full=fit_result(fit_figures([part for fits in compared for part in fits.series])),
-        essential=fit_result(fit_figures([part for fits in compared for part in fits.essential_series])),
-        consistent=fit_result(fit_figures(of_consistent)) if of_consistent else None,
+        full=fit_errors([part for fits in compared for part in fits.series]),
+        essential=fit_errors([part for fits in compared for part in fits.essential_series]),
+        consistent=fit_errors(of_consistent) if of_consistent else None,
         delivered=delivered,
         verdict=verdict,
         recordings=apart,

@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from ident.assessment.validation import fit_figures
+from ident.assessment.validation import fit_errors
 from ident.identify.identification import Identification
 from ident.identify.identify import identify
 from ident.identify.preparation import compare_run
@@ -72,7 +72,7 @@ def _row(name: str, rule: str, found: Identification, pruned: Pruned) -> str:
     series = [
         part for run in found.validation_runs for part in compare_run(found.estimation.kernel, solution.parameters, run)
     ]
-    error = 100.0 * fit_figures(series).relative_error
+    error = 100.0 * fit_errors(series).relative_error
     high = int(np.sum(rsd >= SIGNIFICANT_RSD))
     return f"| {name} | {rule} | {len(rsd)} | {high} | {rsd.max():.1f} | {error:.2f} |"
 

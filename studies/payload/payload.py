@@ -129,11 +129,11 @@ def main(seeds: int = 40) -> None:
     print("\n".join(bodies(seeds)))
     print("\n".join(gain_errors(seeds)))
     tests = {
-        "mass": [each.mass_test for each in results],
-        "known values": [each.values_test for each in results],
-        "some load": [each.load_test for each in results],
-        "the known load": [each.known_test for each in results],
-        "the rest unchanged": [each.rest.test if each.rest else None for each in results],
+        "mass": [each.tests.mass for each in results],
+        "known values": [each.tests.values for each in results],
+        "some load": [each.tests.load for each in results],
+        "the known load": [each.tests.known_load for each in results],
+        "the rest unchanged": [each.tests.unchanged for each in results],
     }
     for name, of_seeds in tests.items():
         accepted = [test.passed for test in of_seeds if test is not None]
@@ -141,8 +141,8 @@ def main(seeds: int = 40) -> None:
     for name, wrong in WRONG.items():
         refused = [identified(seed, wrong) for seed in range(seeds)]
         for test_name, of_seeds in (
-            ("known values", [each.values_test for each in refused]),
-            ("the known load", [each.known_test for each in refused]),
+            ("known values", [each.tests.values for each in refused]),
+            ("the known load", [each.tests.known_load for each in refused]),
         ):
             tests = [test for test in of_seeds if test is not None]
             rejected = sum(not test.passed for test in tests)

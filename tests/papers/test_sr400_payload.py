@@ -95,10 +95,10 @@ def test_the_load_is_found(recordings, load):
     found = identify_payload(*recordings[1]["file"], load)
     errors = (found.load.values - TABLE_3) / np.sqrt(np.diag(found.load.covariance))
     assert np.max(np.abs(errors)) < 4
-    assert found.known_test is not None
-    assert found.known_test.passed
-    assert found.mass_test is not None
-    assert found.mass_test.passed
+    assert found.tests.known_load is not None
+    assert found.tests.known_load.passed
+    assert found.tests.mass is not None
+    assert found.tests.mass.passed
 
 
 def test_gains_of_coupled_motors_and_a_closed_loop(recordings, load):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic.dataclasses import dataclass as stored
 
 from drivers.core.arrays import FloatArray, IntArray
 from drivers.core.text import percent_text
@@ -29,6 +30,7 @@ from ident.assessment.delay.delay_equations import (
 from ident.model.regressor import RegressorKernel
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
+from ident.stored import Number
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -52,21 +54,21 @@ _LONGEST_STEP = 0.01
 _SETTLED = 1e-5
 
 
-@dataclass(frozen=True)
+@stored(frozen=True)
 class JointDelay:
-    """Delay of one joint's torque.
+    """One joint's torque against its position [s]; positive where the torque lags.
 
     Attributes:
         joint: its name.
-        best: estimate for this joint alone [s]; nan where its torque shows none.
-        interval: half of its 95 % interval [s].
-        used: the delay to use [s].
+        used: the delay to use.
+        best: estimate for this joint alone; None where its torque shows none.
+        interval: half of its 95 % interval; None where it is not known.
     """
 
     joint: str
-    best: float
-    interval: float
     used: float
+    best: Number
+    interval: Number
 
 
 @dataclass(frozen=True)
@@ -243,7 +245,7 @@ def _judged(data: _Data, common: _Candidate) -> DelaySearch:
     seconds = float(data.segments[-1].time[-1] - data.segments[0].time[0])
     values = np.where(torque_slopes(common.equations) > 0.0, alone.fit.delays, np.nan)
     joints = tuple(
-        JointDelay(name, float(value), float(quantile * deviation), float(delay))
+        JointDelay(name, float(delay), float(value), float(quantile * deviation))
         for name, value, deviation, delay in zip(data.kernel.model.joint_names, values, alone.std, delays, strict=True)
     )
     return DelaySearch(
@@ -349,5 +351,5 @@ def _in_words(best: float, interval: float, gain: float, helps: bool, used: floa
 
 def _none_found(kernel: RegressorKernel, note: str) -> DelaySearch:
     nan = float("nan")
-    joints = tuple(JointDelay(name, nan, nan, 0.0) for name in kernel.model.joint_names)
+    joints = tuple(JointDelay(name, 0.0, None, None) for name in kernel.model.joint_names)
     return DelaySearch(nan, nan, nan, 0.0, 0.0, joints, False, nan, nan, False, note)

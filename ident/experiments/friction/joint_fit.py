@@ -31,7 +31,7 @@ from ident.identify.friction.candidates import (
     CandidateGrams,
 )
 from ident.identify.friction.choice import AUTO, chosen_friction, friction_columns
-from ident.identify.friction.selection import FrictionSearch, FrictionStep
+from ident.identify.friction.selection import FrictionSearch
 from ident.identify.friction_fit import ROUNDS
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import (
@@ -47,6 +47,7 @@ from ident.regression.autocorrelation import independent_share
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import BlockSums, block_length, jackknife_covariance, tolerant_moves
 from ident.regression.least_squares import LEAST_TORQUE
+from ident.result.schema import FrictionStep
 
 LEAST_LOAD_SHARE = 0.5
 """The load torque must vary by this times the Coulomb friction: gears lose some per cent of the torque that they carry,

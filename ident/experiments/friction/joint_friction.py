@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.identify.friction.selection import FrictionStep
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import LOAD_POWERS, FrictionConditions, FrictionTerms
 from ident.model.joint_columns import JointColumn, column_signal
 from ident.model.parameters import Quantity
+from ident.result.schema import FrictionStep
 
 ALONE = ((0, 1.0),)
 """Motion and row of the column of a joint by itself."""

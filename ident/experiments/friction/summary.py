@@ -14,7 +14,6 @@ from ident.experiments.friction.joint_friction import JointFriction
 from ident.identify.summary import PLAIN_KINDS
 from ident.model.friction_terms import LEAST_TEMPERATURE_SPAN, LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
 from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment, ValueRange
-from ident.result.schema import FrictionStepResult
 from ident.result.tables import Table, table_of_rows
 
 
@@ -34,11 +33,7 @@ def friction_result(experiment: FrictionExperiment) -> FrictionExperimentResult:
             _joint_result(joint, experiment.periods.model.joints[names.index(joint.joint)].prismatic)
             for joint in experiment.joints
         ],
-        friction_steps=[
-            FrictionStepResult.model_validate(step, from_attributes=True)
-            for joint in experiment.joints
-            for step in joint.steps
-        ],
+        friction_steps=[step for joint in experiment.joints for step in joint.steps],
         not_moved=[name for name in names if name not in moved],
         versions=software_versions(),
     )

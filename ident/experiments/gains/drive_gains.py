@@ -23,8 +23,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from pydantic import Field, computed_field
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
@@ -37,6 +39,7 @@ from ident.experiments.run_pair import BlockGrams, RunPair, pair_warnings, prepa
 from ident.model.load import KnownLoad, LoadColumns
 from ident.regression.jackknife import jackknife_covariance
 from ident.regression.options import SIGNIFICANT_RSD
+from ident.stored import Number, Real, Stored
 
 LEAST_GAP = 2.0
 """Second-smallest over smallest singular value below which the null vector is poorly determined."""
@@ -48,33 +51,40 @@ SMALL_ANGLE = 5.0
 """A motor signal nearer than this [degrees] to its own joint's columns contains little information on its gain."""
 
 
-@dataclass(frozen=True)
-class GainEstimate:
-    """Gain of one joint's drive.
-
-    Attributes:
-        joint: its name.
-        gain: torque per signal, joint side, sign included [N·m/A or N·m/V]; nan where it is not identifiable.
-        std: its standard deviation; inf there.
-        file_gain: of the robot file; None where it names none.
-        angle: between the motor signal and the span of the columns that act on this joint alone (its friction, its
-            motor inertia, …) [degrees]; small where gain and inertia are barely distinguishable.
-        confused_with: inertial parameter or other gain whose estimate is most correlated with this one's, and how much.
-        noise: standard deviation of the filtered motor signal about the model [A or V].
-    """
+class JointGain(Stored):
+    """Gain of one joint's drive, identified and of the robot file."""
 
     joint: str
-    gain: float
-    std: float
-    file_gain: float | None
-    angle: float
-    confused_with: tuple[str, float]
-    noise: float
+    gain: Real = Field(
+        description="torque per signal, joint side, sign included [N·m/A or N·m/V]; null where it is not identifiable"
+    )
+    std: Real = Field(description="σ; null where the gain is not identifiable")
+    file_gain: Number = Field(description="of the robot file; null where it names none")
 
+    @computed_field(description="σ [%] of the gain")  # type: ignore[prop-decorator]
     @property
-    def relative_std(self) -> float:
+    def rsd_percent(self) -> float:
         """Standard deviation [%] of the gain."""
         return 100.0 * self.std / abs(self.gain) if np.isfinite(self.gain) and self.gain else float("inf")
+
+    @property
+    def change(self) -> float | None:
+        """How much the gain is above the robot file's [%]."""
+        return 100.0 * (self.gain / self.file_gain - 1.0) if self.file_gain and np.isfinite(self.gain) else None
+
+
+class GainEstimate(JointGain):
+    """Gain of one joint's drive from exciting motions."""
+
+    angle_degrees: Real = Field(
+        description="between the motor signal and the span of the columns that act on this joint alone (its friction, "
+        "its motor inertia, …); small where gain and inertia are barely distinguishable"
+    )
+    confused_with: str = Field(
+        description="inertial parameter or other gain whose estimate is most correlated with this one's"
+    )
+    correlation: Real = Field(description="with it")
+    noise: Real = Field(description="σ of the filtered motor signal about the model [A or V]")
 
 
 @dataclass(frozen=True)
@@ -214,8 +224,8 @@ def _gains(
                 gain=float(identified[joint]),
                 std=float(deviations[joint]),
                 file_gain=robot.drive(name).gain,
-                angle=float(angles[joint]),
-                confused_with=_most_correlated(correlation[joint], joint, names, others),
+                angle_degrees=float(angles[joint]),
+                **_most_correlated(correlation[joint], joint, names, others),
                 noise=float(system.noise[joint] / abs(gains[joint])),
             )
             for joint, name in enumerate(robot.joint_names)
@@ -235,11 +245,9 @@ def _gains(
     )
 
 
-def _most_correlated(
-    correlation: FloatArray, joint: int, names: Sequence[str], among: Sequence[int]
-) -> tuple[str, float]:
+def _most_correlated(correlation: FloatArray, joint: int, names: Sequence[str], among: Sequence[int]) -> dict[str, Any]:
     place = max((i for i in among if i != joint), key=lambda i: abs(float(correlation[i])))
-    return names[place], float(correlation[place])
+    return {"confused_with": names[place], "correlation": float(correlation[place])}
 
 
 def _alone_share(pair: RunPair) -> float:
@@ -260,22 +268,22 @@ def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> li
             "most of the time one joint moves alone, and static friction holds the others: try --up-and-down"
         )
     for gain in drives.gains:
-        name, correlation = gain.confused_with
         if not np.isfinite(gain.gain):
             warnings.append(
                 f"the gain of {gain.joint} is not distinguishable from its own friction and inertia (angle "
-                f"{gain.angle:.1f}°): it has no value, its equations are left out; place the load off its axis"
+                f"{gain.angle_degrees:.1f}°): it has no value, its equations are left out; place the load off its axis"
             )
-        elif gain.relative_std >= SIGNIFICANT_RSD:
+        elif gain.rsd_percent >= SIGNIFICANT_RSD:
             warnings.append(
-                f"the gain of {gain.joint} is confounded with {name} (correlation {correlation:+.2f}): its relative "
-                f"standard deviation is {percentage_text(gain.relative_std, 2)} %; move the joints around it more, or "
-                "place the load off its axis"
+                f"the gain of {gain.joint} is confounded with {gain.confused_with} (correlation "
+                f"{gain.correlation:+.2f}): its relative standard deviation is "
+                f"{percentage_text(gain.rsd_percent, 2)} %; move the joints around it more, or place the load off "
+                "its axis"
             )
-        elif gain.angle < SMALL_ANGLE:
+        elif gain.angle_degrees < SMALL_ANGLE:
             warnings.append(
                 f"the motor signal of {gain.joint} is almost entirely its own friction and inertia (angle "
-                f"{gain.angle:.1f}°): its gain rests on weak coupling to other joints"
+                f"{gain.angle_degrees:.1f}°): its gain rests on weak coupling to other joints"
             )
         if gain.file_gain is not None and gain.gain * gain.file_gain < 0:
             warnings.append(f"the gain of {gain.joint} has the opposite sign of the robot file's")

@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import Field
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
@@ -23,7 +24,7 @@ from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.text import percentage_text
-from ident.experiments.gains.drive_gains import LEAST_GAP
+from ident.experiments.gains.drive_gains import LEAST_GAP, JointGain
 from ident.experiments.gains.motor_signals import signal_of, torques_by
 from ident.experiments.gains.slow_passes import Sweep, passes_of, sweeps_of
 from ident.experiments.run_pair import check_same_robot
@@ -41,6 +42,7 @@ from ident.regression.total_least_squares import NullVector, null_vector, null_v
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 from ident.signals.prepared import Prepared
+from ident.stored import Real
 
 LEAST_SIGNAL = 10.0
 """What the load adds to a joint's signal, as a vector over its bins, must be this many deviations of one bin long: a
@@ -53,36 +55,16 @@ FEWEST_BINS = 8
 """Bins of a joint below which its jackknife is not reliable."""
 
 
-@dataclass(frozen=True)
-class SlowGain:
-    """Gain of one joint's drive from slow passes; nan, and inf for the deviation, where they are not identifiable.
+class SlowGain(JointGain):
+    """Gain of one joint's drive from slow passes."""
 
-    Attributes:
-        joint: its name.
-        gain: torque per signal, joint side, sign included [N·m/A or N·m/V].
-        std: its standard deviation.
-        file_gain: of the robot file; None where it names none.
-        sweeps, bins: poses of the other joints in which it passed up and down, and positions compared in all of them.
-        speed: mean [rad/s or m/s].
-        free_friction, loaded_friction: mean half difference, by the gain [N·m].
-        reason: why there is no value; None where there is one.
-    """
-
-    joint: str
-    gain: float
-    std: float
-    file_gain: float | None
-    sweeps: int
-    bins: int
-    speed: float
-    free_friction: float
-    loaded_friction: float
-    reason: str | None
-
-    @property
-    def relative_std(self) -> float:
-        """Standard deviation [%] of the gain."""
-        return 100.0 * self.std / abs(self.gain) if np.isfinite(self.gain) and self.gain else float("inf")
+    sliding: bool = Field(default=False, description="whether the joint slides: N and m/s for N·m and rad/s")
+    sweeps: int = Field(description="poses of the other joints in which it passed up and down")
+    positions: int = Field(description="compared in all of them")
+    speed: Real = Field(description="mean [rad/s or m/s]")
+    friction_free: Real = Field(description="mean half difference, by the gain [N·m or N]")
+    friction_loaded: Real = Field(description="the same with the load")
+    reason: str | None = Field(description="why there is no value; null where there is one")
 
 
 @dataclass(frozen=True)
@@ -368,14 +350,15 @@ def _slow_gain(robot: Robot, joint: int, gain: float, std: float, sweeps: Sequen
         speed = float(np.mean([sweep.speed for sweep in own]))
     return SlowGain(
         joint=name,
+        sliding=robot.sliding[joint],
         gain=gain,
         std=std,
         file_gain=robot.drive(name).gain,
         sweeps=len(own),
-        bins=sum(sweep.pose.shape[1] for sweep in own),
+        positions=sum(sweep.pose.shape[1] for sweep in own),
         speed=speed,
-        free_friction=float(friction[0]),
-        loaded_friction=float(friction[1]),
+        friction_free=float(friction[0]),
+        friction_loaded=float(friction[1]),
         reason=reason or None,
     )
 
@@ -385,10 +368,10 @@ def _warnings(gains: Sequence[SlowGain], moments: FloatArray) -> list[str]:
     for gain in gains:
         if gain.reason:
             warnings.append(f"no value for the gain of {gain.joint}: {gain.reason}")
-        elif gain.relative_std >= SIGNIFICANT_RSD:
+        elif gain.rsd_percent >= SIGNIFICANT_RSD:
             warnings.append(
                 f"the gain of {gain.joint} has a relative standard deviation of "
-                f"{percentage_text(gain.relative_std, 2)} %; let it pass more often, with a heavier load, or where "
+                f"{percentage_text(gain.rsd_percent, 2)} %; let it pass more often, with a heavier load, or where "
                 "the load is farther from its axis"
             )
         if gain.file_gain is not None and gain.gain * gain.file_gain < 0:

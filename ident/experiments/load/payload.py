@@ -20,6 +20,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass as stored
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
@@ -37,45 +39,61 @@ from ident.experiments.run_pair import FREE, LOADED, RunPair, pair_warnings, pre
 from ident.model.load import INDEPENDENT, MASS, KnownLoad, load_effect
 from ident.regression.hypothesis_tests import SignificanceTest, chi_square_test
 from ident.regression.jackknife import jackknife_covariance
+from ident.result.units import parameter_unit
 from ident.signals.joint_signals import read_joint_signals
+from ident.stored import Real, Stored
 
 NEGLIGIBLE = 0.002
 """A mass within this share of the known one is as good as it, however little noise there is."""
 
 
-@dataclass(frozen=True)
-class BaseChange:
-    """Base parameters that a load changes, as in SR400 Table 4; arrays (m,) of one entry each.
+class BaseParameterChange(Stored):
+    """A base parameter that a load changes, as in SR400 Table 4."""
 
-    Attributes:
-        indices: of the base parameters.
-        free, free_std: identified from the free run.
-        predicted: free plus the effect of the load.
-        loaded, loaded_std: identified from the loaded run.
-    """
-
-    indices: tuple[int, ...]
-    free: FloatArray
-    free_std: FloatArray
-    predicted: FloatArray
-    loaded: FloatArray
-    loaded_std: FloatArray
+    name: str
+    unit: str
+    free: Real = Field(description="identified from the free run")
+    free_std: Real
+    predicted: Real = Field(description="free plus the effect of the load")
+    loaded: Real = Field(description="identified from the loaded run")
+    loaded_std: Real
 
 
-@dataclass(frozen=True)
-class LargestChange:
+@stored(frozen=True)
+class LargestChange(SignificanceTest):
     """The base parameter that changed most between the runs, of those that a load does not change.
 
+    Its difference is tested as the largest of so many (Bonferroni); the statistic is its square in variances.
+
     Attributes:
-        index: of the base parameter.
+        worst: its name.
+        unit: its unit.
         free, loaded: identified from each run.
-        test: of its difference, as the largest of so many (Bonferroni); the statistic is its square in variances.
     """
 
-    index: int
+    worst: str
+    unit: str
     free: float
     loaded: float
-    test: SignificanceTest
+
+
+@dataclass(frozen=True)
+class PayloadTests:
+    """Tests of a load; None where there is nothing to test, or too little data for it.
+
+    Attributes:
+        mass: known against identified mass, noise only.
+        values: all known against identified load parameters, noise only; None where the mass alone is known.
+        load: whether some load explains what changed.
+        known_load: whether the known load does; None where not all ten parameters are known.
+        unchanged: the largest difference of what a load does not change (friction, motor inertia).
+    """
+
+    mass: SignificanceTest | None
+    values: SignificanceTest | None
+    load: SignificanceTest | None
+    known_load: SignificanceTest | None
+    unchanged: LargestChange | None
 
 
 @dataclass(frozen=True)
@@ -87,12 +105,8 @@ class Payload:
         load: estimate without any knowledge of the load.
         with_mass: estimate with what is known as a constraint; None where nothing is.
         consistent: the load as a body that can exist, what is known held fixed; None where no minimum was reached.
-        mass_test: known against identified mass, noise only; None where it is unknown or not identifiable.
-        values_test: all known against identified load parameters, noise only; None where the mass alone is known.
+        tests: of the load, and of what it does not change.
         changes: base parameters without, predicted and identified with the load.
-        load_test: whether some load explains what changed; None where there are too few blocks.
-        known_test: whether the known load does; None where not all ten parameters are known, or as above.
-        rest: the largest difference of what a load does not change (friction, motor inertia); None where there is none.
         blocks, block_length: of the jackknife.
         warnings: for the user.
     """
@@ -101,12 +115,8 @@ class Payload:
     load: LoadEstimate
     with_mass: LoadEstimate | None
     consistent: ConsistentLoad | None
-    mass_test: SignificanceTest | None
-    values_test: SignificanceTest | None
-    changes: BaseChange
-    load_test: SignificanceTest | None
-    known_test: SignificanceTest | None
-    rest: LargestChange | None
+    tests: PayloadTests
+    changes: tuple[BaseParameterChange, ...]
     blocks: int
     block_length: int
     warnings: tuple[str, ...]
@@ -147,7 +157,6 @@ def identify_payload(
     rows, others = [position[i] for i in changing], [position[i] for i in rest]
     blocks = grams.count
     deviations = [np.sqrt(np.diag(jackknife_covariance(moves))) for moves in separate.moves]
-    every = list(changing)
     known_test = None
     if known is not None and len(known.known) == 10:
         left = difference - (effect @ known.values)[list(separate.active)]
@@ -157,19 +166,25 @@ def identify_payload(
         load=estimate,
         with_mass=constrained,
         consistent=consistent_load(pair, estimate, known),
-        mass_test=_mass_test(estimate, known),
-        values_test=_values_test(estimate, known, blocks),
-        changes=BaseChange(
-            indices=changing,
-            free=separate.parameters[FREE][every],
-            free_std=deviations[FREE][rows],
-            predicted=(separate.parameters[FREE] + shift)[every],
-            loaded=separate.parameters[LOADED][every],
-            loaded_std=deviations[LOADED][rows],
+        tests=PayloadTests(
+            mass=_mass_test(estimate, known),
+            values=_values_test(estimate, known, blocks),
+            load=chi_square_test(difference[rows], covariance[np.ix_(rows, rows)], blocks, effect[list(changing)]),
+            known_load=known_test,
+            unchanged=_largest_change(pair, separate, difference, covariance, others, blocks),
         ),
-        load_test=chi_square_test(difference[rows], covariance[np.ix_(rows, rows)], blocks, effect[every]),
-        known_test=known_test,
-        rest=_largest_change(separate, difference, covariance, others, blocks),
+        changes=tuple(
+            BaseParameterChange(
+                name=pair.base.names[column],
+                unit=parameter_unit(pair.model, pair.base.columns[column]),
+                free=separate.parameters[FREE][column],
+                free_std=deviations[FREE][row],
+                predicted=(separate.parameters[FREE] + shift)[column],
+                loaded=separate.parameters[LOADED][column],
+                loaded_std=deviations[LOADED][row],
+            )
+            for column, row in zip(changing, rows, strict=True)
+        ),
         blocks=blocks,
         block_length=grams.length,
         warnings=(),
@@ -178,7 +193,12 @@ def identify_payload(
 
 
 def _largest_change(
-    separate: SeparateRuns, difference: FloatArray, covariance: FloatArray, places: Sequence[int], blocks: int
+    pair: RunPair,
+    separate: SeparateRuns,
+    difference: FloatArray,
+    covariance: FloatArray,
+    places: Sequence[int],
+    blocks: int,
 ) -> LargestChange | None:
     """The largest difference among the active parameters at `places`, in standard deviations."""
     from scipy.stats import t as t_distribution
@@ -192,7 +212,8 @@ def _largest_change(
     p_value = min(1.0, len(with_error_bars) * 2.0 * float(t_distribution.sf(size, blocks - 1)))
     parameter = separate.active[worst]
     free, loaded = (float(values[parameter]) for values in separate.parameters)
-    return LargestChange(parameter, free, loaded, SignificanceTest(size**2, 1, p_value))
+    unit = parameter_unit(pair.model, pair.base.columns[parameter])
+    return LargestChange(size**2, 1, p_value, pair.base.names[parameter], unit, free, loaded)
 
 
 def _changing(effect: FloatArray, active: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -234,9 +255,9 @@ def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list
         )
     mass, known = payload.load.standard[MASS], payload.load.known or (payload.with_mass and payload.with_mass.known)
     if (
-        payload.mass_test is not None
+        payload.tests.mass is not None
         and known
-        and not payload.mass_test.passed
+        and not payload.tests.mass.passed
         and abs(mass / known.mass - 1) > NEGLIGIBLE
     ):
         warnings.append(
@@ -247,7 +268,7 @@ def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list
     place = payload.load.columns.kept.index(MASS) if MASS in payload.load.columns.kept else None
     if place is not None and np.isfinite(mass) and mass < 2 * np.sqrt(payload.load.covariance[place, place]):
         warnings.append("no load detected: the identified mass is below 2 σ")
-    if payload.load_test is not None and not payload.load_test.passed:
+    if payload.tests.load is not None and not payload.tests.load.passed:
         warnings.append(
             "what changed between the runs is not what a load on the last link changes: it slips, drags a hose, "
             "touches something, or the drive gains are wrong"
@@ -263,7 +284,7 @@ def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list
         warnings.append(
             "no body has exactly the known inertia (a rounded table?): that of the consistent load was estimated"
         )
-    if payload.rest is not None and not payload.rest.test.passed:
+    if payload.tests.unchanged is not None and not payload.tests.unchanged.passed:
         warnings.append(
             "friction or motor inertia changed between the runs, although a load does not change them: warm the arm up "
             "before both, or the drive gains are wrong"

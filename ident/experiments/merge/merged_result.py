@@ -12,7 +12,7 @@ from daq.recording.recording import Recording, software_versions
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from ident.assessment.plausibility import indefinite_share, sign_checks
-from ident.assessment.validation import FitFigures
+from ident.assessment.validation import Fit
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.experiments.merge.merge import CONTRADICTING, MergedEstimate, identifiable_columns, merge
 from ident.experiments.merge.merge_input import MergeInput, merge_inputs, used_recordings
@@ -35,14 +35,13 @@ from ident.regression.estimate import Estimate
 from ident.regression.options import SIGNIFICANT_RSD, EssentialOptions, EssentialRule
 from ident.regression.pruning import Pruned, prune
 from ident.regression.repeatability import RunDeviations, friction_columns, friction_sizes, repeatability
-from ident.result.consistent_model import consistent_model, fit_result, link_results
+from ident.result.consistent_model import consistent_model, link_results
 from ident.result.schema import (
     Consistency,
     Contradiction,
     DelayFigures,
     Essential,
     Excitation,
-    Fit,
     Merge,
     MergedModel,
     Residuals,
@@ -186,7 +185,7 @@ def _result(
         },
         model_options=first.model_options,
         preprocessing=[
-            step.model_copy(update={"text": f"{source.label}: {step.text}"})
+            replace(step, text=f"{source.label}: {step.text}")
             for source in inputs
             for step in source.result.preprocessing
         ],
@@ -370,8 +369,8 @@ def _with_validation(result: Result, validated: Revalidation) -> Result:
     """The result with its held-out errors."""
     errors = validated.delivered.errors
 
-    def marked(figures: FitFigures) -> Fit:
-        return fit_result(figures).model_copy(update={"held_out": errors.held_out})
+    def marked(figures: Fit) -> Fit:
+        return figures.model_copy(update={"held_out": errors.held_out})
 
     essential = result.essential.model_copy(update={"validation": marked(validated.essential)})
     consistent = result.consistent

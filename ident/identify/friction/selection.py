@@ -18,6 +18,7 @@ from ident.identify.friction.candidates import CandidateGrams, solve_columns, sq
 from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import Quantity
 from ident.regression.least_squares import LEAST_TORQUE, ROUNDING
+from ident.result.schema import FrictionStep
 
 LEVEL = 0.05
 """Significance level of the F-test, that of AUBO Table II."""
@@ -32,36 +33,8 @@ GROUPS: dict[str, str] = {
 }
 """Terms that can be added; of a group a joint has one."""
 
-
 BRAKING = ("viscous", "stribeck", "load")
 """Quantities whose coefficients the consistent model holds above 0, as it does Coulomb friction."""
-
-
-@dataclass(frozen=True)
-class FrictionStep:
-    """One step of complexity that was tried for a joint: the best one at that point.
-
-    Attributes:
-        joint: name.
-        term: as `--friction` calls it.
-        shape: α or v_s on the grid where the term has one.
-        f_value: partial F statistic.
-        freedom: further parameters, shapes included.
-        p_value: probability of a larger F by chance.
-        error_before, error_after: root mean square error on held-out blocks, each motor's torque over its residual's
-            standard deviation.
-        accepted: whether the term was added.
-    """
-
-    joint: str
-    term: str
-    shape: float | None
-    f_value: float
-    freedom: int
-    p_value: float
-    error_before: float
-    error_after: float
-    accepted: bool
 
 
 @dataclass(frozen=True)
@@ -206,8 +179,19 @@ class FrictionSearch:
             f_value = float(self._shares[motor]) * max(plain - fitted, 0.0) / (freedom * variance)
             p_value = _f_tail(f_value, freedom, independent)
             accepted = bool(after.sum() < before.sum()) and p_value < LEVEL
-            errors = (float(np.sqrt(before.sum() / rows)), float(np.sqrt(after.sum() / rows)))
-            steps.append(FrictionStep(name, term, way.shape, f_value, freedom, p_value, *errors, accepted))
+            steps.append(
+                FrictionStep(
+                    joint=name,
+                    term=term,
+                    shape=way.shape,
+                    f_value=f_value,
+                    freedom=freedom,
+                    p_value=p_value,
+                    error_before=float(np.sqrt(before.sum() / rows)),
+                    error_after=float(np.sqrt(after.sum() / rows)),
+                    accepted=accepted,
+                )
+            )
             if not accepted:
                 return steps
             self.add(motor, term, way)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import RESIDUAL, plain
 from ident.report.figures.panels import Panel
+from ident.verdict.evidence import known
 
 ROW = 15
 """Height of a row [px]."""
@@ -67,7 +67,7 @@ def interval_panel(
 
 
 def _trace(series: IntervalSeries, rows: Sequence[str], unit: str) -> dict[str, Any]:
-    having = [row for row in rows if series.values.get(row) is not None]
+    having = [row for row in rows if known(series.values.get(row)) is not None]
     trace: dict[str, Any] = {
         "type": "scatter",
         "mode": "markers",
@@ -79,8 +79,7 @@ def _trace(series: IntervalSeries, rows: Sequence[str], unit: str) -> dict[str, 
         "hovertemplate": f"{series.label} of %{{y}}: %{{x:.4g}} {unit}<extra></extra>",
     }
     if series.deviations is not None:
-        known = [series.deviations.get(row) for row in having]
-        half = [0.0 if std is None or not math.isfinite(std) else WITHIN_95_PERCENT * std for std in known]
+        half = [WITHIN_95_PERCENT * (known(series.deviations.get(row)) or 0.0) for row in having]
         error = {"type": "data", "array": half, "thickness": 1.5, "width": 3}
         trace["error_x"] = {**error, "color": series.marker.get("color", RESIDUAL)}
     return trace

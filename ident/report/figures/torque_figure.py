@@ -9,12 +9,13 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.units import joint_unit
+from ident.assessment.validation import Fit
 from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.traces import broken_line, lay_out, packed, points_per_trace
 from ident.report.number_text import number, percent, whole
-from ident.result.schema import Fit, Result
+from ident.result.schema import Result
 
 PANEL = 150
 """Height of a panel [px]."""

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from itertools import cycle
 from typing import Any
 
+from ident.estimators.estimator import Loop
 from ident.report.figures.figures import LOG_AXIS, SERIES_COLOURS, Figure, plain
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.section import ReportData, ReportSection
-from ident.result.schema import Convergence, LoopResult
+from ident.result.schema import Convergence
 
 PANEL = 180
 FEW = 6
@@ -33,7 +34,7 @@ def section(data: ReportData) -> ReportSection | None:
 
 
 def _figure(convergence: Convergence) -> Figure | None:
-    by_name: dict[str, list[LoopResult]] = {}
+    by_name: dict[str, list[Loop]] = {}
     for loop in convergence.loops:
         if loop.values:
             by_name.setdefault(loop.name, []).append(loop)
@@ -48,7 +49,7 @@ def _figure(convergence: Convergence) -> Figure | None:
     return panel_figure("convergence-plot", rows, caption, showlegend=bool(first))
 
 
-def _panel(loops: list[LoopResult], colours: Mapping[str, str], *, legend: bool) -> Panel:
+def _panel(loops: list[Loop], colours: Mapping[str, str], *, legend: bool) -> Panel:
     """One loop, or the same one of several joints, each in its colour."""
     name, unit = loops[0].name, loops[0].unit
     known = [value for loop in loops for value in loop.values if value is not None]

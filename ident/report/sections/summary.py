@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from ident.assessment.validation import LOW_SPEED
+from ident.assessment.validation import LOW_SPEED, Fit
 from ident.report.number_text import DASH, number, percent, whole
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
-from ident.result.schema import Fit, Result
+from ident.result.schema import Result
 from ident.verdict.check import PURPOSE_WORDS
 
 

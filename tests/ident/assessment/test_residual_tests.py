@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def series(residual: np.ndarray, used: np.ndarray | None = None) -> TorqueSeries
 
 def judged(residual: np.ndarray, memory: int = 1) -> ResidualTests:
     part = series(residual)
-    (test,) = residual_tests([part], [part.counted], memory, [0])
+    (test,) = residual_tests([part], [part.counted], memory, {0: "elbow"})
     return test
 
 
@@ -108,7 +109,7 @@ def test_each_deviation_is_recognised(name: str) -> None:
     assert assumption in found
     if assumption in ("independence", "normality"):
         assert found == {assumption}
-    (note,) = [one for one in residual_checks([judged(residual)], ["elbow"]) if one.joints == ("elbow",)][:1]
+    (note,) = [one for one in residual_checks([judged(residual)]) if one.joints == ("elbow",)][:1]
     assert note.severity == "note"
 
 
@@ -136,7 +137,7 @@ def test_gaps_and_samples_that_are_left_out_count_for_nothing() -> None:
     used = np.ones(2000, dtype=bool)
     used[300:500] = False
     parts = [series(np.where(used, white(2000), 1e6), used), series(white(1000, seed=1))]
-    (test,) = residual_tests(parts, [part.counted for part in parts], 1, [0])
+    (test,) = residual_tests(parts, [part.counted for part in parts], 1, {0: "elbow"})
     assert test.residuals == 2800
     assert violated(test) == set()
 
@@ -144,12 +145,12 @@ def test_gaps_and_samples_that_are_left_out_count_for_nothing() -> None:
 @pytest.mark.parametrize("residual", [np.zeros(3000), white(30)], ids=["exact fit", "few"])
 def test_nothing_to_test(residual: np.ndarray) -> None:
     part = series(residual)
-    assert residual_tests([part], [part.counted], 1, [0]) == []
+    assert residual_tests([part], [part.counted], 1, {0: "elbow"}) == []
 
 
 def test_a_record_shorter_than_the_lags() -> None:
     parts = [series(white(LAGS - 2, seed)) for seed in range(12)]
-    (test,) = residual_tests(parts, [part.counted for part in parts], 1, [0])
+    (test,) = residual_tests(parts, [part.counted for part in parts], 1, {0: "elbow"})
     assert np.isfinite(test.independence.statistic)
 
 
@@ -158,7 +159,7 @@ def test_a_joint_at_rest() -> None:
     part = TorqueSeries(
         np.arange(3000) / 50.0, (torque + white())[None], torque[None], np.zeros((1, 3000)), np.ones(3000, dtype=bool)
     )
-    (test,) = residual_tests([part], [part.counted], 1, [0])
+    (test,) = residual_tests([part], [part.counted], 1, {0: "elbow"})
     assert violated(test) == set()
 
 
@@ -171,9 +172,8 @@ def test_where_too_few_are_independent_only_independence_is_tested() -> None:
 
 def test_checks_name_the_worst_joint_and_the_others() -> None:
     parts = judged(white() + np.sin(0.37 * np.arange(3000))), judged(white() + 3 * np.sin(0.37 * np.arange(3000)))
-    names = ["elbow", "wrist"]
-    tests = [parts[0], ResidualTests(**{**vars(parts[1]), "joint": 1})]
-    (check,) = [one for one in residual_checks(tests, names) if one.name == "residuals-autocorrelated"]
+    tests = [parts[0], replace(parts[1], joint="wrist")]
+    (check,) = [one for one in residual_checks(tests) if one.name == "residuals-autocorrelated"]
     assert check.text.startswith("residuals of wrist are autocorrelated")
     assert check.text.endswith("; also elbow")
     assert check.joints == ("elbow", "wrist")

@@ -42,7 +42,7 @@ def test_payload_in_words_and_as_a_page(folder, capsys, monkeypatch):
     assert (status, err) == (0, "")
     for expected in (
         "M_L",
-        "centre of mass",
+        "Centre of mass",
         "tool frame",
         "free plus load",
         "the known 2.8 kg",

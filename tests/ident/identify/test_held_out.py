@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 import dynid
 from daq.recording.recording import JOINTS_STREAM, Recording, Stream
 from drivers.core.errors import UsageError
+from ident.assessment.validation import Fit
 from ident.identify.held_out import COSTLY_RATIO, consistency_cost
 from ident.model.dynamic_model import build_model
 from ident.result.delivered import delivered_parameters
-from ident.result.schema import Fit
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 

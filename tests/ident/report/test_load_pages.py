@@ -7,25 +7,24 @@ import math
 import pytest
 from html_page import Page
 
+from ident.experiments.gains.drive_gains import GainEstimate
+from ident.experiments.gains.up_and_down import SlowGain
+from ident.experiments.load.payload import BaseParameterChange, PayloadTests
 from ident.experiments.schema import (
-    BaseParameterChange,
     DelayUsed,
     EstimatedValue,
-    GainResult,
     GainsResult,
-    KnownLoadValues,
     LoadParameter,
     PayloadResult,
-    PayloadTests,
-    SignificanceResult,
-    SlowGainResult,
     SlowGainsResult,
 )
+from ident.model.load import KnownLoad
+from ident.regression.hypothesis_tests import SignificanceTest
 from ident.report.load_pages import gains_page, payload_page
 
 HOSTILE = "<script>alert(1)</script>"
-KNOWN = KnownLoadValues(mass=2.8, com=[0.0, 0.1, 0.2], inertia=None)
-TEST = SignificanceResult(statistic=3.0, freedom=1, p_value=1e-9, passed=False)
+KNOWN = KnownLoad(2.8, (0.0, 0.1, 0.2))
+TEST = SignificanceTest(3.0, 1, 1e-9)
 
 
 def parameter(name: str, value: float | None, std: float | None) -> LoadParameter:
@@ -63,14 +62,14 @@ def payload(**changes: object) -> PayloadResult:
     return PayloadResult(**(content | changes))
 
 
-def gain(joint: str, value: float | None, file_gain: float | None) -> GainResult:
-    return GainResult(
-        joint=joint, gain=value, std=None if value is None else 0.5, rsd_percent=None if value is None else 123456.0,
+def gain(joint: str, value: float | None, file_gain: float | None) -> GainEstimate:
+    return GainEstimate(
+        joint=joint, gain=value, std=None if value is None else 1234.56 * value,
         file_gain=file_gain, angle_degrees=3.0, confused_with=HOSTILE, correlation=0.5, noise=0.1,
     )  # fmt: skip
 
 
-def gains(*of: GainResult) -> GainsResult:
+def gains(*of: GainEstimate) -> GainsResult:
     return GainsResult(
         robot="arm", runs=["free.h5", "loaded.h5"], signal="current", unit="N·m/A", known=KNOWN, gains=list(of),
         covariance=[], base_parameters=[EstimatedValue(name="ZZ1", unit="kg·m²", value=1.0, std=None)], load=[],
@@ -100,7 +99,7 @@ def test_a_load_that_is_known_and_what_it_changes() -> None:
     change = BaseParameterChange(
         name="MX3", unit="kg·m", free=1.0, free_std=0.3, predicted=3.0, loaded=3.5, loaded_std=0.4
     )
-    unknown = change.model_copy(update={"name": "MY3", "loaded_std": None})
+    unknown = change.model_copy(update={"name": "MY3", "loaded_std": math.nan})
     tests = PayloadTests(mass=TEST, values=None, load=TEST, known_load=None, unchanged=None)
     page = read(
         payload_page(
@@ -130,8 +129,8 @@ def test_gains_with_and_without_a_value() -> None:
 
 
 def test_gains_from_slow_runs() -> None:
-    slow = SlowGainResult(
-        joint="j1", gain=10.0, std=0.1, rsd_percent=1.0, file_gain=None, sweeps=3, positions=20, speed=0.05,
+    slow = SlowGain(
+        joint="j1", gain=10.0, std=0.1, file_gain=None, sweeps=3, positions=20, speed=0.05,
         friction_free=2.0, friction_loaded=None, reason=None,
     )  # fmt: skip
     result = SlowGainsResult(

@@ -13,6 +13,8 @@ import pytest
 from html_page import Page
 
 from drivers.core.errors import UsageError
+from ident.assessment.delay.delay import JointDelay
+from ident.assessment.validation import Fit
 from ident.regression.comparison import TorqueSeries
 from ident.report import TruthTable, render_report, write_result_folder
 from ident.report.figures.traces import POINTS_PER_TRACE
@@ -24,15 +26,13 @@ from ident.result.schema import (
     DriveGainResult,
     Essential,
     Excitation,
-    Fit,
-    JointDelayFigures,
     JointFrictionResult,
     ModelOptions,
-    ProcessingStep,
     RecordingUse,
     Residuals,
     Result,
 )
+from ident.signals.prepared import Step
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 from ident.verdict.verdict import JointVerdict, PurposeVerdict, Verdict, judge
@@ -110,7 +110,7 @@ def result(**changes: Any) -> Result:
             offset=[False, False],
             smoothing=0.0,
         ),
-        preprocessing=[ProcessingStep(name="filter", settings={"cutoff": 12.5}, text="low-passed at 12.5 Hz")],
+        preprocessing=[Step(name="filter", settings={"cutoff": 12.5}, text="low-passed at 12.5 Hz")],
         delay=DelayFigures(
             used=0.004,
             best=0.004,
@@ -118,8 +118,8 @@ def result(**changes: Any) -> Result:
             interval=0.0003,
             gain=0.05,
             joints=[
-                JointDelayFigures(joint=JOINTS[0], used=0.004, best=None, interval=None),
-                JointDelayFigures(joint=JOINTS[1], used=0.00625, best=0.00625, interval=0.0004),
+                JointDelay(joint=JOINTS[0], used=0.004, best=None, interval=None),
+                JointDelay(joint=JOINTS[1], used=0.00625, best=0.00625, interval=0.0004),
             ],
         ),
         base_parameters=[

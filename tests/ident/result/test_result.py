@@ -91,7 +91,7 @@ def test_numbers_are_those_of_the_identification(identified, content):
             assert parameter["classical_std"] == found.solution.std[i]
         assert parameter["unit"] in UNITS.values()
     assert content["fit"]["relative_error"] == found.fit.relative_error
-    assert content["validation"]["rmse"] == [None if np.isnan(rmse) else rmse for rmse in found.validation.rmse]
+    assert content["validation"]["rmse"] == found.validation.rmse
     assert content["options"]["torque_cutoff"] == found.choices.preprocess.torque_cutoff
 
 

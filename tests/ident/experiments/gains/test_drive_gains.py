@@ -89,9 +89,9 @@ def test_what_cannot_be_told_is_said(found):
     free, loaded = arm_runs(load_robot("ur10e"), HIDDEN, on_axis, 0)
     each = identify_gains(free, loaded, KnownLoad(0.3))
     assert np.isnan(each.gains[5].gain)
-    assert each.gains[5].relative_std == np.inf
+    assert each.gains[5].rsd_percent == np.inf
     assert any("the gain of wrist_3_joint is" in warning for warning in each.warnings)
-    assert all(0 <= gain.angle <= 90 for gain in each.gains)
+    assert all(0 <= gain.angle_degrees <= 90 for gain in each.gains)
     # What the others show is not spoilt by it.
     errors = (each.values[:5] - TRUE[:5]) / each.std[:5]
     assert np.max(np.abs(errors)) < 4.5

@@ -94,7 +94,7 @@ def test_gains_whatever_the_friction(found):
     assert found.values[1:] == pytest.approx(TRUE[1:], rel=0.01)
     assert np.all(np.abs(found.values - TRUE)[1:] < 4.0 * found.std[1:])
     assert [gain.sweeps for gain in found.gains] == [3, 3, 3]
-    assert all(gain.bins > 0.8 * 3 * BINS for gain in found.gains)
+    assert all(gain.positions > 0.8 * 3 * BINS for gain in found.gains)
 
 
 def test_the_vertical_axis_tells_nothing(found):
@@ -107,8 +107,8 @@ def test_the_vertical_axis_tells_nothing(found):
 def test_half_the_difference_is_friction(found):
     """Coulomb, Stribeck, viscous and a tenth of what the joint bears: more of it with the load."""
     for gain, coulomb in zip(found.gains[1:], (7.0, 2.0), strict=True):
-        assert coulomb < gain.free_friction < 2.0 * coulomb
-        assert gain.loaded_friction > gain.free_friction
+        assert coulomb < gain.friction_free < 2.0 * coulomb
+        assert gain.friction_loaded > gain.friction_free
 
 
 def test_an_unknown_centre_of_mass_is_found_beside_the_gains(recordings):
@@ -246,7 +246,7 @@ def test_the_command(folder, capsys, monkeypatch):
     arguments = ["gains", "free.h5", "loaded.h5", "--up-and-down", "--mass", "2"]
     status, out, err = run(monkeypatch, capsys, *arguments)
     assert (status, err) == (0, "")
-    for expected in ("half sums", "Friction at that speed", "centre of mass [m]", "for the robot file:\ndrives:"):
+    for expected in ("half sums", "friction free", "Centre of mass of the load [m]", "for the robot file:\ndrives:"):
         assert expected in out
     status, out, _ = run(monkeypatch, capsys, *arguments, "--com", "0.08,0.03,0.05", "--json", "--force")
     content = json.loads(out)

@@ -10,10 +10,8 @@ from drivers.core.text import percent_text
 from ident.estimators.feasible.pseudo_inertia import Body, body_of
 from ident.experiments.load.consistent_load import ConsistentLoad
 from ident.experiments.run_pair import RunPair
-from ident.experiments.schema import ConsistentLoadResult, LinkBody, RunError, SignificanceResult
-from ident.linear_algebra.row_space import DETERMINED
+from ident.experiments.schema import ConsistentLoadResult, LinkBody, RunError
 from ident.model.parameters import INERTIAL
-from ident.regression.hypothesis_tests import p_text
 
 INERTIA = ("xx", "xy", "xz", "yy", "yz", "zz")
 """Elements of an inertia, in the order of the ten standard parameters."""
@@ -33,7 +31,7 @@ def consistent_load_result(pair: RunPair, load: ConsistentLoad) -> ConsistentLoa
         held=[f"{symbol}_L" for symbol, known in zip(INERTIAL, load.known, strict=True) if known],
         on_boundary=load.on_boundary,
         boundary_links=[names[link] for link in load.boundary],
-        cost=None if load.test is None else SignificanceResult.model_validate(load.test),
+        cost=load.test,
         errors=[RunError(run=run.label, unconstrained=error, consistent=own) for run, error, own in errors],
         links=[LinkBody(link=name, **_body(body_of(link))) for name, link in zip(names, links, strict=True)],
     )
@@ -42,26 +40,6 @@ def consistent_load_result(pair: RunPair, load: ConsistentLoad) -> ConsistentLoa
 def _body(body: Body) -> dict[str, Any]:
     inertia = dict(zip(INERTIA, body.inertia[np.triu_indices(3)].tolist(), strict=True))
     return {"mass": body.mass, "com": body.com.tolist(), "inertia": inertia}
-
-
-def consistent_load_rows(load: ConsistentLoadResult) -> list[tuple[str, float, float | None, str, str]]:
-    """Name, value, σ, unit and origin of the mass, of the centre of mass and of the inertia about it."""
-    axes = zip(("x", "y", "z"), load.com, load.com_std, strict=True)
-    return [
-        ("mass", load.mass, load.mass_std, "kg", _origin(load, "M_L")),
-        *((axis, value, std, "m", _origin(load, f"M{axis.upper()}_L")) for axis, value, std in axes),
-        *(
-            (f"I{name}", load.inertia[name], load.inertia_std[name], "kg·m²", _origin(load, f"{name.upper()}_L"))
-            for name in INERTIA
-        ),
-    ]
-
-
-def _origin(load: ConsistentLoadResult, parameter: str) -> str:
-    if parameter in load.held:
-        return "known"
-    share = load.determined[parameter]
-    return "data" if share >= DETERMINED else f"{percent_text(share)} data, else prior"
 
 
 def consistent_load_sentences(load: ConsistentLoadResult) -> list[str]:
@@ -76,7 +54,7 @@ def consistent_load_sentences(load: ConsistentLoadResult) -> list[str]:
         verdict = "explains the runs as well" if cost.passed else "does not explain the runs as well"
         sentences.append(
             f"a load that can exist, on links that can exist, {verdict} as the unconstrained estimate (χ² = "
-            f"{cost.statistic:.1f} with {cost.degrees_of_freedom} degrees of freedom, {p_text(cost.p_value)})"
+            f"{cost.statistic:.1f} with {cost.freedom} degrees of freedom, {cost.p_text})"
         )
     held = ["the load"] * load.on_boundary + load.boundary_links
     if held:
