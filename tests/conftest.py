@@ -22,7 +22,7 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 # "ci", the default, draws the same examples in every run; "soak" (`make soak`) new ones, and keeps those that fail.
 # A busy computer makes any single example slow: time is no property that a test of values may fail by.
 UNTIMED = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow], "print_blob": True}
-settings.register_profile("ci", derandomize=True, database=None, **UNTIMED)
+settings.register_profile("ci", derandomize=True, database=None, max_examples=50, **UNTIMED)
 settings.register_profile(
     "soak",
     derandomize=False,
@@ -78,8 +78,8 @@ def short_simulations() -> Iterator[Simulated]:
 
     with pytest.MonkeyPatch.context() as patch:
         whole = Simulated(tracking.LONGEST, open_loop.WINDOWS)
-        patch.setattr(tracking, "LONGEST", 2.0)
-        patch.setattr(open_loop, "WINDOWS", 2)
+        patch.setattr(tracking, "LONGEST", 0.5)
+        patch.setattr(open_loop, "WINDOWS", 1)
         yield whole
 
 
@@ -90,6 +90,41 @@ def whole_simulations(short_simulations: Simulated, monkeypatch: pytest.MonkeyPa
 
     monkeypatch.setattr(tracking, "LONGEST", short_simulations.longest)
     monkeypatch.setattr(open_loop, "WINDOWS", short_simulations.windows)
+
+
+def _leave_out_checks(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr("ident.identify.identify.identification_checks", lambda *_: [])
+    patch.setattr("ident.identify.held_out.track_longest", lambda *_: (None, "left out by this test"))
+    patch.setattr("ident.identify.held_out.open_loop", lambda *_: None)
+
+
+@pytest.fixture(scope="module")
+def estimates_alone() -> Iterator[None]:
+    """Identify without what follows the estimate and takes half of the time: the checks, and the simulated motion.
+
+    For a module whose tests look at parameters, their errors and torques only; `with_checks` takes it back.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        _leave_out_checks(patch)
+        yield
+
+
+@pytest.fixture
+def estimate_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do the same as `estimates_alone` for a single test."""
+    _leave_out_checks(monkeypatch)
+
+
+@pytest.fixture
+def with_checks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Identify as dynid does, in a module of `estimates_alone`."""
+    from ident.identify.checks import identification_checks
+    from ident.simulation.open_loop import open_loop
+    from ident.simulation.tracking import track_longest
+
+    monkeypatch.setattr("ident.identify.identify.identification_checks", identification_checks)
+    monkeypatch.setattr("ident.identify.held_out.track_longest", track_longest)
+    monkeypatch.setattr("ident.identify.held_out.open_loop", open_loop)
 
 
 @pytest.fixture

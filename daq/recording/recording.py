@@ -15,6 +15,7 @@ import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
@@ -250,10 +251,15 @@ class Recording:
 
 def software_versions() -> dict[str, str]:
     """Versions of Python, dynid and its numerical libraries; 'unknown' for one that is not installed as a package."""
-    versions = {"python": platform.python_version()}
+    return dict(_versions())
+
+
+@cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    versions = [("python", platform.python_version())]
     for package in ("dynid", "numpy", "scipy", "h5py", "pin"):
         try:
-            versions[package] = version(package)
+            versions.append((package, version(package)))
         except PackageNotFoundError:
-            versions[package] = "unknown"
-    return versions
+            versions.append((package, "unknown"))
+    return tuple(versions)

@@ -114,11 +114,19 @@ class ModelKey:
 
     def __init__(self, model: DynamicModel) -> None:
         self.model = model = _with_plain_shapes(model)
-        self._content = repr((model.joints, model.limits, model.gravity.tolist())) + repr(
-            (model.motor_inertia, model.viscous, model.coulomb, model.offset, model.smoothing, model.terms)
+        joints = tuple(
+            (
+                one.name,
+                one.parent,
+                one.prismatic,
+                *(part.tobytes() for part in (one.rotation, one.translation, one.axis)),
+            )
+            for one in model.joints
         )
-        if model.transmission is not None:
-            self._content += repr(model.transmission.content())
+        limits = tuple((one.position, one.velocity, one.acceleration) for one in model.limits)
+        columns = (model.motor_inertia, model.viscous, model.coulomb, model.offset, model.smoothing, repr(model.terms))
+        follows = None if model.transmission is None else repr(model.transmission.content())
+        self._content = (joints, limits, model.gravity.tobytes(), *columns, follows)
 
     def __hash__(self) -> int:
         return hash(self._content)

@@ -110,17 +110,17 @@ def weighted_least_squares(
     Raises:
         IdentificationError: as for OLS.
     """
-    started = None if weights is None else solve_weighted(reduction, active, weights, "wls")
-    solution = ordinary_least_squares(reduction, active) if started is None else started
+    active = tuple(active)
     floor, used = rounding_floor(reduction), _with_rows(reduction)
+    weights = used.astype(np.float64) if weights is None else weights
+    system = _solved(reduction, active, weights)
     for iteration in range(2, WLS_ITERATIONS + 2):
-        weights = inverse_deviations(reduction, solution.joint_std)
-        refined = solve_weighted(reduction, active, weights, "wls", iteration)
-        change = np.max(np.abs(np.maximum(refined.joint_std, floor) * weights - 1.0)[used])
-        solution = refined
-        if change < WLS_TOLERANCE:
-            return solution
-    return replace(solution, settled=False)
+        weights = inverse_deviations(reduction, residual_deviations(reduction, system.parameters, len(active)))
+        system = _solved(reduction, active, weights)
+        joint_std = residual_deviations(reduction, system.parameters, len(active))
+        if np.max(np.abs(np.maximum(joint_std, floor) * weights - 1.0)[used]) < WLS_TOLERANCE:
+            return _least_squares(reduction, active, weights, system, "wls", iteration)
+    return replace(_least_squares(reduction, active, weights, system, "wls", iteration), settled=False)
 
 
 def _with_rows(reduction: Reduction) -> npt.NDArray[np.bool_]:
@@ -157,6 +157,27 @@ def solve_weighted(
         IdentificationError: fewer equations than parameters, or columns that depend on each other.
     """
     active = tuple(active)
+    return _least_squares(reduction, active, weights, _solved(reduction, active, weights), method, iterations)
+
+
+@dataclass(frozen=True)
+class _System:
+    """A weighted system of the active columns, and its solution: all that iterated weights need.
+
+    Attributes:
+        square: R (a, a).
+        lengths: of its columns (a,).
+        parameters: (b,).
+        residual_sum: Σ ρ².
+    """
+
+    square: FloatArray
+    lengths: FloatArray
+    parameters: FloatArray
+    residual_sum: float
+
+
+def _solved(reduction: Reduction, active: tuple[int, ...], weights: FloatArray) -> _System:
     count = len(active)
     if reduction.rows <= count:
         raise IdentificationError(
@@ -168,25 +189,31 @@ def solve_weighted(
     lengths = np.linalg.norm(square, axis=0)
     if count and not np.all(np.abs(np.diag(square)) > EXCITATION_TOLERANCE * lengths):
         raise IdentificationError("the columns of the system depend on each other", hint="record a richer motion")
+    parameters = np.zeros(reduction.column_count)
+    parameters[list(active)] = np.linalg.solve(square / lengths, right) / lengths
+    residual_sum = float(factor[count, count] ** 2) if factor.shape[0] > count else 0.0
+    return _System(square, lengths, parameters, residual_sum)
+
+
+def _least_squares(
+    reduction: Reduction, active: tuple[int, ...], weights: FloatArray, system: _System, method: str, iterations: int
+) -> LeastSquares:
+    """The solution with its covariance and condition."""
+    count, square, lengths = len(active), system.square, system.lengths
     inverse_factor = np.linalg.solve(square / lengths, np.eye(count)) / lengths[:, None]
     inverse = inverse_factor @ inverse_factor.T
-    values = np.linalg.solve(square / lengths, right) / lengths
-    parameters = np.zeros(reduction.column_count)
-    parameters[list(active)] = values
-    residual_sum = float(factor[count, count] ** 2) if factor.shape[0] > count else 0.0
-    freedom = reduction.rows - count
     singular = np.linalg.svd(square, compute_uv=False) if count else np.ones(1)
     return LeastSquares(
         method=method,
         active=active,
-        parameters=parameters,
-        covariance=residual_sum / freedom * inverse,
+        parameters=system.parameters,
+        covariance=system.residual_sum / (reduction.rows - count) * inverse,
         inverse=inverse,
         weights=weights,
-        joint_std=residual_deviations(reduction, parameters, count),
+        joint_std=residual_deviations(reduction, system.parameters, count),
         rows=reduction.rows,
         condition=float(singular[0] / singular[-1]),
         scaled_condition=scaled_condition(square) if count else 1.0,
-        residual_sum=residual_sum,
+        residual_sum=system.residual_sum,
         iterations=iterations,
     )

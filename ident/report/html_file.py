@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING
 
 from ident.report import number_text
@@ -11,11 +12,13 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
+@cache
 def page_templates(*packages: str) -> Environment:
     """The templates of these packages and, behind them, those of the report: its style, script and macros.
 
     They know the number filters, `dash`, `table_html`, and `plotlyjs`, the plotting library as text. What they are
     given is escaped.
+    The same packages get the same environment, whose templates are compiled once: that is most of what a page costs.
     """
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
     from markupsafe import Markup

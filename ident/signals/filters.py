@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -175,6 +175,12 @@ def unit_gain(zero_phase: ZeroPhaseFilter) -> ZeroPhaseFilter:
     return replace(zero_phase, sos=sos)
 
 
+@lru_cache(maxsize=64)
+def _response(zero_phase: ZeroPhaseFilter, length: int) -> ChunkResponse:
+    """The response of a chunk of so many samples: signals of one length, filtered again and again, need the same."""
+    return chunk_response(zero_phase.modes, length, zero_phase.factor)
+
+
 class StreamedFilter:
     """`ZeroPhaseFilter.apply` for R signals that arrive chunk by chunk.
 
@@ -305,7 +311,7 @@ class StreamedFilter:
         return np.asarray(gains + behind.decay * (final / modes.offset - coupled))
 
     def _chunk_response(self, length: int) -> ChunkResponse:
-        return chunk_response(self._filter.modes, length, self._filter.factor)
+        return _response(self._filter, length)
 
     def _split(self, product: FloatArray) -> tuple[ComplexArray, ComplexArray, FloatArray]:
         """The three terms of a product with `ChunkResponse.inward`."""

@@ -193,6 +193,7 @@ def test_torque_std_of_the_essential_model_is_infinite_where_an_unexcited_parame
     assert np.all(np.isfinite(np.delete(deviations, 2, axis=1)))
 
 
+@pytest.mark.usefixtures("estimate_alone")
 def test_torque_std_covers_the_error_of_repeated_identifications():
     q, dq, ddq = states("rocr6", 30)
     truth = true_model("rocr6").torque(q, dq, ddq)

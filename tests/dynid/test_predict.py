@@ -146,6 +146,7 @@ def test_the_page_and_the_tables_show_the_joints(prediction, tmp_path):
         prediction.page(tmp_path / "nowhere" / "page.html")
 
 
+@pytest.mark.usefixtures("estimate_alone")
 def test_torques_of_coupled_motors_are_the_joints():
     run, other = (dynid.simulate("rocr6", duration=10.0, seed=seed, rate=100.0) for seed in (1, 2))
     arm = dynid.simulate("sr400", duration=8.0, seed=3, rate=100.0)

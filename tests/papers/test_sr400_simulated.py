@@ -12,6 +12,8 @@ from sampled_arm import sampled
 
 from daq.robot.loader import load_robot
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 EXAMPLE = Path(__file__).parents[2] / "studies" / "papers" / "sr400_table4.py"
 
 
@@ -25,7 +27,7 @@ def test_the_loaded_parameters_are_the_free_ones_plus_the_load(
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, spec.name, module)  # its dataclass looks for its module there
     spec.loader.exec_module(module)
-    monkeypatch.setattr(module, "load_robot", lambda name: sampled(load_robot(name), 250.0))
+    monkeypatch.setattr(module, "load_robot", lambda name: sampled(load_robot(name), 125.0))
     table = module.main(1, 24)
     free, loaded = table.free, table.loaded
     names = list(free.base.names)

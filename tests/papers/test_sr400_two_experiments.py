@@ -12,6 +12,8 @@ from sampled_arm import sampled
 
 from daq.robot.loader import load_robot
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 EXAMPLE = Path(__file__).parents[2] / "studies" / "papers" / "two_experiments.py"
 
 
@@ -25,7 +27,7 @@ def test_two_experiments_give_the_arm_and_know_whether_they_agree(
     module = importlib.util.module_from_spec(spec)
     monkeypatch.setitem(sys.modules, spec.name, module)  # its dataclasses look there for their module
     spec.loader.exec_module(module)
-    monkeypatch.setattr(module, "load_robot", lambda name: sampled(load_robot(name), 250.0))
+    monkeypatch.setattr(module, "load_robot", lambda name: sampled(load_robot(name), 125.0))
     found = module.main(1, 16)
     assert len(found.names) == 56
     assert np.all(np.isfinite(found.values))

@@ -14,6 +14,9 @@ equations; module `build_closed_loops` closes them numerically, together with th
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -37,6 +40,9 @@ CLOSING_ANGLE = 1e-6
 TRIED_POSITIONS = 50
 PARALLEL = 1e-9
 SINGULAR = 1e-9
+LOOPS_KEPT = 8
+"""Arms with general closed loops that are remembered: to follow loops everywhere takes up to a second, and one command
+builds the model of its arm several times."""
 
 
 def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Transmission | None:
@@ -64,7 +70,8 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
 
         nothing = np.zeros((len(joints), len(active))), np.zeros(len(joints))
         ends = [loop_ends(loop, joint_index) for loop in general]
-        transmission: Transmission = build_closed_loops(
+        build = partial(
+            build_closed_loops,
             robot,
             joints,
             (equations, right),
@@ -72,6 +79,8 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
             _linear(robot, active, *nothing),
             where,
         )
+        said = repr((robot.model, robot.joints, robot.drives, robot.friction, robot_file.urdf_text, where))
+        transmission: Transmission = _closed_loops(_Said(said, build))
     else:
         transmission = _linear(robot, active, *_solved_equations(equations, right, joints, active, where))
     low, high = (np.array(limit) for limit in zip(*(limits.position for limits in robot.joints), strict=True))
@@ -80,6 +89,19 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
         if loop.closing is not None:
             _check_closed(loop, joints, joint_index, transmission.tree_position(positions), where)
     return transmission
+
+
+@dataclass(frozen=True)
+class _Said:
+    """What a robot file says of closed loops, equal where the words are; and what builds them."""
+
+    words: str
+    build: Callable[[], Transmission] = field(compare=False)
+
+
+@lru_cache(maxsize=LOOPS_KEPT)
+def _closed_loops(said: _Said) -> Transmission:
+    return said.build()
 
 
 def _linear(robot: Robot, active: tuple[int, ...], follow: FloatArray, offset: FloatArray) -> LinearTransmission:

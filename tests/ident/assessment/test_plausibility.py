@@ -74,7 +74,7 @@ def test_offset_and_friction_are_no_inertia(three_joint):
 def test_gravity_of_the_wrong_sign_is_found(three_joint, name, gravity, wrong):
     robot_file = three_joint if name == "three_joint" else load_robot(name)
     motion = random_fourier_motion(build_model(robot_file), 10.0, seed=1)
-    recording = simulate_recording(robot_file, motion, 14.0, seed=1)
+    recording = simulate_recording(robot_file, motion, 14.0, seed=1, rate=125.0)
     if "gravity:" in robot_file.text:
         text = robot_file.text.replace("gravity: [0, 0, -9.81]", f"gravity: {gravity}")
     else:

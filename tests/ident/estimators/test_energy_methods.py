@@ -44,6 +44,8 @@ from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 METHODS = ("energy", "power")
 
 
@@ -305,6 +307,7 @@ def test_windows_for_other_methods_are_refused():
             IdentifyChoices(method=method)
 
 
+@pytest.mark.usefixtures("with_checks")
 @pytest.mark.parametrize("method", METHODS)
 def test_gravity_of_the_wrong_sign_is_warned_of(three_joint, method):
     """With little noise; among much of it the few equations of the energy cannot tell a wrong sign from luck."""
@@ -345,7 +348,7 @@ def test_a_gap_and_a_rest_are_no_trouble(three_joint, method):
 def test_the_example_runs(capsys):
     """On little data: each of its tables in small; and what it is there to show."""
     example = importlib.import_module("studies.papers.energy_vs_dynamic")
-    arm = sampled(load_robot("sr400"), 200.0)
+    arm = sampled(load_robot("sr400"), 125.0)
     models = example.compare_parameters(arm, moves=8)
     assert [found.solution.method for found in models] == ["wls", *METHODS]
     assert all(len(found.solution.active) == 17 for found in models)

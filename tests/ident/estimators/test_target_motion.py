@@ -20,6 +20,8 @@ from sim_drivers.plant.plant import Plant, PlantSettings
 from sim_drivers.synthetic.controlled_run import record_plant
 from sim_drivers.synthetic.motion import random_fourier_motion
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 POOR = PreprocessChoices(position_cutoff=60.0, torque_cutoff=30.0)
 """Far above the motion's band: W is full of noise."""
 

@@ -13,6 +13,8 @@ from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 
 @pytest.fixture(scope="module")
 def example() -> ModuleType:

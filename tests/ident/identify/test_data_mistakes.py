@@ -67,14 +67,11 @@ def test_a_mistake_that_can_be_repaired_is_named_and_repaired(
     assert not checks(result) & MODEL_CHECKS
     assert result.validation is not None
     assert result.validation.relative_error < largest
-
-
-def test_a_stuck_encoder_is_named_with_its_time(sound: Recording) -> None:
-    result = dynid.identify(stuck_encoder(sound, 1, 3.0, 1.0))
-    (check,) = (check for check in result.verdict.checks if check.name == "encoder-stuck")
-    joint = sound.streams["joints"].channels["position"].columns[1]
-    assert check.joints == (joint,)
-    assert f"{joint} from 3.00 to 4.00 s while its velocity goes on" in check.text
+    if name == "encoder-stuck":
+        (check,) = (check for check in result.verdict.checks if check.name == name)
+        joint = sound.streams["joints"].channels["position"].columns[1]
+        assert check.joints == (joint,)
+        assert f"{joint} from 3.00 to 4.00 s while its velocity goes on" in check.text
 
 
 def test_contacts_are_named_by_their_times(sound: Recording) -> None:

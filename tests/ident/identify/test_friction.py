@@ -29,6 +29,8 @@ from ident.result.schema import Result, result_json
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 DURATION = 15.0
 
 ARM = (

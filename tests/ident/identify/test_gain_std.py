@@ -13,6 +13,8 @@ from ident.regression.gain_uncertainty import gain_covariances, gain_deviations
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 
 @pytest.fixture(scope="module")
 def recording(three_joint):

@@ -548,6 +548,7 @@ def test_progress_names_the_steps(recorded):
     ]  # fmt: skip
 
 
+@pytest.mark.usefixtures("estimate_alone")
 def test_error_bars_cover_the_truth(three_joint):
     """95 % intervals over ten motions; classical ones are far too short. Six joints: studies/coverage/coverage.py."""
     corrected, classical = [], []

@@ -34,6 +34,8 @@ from ident.signals.pipeline import Segment
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 
 def corrected_covariance(
     model: DynamicModel, segments: tuple[Segment, ...], method=ordinary_least_squares

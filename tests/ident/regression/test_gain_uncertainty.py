@@ -17,6 +17,8 @@ from ident.regression.least_squares import ordinary_least_squares, weighted_leas
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 
 @pytest.fixture(scope="module")
 def recording(three_joint):

@@ -21,6 +21,8 @@ from ident.signals.pipeline import prepare
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 DURATION = 12.0
 STATIC = np.array([5.0, 6.0, 1.5])
 """Torque [N·m] that static friction carries at rest, below every joint's Coulomb friction."""

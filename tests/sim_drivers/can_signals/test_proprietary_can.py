@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,9 @@ from unchecked import unchecked_play
 from daq.motion.trajectories import slow_move
 from daq.recording.reader import read_recording
 from drivers.can_signals.driver import CanFramesDriver
-from drivers.can_signals.settings import parse_settings
-from drivers.can_signals.table.signals import batches, decode, frame_layouts
+from drivers.can_signals.motion import Commander
+from drivers.can_signals.settings import CommandTable, parse_settings
+from drivers.can_signals.table.signals import FrameLayout, batches, decode, frame_layouts
 from drivers.core.errors import UsageError
 from sim_drivers.can_signals.arm import FAULT_COMMAND, TableArm
 from sim_drivers.can_signals.server import ProprietaryCanServer
@@ -44,10 +46,15 @@ from sim_drivers.plant.plant import Plant
 DBC = Path(__file__).resolve().parents[2] / "drivers" / "aubo_i5.dbc"
 
 
+@cache
+def layouts() -> tuple[FrameLayout, ...]:
+    return tuple(frame_layouts(parse_settings(KEYS, JOINTS).signals))
+
+
 def decoded(frames: list[Any]) -> dict[tuple[str, str], float]:
     grouped = batches([(0.0, frame.id, frame.data) for frame in frames])
     found = {}
-    for part in frame_layouts(parse_settings(KEYS, JOINTS).signals):
+    for part in layouts():
         if part.identifier in grouped:
             _, values, _ = decode(part, grouped[part.identifier])
             for row in values:
@@ -89,12 +96,15 @@ def test_what_is_decoded_is_what_was_measured(talker: TableArm) -> None:
         assert found["temperature", warm[0]] == pytest.approx(23.0)
 
 
-def command(talker: TableArm, position: np.ndarray) -> None:
-    from drivers.can_signals.motion import Commander
-
+@cache
+def commands() -> CommandTable:
     table = parse_settings(KEYS, JOINTS).command
     assert table is not None
-    for identifier, data in Commander(table, JOINTS).frames(position):
+    return table
+
+
+def command(talker: TableArm, position: np.ndarray) -> None:
+    for identifier, data in Commander(commands(), JOINTS).frames(position):
         talker.obey(identifier, data)
 
 

@@ -14,6 +14,8 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from sim_drivers.synthetic.motion import CANDIDATES
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 
 @pytest.mark.slow
 def test_the_truth_is_found_from_twenty_seconds():
@@ -21,7 +23,7 @@ def test_the_truth_is_found_from_twenty_seconds():
     model = build_model(robot_file)
     base = base_parameters(model)
     truth = base.projection @ truth_vector(robot_file)
-    recordings = [[follow(robot_file, seed, 20.0, CANDIDATES)] for seed in (1, 2)]
+    recordings = [[follow(robot_file, seed, 20.0, CANDIDATES, rate=250.0)] for seed in (1, 2)]
     found = identify(recordings[0], recordings[1], IdentifyChoices())
     assert found.validation.relative_error < 0.05
     inside = np.abs(found.solution.parameters - truth) <= 1.96 * found.std

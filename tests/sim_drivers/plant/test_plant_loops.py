@@ -21,6 +21,8 @@ from ident.model.rigid_arm import rigid_arm
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.plant import Plant, PlantSettings
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 
 @pytest.fixture(scope="module")
 def sr400() -> RobotFile:

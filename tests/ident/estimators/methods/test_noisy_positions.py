@@ -25,6 +25,8 @@ from ident.signals.options import PreprocessChoices
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 DEFAULT = PreprocessChoices()
 POOR = PreprocessChoices(position_cutoff=60.0, torque_cutoff=30.0)
 """Far above the motion's band: W is full of noise."""
@@ -80,6 +82,7 @@ def test_little_noise_leaves_every_method_near_the_truth(method, three_joint):
     assert result.method == method.split(":")[0]
 
 
+@pytest.mark.usefixtures("with_checks")
 def test_the_output_error_predicts_held_out_torques(three_joint):
     """Its errors last so long that ten seconds hold few independent ones: its intervals are not asked."""
     found = identified(three_joint.text, "output-error", 1e-5)

@@ -22,6 +22,8 @@ from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 from tests.ident.conftest import THREE_JOINT
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 EXPONENTS = (0.6, 0.8, 0.7)
 
 

@@ -21,6 +21,8 @@ from ident.report.page import render_report
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 METHODS = ("irls", "irls:weights=huber", "irls:weights=tukey", "irls:consistent=true")
 
 
