@@ -8,7 +8,7 @@ WORKERS ?= 2
 REALTIME ?= 60
 SOAK ?= 600
 
-.PHONY: demo test lint format bench realtime soak studies-check clean
+.PHONY: demo test coverage lint format bench realtime soak studies-check clean
 
 demo: $(INSTALLED)
 	$(BIN)/dynid demo --out demo --force
@@ -17,6 +17,11 @@ demo: $(INSTALLED)
 # takes twice as long.
 test: $(INSTALLED)
 	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --hypothesis-profile=ci -n $(WORKERS) --dist worksteal
+
+# Which lines and branches no test runs, in the terminal and as pages; what runs in a process of its own does not count.
+coverage: $(INSTALLED)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --hypothesis-profile=ci -n $(WORKERS) --dist worksteal \
+		--cov --cov-report=term --cov-report=html:build/coverage
 
 lint: $(INSTALLED)
 	$(BIN)/ruff format --check .

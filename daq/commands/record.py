@@ -19,7 +19,7 @@ app = typer.Typer()
 
 
 @app.command("record")
-def record_command(
+def record_command(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     robot: str = typer.Argument(help="Built-in robot or robot file."),
     wire: str = typer.Option(None, "--wire", help="Connection of the robot file; its first one if absent."),
     host: str = typer.Option(None, "--host", help="Address in place of the connection's own."),

@@ -103,7 +103,7 @@ class Loop(Section):
         return (*(self.parallelogram or ()), *self.following, *(self.equation or ()), *self.at, *frames)
 
 
-def passive_joints(loops: Iterable[Loop], active: tuple[str, ...]) -> tuple[str, ...]:
+def passive_joints(loops: Iterable[Loop], active: tuple[str, ...]) -> tuple[str, ...]:  # noqa: C901 — a branch per mistake
     """Names of the joints that the loops make follow `active`, in the loops' order.
 
     Raises:

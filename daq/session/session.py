@@ -141,7 +141,7 @@ def _make_driver(
         return make(replace(driver_settings(robot, keys, folder), clock=clock))
 
 
-def record(
+def record(  # noqa: C901, PLR0912 — the steps, in their order
     driver: Driver,
     recorder: Recorder,
     supervisor: Supervisor,
@@ -255,7 +255,7 @@ def _follow(cycle: Callable[[], None], course: Course, begun: float, duration: f
             course.view.show("recording", recorded, duration or 0.0)
 
 
-def _cycle(
+def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
     driver: Driver, recorder: Recorder, supervisor: Supervisor, course: Course, looked_twice: bool = False
 ) -> None:
     """One cycle: samples, notices, limits, ages, the disk."""

@@ -360,7 +360,7 @@ class _Solved:
     covariance: FloatArray | None
 
 
-def _settled(
+def _settled(  # noqa: C901 — one loop
     blocks: dict[int, FloatArray], rows: FloatArray, unknowns: int, gain: tuple[int, float] | None = None
 ) -> _Solved:
     """Least squares with the joints' weights settled.

@@ -54,7 +54,7 @@ from ident.result.schema import Presliding
 __all__ = ["Progress", "apply_model_choices", "identify"]
 
 
-def identify(
+def identify(  # noqa: PLR0915 — the steps, in their order
     recordings: Sequence[Recording],
     validation: Sequence[Recording],
     choices: IdentifyChoices,

@@ -70,7 +70,7 @@ class _Spatial:
         return _Spatial(self.angular.sum(axis=0), self.linear.sum(axis=0))
 
 
-def pull_back_regressor(
+def pull_back_regressor(  # noqa: PLR0912 — one loop
     kernel: RegressorKernel,
     position: FloatArray,
     velocity: FloatArray,

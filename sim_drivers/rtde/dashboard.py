@@ -39,7 +39,7 @@ class DashboardSession:
         answers = [self._answer(line.decode("utf-8", errors="replace").strip()) for line in lines]
         return "".join(f"{answer}\n" for answer in answers).encode()
 
-    def _answer(self, line: str) -> str:
+    def _answer(self, line: str) -> str:  # noqa: C901, PLR0912 — a branch per request
         controller = self._controller
         playing, normal = controller.script is not None, controller.safety_mode == NORMAL
         match line.lower():

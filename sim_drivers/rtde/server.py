@@ -253,7 +253,7 @@ class RtdeServer(FaultyServer):
             playing=self.controller.script is not None,
         )
 
-    def _cause(self, fault: Fault) -> None:
+    def _cause(self, fault: Fault) -> None:  # noqa: C901, PLR0912 — a branch per kind of fault
         match fault:
             case Drop(count):
                 for connection in self._connections:

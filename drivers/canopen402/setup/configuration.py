@@ -82,7 +82,7 @@ class Configured:
     notices: tuple[Notice, ...]
 
 
-def configure(
+def configure(  # noqa: C901 — the steps, in their order
     drives: Sequence[RemoteDrive],
     settings: CanopenSettings,
     sender: Sender,

@@ -92,7 +92,7 @@ class Problem:
     values: FloatArray
 
 
-def build_problem(
+def build_problem(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     model: DynamicModel, robot_file: RobotFile, base: BaseParameters, estimate: Estimate, priors: LinkPriors
 ) -> Problem:
     """The problem of an arm.

@@ -63,7 +63,7 @@ def no_tick() -> None:
     """A start without a time limit."""
 
 
-def run_start(
+def run_start(  # noqa: C901 — the steps, in their order
     problem: Problem,
     start: int,
     begin: FloatArray,
