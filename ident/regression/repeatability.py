@@ -85,9 +85,21 @@ def _moments(runs: RunDeviations, place: int, tau: float) -> tuple[float, int, f
     return float(weights @ (values - mean) ** 2), len(values) - 1, total - float(weights @ weights) / total
 
 
+OF_TEMPERATURE = ("temperature_slope", "temperature_curvature")
+"""Kinds of friction that only runs at different temperatures tell from the others: no run has its own."""
+
+
 def friction_columns(base: BaseParameters, active: Sequence[int]) -> list[int]:
-    """Places among the active base columns of what may change from run to run: friction and offsets."""
-    return [place for place, column in enumerate(active) if base.kinds[column] in FRICTION_KINDS]
+    """Places among the active base columns of what may change from run to run: friction and offsets.
+
+    Not how friction follows the temperature: in a run alone, at nearly one temperature, its columns are those of the
+    friction at that temperature, and the difference between runs would be shared out at will.
+    """
+    return [
+        place
+        for place, column in enumerate(active)
+        if base.kinds[column] in FRICTION_KINDS and base.kinds[column] not in OF_TEMPERATURE
+    ]
 
 
 def friction_sizes(base: BaseParameters, active: Sequence[int], parameters: FloatArray) -> FloatArray:

@@ -129,6 +129,21 @@ def test_error_bars_hold_what_is_not_linear_in_the_shapes_and_what_a_delay_does_
     assert all(later[name] > std for name, std in shape_std.items())
 
 
+def test_runs_at_different_temperatures_are_no_friction_that_changes_between_runs():
+    robot_file = arm(temperature="linear")
+    runs = []
+    for seed, celsius in enumerate((25.0, 32.0, 40.0)):
+        motion = random_fourier_motion(true_model(arm()), 8.0, seed)
+        heat = celsius + np.linspace(0.0, 0.3, 1600)[:, None] * [1.0, 0.9]
+        runs.append(simulate_recording(robot_file, motion, 8.0, seed, celsius=heat))
+    found = identify(runs, [recorded(robot_file, 5)], IdentifyChoices(search_delay=False))
+    named = dict(zip(found.base.names, zip(found.repeatability, found.std, strict=True), strict=True))
+    assert np.isnan(named["Fts1"][0])
+    for name in ("Fs1", "Fs2", "Fv1", "Fv2", "Ft1", "Ft2"):
+        assert named[name][0] < named[name][1], named
+    assert named["Ft1"][1] < 1.0, named
+
+
 def test_automatic_choice_finds_what_there_is():
     robot_file = arm(stribeck=True, stribeck_velocity=0.12, joints={"j2": {"stribeck": False}})
     runs = [recorded(robot_file, 1)], [recorded(robot_file, 2)]
