@@ -14,6 +14,9 @@ from sim_drivers.faults import Fault, FaultQueue, ServerKind, parse_fault
 if TYPE_CHECKING:
     import threading
 
+LONGEST_LAG = 0.25
+"""A stall of more than this [s] is not made up for: the arm's time is halted meanwhile."""
+
 STOP_TIMEOUT = 5.0
 """[s] that a stop waits for each thread."""
 

@@ -25,9 +25,9 @@ from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import Criterion, RegressorCriterion
 from ident.excite.design import design
-from ident.excite.path import Path
-from ident.excite.prior import Prior
-from ident.excite.search.problem import Problem
+from ident.excite.path import JointPath
+from ident.excite.prior import PriorKnowledge
+from ident.excite.search.problem import DesignProblem
 from ident.excite.search.search import SearchChoices
 from ident.excite.search.solve import ROUNDS, solve
 from ident.model.dynamic_model import build_model
@@ -60,12 +60,12 @@ def peers_arm() -> RobotFile:
     return file.model_copy(update={"robot": robot})
 
 
-def no_prior() -> Prior:
+def no_prior() -> PriorKnowledge:
     """Nothing known of the arm, so no torque limits."""
-    return Prior(parameters=None, noise=np.ones(6), source="none", rate=500.0)
+    return PriorKnowledge(parameters=None, noise=np.ones(6), source="none", rate=500.0)
 
 
-def make_problem() -> Problem:
+def make_problem() -> DesignProblem:
     """Ours, on a grid of 200 samples."""
     problem = build_problem(peers_arm(), no_prior(), CHOICES)
     time_grid = np.linspace(0.0, CHOICES.period, SAMPLES, endpoint=False)
@@ -75,7 +75,7 @@ def make_problem() -> Problem:
 class PeerCost:
     """The condition number from a loop over Pinocchio."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: DesignProblem) -> None:
         model = build_model(peers_arm())
         order = [10 * link + PINOCCHIO_ORDER.index(symbol) for link in range(model.dof) for symbol in INERTIAL]
         self._loop = PinocchioLoop(model)
@@ -98,21 +98,21 @@ class _ReachedError(Exception):
 class _Watch:
     """A criterion that ends the search where the target is reached within the limits."""
 
-    def __init__(self, inner: Criterion, problem: Problem) -> None:
+    def __init__(self, inner: Criterion, problem: DesignProblem) -> None:
         self._inner = inner
         self._constraints = problem.constraints
 
-    def cost(self, path: Path) -> float:
+    def cost(self, path: JointPath) -> float:
         return self._inner.cost(path)
 
-    def smooth_cost(self, path: Path, sharpness: float) -> tuple[float, FloatArray]:
+    def smooth_cost(self, path: JointPath, sharpness: float) -> tuple[float, FloatArray]:
         inside = all(constraint.use(path).max() <= 1.0 for constraint in self._constraints)
         if inside and np.exp(self._inner.cost(path)) <= TARGET:
             raise _ReachedError
         return self._inner.smooth_cost(path, sharpness)
 
 
-def our_time(problem: Problem, start: FloatArray) -> float:
+def our_time(problem: DesignProblem, start: FloatArray) -> float:
     """Seconds [s] from the start to the target; inf where it was not reached."""
     watched = replace(problem, criterion=_Watch(problem.criterion, problem))
     since = time.perf_counter()
@@ -124,7 +124,7 @@ def our_time(problem: Problem, start: FloatArray) -> float:
     return float("inf")
 
 
-def peer_time(problem: Problem, start: FloatArray, limit: float = PEER_LIMIT) -> float:
+def peer_time(problem: DesignProblem, start: FloatArray, limit: float = PEER_LIMIT) -> float:
     """The same for the peer; `limit` where it takes longer or ends elsewhere."""
     since = time.perf_counter()
     try:
@@ -134,7 +134,7 @@ def peer_time(problem: Problem, start: FloatArray, limit: float = PEER_LIMIT) ->
     return limit
 
 
-def peer_solve(problem: Problem, start: FloatArray, deadline: float, stop: float) -> float:
+def peer_solve(problem: DesignProblem, start: FloatArray, deadline: float, stop: float) -> float:
     """SLSQP with finite differences from one start: the least condition number within the limits at an iterate."""
     from scipy.optimize import minimize
 

@@ -12,8 +12,8 @@ from benchmarks.agreement import check
 from benchmarks.arm import arm
 from benchmarks.timing import medians
 from drivers.core.arrays import FloatArray
-from ident.estimators.swarm.box import Box
-from ident.estimators.swarm.minimisation import Budget, minimise
+from ident.estimators.swarm.box import SearchBox
+from ident.estimators.swarm.minimisation import SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.linear_algebra.triangular import triangular
@@ -31,7 +31,7 @@ swarm_search_vs_pymoo, swarm_search_vs_pyswarms: a particle swarm of 50 over 100
 PARTICLES, GENERATIONS, POPULATION = 50, 100, 200
 
 
-def problem(samples: int) -> tuple[FloatArray, FloatArray, QuadraticCost, Box]:
+def problem(samples: int) -> tuple[FloatArray, FloatArray, QuadraticCost, SearchBox]:
     """All rows, their torques, the cost on their factor, and a box about the truth."""
     model = arm()
     base = base_parameters(model)
@@ -42,7 +42,7 @@ def problem(samples: int) -> tuple[FloatArray, FloatArray, QuadraticCost, Box]:
     torque = matrix @ truth + generator.standard_normal(len(matrix))
     factor = triangular(np.column_stack([matrix, torque]))
     cost = QuadraticCost(factor[:-1, :-1], factor[:-1, -1], float(factor[-1, -1] ** 2))
-    return matrix, torque, cost, Box.around(truth, 0.1)
+    return matrix, torque, cost, SearchBox.around(truth, 0.1)
 
 
 def run_rows(samples: int = 20_000, rounds: int = 5) -> dict[str, float]:
@@ -76,7 +76,7 @@ def run_peers(rounds: int = 5) -> dict[str, float]:
     _, _, cost, box = problem(1000)
     searches = medians(
         {
-            "ours": lambda: minimise(ParticleSwarm(PARTICLES), cost, box, Budget(GENERATIONS)),
+            "ours": lambda: minimise(ParticleSwarm(PARTICLES), cost, box, SearchBudget(GENERATIONS)),
             "pymoo": lambda: by_pymoo(cost, box),
             "pyswarms": lambda: by_pyswarms(cost, box),
         },
@@ -94,7 +94,7 @@ def on_rows(matrix: FloatArray, torque: FloatArray, points: FloatArray) -> Float
     return np.array([np.linalg.norm(matrix @ point - torque) for point in points])
 
 
-def by_pymoo(cost: QuadraticCost, box: Box) -> float:
+def by_pymoo(cost: QuadraticCost, box: SearchBox) -> float:
     """The least cost."""
     from pymoo.algorithms.soo.nonconvex.pso import PSO
     from pymoo.core.problem import Problem
@@ -111,7 +111,7 @@ def by_pymoo(cost: QuadraticCost, box: Box) -> float:
     return float(minimize(Quadratic(), algorithm, ("n_gen", GENERATIONS + 1), seed=1, verbose=False).F[0])
 
 
-def by_pyswarms(cost: QuadraticCost, box: Box) -> float:
+def by_pyswarms(cost: QuadraticCost, box: SearchBox) -> float:
     """The least cost."""
     # It writes a log file into the working directory.
     with TemporaryDirectory() as folder, contextlib.chdir(folder):

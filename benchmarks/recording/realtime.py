@@ -19,8 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.motion.player import Path as MotionPath
-from daq.motion.player import Player
+from daq.motion.player import MotionSequence, Player
 from daq.motion.trajectories import PointToPoint
 from daq.recording.recorder import Recorder
 from daq.robot.loader import load_robot
@@ -46,7 +45,7 @@ Figures = Mapping[str, object]
 
 def punctuality_of_the_player(seconds: float) -> Figures:
     """Positions to an arm that takes no time at all."""
-    path = MotionPath([PointToPoint(np.array([np.zeros(6), np.ones(6)]), np.array([seconds]))], PLAYER_RATE)
+    path = MotionSequence([PointToPoint(np.array([np.zeros(6), np.ones(6)]), np.array([seconds]))], PLAYER_RATE)
     player = Player(lambda *_: None, path, np.full(6, 10.0), SYSTEM_CLOCK)
     player.start()
     while not player.done and player.failure is None:

@@ -12,13 +12,13 @@ from daq.importers.assembly import ImportedSamples, rows
 from daq.importers.choices import ImportChoices, TimeUnit
 from daq.importers.table import Note, printable
 from daq.importers.units import REVOLUTE
+from daq.recording.recording import MOTOR_SIGNALS
 from daq.recording.repairs import DROP_DUPLICATES, DROP_NAN, DROP_REPEATS, OPPOSITE_TORQUE, SORT
 from daq.recording.stale_samples import stale_samples
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError
 from drivers.core.ranges import SAMPLING_RATE
 
-MOTOR_SIGNALS = ("torque", "current", "voltage")
 RESTART_RUN = 50
 """So many samples that rise in order, all before a stamp already passed, are a second run and not a late message."""
 

@@ -58,7 +58,7 @@ def skip_limit(period: float) -> int:
     return int(np.clip(SKIP_TIME / period + 1e-9, 1, SKIP_LIMIT))
 
 
-class Path:
+class MotionSequence:
     """Motions one after the other, each from rest to rest and begun at a tick of the player.
 
     Args:
@@ -135,7 +135,7 @@ class Player:
     def __init__(
         self,
         send: Callable[[FloatArray, float], None],
-        path: Path,
+        path: MotionSequence,
         acceleration: FloatArray,
         clock: Clock = SYSTEM_CLOCK,
         *,

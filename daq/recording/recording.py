@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION = 1
 JOINTS_STREAM = "joints"
+MOTOR_SIGNALS = ("torque", "current", "voltage")
+"""Quantities of a stream that are or become the joints' torques."""
 
 Level = Literal["info", "warning", "error"]
 

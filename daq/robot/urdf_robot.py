@@ -19,7 +19,7 @@ UNLIMITED = 2 * math.pi
 """Position limit of a continuous joint [rad]: a turn to either side."""
 TOOL_LINKS = ("tool0", "tcp", "tool", "flange", "ee")
 """Words in the names of links that a tool is mounted on, the most telling first (ROS-Industrial, REP 199: `tool0`)."""
-ROUNDING = 1e-9
+RIGHT_ANGLE_RESIDUE = 1e-9
 """Rounding residue of sines and cosines of right angles [m or rad]."""
 
 
@@ -270,4 +270,4 @@ def _origin(joint: ElementTree.Element, where: str) -> tuple[FloatArray, FloatAr
 
 
 def _exact(values: FloatArray) -> tuple[float, ...]:
-    return tuple(0.0 if abs(value) < ROUNDING else float(value) for value in values)
+    return tuple(0.0 if abs(value) < RIGHT_ANGLE_RESIDUE else float(value) for value in values)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.motion.limits import check_limits
-from daq.motion.player import Path, Player
+from daq.motion.player import MotionSequence, Player
 from daq.motion.trajectories import Motion
 from daq.recording.recorder import Recorder
 from daq.recording.recording import JOINTS_STREAM
@@ -184,7 +184,7 @@ def _take_control(driver: Driver, cycle: Callable[[], None], course: Course) -> 
 
 
 def prepare(
-    driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: Course, path: Path
+    driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: Course, path: MotionSequence
 ) -> Player:
     """The player of a path, with the command gate between it and the driver."""
     limits = GateLimits.of_joints(play.robot.joints)
@@ -199,7 +199,7 @@ def prepare(
 
 
 def follow_motion(
-    cycle: Callable[[], None], recorder: Recorder, course: Course, player: Player, path: Path, robot: Robot
+    cycle: Callable[[], None], recorder: Recorder, course: Course, player: Player, path: MotionSequence, robot: Robot
 ) -> None:
     """Until the arm has arrived at the end of the motion.
 

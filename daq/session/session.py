@@ -16,8 +16,7 @@ from types import FrameType
 
 import numpy as np
 
-from daq.motion.player import Path as MotionPath
-from daq.motion.player import Player, Punctuality, dry_run
+from daq.motion.player import MotionSequence, Player, Punctuality, dry_run
 from daq.recording.clocks import ClockLog
 from daq.recording.recorder import Recorder
 from daq.robot.schema import Robot
@@ -180,7 +179,7 @@ def record(  # noqa: C901, PLR0912 — the steps, in their order
                 wait_for_position(cycle, course)
                 approach = permitted_approach(driver, cycle, course, play)
                 if approach is not None:
-                    path = MotionPath([approach, play.motion], rate)
+                    path = MotionSequence([approach, play.motion], rate)
                     player = prepare(driver, supervisor, recorder, play, course, path)
                     supervisor.restart_ages(clock.now())
                     course.moves = True

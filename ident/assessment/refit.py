@@ -39,7 +39,7 @@ RELINEARISATIONS = 6
 WEIGHTS_SETTLED = 1e-3
 """Relative change of the sums of squares that ends the iteration of the joints' weights."""
 
-SETTLED = 0.05
+SETTLED_STEP = 0.05
 """A step of less than this many σ ends the iteration."""
 
 GAINS = (1e-3, 1e3)
@@ -208,7 +208,7 @@ class Refit:
             step = float(solved.unknown[0])
             value += step
             parameters = self._all(solved.parameters)
-            if abs(step) < SETTLED * np.sqrt(solved.covariance[0, 0]):
+            if abs(step) < SETTLED_STEP * np.sqrt(solved.covariance[0, 0]):
                 break
         if solved is None or solved.covariance is None:
             return None
@@ -251,7 +251,7 @@ class Refit:
             turn = turn * min(1.0, LARGEST_STEP / length) if length else turn
             gravity = gravity + size * (turn @ across)
             gravity = size * gravity / np.linalg.norm(gravity)
-            if length < SETTLED * np.sqrt(np.trace(solved.covariance)):
+            if length < SETTLED_STEP * np.sqrt(np.trace(solved.covariance)):
                 break
         if solved is None or solved.covariance is None:
             return None

@@ -12,6 +12,7 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from daq.session.connections import connection_names
 from daq.session.device_limits import before_a_motion
+from daq.session.play import FIRST_SAMPLE_LIMIT
 from daq.session.session import load_driver
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import DeviceLimits, Driver, Identifying, Limiting
@@ -21,8 +22,6 @@ from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError
 from drivers.streams import Batch
 
-FIRST_SAMPLE_LIMIT = 5.0
-"""Time limit [s] for the first sample."""
 LISTEN = 1.0
 """Time [s] over which the rate is measured; two periods of the slowest stream where that is longer."""
 FEWEST_FOR_RATE = 20

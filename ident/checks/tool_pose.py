@@ -13,7 +13,7 @@ from ident.model.dynamic_model import DynamicModel
 
 ZERO = "zero"
 """Name of the pose at which every joint is at 0."""
-ROUNDING = 1e-12
+SHOWN_AS_ZERO = 1e-12
 """[m or rad] below which a number is rounding residue and shown as 0."""
 
 
@@ -75,4 +75,4 @@ def _tool_pose(robot_file: RobotFile, model: DynamicModel, name: str, joints: tu
 
 
 def _numbers(values: np.ndarray) -> tuple[float, ...]:
-    return tuple(0.0 if abs(value) < ROUNDING else float(value) for value in values)
+    return tuple(0.0 if abs(value) < SHOWN_AS_ZERO else float(value) for value in values)

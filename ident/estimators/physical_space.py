@@ -10,7 +10,7 @@ from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.prior import link_priors
 from ident.estimators.search_estimator import Space, no_penalty
-from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.identifiability import Identified, identifiability
 from ident.estimators.swarm.physical import (
     SIZE,
@@ -81,7 +81,7 @@ def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable
         names = physical_names(model)
         chosen = [place for place in _acting(of_active, reference, links) if lower[place] < upper[place]]
         physical = PhysicalCost(PhysicalParameters.of(model, reference, [names[c] for c in chosen]), cost, of_active)
-        box = Box(lower[chosen], upper[chosen], [names[c] for c in chosen])
+        box = SearchBox(lower[chosen], upper[chosen], [names[c] for c in chosen])
 
         def steps(point: FloatArray, deviation: float) -> tuple[Step, ...]:
             return (identified_step(identifiability(physical.derivative(point), deviation, box.names), point),)

@@ -14,8 +14,8 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from ident.estimators.estimator import Estimation, Loop, Setup
-from ident.estimators.swarm.box import Box
-from ident.estimators.swarm.minimisation import Budget, Minimum, Optimiser, minimise
+from ident.estimators.swarm.box import SearchBox
+from ident.estimators.swarm.minimisation import Minimum, Optimiser, SearchBudget, minimise
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.linear_algebra.triangular import triangular
@@ -23,7 +23,7 @@ from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import JointFactor, Reduction
 from ident.signals.prepared import Prepared, Step
 
-SETTLED = 1e-3
+SETTLED_SHARE = 1e-3
 """A search has settled where its last tenth, of 10 generations at least, lowered the cost by less than this share."""
 
 SHOWN = 500
@@ -54,7 +54,7 @@ class Space:
             list of steps.
     """
 
-    box: Box
+    box: SearchBox
     base: Callable[[FloatArray], FloatArray]
     penalty: Callable[[FloatArray], FloatArray] = no_penalty
     steps: Callable[[FloatArray, float], tuple[Step, ...]] = lambda point, deviation: ()
@@ -73,7 +73,7 @@ class SearchEstimator(TorqueEstimator):
 
     space: Callable[[LeastSquares, QuadraticCost], Space]
     optimiser: Optimiser
-    budget: Budget
+    budget: SearchBudget
     seed: int
 
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
@@ -106,7 +106,7 @@ class SearchEstimator(TorqueEstimator):
             optimum=exact,
         )
 
-    def _step(self, exact: LeastSquares, parameters: FloatArray, cost: float, found: Minimum, box: Box) -> Step:
+    def _step(self, exact: LeastSquares, parameters: FloatArray, cost: float, found: Minimum, box: SearchBox) -> Step:
         """What the search found, beside the exact optimum."""
         above = cost / max(float(np.sqrt(exact.residual_sum)), np.finfo(float).tiny) - 1.0
         used = list(exact.active)
@@ -139,7 +139,7 @@ def base_space(share: float, setup: Setup) -> Callable[[LeastSquares, QuadraticC
 
     def space(exact: LeastSquares, cost: QuadraticCost) -> Space:
         names = [setup.base.names[column] for column in exact.active]
-        return Space(Box.around(exact.parameters[list(exact.active)], share, names), lambda points: points)
+        return Space(SearchBox.around(exact.parameters[list(exact.active)], share, names), lambda points: points)
 
     return space
 
@@ -171,4 +171,6 @@ def _loop(found: Minimum) -> Loop:
 
 def _settled(found: Minimum) -> bool:
     tenth = max(10, len(found.history) // 10)
-    return bool(found.history[-1 - tenth] <= (1.0 + SETTLED) * found.cost) if len(found.history) > tenth else False
+    return (
+        bool(found.history[-1 - tenth] <= (1.0 + SETTLED_SHARE) * found.cost) if len(found.history) > tenth else False
+    )

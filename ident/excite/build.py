@@ -29,9 +29,9 @@ from ident.excite.measures import (
     plain_condition,
 )
 from ident.excite.path import Family
-from ident.excite.prior import Prior
+from ident.excite.prior import PriorKnowledge
 from ident.excite.search.error_bars import ErrorBars
-from ident.excite.search.problem import Problem
+from ident.excite.search.problem import DesignProblem
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
@@ -47,7 +47,7 @@ _TRIALS = 5
 """Random motions that decide which columns a family can excite."""
 
 
-def build_problem(robot_file: RobotFile, prior: Prior, choices: DesignChoices) -> Problem:
+def build_problem(robot_file: RobotFile, prior: PriorKnowledge, choices: DesignChoices) -> DesignProblem:
     """The problem of a design.
 
     Raises:
@@ -63,7 +63,7 @@ def build_problem(robot_file: RobotFile, prior: Prior, choices: DesignChoices) -
     criterion = criterion_within_limits(model, build_criterion(model, columns, prior, choices))
     conditioning = criterion_within_limits(model, RegressorCriterion(model, columns, condition))
     error_bars = _error_bars(model, columns, prior, choices)
-    return Problem(family, criterion, conditioning, constraints, time, 1.0 - choices.margin, error_bars)
+    return DesignProblem(family, criterion, conditioning, constraints, time, 1.0 - choices.margin, error_bars)
 
 
 def build_family(model: DynamicModel, choices: DesignChoices) -> Family:
@@ -80,7 +80,9 @@ def build_family(model: DynamicModel, choices: DesignChoices) -> Family:
     return PointsFamily(*common, choices.points)
 
 
-def build_criterion(model: DynamicModel, columns: tuple[int, ...], prior: Prior, choices: DesignChoices) -> Criterion:
+def build_criterion(
+    model: DynamicModel, columns: tuple[int, ...], prior: PriorKnowledge, choices: DesignChoices
+) -> Criterion:
     """The criterion of a design over the standard columns that its family can excite.
 
     Raises:
@@ -142,7 +144,7 @@ def _wanted(model: DynamicModel, base: BaseParameters, choices: DesignChoices) -
 
 
 def _error_bars(
-    model: DynamicModel, columns: tuple[int, ...], prior: Prior, choices: DesignChoices
+    model: DynamicModel, columns: tuple[int, ...], prior: PriorKnowledge, choices: DesignChoices
 ) -> ErrorBars | None:
     if prior.parameters is None or choices.loaded:
         return None
@@ -157,7 +159,7 @@ def _error_bars(
     )
 
 
-def _sizes(base: BaseParameters, prior: Prior, columns: Sequence[int], choices: DesignChoices) -> FloatArray:
+def _sizes(base: BaseParameters, prior: PriorKnowledge, columns: Sequence[int], choices: DesignChoices) -> FloatArray:
     """Size of each parameter, which its standard deviation is compared with."""
     if choices.loaded:
         raise UsageError(

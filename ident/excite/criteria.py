@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.excite.measures import Measure
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel
 from ident.model.regressor_gradient import pull_back_regressor
@@ -22,10 +22,10 @@ SIGN_SMOOTHING = 0.05
 class Criterion(Protocol):
     """A cost of a path: the smaller, the better the excitation."""
 
-    def cost(self, path: Path) -> float:
+    def cost(self, path: JointPath) -> float:
         """Exactly as the criterion is defined; inf where the path excites nothing."""
 
-    def smooth_cost(self, path: Path, sharpness: float) -> tuple[float, FloatArray]:
+    def smooth_cost(self, path: JointPath, sharpness: float) -> tuple[float, FloatArray]:
         """A smooth bound of the cost and its derivatives (3, n, N) by position, velocity and acceleration."""
 
 
@@ -56,11 +56,11 @@ class RegressorCriterion:
         self._smooth_model = replace(model, smoothing=max(model.smoothing, SIGN_SMOOTHING))
         self._kernels: dict[tuple[bool, int], RegressorKernel] = {}
 
-    def cost(self, path: Path) -> float:
+    def cost(self, path: JointPath) -> float:
         """The measure, its extreme eigenvalues taken exactly."""
         return self._measure(self.information(path), np.inf)[0]
 
-    def smooth_cost(self, path: Path, sharpness: float) -> tuple[float, FloatArray]:
+    def smooth_cost(self, path: JointPath, sharpness: float) -> tuple[float, FloatArray]:
         """The measure with power means of order `sharpness` and smoothed signs of q̇; its derivatives (3, n, N)."""
         kernel, packed = self._evaluated(path, smooth=True)
         cost, by_information = self._measure(self._gram(kernel, packed), sharpness)
@@ -71,11 +71,11 @@ class RegressorCriterion:
             np.matmul(factor, packed[rows.rows], out=weights[rows.rows])
         return cost, pull_back_regressor(kernel, path.position, path.velocity, path.acceleration, weights)
 
-    def information(self, path: Path) -> FloatArray:
+    def information(self, path: JointPath) -> FloatArray:
         """The information matrix (b, b) that one sample brings in the mean."""
         return self._gram(*self._evaluated(path, smooth=False))
 
-    def _evaluated(self, path: Path, *, smooth: bool) -> tuple[RegressorKernel, FloatArray]:
+    def _evaluated(self, path: JointPath, *, smooth: bool) -> tuple[RegressorKernel, FloatArray]:
         count = len(path.time)
         if (smooth, count) not in self._kernels:
             model = self._smooth_model if smooth else self._model
@@ -100,11 +100,11 @@ class MotionSize:
     It rewards large motion only; check the condition number as well.
     """
 
-    def cost(self, path: Path) -> float:
+    def cost(self, path: JointPath) -> float:
         """−log of the largest eigenvalue of QᵀQ."""
         return float(-np.log(np.linalg.eigvalsh(self._gram(path))[-1]))
 
-    def smooth_cost(self, path: Path, sharpness: float) -> tuple[float, FloatArray]:
+    def smooth_cost(self, path: JointPath, sharpness: float) -> tuple[float, FloatArray]:
         """The same: the largest eigenvalue of these matrices is simple."""
         stacked = self._stacked(path)
         values, vectors = np.linalg.eigh(self._gram(path))
@@ -112,9 +112,9 @@ class MotionSize:
         gradient = -2.0 * np.outer(direction, direction @ stacked) / values[-1]
         return float(-np.log(values[-1])), gradient.reshape(3, *path.position.shape)
 
-    def _stacked(self, path: Path) -> FloatArray:
+    def _stacked(self, path: JointPath) -> FloatArray:
         return np.concatenate([path.position, path.velocity, path.acceleration])
 
-    def _gram(self, path: Path) -> FloatArray:
+    def _gram(self, path: JointPath) -> FloatArray:
         stacked = self._stacked(path)
         return np.asarray(stacked @ stacked.T)

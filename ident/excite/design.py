@@ -16,7 +16,7 @@ from drivers.core.errors import UsageError
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.path import Family
-from ident.excite.prior import Prior
+from ident.excite.prior import PriorKnowledge
 from ident.excite.search.acceptance import accepted
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.search import SearchChoices, SearchResult, search
@@ -51,7 +51,7 @@ class Design:
 
 def design(
     robot_file: RobotFile,
-    prior: Prior,
+    prior: PriorKnowledge,
     choices: DesignChoices,
     search_choices: SearchChoices,
     earlier: Motion | None = None,

@@ -17,7 +17,7 @@ from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from ident.excite.path import repeated_for
-from ident.excite.prior import Prior, recording_rate
+from ident.excite.prior import PriorKnowledge, recording_rate
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
@@ -132,7 +132,7 @@ class ExcitationFigures:
     prior: str
 
 
-def excitation_figures(robot_file: RobotFile, motion: Motion, prior: Prior) -> ExcitationFigures:
+def excitation_figures(robot_file: RobotFile, motion: Motion, prior: PriorKnowledge) -> ExcitationFigures:
     """Figures of a motion as it is played, from rest to rest.
 
     Args:
@@ -163,7 +163,7 @@ def forecast(
     base: BaseParameters,
     model: DynamicModel,
     reduction: tuple[Reduction, float],
-    prior: Prior,
+    prior: PriorKnowledge,
     active: Sequence[int] | None = None,
 ) -> Forecast:
     """Expected precision with rows of a regressor, whatever their torque.
@@ -232,7 +232,7 @@ def _motion_reduction(
 
 
 def _limit_use(
-    model: DynamicModel, base: BaseParameters, motion: Motion, prior: Prior
+    model: DynamicModel, base: BaseParameters, motion: Motion, prior: PriorKnowledge
 ) -> tuple[tuple[JointUse, ...], tuple[float, str, float]]:
     """Limit utilisation of every joint, and the largest one: value, name, time [s]."""
     extremes = motion_extremes(motion)
@@ -273,7 +273,7 @@ def _named_uses(entry: JointUse, extremes: Extremes, index: int, side: int) -> l
 
 
 def _largest_torques(
-    model: DynamicModel, base: BaseParameters, motion: Motion, prior: Prior
+    model: DynamicModel, base: BaseParameters, motion: Motion, prior: PriorKnowledge
 ) -> tuple[FloatArray | None, FloatArray]:
     """Largest magnitudes (n,) of the torques of the prior parameters, None without them, and their times (n,) [s]."""
     if prior.parameters is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -21,7 +21,7 @@ from ident.excite.constraints.placements import place_arm, tool_point
 from ident.excite.constraints.self_collision import SelfCollision
 from ident.excite.constraints.torque_limits import TORQUE_SHARE, TorqueLimits
 from ident.excite.constraints.workspace import SAMPLES_AT_ONCE, WorkspaceLimits
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.excite.prior import find_prior
 from ident.model.dynamic_model import build_model
 
@@ -67,7 +67,7 @@ class _Watched:
 class ArmMotionCheck:
     """Keeps an arm clear of its mounting surface, obstacles and itself, and within its torque limits."""
 
-    def __init__(self, robot_file: RobotFile, prior: FilePath | None = None) -> None:
+    def __init__(self, robot_file: RobotFile, prior: Path | None = None) -> None:
         """Prepare for an arm.
 
         Args:
@@ -104,7 +104,7 @@ class ArmMotionCheck:
 
     def _check(self, motion: Motion, rate: float, where: str, *, from_here: bool) -> MotionFigures:
         time = _grid(motion, rate, where)
-        path = Path(time, *motion.evaluate(time))
+        path = JointPath(time, *motion.evaluate(time))
         clearances = []
         for watched in self._watched(path):
             kept = min(watched.kept, float(watched.distance[0])) if from_here else watched.kept
@@ -131,7 +131,7 @@ class ArmMotionCheck:
             unchecked=self._unchecked,
         )
 
-    def _watched(self, path: Path) -> Iterator[_Watched]:
+    def _watched(self, path: JointPath) -> Iterator[_Watched]:
         for limits in self._workspace:
             for clearance in limits.clearances(path):
                 names = [link_name(self._model, link) for link in clearance.link]
@@ -145,7 +145,7 @@ class ArmMotionCheck:
                 first, second = named[row]
                 yield _Watched(f"link {first}", "link", [second] * path.time.size, distances[row], 0.0)
 
-    def _check_torque(self, path: Path, where: str, *, from_here: bool) -> tuple[str, float | None]:
+    def _check_torque(self, path: JointPath, where: str, *, from_here: bool) -> tuple[str, float | None]:
         joint, share = "", None
         for limits in self._torque:
             used = np.abs(limits.use_over_time(path))
@@ -163,7 +163,7 @@ class ArmMotionCheck:
             joint, share = limits.joint_names[row], TORQUE_SHARE * float(used[row].max())
         return joint, share
 
-    def _tool(self, path: Path) -> tuple[float, float, float]:
+    def _tool(self, path: JointPath) -> tuple[float, float, float]:
         """Lowest height and farthest distance of the tool point [m], and its largest speed [m/s]."""
         tool = np.empty((3, path.time.size))
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):

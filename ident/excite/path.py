@@ -15,7 +15,7 @@ from drivers.core.arrays import FloatArray
 
 
 @dataclass(frozen=True)
-class Path:
+class JointPath:
     """A joint motion on a grid of times.
 
     Attributes:
@@ -65,7 +65,7 @@ class Family(Protocol):
     def grid(self, count: int) -> FloatArray:
         """About `count` times (N,) [s] that cover everything that is played, for designing (not for the last check)."""
 
-    def path(self, variables: FloatArray, time: FloatArray) -> Path:
+    def path(self, variables: FloatArray, time: FloatArray) -> JointPath:
         """The motion of x at times (N,) [s]."""
 
     def pull_back(self, variables: FloatArray, time: FloatArray, gradient: FloatArray) -> FloatArray:
@@ -125,10 +125,10 @@ class Constraint(Protocol):
     def names(self) -> tuple[str, ...]:
         """Name of each value, for messages (`velocity of elbow`)."""
 
-    def use(self, path: Path) -> FloatArray:
+    def use(self, path: JointPath) -> FloatArray:
         """(m,) largest utilisation along the path, exactly on its grid; ≤ 1 is allowed."""
 
-    def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
+    def smooth_use(self, path: JointPath, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """A smooth upper bound (m,) of `use` and its derivatives (m, 3, n, N).
 
         The bound is the soft maximum over the grid and tightens as `sharpness` grows.

@@ -29,7 +29,7 @@ ASSUMED_NOISE = 1.0
 
 
 @dataclass(frozen=True)
-class Prior:
+class PriorKnowledge:
     """Knowledge before a recording.
 
     Attributes:
@@ -55,7 +55,7 @@ def recording_rate(robot: Robot) -> float:
     return robot.truth.noise.rate
 
 
-def find_prior(robot_file: RobotFile, result: Path | None = None) -> Prior:
+def find_prior(robot_file: RobotFile, result: Path | None = None) -> PriorKnowledge:
     """Prior of an arm: from an earlier identification, else from the file's truth, else assumed.
 
     Args:
@@ -75,14 +75,14 @@ def find_prior(robot_file: RobotFile, result: Path | None = None) -> Prior:
     assumed = np.array([assumed_noise(limits.torque) for limits in robot.joints])
     if not all(name in robot.truth.links for name in (*robot.joint_names, *robot.passive_names)):
         source = f"no parameters; torque noise of {_ASSUMPTION} assumed"
-        return Prior(None, assumed, source, recording_rate(robot))
+        return PriorKnowledge(None, assumed, source, recording_rate(robot))
     known = np.array([robot.truth.noise.torque_std.get(name, 0.0) for name in robot.joint_names])
     source = "the robot file's truth"
     if not np.all(known > 0):
         silent = [name for name, value in zip(robot.joint_names, known, strict=True) if value <= 0]
         source += f"; it has no torque noise for {', '.join(silent)}: {_ASSUMPTION} assumed"
     truth = base.projection @ truth_vector(robot_file)
-    return Prior(truth, np.where(known > 0, known, assumed), source, robot.truth.noise.rate)
+    return PriorKnowledge(truth, np.where(known > 0, known, assumed), source, robot.truth.noise.rate)
 
 
 _ASSUMPTION = f"{percent_text(ASSUMED_NOISE_SHARE)} of the torque limit ({ASSUMED_NOISE:g} N·m where it is unknown)"
@@ -98,7 +98,7 @@ def least_noise(joints: Sequence[JointLimits]) -> FloatArray:
     return np.array([1e-6 * assumed_noise(limits.torque) for limits in joints])
 
 
-def prior_of_result(result: Result, robot: Robot, base: BaseParameters, where: str) -> Prior:
+def prior_of_result(result: Result, robot: Robot, base: BaseParameters, where: str) -> PriorKnowledge:
     """Parameters and noise of an identification.
 
     Its residuals are autocorrelated. They are scaled up by the ratio of corrected to classical standard deviations
@@ -126,7 +126,7 @@ def prior_of_result(result: Result, robot: Robot, base: BaseParameters, where: s
     ]
     noise = deviations * (float(np.median(ratios)) if ratios else 1.0)
     parameters = np.array([stored[name].value or 0.0 for name in base.names])
-    return Prior(
+    return PriorKnowledge(
         parameters, np.maximum(noise, least_noise(robot.joints)), f"identified: {where}", _filtered_rate(result, where)
     )
 

@@ -13,7 +13,7 @@ from drivers.core.text import percentage_text
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recorded_motion import RecordedMotion
 from ident.excite.forecast import Forecast, forecast
-from ident.excite.prior import Prior, find_prior, least_noise
+from ident.excite.prior import PriorKnowledge, find_prior, least_noise
 from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import FilteredRun, block_jackknife
 from ident.regression.least_squares import weighted_least_squares
@@ -96,7 +96,7 @@ def motion_sufficiency(motion: RecordedMotion, choices: PreprocessChoices | None
     return _summary(motion, prior)
 
 
-def _summary(motion: RecordedMotion, prior: Prior, repetitions: float = 1.0) -> Sufficiency:
+def _summary(motion: RecordedMotion, prior: PriorKnowledge, repetitions: float = 1.0) -> Sufficiency:
     prepared = motion.prepared
     rate = prepared.segments[0].rate
     active = excited_base_columns(motion.reduction, motion.base, [prepared])
@@ -122,7 +122,7 @@ def _from_torque(motion: RecordedMotion) -> Sufficiency:
     classical = np.diag(solution.covariance)  # 0 where the model leaves no residual, as of a torque that is 0
     ratios = np.sqrt(np.diag(corrected.covariance)[classical > 0.0] / classical[classical > 0.0])
     ratio = float(np.median(ratios)) if len(ratios) else 1.0
-    prior = Prior(
+    prior = PriorKnowledge(
         parameters=solution.parameters,
         noise=np.maximum(solution.joint_std * ratio, least_noise(motion.model.limits)),
         source=OWN_TORQUE,

@@ -15,9 +15,7 @@ from ident.estimators.feasible.pseudo_inertia import Body, body_of
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics
-from ident.model.parameters import INERTIAL, Quantity
-
-LINK_SIZE = len(INERTIAL)
+from ident.model.parameters import LINK_SIZE, Quantity
 
 
 @dataclass(frozen=True)

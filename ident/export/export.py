@@ -13,7 +13,7 @@ from ident.export import mujoco_reading, pinocchio_reading
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_mjcf, left_out_of_ros2_inertial, left_out_of_urdf
 from ident.export.mjcf import mjcf
-from ident.export.reading import Reading, check_same_torque, simulation_checks
+from ident.export.reading import ReadBack, check_same_torque, simulation_checks
 from ident.export.ros2_inertial import check_ros2_inertial, ros2_inertial
 from ident.export.urdf import new_urdf
 from ident.export.urdf_edit import edited_urdf
@@ -36,7 +36,7 @@ class Export:
     path: Path
     format: str
     left_out: tuple[str, ...]
-    readings: tuple[Reading, ...]
+    readings: tuple[ReadBack, ...]
     checks: tuple[Check, ...]
 
     @property
@@ -115,7 +115,7 @@ def export_ros2_inertial(arm: ExportedArm, path: str | PathLike[str], *, force: 
 
 
 def _written(
-    target: Path, kind: str, text: str, left_out: tuple[str, ...], readings: list[Reading], checks: list[Check]
+    target: Path, kind: str, text: str, left_out: tuple[str, ...], readings: list[ReadBack], checks: list[Check]
 ) -> Export:
     for reading in readings:
         check_same_torque(reading, str(target))

@@ -15,6 +15,7 @@ from ident.export.shapes import Segment, link_segments
 from ident.export.urdf import link_name
 from ident.export.xml_text import comment_text, number, numbers, quaternion
 from ident.model.kinematics.joints import BASE_INDEX, ancestors
+from ident.model.kinematics.linkages.build import RANK
 from ident.model.kinematics.linkages.closed_loops import ClosedLoops
 from ident.model.kinematics.loops import loop_ends, place_tree
 from ident.model.kinematics.transmission import LinearTransmission
@@ -28,9 +29,6 @@ that leaves 1e-4 of the acceleration to the spring."""
 
 SECOND_POINT = 0.1
 """[m] along the axis of an opened joint at which a second point holds the axes parallel, where one does not do."""
-
-RANK = 1e-8
-"""Singular values of the closing equations below this share of the largest count as zero."""
 
 
 def mjcf(arm: ExportedArm) -> str:

@@ -16,7 +16,7 @@ from ident.export.arm import ExportedArm
 from ident.export.reading import (
     DURATION,
     STATES,
-    Reading,
+    ReadBack,
     Simulation,
     energy_gain,
     largest_share,
@@ -34,7 +34,7 @@ def mujoco_installed() -> bool:
     return find_spec("mujoco") is not None
 
 
-def read_mjcf(arm: ExportedArm, text: str) -> Reading:
+def read_mjcf(arm: ExportedArm, text: str) -> ReadBack:
     """Read an MJCF's text, compare the motor torques of the constrained model with the arm's, and simulate it.
 
     Raises:
@@ -44,7 +44,7 @@ def read_mjcf(arm: ExportedArm, text: str) -> Reading:
     error = torque_error(arm, model, STATES)
     with _without_log_file():
         simulations = _fall(arm, model), _track(arm, model)
-    return Reading(_name(), error, STATES, simulations)
+    return ReadBack(_name(), error, STATES, simulations)
 
 
 def torque_error(arm: ExportedArm, model: Any, states: int) -> float:
@@ -55,7 +55,7 @@ def torque_error(arm: ExportedArm, model: Any, states: int) -> float:
     return largest_share(motors - expected, expected)
 
 
-def read_urdf(arm: ExportedArm, text: str) -> Reading:
+def read_urdf(arm: ExportedArm, text: str) -> ReadBack:
     """Read a URDF's text without its meshes, and compare its torques with the model's; what it cannot hold is added.
 
     Raises:
@@ -73,7 +73,7 @@ def read_urdf(arm: ExportedArm, text: str) -> Reading:
     torque = _bare_inverse(arm, model, motion.position, motion.velocity, motion.acceleration)
     friction = model.dof_frictionloss[_order(arm, model)]
     torque += friction[:, None] * arm.model.coulomb_direction(motion.velocity)
-    return Reading(_name(), tree_torque_error(arm, torque, active), STATES)
+    return ReadBack(_name(), tree_torque_error(arm, torque, active), STATES)
 
 
 def inverse_dynamics(arm: ExportedArm, model: Any, q: FloatArray, dq: FloatArray, ddq: FloatArray) -> FloatArray:

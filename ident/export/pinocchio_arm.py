@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from ident.export.arm import LINK_SIZE, ExportedArm
+from ident.export.arm import ExportedArm
+from ident.model.parameters import LINK_SIZE
 from ident.model.pinocchio_model import pinocchio_model
 
 

@@ -13,7 +13,7 @@ from ident.export.arm import ExportedArm
 from ident.export.reading import (
     DURATION,
     STATES,
-    Reading,
+    ReadBack,
     Simulation,
     energy_gain,
     random_states,
@@ -36,7 +36,7 @@ SLOW = 1e-3
 """[rad/s or m/s] below which Coulomb friction is taken as viscous."""
 
 
-def read_urdf(arm: ExportedArm, text: str) -> Reading:
+def read_urdf(arm: ExportedArm, text: str) -> ReadBack:
     """Read a URDF's text, compare its torques with the model's, and simulate it as it is, with gravity as identified.
 
     Raises:
@@ -47,7 +47,7 @@ def read_urdf(arm: ExportedArm, text: str) -> Reading:
     tree = _read(arm, text)
     error = _torque_error(tree, STATES)
     remark = "closed loops opened, joints without a motor driven too" if arm.closed else ""
-    return Reading(f"Pinocchio {pin.__version__}", error, STATES, (_fall(tree), _track(tree)), remark)
+    return ReadBack(f"Pinocchio {pin.__version__}", error, STATES, (_fall(tree), _track(tree)), remark)
 
 
 def torque_error(arm: ExportedArm, text: str, states: int) -> float:

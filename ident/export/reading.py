@@ -72,7 +72,7 @@ class Simulation:
 
 
 @dataclass(frozen=True)
-class Reading:
+class ReadBack:
     """A file read again by one reader.
 
     Attributes:
@@ -97,7 +97,7 @@ class Reading:
         return [first, *(f"{DURATION:g} s {simulation.text}" for simulation in self.simulations)]
 
 
-def check_same_torque(reading: Reading, where: str) -> None:
+def check_same_torque(reading: ReadBack, where: str) -> None:
     """Refuse a file that is another model.
 
     Raises:
@@ -111,7 +111,7 @@ def check_same_torque(reading: Reading, where: str) -> None:
         )
 
 
-def simulation_checks(reading: Reading) -> list[Check]:
+def simulation_checks(reading: ReadBack) -> list[Check]:
     """Checks of the simulations."""
     checks = []
     for simulation in reading.simulations:

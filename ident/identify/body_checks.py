@@ -16,11 +16,10 @@ from ident.assessment.arm_mass import ArmMass, arm_length, mass_of_size
 from ident.assessment.validation import fit_errors
 from ident.estimators.feasible.armature import ASSUMED
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
-from ident.estimators.feasible.problem import MASS
 from ident.identify.identification import Identification
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf import urdf_inertias
-from ident.model.parameters import INERTIAL
+from ident.model.parameters import INERTIAL, MASS
 from ident.regression.comparison import compare_torques
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check

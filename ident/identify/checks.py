@@ -14,6 +14,7 @@ from drivers.core.text import percent_text
 from ident.assessment.delay.delay import delay_checks
 from ident.assessment.idle_joints import idle_joint_checks
 from ident.assessment.mistakes.checks import mistake_checks
+from ident.assessment.model_errors import INDEPENDENT_PER_PARAMETER
 from ident.assessment.plausibility import (
     POSES,
     indefinite_share,
@@ -47,9 +48,6 @@ from ident.verdict.check import Check
 ROWS_PER_PARAMETER = 50
 """Equations per parameter below which a warning is given (SR400 .4.3 point 6)."""
 
-INDEPENDENT_PER_PARAMETER = 2
-"""With so many independent equations per parameter a fit leaves half of the noise's variance in its residual, with
-fewer less: the error bars come out too small. The public recordings have 3.3 to 3.6."""
 
 MOST_OVERSAMPLED = 6.0
 """Rate of the filtered torques over their cut-off up to which consecutive residuals are worth looking at; the default

@@ -23,9 +23,8 @@ from drivers.core.ranges import MASS as MASS_RANGE
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.parameters import INERTIAL, link_parameters
+from ident.model.parameters import INERTIAL, MASS, link_parameters
 
-MASS = INERTIAL.index("M")
 FIRST_MOMENTS = tuple(INERTIAL.index(symbol) for symbol in ("MX", "MY", "MZ"))
 
 _KEEP_ORDER = ("M", "MX", "MY", "MZ", "ZZ", "XX", "XY", "XZ", "YZ", "YY")

@@ -12,6 +12,7 @@ from drivers.core.arrays import FloatArray
 
 INERTIAL = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
 """The ten standard inertial parameters of a link, in column order [kg·m², kg·m, kg] (SR400 .3.1)."""
+LINK_SIZE, MASS = len(INERTIAL), INERTIAL.index("M")
 
 Quantity = Literal[
     "motor_inertia",

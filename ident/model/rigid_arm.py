@@ -22,7 +22,7 @@ from ident.model.kinematics.transmission import LinearTransmission, Transmission
 from ident.model.pinocchio_model import pinocchio_model
 
 if TYPE_CHECKING:
-    from ident.model.kinematics.linkages.closed_loops import ClosedLoops, Pose
+    from ident.model.kinematics.linkages.closed_loops import ClosedLoops, ClosedPose
 
 
 class RigidArm(Protocol):
@@ -231,10 +231,10 @@ class _Closed(_Constrained):
     ) -> None:
         super().__init__(model, transmission, inertial, armature, pair_inertia)
         self._loops = transmission
-        self._pose: Pose | None = None
+        self._pose: ClosedPose | None = None
         self._position = np.full(model.dof, np.nan)
 
-    def _pose_at(self, position: FloatArray) -> Pose:
+    def _pose_at(self, position: FloatArray) -> ClosedPose:
         # A step of a simulation asks for the inertia and for several biases at one position.
         if self._pose is None or not np.array_equal(position, self._position):
             self._pose = self._loops.pose((self._to_joints @ position)[:, None], self._pose)

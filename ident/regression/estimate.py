@@ -92,10 +92,10 @@ def _taken_up(factor: FloatArray, active: Sequence[int], excited: Sequence[int])
         coefficients, *_ = np.linalg.lstsq(
             system / lengths, factor[:, [others[place] for place in dependent]], rcond=None
         )
-        significant = np.where(np.abs(coefficients) > ROUNDING * np.max(lengths), coefficients, 0.0)
+        significant = np.where(np.abs(coefficients) > RESIDUE_SHARE * np.max(lengths), coefficients, 0.0)
         shares[:, dependent] = significant / lengths[:, None]
     return shares
 
 
-ROUNDING = 1e-9
+RESIDUE_SHARE = 1e-9
 """Shares below this fraction of the longest column are rounding residue."""

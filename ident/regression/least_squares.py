@@ -20,7 +20,7 @@ EXCITATION_TOLERANCE = 1e-9
 """A base column with an independent component below this share of its length is not excited, nor one
 that is shorter than this share of the longest: the derivative of a position that never changes is rounding."""
 
-ROUNDING = 1e-7
+RESIDUAL_FLOOR = 1e-7
 """A residual below this share of the joint's torque is rounding, and no measure of its noise."""
 
 LEAST_TORQUE = 1e-9
@@ -133,7 +133,7 @@ def rounding_floor(reduction: Reduction) -> FloatArray:
     torque = np.array(
         [np.linalg.norm(joint.factor[:, len(joint.columns)]) / max(joint.rows, 1) ** 0.5 for joint in reduction.joints]
     )
-    return np.asarray(ROUNDING * np.maximum(torque, max(1e-9 * float(np.max(torque)), LEAST_TORQUE)))
+    return np.asarray(RESIDUAL_FLOOR * np.maximum(torque, max(1e-9 * float(np.max(torque)), LEAST_TORQUE)))
 
 
 def inverse_deviations(reduction: Reduction, joint_std: FloatArray) -> FloatArray:

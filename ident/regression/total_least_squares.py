@@ -18,10 +18,10 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.linear_algebra.triangular import triangular
 from ident.regression.jackknife import delete_block_moves
-from ident.regression.least_squares import ROUNDING
+from ident.regression.least_squares import RESIDUAL_FLOOR
 
 ITERATIONS = 100
-SETTLED = 1e-9
+SETTLED_RESIDUAL = 1e-9
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def signal_noise(factors: Sequence[FloatArray], rows: FloatArray) -> FloatArray:
         solution = np.linalg.lstsq(columns[:, acting] / lengths[acting], signal, rcond=1e-10)
         rest = signal - columns[:, acting] / lengths[acting] @ solution[0]
         deviation = np.linalg.norm(rest) / max(count - int(solution[2]), 1.0) ** 0.5
-        noise.append(max(float(deviation), ROUNDING * float(np.linalg.norm(signal)) / max(count, 1.0) ** 0.5))
+        noise.append(max(float(deviation), RESIDUAL_FLOOR * float(np.linalg.norm(signal)) / max(count, 1.0) ** 0.5))
     return np.array(noise)
 
 
@@ -107,7 +107,7 @@ def null_vector(factors: Sequence[FloatArray], rows: FloatArray, noise: FloatArr
         refined, unknowns = _normalised(rest, unknowns)
         change = np.max(np.abs(np.abs(refined / factor) - 1.0))
         factor = refined
-        if change < SETTLED:
+        if change < SETTLED_RESIDUAL:
             return NullVector(factor, unknowns, singular, weights, scale)
     raise IdentificationError(
         f"the weights of the motor signals did not settle in {ITERATIONS} iterations",

@@ -40,7 +40,7 @@ Drive = Callable[[float, FloatArray, FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class SteppedMotion:
     """A simulated motion, N samples of n joints.
 
     Attributes:
@@ -58,7 +58,7 @@ class Motion:
 
 def integrate(
     arm: ForwardArm, position: FloatArray, velocity: FloatArray, drive: Drive, duration: float, steps: int
-) -> Motion:
+) -> SteppedMotion:
     """The motion from a state (n,) over `duration` [s] in equal steps, torque constant over each.
 
     Args:
@@ -96,7 +96,7 @@ def integrate(
         if diverged(velocities[index + 1]):
             raise divergence(arm, now + step, positions[index], velocities[: index + 2], torques[: index + 1])
     torques[steps] = torques[steps - 1]
-    return Motion(time, positions, velocities, torques)
+    return SteppedMotion(time, positions, velocities, torques)
 
 
 class _Stepping:

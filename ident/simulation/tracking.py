@@ -23,7 +23,7 @@ from drivers.core.errors import ModelError
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.signals.prepared import Segment
 from ident.simulation.forward_arm import ForwardArm
-from ident.simulation.time_stepping import Motion, integrate
+from ident.simulation.time_stepping import SteppedMotion, integrate
 from ident.stored import Number, Stored
 
 NATURAL_FREQUENCY = 10.0
@@ -60,7 +60,7 @@ class Tracking:
         damping: (n,) of the controller [N·m·s/rad].
     """
 
-    motion: Motion
+    motion: SteppedMotion
     position: FloatArray
     velocity: FloatArray
     stiffness: FloatArray

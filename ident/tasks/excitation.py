@@ -25,7 +25,7 @@ from ident.excite.constraints.surroundings import surroundings_warning
 from ident.excite.design import Design, design
 from ident.excite.forecast import ExcitationFigures, excitation_figures
 from ident.excite.page.page import write_page
-from ident.excite.prior import Prior, find_prior
+from ident.excite.prior import PriorKnowledge, find_prior
 from ident.excite.search.search import SearchChoices, SearchResult
 from ident.result.model import result_path
 from ident.result.tables import Table, table_of_rows
@@ -50,7 +50,7 @@ class ExcitationTrajectory:
     """
 
     def __init__(
-        self, robot_file: RobotFile, text: str, motion: Motion, prior: Prior, design: Design | None = None
+        self, robot_file: RobotFile, text: str, motion: Motion, prior: PriorKnowledge, design: Design | None = None
     ) -> None:
         """Hold a checked trajectory."""
         self.robot_file, self.text, self.motion, self.design = robot_file, text, motion, design

@@ -27,7 +27,8 @@ from ident.experiments.payload_summary import (
     slow_gains_result,
 )
 from ident.experiments.schema import GainsResult, PayloadResult, SlowGainsResult
-from ident.model.load import MASS, KnownLoad
+from ident.model.load import KnownLoad
+from ident.model.parameters import MASS
 from ident.report.load_pages import gains_page, payload_page
 from ident.result.tables import Table
 from ident.tasks.options import GainsOptions, LoadOptions

@@ -76,7 +76,7 @@ class AcceptanceLimits(Section):
 
 
 @dataclass(frozen=True)
-class Criterion:
+class JudgedLimit:
     """One limit and what came of it.
 
     Attributes:
@@ -106,7 +106,7 @@ class Acceptance:
     """
 
     passed: bool
-    criteria: tuple[Criterion, ...]
+    criteria: tuple[JudgedLimit, ...]
 
     @property
     def lines(self) -> list[str]:
@@ -190,7 +190,7 @@ def judge_acceptance(limits: AcceptanceLimits, figures: ModelFigures) -> Accepta
     return Acceptance(all(criterion.passed for criterion in criteria), criteria)
 
 
-def _criteria(limits: AcceptanceLimits, figures: ModelFigures) -> Iterator[Criterion]:
+def _criteria(limits: AcceptanceLimits, figures: ModelFigures) -> Iterator[JudgedLimit]:
     of_model = f"held-out error of the {figures.model} model"
     if limits.relative_error is not None:
         yield _below("relative_error", "", limits.relative_error, figures.relative_error, of_model, "")
@@ -200,7 +200,7 @@ def _criteria(limits: AcceptanceLimits, figures: ModelFigures) -> Iterator[Crite
     yield from _of_joints("rmse", limits.rmse, figures.rmse, torque_words, " N·m", sliding)
     if limits.consistent:
         text = f"physically consistent parameters {'exist' if figures.consistent else 'were not found'}"
-        yield Criterion("consistent", "", "yes", "yes" if figures.consistent else "no", figures.consistent, text)
+        yield JudgedLimit("consistent", "", "yes", "yes" if figures.consistent else "no", figures.consistent, text)
     if limits.consistency_cost is not None:
         words = "held-out error of the consistent model over that of the unconstrained one"
         yield _below("consistency_cost", "", limits.consistency_cost, figures.consistency_cost, words, "")
@@ -211,7 +211,7 @@ def _criteria(limits: AcceptanceLimits, figures: ModelFigures) -> Iterator[Crite
         passed = judged is not None and GRADES.index(judged.grade) <= GRADES.index(least)
         found = "not judged" if judged is None else f"{judged.grade}, {judged.because}"
         text = f"{PURPOSE_WORDS[purpose]}: {found}; at least {least} is asked for"
-        yield Criterion("purposes", purpose, least, None if judged is None else judged.grade, passed, text)
+        yield JudgedLimit("purposes", purpose, least, None if judged is None else judged.grade, passed, text)
 
 
 def _of_joints(
@@ -221,7 +221,7 @@ def _of_joints(
     words: str,
     unit: str,
     sliding: Mapping[str, bool],
-) -> Iterator[Criterion]:
+) -> Iterator[JudgedLimit]:
     if limit is None:
         return
     of_each = limit if isinstance(limit, dict) else dict.fromkeys(values, limit)
@@ -229,7 +229,7 @@ def _of_joints(
         yield _below(name, joint, own, values.get(joint), words, joint_unit(unit, sliding=sliding.get(joint, False)))
 
 
-def _below(name: str, joint: str, limit: float, value: float | None, words: str, unit: str) -> Criterion:
+def _below(name: str, joint: str, limit: float, value: float | None, words: str, unit: str) -> JudgedLimit:
     known = value if value is not None and math.isfinite(value) else None
     passed = known is not None and known <= limit
     of = f"{joint}: " if joint else ""
@@ -237,4 +237,4 @@ def _below(name: str, joint: str, limit: float, value: float | None, words: str,
         text = f"{of}{words} is not known; at most {limit:.4g}{unit} is asked for"
     else:
         text = f"{of}{words} is {known:.4g}{unit}, {'within' if passed else 'above'} the limit of {limit:.4g}{unit}"
-    return Criterion(name, joint, limit, known, passed, text)
+    return JudgedLimit(name, joint, limit, known, passed, text)

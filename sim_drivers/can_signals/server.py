@@ -37,9 +37,7 @@ from sim_drivers.faults import (
     Truncate,
 )
 from sim_drivers.plant.arm import SimulatedArm
-
-LONGEST_LAG = 0.25
-"""A stall of more than this [s] is not made up for: the arm's time is halted meanwhile."""
+from sim_drivers.server import LONGEST_LAG
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from drivers.canopen402.protocol.objects import (
     ABORT_OPTION,
     EMCY,
     ERROR_BEHAVIOUR,
+    ERROR_REGISTER,
     HEARTBEAT,
     SDO_ANSWER,
     SDO_REQUEST,
@@ -19,7 +20,6 @@ from drivers.canopen402.protocol.objects import (
     STATE_PRE_OPERATIONAL,
     STATE_STOPPED,
     AbortOption,
-    DriveObject,
 )
 from drivers.canopen402.protocol.state_machine import DISABLE_VOLTAGE, QUICK_STOP
 from sim_drivers.canopen.axis import FAULTY, FOLLOWING_ERROR, OVER_TEMPERATURE, Axis
@@ -47,7 +47,6 @@ _REGISTER = {
     FOLLOWING_ERROR: 0x21,
 }
 """Error code → error register (0x1001)."""
-ERROR_REGISTER = DriveObject(0x1001, 0, 1, False, "error register")
 AFTER_SILENCE = {0: STATE_PRE_OPERATIONAL, 2: STATE_STOPPED}
 """Error behaviour (0x1029) → NMT state of an operational node after a communication error; 1 changes nothing."""
 _COMMANDS = {AbortOption.DISABLE_VOLTAGE: DISABLE_VOLTAGE, AbortOption.QUICK_STOP: QUICK_STOP}

@@ -25,13 +25,12 @@ from sim_drivers.canopen.error_control import HIGHEST_NODE
 from sim_drivers.canopen.motion import SyncClock
 from sim_drivers.canopen.setup import DriveSetup, Feedback
 from sim_drivers.plant.arm import MeasurementLike
+from sim_drivers.server import LONGEST_LAG
 
 LOOP_PERIOD = 1e-3
 """Of the drives' control loops [s]."""
 TICKS_PER_CHORE = 5
 """Control periods between two checks of heartbeats and event timers."""
-LONGEST_LAG = 0.25
-"""A stall of more than this [s] is not made up for: the arm's time is halted meanwhile."""
 PDO_IDENTIFIERS = range(0x181, 0x580)
 """Of the predefined connection set (CiA 301, 7.3.5)."""
 HEARTBEAT_IDENTIFIERS = range(HEARTBEAT + 1, HEARTBEAT + HIGHEST_NODE + 1)

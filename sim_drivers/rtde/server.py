@@ -39,12 +39,10 @@ from sim_drivers.rtde.script_port import ScriptSession
 from sim_drivers.rtde.secondary import SecondarySession
 from sim_drivers.rtde.session import RtdeSession
 from sim_drivers.rtde.variables import JOINTS, parse_version
-from sim_drivers.server import FaultyServer
+from sim_drivers.server import LONGEST_LAG, FaultyServer
 
 MAXIMUM_CONNECTIONS = 64
 SELECTABLE_DESCRIPTORS = 1024
-LONGEST_LAG = 0.25
-"""A stall of more than this [s] is not made up for."""
 SEND_BUFFER = 65536
 
 

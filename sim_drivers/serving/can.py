@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
+from daq.session.session import SWITCH_INTERVAL
 from drivers.can.bus import open_bus
 from drivers.canopen402.settings import parse_settings
 from drivers.core.errors import UsageError
@@ -20,9 +21,6 @@ from sim_drivers.serving.served import BusOptions, Served
 
 DEFAULT_BUS = {"interface": "udp_multicast", "channel": "239.74.163.2", "options": {"hop_limit": 0}}
 """Default channel of an arm without one in its robot file."""
-
-SWITCH_INTERVAL = 2e-4
-"""Of the interpreter [s] where drives and adapter share it."""
 
 
 def canopen(robot_file: RobotFile, plant: Plant, options: BusOptions) -> Served:

@@ -11,7 +11,7 @@ from drivers.streams import UNITS
 from sim_drivers.plant.plant import Plant
 from sim_drivers.plant.sensors import Measurement
 
-ROUNDING = 1e-9
+INSTANT_TOLERANCE = 1e-9
 """By which sums of periods may differ from the instant of a sample [s]."""
 
 SIGNAL_UNITS = {"current": "A", "voltage": "V", "torque": "N*m"}
@@ -40,7 +40,7 @@ def record_plant(robot_file: RobotFile, plant: Plant, motion: Motion, rate: floa
     reached = 0.0
     for tick, *reference in zip(ticks, *(values.T for values in motion.evaluate(ticks)), strict=True):
         plant.set_target(*reference)
-        while len(samples) < count and (due := (len(samples) + 1) / rate) <= tick + period + ROUNDING:
+        while len(samples) < count and (due := (len(samples) + 1) / rate) <= tick + period + INSTANT_TOLERANCE:
             plant.advance(max(due - reached, 0.0))
             reached = due
             samples.append(plant.measure())

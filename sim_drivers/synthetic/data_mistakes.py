@@ -7,11 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
+from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Channel, Recording, Stream
 from drivers.core.arrays import FloatArray
 from drivers.streams import UNITS
-
-MOTOR_SIGNALS = ("torque", "current", "voltage")
 
 
 def with_velocity(recording: Recording) -> Recording:

@@ -8,8 +8,7 @@ import numpy as np
 
 from daq.motion.trajectories import QUINTIC_ACCELERATION, QUINTIC_VELOCITY, PointToPoint
 from daq.robot.schema import Robot
-
-LIMIT_SHARE = 0.9
+from sim_drivers.synthetic.motion import LIMIT_SHARE
 
 
 def random_points_motion(robot: Robot, seed: int, moves: int, moving: Collection[str] = ()) -> PointToPoint:

@@ -21,7 +21,7 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from ident.assessment.recorded_motion import recorded_motion
 from ident.excite.forecast import excitation_figures
-from ident.excite.prior import Prior, find_prior
+from ident.excite.prior import PriorKnowledge, find_prior
 from ident.excite.sufficiency import motion_sufficiency
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
@@ -46,7 +46,7 @@ def without_ripple(robot_file: RobotFile) -> RobotFile:
     return robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update={"truth": quiet})})
 
 
-def earlier_result(robot_file: RobotFile, recording: Recording) -> Prior:
+def earlier_result(robot_file: RobotFile, recording: Recording) -> PriorKnowledge:
     """Result of an identification of an earlier recording."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json"

@@ -17,9 +17,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from drivers.core.arrays import FloatArray
-from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.minimisation import Budget, Optimiser, minimise
+from ident.estimators.swarm.minimisation import Optimiser, SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm, RandomWeight
 from studies.friction.friction_shapes import Columns, ShapeCost, lugre_columns, stribeck_columns
 from studies.methods.library_optimisers import CmaEs, DifferentialEvolution
@@ -57,11 +57,11 @@ def motion(peak: float) -> tuple[FloatArray, FloatArray]:
     return scale * velocity, scale * ((-np.sin(angle) * harmonics) @ sine + (np.cos(angle) * harmonics) @ cosine)
 
 
-def problems() -> dict[str, tuple[ShapeCost, Box]]:
+def problems() -> dict[str, tuple[ShapeCost, SearchBox]]:
     """Name → cost and box."""
     chosen = {}
 
-    def add(name: str, peak: float, make: Columns, truth: list[float], linear: list[float], box: Box) -> None:
+    def add(name: str, peak: float, make: Columns, truth: list[float], linear: list[float], box: SearchBox) -> None:
         velocity, acceleration = motion(peak)
         plain = [acceleration, velocity, np.ones_like(TIME)]
         if "LuGre" not in name:
@@ -71,7 +71,7 @@ def problems() -> dict[str, tuple[ShapeCost, Box]]:
         noise = 0.02 * np.std(clean) * np.random.default_rng(3).standard_normal(len(TIME))
         chosen[name] = ShapeCost.of(fixed, clean + noise, make), box
 
-    box = Box(np.array([0.2, 0.01, 0.5]), np.array([1.5, 0.5, 3.0]))
+    box = SearchBox(np.array([0.2, 0.01, 0.5]), np.array([1.5, 0.5, 3.0]))
     for name, peak in (("Stribeck and α, 1 rad/s", 1.0), ("Stribeck and α, 0.3 rad/s", 0.3)):
         add(name, peak, stribeck_columns(motion(peak)[0]), [0.6, 0.05, 2.0], [3.0, 4.0], box)
     add(
@@ -80,12 +80,12 @@ def problems() -> dict[str, tuple[ShapeCost, Box]]:
         lugre_columns(motion(0.5)[0], RATE),
         [200.0, 1.6, 0.05],
         [5.0, 0.01],
-        Box(np.array([5.0, 1.0, 0.005]), np.array([5000.0, 4.0, 0.5])),
+        SearchBox(np.array([5.0, 1.0, 0.005]), np.array([5000.0, 4.0, 0.5])),
     )
     return chosen
 
 
-def multi_start(cost: ShapeCost, box: Box, seed: int, costs: int) -> list[tuple[int, float]]:
+def multi_start(cost: ShapeCost, box: SearchBox, seed: int, costs: int) -> list[tuple[int, float]]:
     """Costs used and least cost after each Gauss-Newton descent (trust region, SciPy) from random starts."""
     generator = np.random.default_rng(seed)
     used, best, told = 0, np.inf, []
@@ -121,7 +121,7 @@ def main() -> None:
         for label, optimiser in OPTIMISERS.items():
             runs[label] = []
             for seed in range(seeds):
-                found = minimise(optimiser, cost, box, Budget(costs // PER_GENERATION[type(optimiser)] + 1), seed)
+                found = minimise(optimiser, cost, box, SearchBudget(costs // PER_GENERATION[type(optimiser)] + 1), seed)
                 runs[label].append(
                     [
                         (int(count), float(least))

@@ -26,8 +26,8 @@ from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from ident.estimators.swarm.box import Box
-from ident.estimators.swarm.minimisation import Budget, Optimiser, minimise
+from ident.estimators.swarm.box import SearchBox
+from ident.estimators.swarm.minimisation import Optimiser, SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ConstantWeight, ParticleSwarm, RandomWeight
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
@@ -157,7 +157,7 @@ def convergence(data: Identification) -> None:
     active = list(solution.active)
     cost = QuadraticCost.of_reduction(data.reduction, active, solution.weights)
     exact = solution.parameters[active]
-    box = Box.around(exact, 0.1)
+    box = SearchBox.around(exact, 0.1)
     least = cost.cost(exact)
     inside = cost.cost(cost.least_within(box))
     print(f"\nWLS: cost {least:.4f}; least within the box {inside:.4f}; {len(active)} parameters")
@@ -175,7 +175,7 @@ def convergence(data: Identification) -> None:
         f" {'above WLS, median [%]':>22} {'worst':>8} {'within 1 % of WLS: seeds, generations':>38}"
     )
     for name, swarm in cases.items():
-        found = [minimise(swarm, cost, box, Budget(200), seed) for seed in SEEDS]
+        found = [minimise(swarm, cost, box, SearchBudget(200), seed) for seed in SEEDS]
         own = np.median([one.generations_to(1.01 * one.cost) or 0 for one in found])
         above = 100.0 * (np.array([one.cost for one in found]) / least - 1.0)
         near = [generation for one in found if (generation := one.generations_to(1.01 * least)) is not None]

@@ -21,7 +21,7 @@ from daq.robot.loader import load_robot
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import MotionSize
 from ident.excite.design import design
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.excite.prior import find_prior
 from ident.excite.search.search import SearchChoices
 from ident.linear_algebra.triangular import scaled_condition
@@ -48,7 +48,7 @@ def report(name: str, motion: Motion, start: float = 0.0) -> None:
     states = motion.evaluate(time)
     kernel = RegressorKernel(model, base_parameters(model).columns)
     factor = motion_factor(kernel, *states)
-    size = np.exp(MotionSize().cost(Path(time, *states)))
+    size = np.exp(MotionSize().cost(JointPath(time, *states)))
     extremes = motion_extremes(motion)
     uses = {}
     for joint, limits in enumerate(robot_file.robot.joints):

@@ -22,10 +22,10 @@ import numpy as np
 import dynid
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.identifiability import identifiability
-from ident.estimators.swarm.minimisation import Budget, Minimum, Optimiser, minimise
+from ident.estimators.swarm.minimisation import Minimum, Optimiser, SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm
 from ident.estimators.swarm.physical import PhysicalCost, PhysicalParameters, physical_values
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
@@ -40,7 +40,7 @@ from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.regressor import regressor
 from ident.model.true_parameters import truth_vector
 from ident.simulation.forward_arm import ForwardArm
-from ident.simulation.time_stepping import Motion, integrate
+from ident.simulation.time_stepping import SteppedMotion, integrate
 from studies.methods.library_optimisers import CmaEs, DifferentialEvolution
 from studies.papers.up6_excitation import PAPER
 
@@ -76,7 +76,7 @@ TABLE_2 = FrogLeaping()
 GENERATIONS = 50
 
 
-def closed_loop(base: FloatArray) -> Motion:
+def closed_loop(base: FloatArray) -> SteppedMotion:
     """The arm with these base parameters under the controllers, from a start on the trajectory."""
     arm = ForwardArm(InverseDynamics(MODEL, BASE, base))
     steps = round(DURATION / STEP)
@@ -94,7 +94,7 @@ def closed_loop(base: FloatArray) -> Motion:
     return integrate(arm, position[0], velocity[0], drive, DURATION, steps)
 
 
-def identification_data(motion: Motion) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def identification_data(motion: SteppedMotion) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Position, velocity, acceleration and torque (n, N) in the middle of the steps; without those that reverse.
 
     There friction is anything up to Coulomb friction.
@@ -116,7 +116,7 @@ class Problem:
     samples: int
 
     @classmethod
-    def of(cls, motion: Motion) -> Problem:
+    def of(cls, motion: SteppedMotion) -> Problem:
         """From the closed loop."""
         q, v, a, torque = identification_data(motion)
         rows = regressor(MODEL, q, v, a, BASE.columns)
@@ -132,7 +132,7 @@ class Problem:
         return cost / np.sqrt(3 * self.samples)
 
 
-def joint_rms(first: Motion, second: Motion) -> tuple[FloatArray, FloatArray]:
+def joint_rms(first: SteppedMotion, second: SteppedMotion) -> tuple[FloatArray, FloatArray]:
     """Table 4: RMS difference of position [rad] and torque [N·m] per joint."""
     return tuple(
         np.sqrt(np.mean((getattr(first, name) - getattr(second, name)) ** 2, axis=0)) for name in ("position", "torque")
@@ -143,11 +143,11 @@ def row(name: str, values: FloatArray, form: str = "10.4f") -> None:
     print(f"{name:34} " + " ".join(f"{value:{form}}" for value in values), flush=True)
 
 
-def runs(problem: Problem, optimiser: Optimiser, box: Box, generations: int = GENERATIONS) -> list[Minimum]:
-    return [minimise(optimiser, problem.cost, box, Budget(generations), seed=seed) for seed in SEEDS]
+def runs(problem: Problem, optimiser: Optimiser, box: SearchBox, generations: int = GENERATIONS) -> list[Minimum]:
+    return [minimise(optimiser, problem.cost, box, SearchBudget(generations), seed=seed) for seed in SEEDS]
 
 
-def compare(problem: Problem, cases: dict[str, tuple[Optimiser, Box, int]]) -> dict[str, list[Minimum]]:
+def compare(problem: Problem, cases: dict[str, tuple[Optimiser, SearchBox, int]]) -> dict[str, list[Minimum]]:
     """Median, best and worst of the seeds for each case."""
     print(
         f"\n{'optimiser, box':34} {'RMS torque [N·m]: median, best, worst':>38} {'to 1 % of final':>16}"
@@ -168,11 +168,11 @@ def compare(problem: Problem, cases: dict[str, tuple[Optimiser, Box, int]]) -> d
     return found
 
 
-def tables(problem: Problem, true: Motion) -> dict[str, Motion]:
+def tables(problem: Problem, true: SteppedMotion) -> dict[str, SteppedMotion]:
     """Print everything; the closed loops for the figures."""
     print(f"{problem.samples} samples of {DURATION:g} s; parameters: {', '.join(TABLE_3)}")
-    wide, narrow = Box(np.zeros(12), 2.0 * VALUES), Box.around(VALUES, 0.1)
-    half = Box.around(VALUES, 0.5)
+    wide, narrow = SearchBox(np.zeros(12), 2.0 * VALUES), SearchBox.around(VALUES, 0.1)
+    half = SearchBox.around(VALUES, 0.5)
     coordinate = FrogLeaping(random="coordinate")
     found = compare(
         problem,
@@ -257,7 +257,7 @@ def excitation_history() -> tuple[list[float], list[float]]:
     return [seconds for seconds, _ in told], [size for _, size in told]
 
 
-def page(folder: Path, true: Motion, loops: dict[str, Motion]) -> None:
+def page(folder: Path, true: SteppedMotion, loops: dict[str, SteppedMotion]) -> None:
     """Figures 5 and 9 to 16, and two reports."""
     import plotly.graph_objects as go
     from plotly.subplots import make_subplots

@@ -20,7 +20,8 @@ from daq.robot.loader import load_robot
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia
 from ident.experiments.load.payload import Payload, identify_payload
 from ident.model.dynamic_model import build_model
-from ident.model.load import MASS, KnownLoad, moved_origin
+from ident.model.load import KnownLoad, moved_origin
+from ident.model.parameters import MASS
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion

@@ -25,14 +25,14 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Any, Protocol
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from daq.motion.player import Path, Player, skip_limit
+from daq.motion.player import MotionSequence, Player, skip_limit
 from daq.motion.trajectories import FourierSeries, Motion, Pieces, PointToPoint, RestToRest, slow_move
 from daq.recording.recorder import Recorder
 from daq.robot.loader import load_robot
@@ -395,7 +395,7 @@ def played(case: Case, start: FloatArray) -> Outcome:
             dues.append(due)
             gate.command(position, due)
 
-        path = Path([slow_move(here, goal, JOINTS, 0.8), case.motion], case.rate)
+        path = MotionSequence([slow_move(here, goal, JOINTS, 0.8), case.motion], case.rate)
         world.player = player = Player(command, path, LIMITS.acceleration, world, held=case.bus == "RTDE")
         world.stop_at = world.begun + case.restart if part == 0 else np.inf
         player.start()
@@ -752,7 +752,7 @@ def latency() -> None:
         arm = LoopbackArm(robot, 150 + number)
         supervisor = Supervisor(Limits.of_robot(robot), arm.streams())
         with tempfile.TemporaryDirectory() as folder:
-            recorder = Recorder(FilePath(folder) / "run.h5", robot_file, arm.streams())
+            recorder = Recorder(Path(folder) / "run.h5", robot_file, arm.streams())
             report = record(arm, recorder, supervisor, Play(motion, robot, Granted(np.zeros(robot.dof), robot.joints)))
         arm.close()
         if not str(report.stopped_by).startswith("velocity of "):

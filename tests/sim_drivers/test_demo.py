@@ -19,7 +19,7 @@ from daq.robot.loader import RobotFile, load_robot
 from drivers.core.errors import ConnectionFailedError, RobotFileError, UsageError, WorkError
 from ident.excite.choices import DesignChoices
 from ident.excite.design import Design, design
-from ident.excite.prior import Prior
+from ident.excite.prior import PriorKnowledge
 from ident.excite.search.search import SearchChoices
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
@@ -40,7 +40,9 @@ def demo(tmp_path_factory):
         return run_demo(folder, "ur5e", 8.0, seed=1, progress=STEPS.append, arm=in_simulated_time)
 
 
-def designed_before(robot_file: RobotFile, prior: Prior, choices: DesignChoices, search: SearchChoices) -> Design:
+def designed_before(
+    robot_file: RobotFile, prior: PriorKnowledge, choices: DesignChoices, search: SearchChoices
+) -> Design:
     """What the same design, which takes half a minute, once came to: `python tests/sim_drivers/designed` makes it."""
     earlier = load_trajectory(DESIGNED / f"{search.seed}.yaml", robot_file.robot).motion
     return design(robot_file, prior, choices, SearchChoices(starts=None, time=1e-3, workers=1), earlier)

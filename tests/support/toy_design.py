@@ -13,8 +13,8 @@ from daq.motion.trajectories import FourierSeries
 from daq.robot.schema import JointLimits
 from drivers.core.errors import UsageError
 from ident.excite.constraints.soft_maximum import soft_maximum
-from ident.excite.path import Path
-from ident.excite.search.problem import Problem
+from ident.excite.path import JointPath
+from ident.excite.search.problem import DesignProblem
 
 BEST = np.array([0.5, 2.0])
 LIMIT = 1.0
@@ -35,7 +35,7 @@ class Still:
 
     def path(self, variables, time):
         zero = np.zeros((2, len(time)))
-        return Path(time, zero + variables[:, None], zero, zero)
+        return JointPath(time, zero + variables[:, None], zero, zero)
 
     def pull_back(self, variables, time, gradient):
         return gradient[..., 0, :, :].sum(axis=-1)
@@ -87,7 +87,7 @@ class Below:
         return bound, gradient
 
 
-def toy_problem(fault: str = "") -> Problem:
+def toy_problem(fault: str = "") -> DesignProblem:
     """The problem; building it may raise, or end the process."""
     if fault == "raise":
         raise UsageError("refused on purpose")
@@ -96,7 +96,7 @@ def toy_problem(fault: str = "") -> Problem:
     if fault == "hang":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
         signal.pause()
-    return Problem(Still(), Distance(), Distance(), (Below(),), np.linspace(0.0, 1.0, 4), 0.99)
+    return DesignProblem(Still(), Distance(), Distance(), (Below(),), np.linspace(0.0, 1.0, 4), 0.99)
 
 
 def maker(**choices):
@@ -116,7 +116,7 @@ class _Slow(Below):
         return super().use(path)
 
 
-def slow_problem(clock, seconds) -> Problem:
+def slow_problem(clock, seconds) -> DesignProblem:
     """The problem, with limits whose exact evaluation takes so long [s] by a simulated clock."""
     return replace(toy_problem(), constraints=(_Slow(clock, seconds),))
 
@@ -138,7 +138,7 @@ class _Here(Below):
         return bound, gradient
 
 
-def impossible_problem() -> Problem:
+def impossible_problem() -> DesignProblem:
     """A problem of which one limit is exceeded in every pose."""
     return replace(toy_problem(), constraints=(_Here(),))
 
@@ -158,6 +158,6 @@ class _Above:
         return bound, gradient
 
 
-def contradictory_problem() -> Problem:
+def contradictory_problem() -> DesignProblem:
     """A problem whose two limits exclude each other."""
     return replace(toy_problem(), constraints=(Below(), _Above()))

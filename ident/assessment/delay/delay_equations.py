@@ -16,7 +16,7 @@ import numpy.typing as npt
 from drivers.core.arrays import FloatArray, IntArray
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import rows_by_block
-from ident.regression.least_squares import LEAST_TORQUE, ROUNDING
+from ident.regression.least_squares import LEAST_TORQUE, RESIDUAL_FLOOR
 from ident.regression.velocity_reversals import STICKING_SHARE, reversal_mask
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
@@ -327,7 +327,7 @@ def _inverse_deviation(
 ) -> FloatArray:
     """One over the root mean square of the residuals, no smaller than the torque's rounding."""
     torque = np.sqrt(np.array([_square(gram, _unit(gram, SHIFTED)) for gram in grams]) / np.maximum(rows, 1.0))
-    floor = ROUNDING * np.maximum(torque, max(1e-9 * float(torque.max()), LEAST_TORQUE))
+    floor = RESIDUAL_FLOOR * np.maximum(torque, max(1e-9 * float(torque.max()), LEAST_TORQUE))
     deviation = np.maximum(np.sqrt(sums / np.maximum(rows, 1.0)), floor)
     used = used & (rows > 0) & (deviation > 0.0)
     return np.asarray(np.divide(1.0, deviation, out=np.zeros_like(deviation), where=used))

@@ -15,7 +15,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.assessment.instants import BLOCKS, Columns, Instants
 from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, moving_joints
-from ident.assessment.mistakes.equations import Equations, Fit, equations
+from ident.assessment.mistakes.equations import Equations, HypothesisFit, equations
 from ident.assessment.mistakes.hypotheses import Mistake, as_recorded, mistakes, opposite_gravity
 from ident.assessment.refit import Deviation, in_unknown_gravity
 from ident.model.base_parameters import BaseParameters
@@ -51,7 +51,7 @@ class Explanation:
     """A hypothesis with its fit under the conditions."""
 
     mistake: Mistake
-    fit: Fit
+    fit: HypothesisFit
 
 
 class Competition:
@@ -97,11 +97,11 @@ class Competition:
         """(n, a, N) of the active columns with these positions."""
         return self.instants.with_positions(positions).regressor(self._kernel)[:, self.active]
 
-    def free(self, mistake: Mistake) -> Fit | None:
+    def free(self, mistake: Mistake) -> HypothesisFit | None:
         """The fit without conditions."""
         return self.system(mistake)[0].fit(mistake.torques)
 
-    def bound(self, mistake: Mistake, blocks: Sequence[int] | None = None) -> Fit | None:
+    def bound(self, mistake: Mistake, blocks: Sequence[int] | None = None) -> HypothesisFit | None:
         """The fit under the conditions, to some blocks or all."""
         system, conditions = self.system(mistake)
         return system.fit(mistake.torques, conditions, blocks)
@@ -131,7 +131,7 @@ class Competition:
                 lowest = min(lowest, fit.level)
         return sorted(found, key=lambda one: one.fit.level)
 
-    def explains(self, one: Explanation, recorded: Fit) -> bool:
+    def explains(self, one: Explanation, recorded: HypothesisFit) -> bool:
         """Whether a mistake explains what the recording as it is does not, in all of it and well."""
         if recorded.level - one.fit.level < HALVED:
             return False
@@ -155,7 +155,7 @@ class Competition:
         """Relative error of the whole arm."""
         return _whole(self.system(one.mistake)[0], one.mistake.torques, one.fit)
 
-    def with_deviation(self, deviation: Deviation) -> tuple[Fit, float] | None:
+    def with_deviation(self, deviation: Deviation) -> tuple[HypothesisFit, float] | None:
         """The fit under the conditions with a number of the robot file changed, and the whole arm's relative error."""
         model, moved, base, active = deviation.model, self.instants, self.base, self.active
         if deviation.unknown.kind == "zero":
@@ -185,7 +185,7 @@ class Competition:
         return found is not None and found[1] < EXPLAINED
 
 
-def _whole(system: Equations, torques: Columns, fit: Fit) -> float:
+def _whole(system: Equations, torques: Columns, fit: HypothesisFit) -> float:
     power = system.power.sum(axis=0)[np.arange(len(fit.relative)), list(torques.order)]
     return float(np.sqrt(np.sum(fit.relative * power) / max(float(power.sum()), np.finfo(float).tiny)))
 

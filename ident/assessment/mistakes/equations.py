@@ -22,7 +22,7 @@ FREE_ITERATIONS, BOUND_ITERATIONS = 5, 3
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class HypothesisFit:
     """A hypothesis with its best parameters.
 
     Attributes:
@@ -54,7 +54,7 @@ class Equations:
 
     def fit(
         self, columns: Columns, conditions: FloatArray | None = None, blocks: Sequence[int] | None = None
-    ) -> Fit | None:
+    ) -> HypothesisFit | None:
         """Weighted least squares with these torques, under G·x ≥ 0 where conditions (c, a) are given.
 
         Args:
@@ -85,7 +85,7 @@ class Equations:
                 return None
             parameters = solved / scale
             relative = _relative(gram, score, power, parameters)
-        return Fit(parameters, relative, float(np.sum(np.log(relative + LEAST_ERROR**2)[used])))
+        return HypothesisFit(parameters, relative, float(np.sum(np.log(relative + LEAST_ERROR**2)[used])))
 
     def levels(self, columns: Columns, parameters: FloatArray, blocks: Sequence[int]) -> FloatArray:
         """(n,) log of the relative squared residuals of some blocks, 0 where a joint has no rows there."""

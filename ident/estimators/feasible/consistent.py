@@ -12,12 +12,13 @@ from daq.robot.prior import TOTAL_MASS, Known
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, RobotFileError
 from ident.estimators.feasible.armature import Armature, armatures
-from ident.estimators.feasible.interior_point import BoolArray, Minimum, minimise, strictly_inside
+from ident.estimators.feasible.interior_point import BoolArray, NewtonMinimum, minimise, strictly_inside
 from ident.estimators.feasible.prior import apparent_mass, link_priors
-from ident.estimators.feasible.problem import LINK_SIZE, MASS, Problem, build_problem
+from ident.estimators.feasible.problem import FeasibilityProblem, build_problem
 from ident.linear_algebra.row_space import DETERMINED, row_space
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
+from ident.model.parameters import LINK_SIZE, MASS
 from ident.regression.estimate import Estimate
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
 
@@ -233,7 +234,7 @@ def bounded_precision(estimate: Estimate) -> Estimate:
     return replace(estimate, root=root * min(1.0, PRECISION / max(size, 1e-300)))
 
 
-def feasible_fit(problem: Problem, estimate: Estimate, projection: FloatArray, where: str) -> FeasibleFit:
+def feasible_fit(problem: FeasibilityProblem, estimate: Estimate, projection: FloatArray, where: str) -> FeasibleFit:
     """Least squares on an estimate's triangular factor under the conditions of a problem.
 
     Args:
@@ -321,20 +322,20 @@ def found_consistent(
         return None
 
 
-def _boundary(problem: Problem, minimum: Minimum) -> tuple[int, ...]:
+def _boundary(problem: FeasibilityProblem, minimum: NewtonMinimum) -> tuple[int, ...]:
     matrices = problem.conditions.matrices(minimum.y)
     prior = problem.conditions.matrices(problem.start)
     relative = np.linalg.eigvals(np.linalg.solve(prior, matrices)).real.min(axis=1)
     return tuple(int(link) for link in np.flatnonzero(relative < ON_BOUNDARY))
 
 
-def _limits_hit(problem: Problem, minimum: Minimum) -> tuple[str, ...]:
+def _limits_hit(problem: FeasibilityProblem, minimum: NewtonMinimum) -> tuple[str, ...]:
     near = problem.ranges & (problem.conditions.slacks(minimum.y) < AT_LIMIT)
     names = problem.names[len(problem.conditions.least) :]
     return tuple(dict.fromkeys(name for name, hit in zip(names, near, strict=True) if hit))
 
 
-def _spread(minimum: Minimum, scaled: FloatArray, estimate: Estimate, free: BoolArray) -> FloatArray:
+def _spread(minimum: NewtonMinimum, scaled: FloatArray, estimate: Estimate, free: BoolArray) -> FloatArray:
     """(p, a) how the scaled parameters move with the estimate, times a root of its corrected covariance.
 
     The minimum is a smooth function of the estimate, so its jackknife covariance carries over (delta method).

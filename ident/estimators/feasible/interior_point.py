@@ -90,7 +90,7 @@ class Conditions:
 
 
 @dataclass(frozen=True)
-class Minimum:
+class NewtonMinimum:
     """Where the Newton iteration ended.
 
     Attributes:
@@ -106,7 +106,7 @@ class Minimum:
 
 def minimise(
     system: FloatArray, target: FloatArray, conditions: Conditions, start: FloatArray, free: BoolArray
-) -> Minimum:
+) -> NewtonMinimum:
     """The minimum of the objective above.
 
     Args:
@@ -139,7 +139,7 @@ def minimise(
             if not np.isfinite(decrement):
                 break
             if ratio <= 1.0 and decrement <= DECREMENT * float(np.max(least, initial=1.0)):
-                return Minimum(y, root, step)
+                return NewtonMinimum(y, root, step)
             direction = np.zeros_like(y)
             direction[variables] = -solve_triangular(root, image)
             length, duals = duals.stepped(conditions, y, now, direction)

@@ -20,7 +20,7 @@ from ident.model.base_parameters import BaseParameters, random_states
 from ident.model.dynamic_model import DynamicModel
 from ident.model.friction_terms import REFERENCE_TEMPERATURE, TEMPERATURE_KINDS, temperature_factor
 from ident.model.joint_columns import joint_column
-from ident.model.parameters import INERTIAL, PAIR_SYMBOLS, StandardParameter
+from ident.model.parameters import INERTIAL, LINK_SIZE, MASS, PAIR_SYMBOLS, StandardParameter
 from ident.model.regressor import regressor
 from ident.regression.estimate import Estimate
 
@@ -61,15 +61,13 @@ POSES = 24
 LEAST_INERTIA = "least inertia"
 """What these conditions are called in messages."""
 
-LINK_SIZE = len(INERTIAL)
-MASS = INERTIAL.index("M")
 
 ROOT_RANK = 3e-8
 """Singular values of an estimate's root below this share of the largest are rounding: its square's are."""
 
 
 @dataclass(frozen=True)
-class Problem:
+class FeasibilityProblem:
     """Scaled variables y with standard parameters x = scale · y, and the conditions on them.
 
     Attributes:
@@ -94,7 +92,7 @@ class Problem:
 
 def build_problem(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     model: DynamicModel, robot_file: RobotFile, base: BaseParameters, estimate: Estimate, priors: LinkPriors
-) -> Problem:
+) -> FeasibilityProblem:
     """The problem of an arm.
 
     Raises:
@@ -180,7 +178,7 @@ def build_problem(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
         row_pull=np.array([pulls[joints[place]] if own else 0.0 for place, own in zip(kept, drawn, strict=True)]),
         weights=np.concatenate([matrix_weights, weight * shares]),
     )
-    return Problem(
+    return FeasibilityProblem(
         scale=scale,
         conditions=conditions,
         names=(*(f"link of {name}" for name in model.link_names), *(names[place] for place in kept)),
@@ -192,7 +190,7 @@ def build_problem(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     )
 
 
-def with_load(problem: Problem, prior: FloatArray, known: BoolArray, choices: Prior) -> Problem:
+def with_load(problem: FeasibilityProblem, prior: FloatArray, known: BoolArray, choices: Prior) -> FeasibilityProblem:
     """The problem with ten further variables, those of a load that is a body itself.
 
     With the load and the links that carry it, the links plus the load can exist, too.
@@ -224,7 +222,7 @@ def with_load(problem: Problem, prior: FloatArray, known: BoolArray, choices: Pr
         row_pull=old.row_pull,
         weights=np.insert(old.weights, links, choices.weight * (1.0 if entropic else BARRIER)),
     )
-    return Problem(
+    return FeasibilityProblem(
         scale=np.concatenate([problem.scale, scale]),
         conditions=conditions,
         names=(*problem.names[:links], "load", *problem.names[links:]),

@@ -12,7 +12,7 @@ from drivers.core.ranges import Range
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.search_estimator import SearchEstimator, base_space
-from ident.estimators.swarm.minimisation import Budget
+from ident.estimators.swarm.minimisation import SearchBudget
 from ident.estimators.swarm.particle_stability import InertiaWeight
 from ident.estimators.swarm.particle_swarm import ConstantWeight, ParticleSwarm, RandomWeight
 from ident.ranges import BOX_SHARE, GENERATIONS, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
@@ -77,7 +77,7 @@ class SwarmOptions:
 
 def _estimator(options: SwarmOptions, setup: Setup) -> Estimator:
     solve = ordinary_least_squares if options.about == "ols" else weighted_least_squares
-    budget = Budget(options.generations, options.seconds)
+    budget = SearchBudget(options.generations, options.seconds)
     return SearchEstimator(setup, solve, base_space(options.box, setup), options.swarm, budget, options.seed)
 
 

@@ -13,7 +13,7 @@ from ident.estimators.method import Method, within
 from ident.estimators.physical_space import physical_space
 from ident.estimators.search_estimator import SearchEstimator
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.minimisation import Budget
+from ident.estimators.swarm.minimisation import SearchBudget
 from ident.ranges import BOX_SHARE, GENERATIONS, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
 from ident.regression.least_squares import weighted_least_squares
 
@@ -56,7 +56,7 @@ class FrogOptions:
 
 
 def _estimator(options: FrogOptions, setup: Setup) -> Estimator:
-    budget = Budget(options.generations, options.seconds)
+    budget = SearchBudget(options.generations, options.seconds)
     space = physical_space(setup, options.feasible, options.box)
     return SearchEstimator(setup, weighted_least_squares, space, options.optimiser, budget, options.seed)
 

@@ -27,7 +27,7 @@ from ident.regression.total_least_squares import total_least_squares
 from ident.signals.prepared import Prepared
 
 ITERATIONS = 50
-SETTLED = 1e-6
+SETTLED_CHANGE = 1e-6
 LEAST_TORQUE_NOISE = 0.01
 """Share of the residual that counts as noise of the torque at least."""
 
@@ -55,7 +55,7 @@ class TlsEstimator(TorqueEstimator):
         solution = self.solve(plain, active)
         parameters, weights, columns = solution.parameters, solution.weights, list(active)
         changes: list[float] = []
-        while len(changes) < ITERATIONS and (not changes or changes[-1] > SETTLED):
+        while len(changes) < ITERATIONS and (not changes or changes[-1] > SETTLED_CHANGE):
             errors = np.zeros((plain.column_count, plain.column_count))
             for joint, weight, gram in zip(plain.joints, weights, noise, strict=True):
                 errors[np.ix_(joint.columns, joint.columns)] += weight**2 * gram
@@ -75,7 +75,7 @@ class TlsEstimator(TorqueEstimator):
         right = np.linalg.lstsq(root.T, normal[:-1, -1], rcond=1e-12)[0]
         system = np.column_stack([root, right])
         solved = triangular_system(plain, system, weights, active, "tls", len(changes))
-        loop = Loop("weights and noise of the torque", "σ", tuple(changes), changes[-1] <= SETTLED)
+        loop = Loop("weights and noise of the torque", "σ", tuple(changes), changes[-1] <= SETTLED_CHANGE)
         return TlsEstimation(kernel, solved.reduction, solved.solution, (loop,), passes=3, correction=correction)
 
     def covariance(self, runs: Sequence[FilteredRun], estimation: Estimation) -> CorrectedCovariance:

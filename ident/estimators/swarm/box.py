@@ -12,7 +12,7 @@ from drivers.core.errors import UsageError
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
+class SearchBox:
     """Bounds of d variables.
 
     Attributes:
@@ -39,7 +39,7 @@ class Box:
             )
 
     @classmethod
-    def around(cls, centre: FloatArray, share: float, names: Sequence[str] = ()) -> Box:
+    def around(cls, centre: FloatArray, share: float, names: Sequence[str] = ()) -> SearchBox:
         """Centre ± share·|centre| (d,): ROCR6 takes 10 % of the absolute WLS solution.
 
         Raises:

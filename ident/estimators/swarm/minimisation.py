@@ -11,7 +11,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import IdentificationError, UsageError
-from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.box import SearchBox
 
 Cost = Callable[[FloatArray], FloatArray]
 """Costs (P,) of a population (P, d)."""
@@ -21,7 +21,7 @@ Ended = Literal["generations", "time", "interrupted", "optimiser"]
 
 
 @dataclass(frozen=True)
-class Budget:
+class SearchBudget:
     """How long to search.
 
     Attributes:
@@ -92,8 +92,8 @@ class Search:
     def __init__(
         self,
         cost: Cost,
-        box: Box,
-        budget: Budget,
+        box: SearchBox,
+        budget: SearchBudget,
         generator: np.random.Generator,
         first: FloatArray | None,
         progress: Callable[[float], None],
@@ -156,8 +156,8 @@ class Optimiser(Protocol):
 def minimise(
     optimiser: Optimiser,
     cost: Cost,
-    box: Box,
-    budget: Budget,
+    box: SearchBox,
+    budget: SearchBudget,
     seed: int | Sequence[int] = 0,
     first: FloatArray | None = None,
     progress: Callable[[float], None] = lambda lowest: None,

@@ -15,7 +15,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia
-from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import INERTIAL
@@ -148,7 +148,7 @@ class PhysicalCost:
         """Derivatives (r, d) of the weighted equations R·x by the physical parameters, at a point (d,)."""
         return np.asarray(self.quadratic.root @ (self.projection @ self.parameters.derivative(point)))
 
-    def descended(self, point: FloatArray, box: Box) -> FloatArray:
+    def descended(self, point: FloatArray, box: SearchBox) -> FloatArray:
         """The local optimum (d,) of a box that Gauss-Newton steps reach from a point (d,).
 
         The exact optimum where the chosen parameters enter linearly (no centre of mass among them).

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.box import SearchBox
 from ident.linear_algebra.triangular import triangular
 from ident.regression.observation_matrix import Reduction
 
@@ -53,7 +53,7 @@ class QuadraticCost:
         lengths = np.where(lengths > 0.0, lengths, 1.0)
         return np.asarray(np.linalg.lstsq(self.root / lengths, self.target, rcond=None)[0] / lengths)
 
-    def least_within(self, box: Box) -> FloatArray:
+    def least_within(self, box: SearchBox) -> FloatArray:
         """The exact optimum x (d,) of a box."""
         from scipy.optimize import lsq_linear
 

@@ -16,7 +16,7 @@ from ident.model.kinematics.joints import ancestors
 
 Pair = tuple[int, int]
 
-ROUNDING = 1e-6
+DISTANCE_TOLERANCE = 1e-6
 """[m] that every distance is less by: Coal stops its iterations there."""
 _SHARE = 0.5
 """A distance is asked again when the links may have come nearer by this share of it."""
@@ -64,7 +64,7 @@ class HullDistances:
                     answer.clear()
                     distance = coal.distance(one, at_one, other, at_other, asked, answer)
                     nearest[sample] = min(nearest[sample], distance)
-        return nearest - ROUNDING
+        return nearest - DISTANCE_TOLERANCE
 
     def along(self, pair: Pair, position: FloatArray, wanted: npt.NDArray[np.bool_]) -> FloatArray:
         """Lower bounds (N,) [m] of the distance at samples of a path (dof, N), and until the next one.

@@ -10,7 +10,7 @@ import numpy as np
 from daq.robot.schema import JointLimits
 from drivers.core.arrays import FloatArray
 from ident.excite.constraints.soft_maximum import soft_maximum
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 
 
 @dataclass(frozen=True)
@@ -50,13 +50,13 @@ class JointMotionLimits:
         """Names of the limits, such as `velocity of elbow`."""
         return tuple(bound.name for bound in self._bounds)
 
-    def use(self, path: Path) -> FloatArray:
+    def use(self, path: JointPath) -> FloatArray:
         """(m,) largest use on the grid."""
         used = [self._of(bound, path) for bound in self._bounds]
         pairs = zip(self._bounds, used, strict=True)
         return np.array([float(np.max(np.abs(values) if bound.both else values)) for bound, values in pairs])
 
-    def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
+    def smooth_use(self, path: JointPath, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """Smooth upper bound (m,) and its derivatives (m, 3, n, N)."""
         bounds = np.empty(len(self._bounds))
         gradient = np.zeros((len(self._bounds), 3, *path.position.shape))
@@ -69,6 +69,6 @@ class JointMotionLimits:
             gradient[row, bound.quantity, bound.joint] = bound.factor * by_value
         return bounds, gradient
 
-    def _of(self, bound: _Bound, path: Path) -> FloatArray:
+    def _of(self, bound: _Bound, path: JointPath) -> FloatArray:
         quantity = (path.position, path.velocity, path.acceleration)[bound.quantity]
         return np.asarray(bound.factor * (quantity[bound.joint] - bound.middle))

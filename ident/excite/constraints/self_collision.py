@@ -16,7 +16,7 @@ from ident.excite.constraints.placements import Placements, moved_by, place_arm,
 from ident.excite.constraints.segment_distance import Nearest, nearest_points
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.constraints.workspace import SAMPLES_AT_ONCE
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.model.base_parameters import random_states
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX
@@ -173,7 +173,7 @@ class SelfCollision:
         ]
         return tuple(f"distance of link {second} from {first}" for first, second in named)
 
-    def use(self, path: Path) -> FloatArray:
+    def use(self, path: JointPath) -> FloatArray:
         """(m,) largest use on the grid."""
         nearest = np.full(len(self.pairs.checked), np.inf)
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):
@@ -181,7 +181,7 @@ class SelfCollision:
             nearest = np.minimum(nearest, self._distances.smallest(placements).min(axis=1))
         return 1.0 - nearest / DISTANCE_SCALE
 
-    def distances(self, path: Path) -> FloatArray:
+    def distances(self, path: JointPath) -> FloatArray:
         """(m, N) [m] distance of each checked pair along a path, negative where its links overlap."""
         distance = np.empty((len(self.pairs.checked), path.time.size))
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):
@@ -189,7 +189,7 @@ class SelfCollision:
             distance[:, chunk] = self._distances.smallest(place_arm(self._model, path.position[:, chunk]))
         return distance
 
-    def clearances(self, path: Path) -> tuple[tuple[Pair, ...], FloatArray]:
+    def clearances(self, path: JointPath) -> tuple[tuple[Pair, ...], FloatArray]:
         """The pairs that are kept apart, and lower bounds (m, N) [m] of their distances along a path.
 
         Where capsules touch, convex hulls are asked, and the motion between samples is counted. A linkage is in its
@@ -208,7 +208,7 @@ class SelfCollision:
         rows = np.array(by_hull).reshape(len(by_hull), path.time.size)
         return (*self.pairs.checked, *self.pairs.by_hull), np.concatenate([distance, rows])
 
-    def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
+    def smooth_use(self, path: JointPath, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """Smooth upper bound (m,) and its derivatives (m, 3, n, N): ∂d/∂q = nᵀ(J_1 − J_2) at the nearest points."""
         placements = place_arm(self._model, path.position)
         distance, nearest = self._distances.nearest(placements)

@@ -9,7 +9,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from ident.excite.constraints.soft_maximum import soft_maximum
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import CHUNK, RegressorKernel, model_torque
 from ident.model.regressor_gradient import pull_back_regressor
@@ -62,24 +62,24 @@ class TorqueLimits:
         """Names of the limits, such as `torque of elbow (85 % of its limit)`."""
         return tuple(f"torque of {name} ({percent_text(TORQUE_SHARE)} of its limit)" for name in self.joint_names)
 
-    def use(self, path: Path) -> FloatArray:
+    def use(self, path: JointPath) -> FloatArray:
         """(m,) largest use on the grid."""
         return np.asarray(np.abs(self.use_over_time(path)).max(axis=1))
 
-    def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
+    def smooth_use(self, path: JointPath, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """Smooth upper bound (m,) and its derivatives (m, 3, n, N)."""
         used = self.use_over_time(path)
         bounds, weights = soft_maximum(np.concatenate([used, -used], axis=1), sharpness)
         count = path.time.size
         return bounds, self._pull_back(path, weights[:, :count] - weights[:, count:])
 
-    def use_over_time(self, path: Path) -> FloatArray:
+    def use_over_time(self, path: JointPath) -> FloatArray:
         """Signed torque over `TORQUE_SHARE` of its limit (m, N)."""
         motion = (path.position, path.velocity, path.acceleration)
         torque = model_torque(self._model, self._columns, self._parameters, *motion)
         return np.asarray(torque[self._joints] / self._limits[:, None])
 
-    def _pull_back(self, path: Path, by_torque: FloatArray) -> FloatArray:
+    def _pull_back(self, path: JointPath, by_torque: FloatArray) -> FloatArray:
         """(m, 3, n, N) from derivatives (m, N) by the torques over their limits.
 
         Only the torques that count go through the recursion, one after the other as if they were samples.

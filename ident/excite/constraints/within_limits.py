@@ -15,7 +15,7 @@ from daq.robot.schema import JointLimits
 from drivers.core.arrays import FloatArray
 from ident.excite.constraints.joint_limits import JointMotionLimits
 from ident.excite.criteria import Criterion
-from ident.excite.path import Constraint, Path
+from ident.excite.path import Constraint, JointPath
 from ident.model.dynamic_model import DynamicModel
 
 
@@ -43,10 +43,10 @@ class _CriterionWithin:
         self._limits = limits
         self._criterion = criterion
 
-    def cost(self, path: Path) -> float:
+    def cost(self, path: JointPath) -> float:
         return self._criterion.cost(_moved(path, self._limits)[0])
 
-    def smooth_cost(self, path: Path, sharpness: float) -> tuple[float, FloatArray]:
+    def smooth_cost(self, path: JointPath, sharpness: float) -> tuple[float, FloatArray]:
         moved, outside = _moved(path, self._limits)
         cost, gradient = self._criterion.smooth_cost(moved, sharpness)
         gradient[0][outside] = 0.0
@@ -62,19 +62,19 @@ class _ConstraintWithin:
     def names(self) -> tuple[str, ...]:
         return self._constraint.names
 
-    def use(self, path: Path) -> FloatArray:
+    def use(self, path: JointPath) -> FloatArray:
         return self._constraint.use(_moved(path, self._limits)[0])
 
-    def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
+    def smooth_use(self, path: JointPath, sharpness: float) -> tuple[FloatArray, FloatArray]:
         moved, outside = _moved(path, self._limits)
         bounds, gradient = self._constraint.smooth_use(moved, sharpness)
         gradient[:, 0, outside] = 0.0
         return bounds, gradient
 
 
-def _moved(path: Path, limits: Sequence[JointLimits]) -> tuple[Path, np.ndarray]:
+def _moved(path: JointPath, limits: Sequence[JointLimits]) -> tuple[JointPath, np.ndarray]:
     """The path with its positions moved into the limits, and which (n, N) were."""
     low, high = (np.array(limit)[:, None] for limit in zip(*(joint.position for joint in limits), strict=True))
     # A diverging solver asks for NaN positions; NaN velocities are the answer.
     position = np.clip(np.where(np.isfinite(path.position), path.position, low), low, high)
-    return Path(path.time, position, path.velocity, path.acceleration), position != path.position
+    return JointPath(path.time, position, path.velocity, path.acceleration), position != path.position

@@ -24,7 +24,7 @@ from ident.excite.constraints.collision_geometry import DISTANCE_SCALE, ArmGeome
 from ident.excite.constraints.obstacle_distances import Distances, above_plane, box_distances
 from ident.excite.constraints.placements import Placements, moved_by, place_arm, wrench
 from ident.excite.constraints.soft_maximum import soft_maximum
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.model.base_parameters import random_states
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX
@@ -108,7 +108,7 @@ class WorkspaceLimits:
         """Names of the limits, such as `largest radius of the arm`."""
         return tuple(limit.name for limit in self._limits)
 
-    def use(self, path: Path) -> FloatArray:
+    def use(self, path: JointPath) -> FloatArray:
         """(m,) largest use on the grid."""
         nearest = np.full(len(self._limits), np.inf)
         for start in range(0, path.time.size, SAMPLES_AT_ONCE):
@@ -117,7 +117,7 @@ class WorkspaceLimits:
             nearest = np.minimum(nearest, distances)
         return 1.0 - nearest / DISTANCE_SCALE
 
-    def clearances(self, path: Path) -> tuple[Clearance, ...]:
+    def clearances(self, path: JointPath) -> tuple[Clearance, ...]:
         """The distance to every obstacle and limit along a path."""
         distance = np.empty((len(self._limits), path.time.size))
         link = np.empty((len(self._limits), path.time.size), dtype=np.intp)
@@ -138,7 +138,7 @@ class WorkspaceLimits:
             for row, limit in enumerate(self._limits)
         )
 
-    def smooth_use(self, path: Path, sharpness: float) -> tuple[FloatArray, FloatArray]:
+    def smooth_use(self, path: JointPath, sharpness: float) -> tuple[FloatArray, FloatArray]:
         """Smooth upper bound (m,) and its derivatives (m, 3, n, N)."""
         placements = place_arm(self._model, path.position)
         bounds = np.empty(len(self._limits))

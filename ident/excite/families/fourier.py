@@ -21,7 +21,7 @@ from ident.excite.families.moving_joints import (
     midrange,
     unwrapped,
 )
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 
 _SCALE_POINTS = 40
 """Points in the shortest wave on which a coefficient's scale and a random motion's limit utilisation are evaluated."""
@@ -74,7 +74,7 @@ class _Series(JointFamily):
         """`count` times (count,) [s] in one period, without its end, which is its beginning."""
         return np.linspace(0.0, self.period, max(count, 2), endpoint=False)
 
-    def path(self, variables: FloatArray, time: FloatArray) -> Path:
+    def path(self, variables: FloatArray, time: FloatArray) -> JointPath:
         """One period at full speed, or any times of its continuation."""
         moved = self._coefficients(variables) @ self._at(time)
         return self.joints.path(time, *moved)

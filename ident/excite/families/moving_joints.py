@@ -12,7 +12,7 @@ from daq.motion.trajectories import SHORTEST_RAMP, Motion, RestToRest
 from daq.robot.schema import JointLimits
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 
 ONE_TURN = 2.0 * np.pi
 """Random motions and the variables' scales use no more of a joint's range than this [rad, or m of a slide]."""
@@ -87,9 +87,11 @@ class MovingJoints:
         every[self.rows] = of_moving
         return every
 
-    def path(self, time: FloatArray, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> Path:
+    def path(self, time: FloatArray, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> JointPath:
         """The path of all joints; positions, velocities and accelerations (m, N) are of those that move."""
-        return Path(time, self.whole(position, self.rest), self.whole(velocity, 0.0), self.whole(acceleration, 0.0))
+        return JointPath(
+            time, self.whole(position, self.rest), self.whole(velocity, 0.0), self.whole(acceleration, 0.0)
+        )
 
     def fitted(
         self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, generator: np.random.Generator

@@ -20,7 +20,7 @@ from ident.excite.families.moving_joints import (
     check_positive,
     midrange,
 )
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 
 _ORDER = 8
 """Order of the power mean that smooths the maximum of the joints' times; even, and half of it too."""
@@ -87,7 +87,7 @@ class PointsFamily(JointFamily):
         need, _ = self._needs(np.diff(points, axis=0))
         return np.asarray(self._available * need / need.sum())
 
-    def path(self, variables: FloatArray, time: FloatArray) -> Path:
+    def path(self, variables: FloatArray, time: FloatArray) -> JointPath:
         """The moves at times (N,) within the duration."""
         points = self._points(variables)
         return self.joints.path(time, *PointToPoint(points, self.durations(points), self.dwell).evaluate(time))

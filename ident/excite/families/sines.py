@@ -20,7 +20,7 @@ from ident.excite.families.moving_joints import (
     midrange,
     unwrapped,
 )
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 
 _POINTS_A_WAVE = 40
 _TOLERANCE = 1e-9
@@ -70,7 +70,7 @@ class SinesFamily(JointFamily):
         total = int(np.ceil(max(count, 2) * (1.0 + self.ramp / self.duration)))
         return np.linspace(-0.5 * self.ramp, self.duration + 0.5 * self.ramp, total)
 
-    def path(self, variables: FloatArray, time: FloatArray) -> Path:
+    def path(self, variables: FloatArray, time: FloatArray) -> JointPath:
         """The sums at full speed; before 0 and after `duration` they go on."""
         return self.joints.path(time, *SumOfSines(self.duration, *self._values(variables)).evaluate(time))
 

@@ -14,7 +14,7 @@ from ident.excite.constraints.constraints import unchecked_pairs
 from ident.excite.forecast import ExcitationFigures
 from ident.excite.page.arm_scene import arm_figure
 from ident.excite.page.plots import clearance_figure, joints_figure, shown_part, tool_figure
-from ident.excite.prior import Prior
+from ident.excite.prior import PriorKnowledge
 from ident.model.dynamic_model import build_model
 from ident.regression.options import SIGNIFICANT_RSD
 from ident.report import number_text
@@ -28,7 +28,7 @@ def write_page(
     path: Path,
     robot_file: RobotFile,
     motion: Motion,
-    prior: Prior,
+    prior: PriorKnowledge,
     figures: ExcitationFigures,
     notes: Sequence[tuple[str, str]],
 ) -> None:
@@ -49,7 +49,11 @@ def write_page(
 
 
 def render_page(
-    robot_file: RobotFile, motion: Motion, prior: Prior, figures: ExcitationFigures, notes: Sequence[tuple[str, str]]
+    robot_file: RobotFile,
+    motion: Motion,
+    prior: PriorKnowledge,
+    figures: ExcitationFigures,
+    notes: Sequence[tuple[str, str]],
 ) -> str:
     """The page as text."""
     shown = shown_part(robot_file, motion, prior)

@@ -16,8 +16,8 @@ from ident.excite.constraints.constraints import constraints_of
 from ident.excite.constraints.placements import place_arm, tool_point
 from ident.excite.constraints.self_collision import SelfCollision
 from ident.excite.constraints.workspace import WorkspaceLimits
-from ident.excite.path import Path
-from ident.excite.prior import Prior
+from ident.excite.path import JointPath
+from ident.excite.prior import PriorKnowledge
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
@@ -45,12 +45,12 @@ class Shown:
         repetitions: how many there are in all; one of them is shown.
     """
 
-    path: Path
+    path: JointPath
     torque: FloatArray | None
     repetitions: int
 
 
-def shown_part(robot_file: RobotFile, motion: Motion, prior: Prior) -> Shown:
+def shown_part(robot_file: RobotFile, motion: Motion, prior: PriorKnowledge) -> Shown:
     """The approach from rest and one repetition of the motion; the whole motion where it does not repeat."""
     end, repetitions = motion.duration, 1
     if isinstance(motion, RestToRest) and motion.periods > 1:
@@ -64,10 +64,10 @@ def shown_part(robot_file: RobotFile, motion: Motion, prior: Prior) -> Shown:
     return Shown(path, torque, repetitions)
 
 
-def path_until(motion: Motion, end: float, count: int) -> Path:
+def path_until(motion: Motion, end: float, count: int) -> JointPath:
     """The motion from 0 to `end` [s]."""
     time = np.linspace(0.0, end, count)
-    return Path(time, *motion.evaluate(time))
+    return JointPath(time, *motion.evaluate(time))
 
 
 def joints_figure(joints: Sequence[JointLimits], shown: Shown) -> Figure:

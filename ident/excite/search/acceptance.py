@@ -11,12 +11,12 @@ from daq.motion.limits import check_limits
 from daq.motion.trajectories import Motion
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from ident.excite.path import Family, Path, repeated_for
-from ident.excite.search.problem import Problem
+from ident.excite.path import Family, JointPath, repeated_for
+from ident.excite.search.problem import DesignProblem
 
 DENSER = 10
 """The check's grid is this many times denser than the one of the design."""
-ROUNDING = 1e-6
+UTILISATION_TOLERANCE = 1e-6
 """By which a limit utilisation may exceed what the margin allows."""
 LEAST_SHARE = 1e-3
 """Smallest amplitude that a motion is shrunk to, as a share of its own."""
@@ -42,15 +42,15 @@ class Accepted:
     use: FloatArray
 
 
-def dense_use(problem: Problem, variables: FloatArray) -> float:
+def dense_use(problem: DesignProblem, variables: FloatArray) -> float:
     """Largest limit utilisation at full speed, on the dense grid."""
     dense = problem.family.grid(DENSER * len(problem.time))
     return float(problem.use_along(problem.family.path(variables, dense)).max(initial=0.0))
 
 
-def accepted(problem: Problem, variables: FloatArray) -> Accepted | None:
+def accepted(problem: DesignProblem, variables: FloatArray) -> Accepted | None:
     """The motion of x (size,) as it is played; None where it exceeds a limit, however long its ramp."""
-    if float(problem.use(variables).max(initial=0.0)) > problem.allowed + ROUNDING:
+    if float(problem.use(variables).max(initial=0.0)) > problem.allowed + UTILISATION_TOLERANCE:
         return None
     if dense_use(problem, variables) > 1.0:
         return None
@@ -61,7 +61,7 @@ def accepted(problem: Problem, variables: FloatArray) -> Accepted | None:
         looked = repeated_for(motion, 0.0)
         count = DENSER * len(problem.time) * max(1, round(looked.duration / float(np.ptp(problem.time))))
         time = np.linspace(0.0, looked.duration, count)
-        use = problem.use_along(Path(time, *looked.evaluate(time)))
+        use = problem.use_along(JointPath(time, *looked.evaluate(time)))
         if use.max(initial=0.0) <= 1.0 and _within_joint_limits(family, motion):
             return Accepted(family, variables, motion, use)
         family = family.with_longer_ramp(_RAMP_GROWTH)
@@ -78,7 +78,7 @@ def _within_joint_limits(family: Family, motion: Motion) -> bool:
 
 
 def shrunk_to_fit(
-    problem: Problem, variables: FloatArray, pose: FloatArray, tick: Callable[[], None] = lambda: None
+    problem: DesignProblem, variables: FloatArray, pose: FloatArray, tick: Callable[[], None] = lambda: None
 ) -> FloatArray | None:
     """The x of the same motion about another pose, with the largest accepted amplitude, up to its own, by bisection.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.excite.criteria import RegressorCriterion
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
 
@@ -42,7 +42,7 @@ class ErrorBars:
     sizes: FloatArray
     values: float
 
-    def worst(self, path: Path) -> ErrorBar:
+    def worst(self, path: JointPath) -> ErrorBar:
         """The worst of all parameters along one repetition at full speed; infinite where one is not excited."""
         information = self.criterion.information(path) * np.outer(self.sizes, self.sizes)
         try:

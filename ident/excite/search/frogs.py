@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.minimisation import Budget, minimise
-from ident.excite.search.problem import Problem
+from ident.estimators.swarm.minimisation import SearchBudget, minimise
+from ident.excite.search.problem import DesignProblem
 
 FROGS = FrogLeaping(random="coordinate")
 """UP6 Table 2, but each coordinate leaps by a random share of its own: 18 and more variables need it."""
@@ -26,7 +26,7 @@ WIDER = 1.5
 
 
 def leap(
-    problem: Problem,
+    problem: DesignProblem,
     feasible: FloatArray,
     seed: Sequence[int],
     offer: Callable[[FloatArray], bool],
@@ -63,7 +63,9 @@ def leap(
                 lowest = values[index]
         return values
 
-    box = Box(middle - WIDER * half - 1e-9, middle + WIDER * half + 1e-9)
-    found = minimise(FROGS, cost, box, Budget(GENERATIONS), generator.integers(2**32, size=4).tolist(), first=frogs)
+    box = SearchBox(middle - WIDER * half - 1e-9, middle + WIDER * half + 1e-9)
+    found = minimise(
+        FROGS, cost, box, SearchBudget(GENERATIONS), generator.integers(2**32, size=4).tolist(), first=frogs
+    )
     if found.ended == "interrupted":
         raise KeyboardInterrupt

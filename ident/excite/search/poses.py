@@ -13,8 +13,8 @@ from drivers.core.errors import UsageError
 from drivers.core.text import percent_text
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.families.moving_joints import MovingJoints
-from ident.excite.path import Path
-from ident.excite.search.problem import Problem
+from ident.excite.path import JointPath
+from ident.excite.search.problem import DesignProblem
 
 POSES = 8
 """Descents that end without a feasible pose before a design is refused."""
@@ -31,7 +31,7 @@ class NoFeasiblePoseError(UsageError):
 
 
 @dataclass(frozen=True)
-class Pose:
+class CandidatePose:
     """A pose and what it uses of the limits.
 
     Attributes:
@@ -43,13 +43,13 @@ class Pose:
     use: FloatArray
 
 
-def moving_joints(problem: Problem) -> MovingJoints:
+def moving_joints(problem: DesignProblem) -> MovingJoints:
     """The joints that move in a problem, and the others."""
     family = problem.family
     return MovingJoints(family.limits, family.moving, family.rest)
 
 
-def pose_path(joints: MovingJoints, position: FloatArray) -> Path:
+def pose_path(joints: MovingJoints, position: FloatArray) -> JointPath:
     """A pose (moving joints,) at rest, and moving both ways very slowly."""
     still = np.zeros((joints.count, 3))
     velocity = _CREEP * np.minimum(joints.velocity, 1.0)[:, None] * np.array([0.0, 1.0, -1.0])
@@ -57,8 +57,8 @@ def pose_path(joints: MovingJoints, position: FloatArray) -> Path:
 
 
 def feasible_pose(
-    problem: Problem, first: FloatArray, seed: Sequence[int], tick: Callable[[], None] = lambda: None
-) -> Pose:
+    problem: DesignProblem, first: FloatArray, seed: Sequence[int], tick: Callable[[], None] = lambda: None
+) -> CandidatePose:
     """A pose with margin to all limits: the first descent of the largest utilisation that ends at a feasible one.
 
     Args:
@@ -88,14 +88,14 @@ def feasible_pose(
 class _Tried:
     """The candidate poses, and the least utilisation of each limit among them."""
 
-    def __init__(self, problem: Problem, tick: Callable[[], None]) -> None:
+    def __init__(self, problem: DesignProblem, tick: Callable[[], None]) -> None:
         self._problem = problem
         self._tick = tick
         self._count = 0
         self._least = np.full(len(problem.limits), np.inf)
         self._best: FloatArray | None = None
 
-    def pose(self, joints: MovingJoints, position: FloatArray) -> Pose:
+    def pose(self, joints: MovingJoints, position: FloatArray) -> CandidatePose:
         """Evaluate a pose (moving joints,)."""
         self._tick()
         use = self._problem.use_along(pose_path(joints, position))
@@ -103,7 +103,7 @@ class _Tried:
         self._least = np.fmin(self._least, use)
         if self._best is None or use.max(initial=0.0) < self._best.max(initial=0.0):
             self._best = use
-        return Pose(position, use)
+        return CandidatePose(position, use)
 
     @property
     def conclusion(self) -> str:
@@ -123,7 +123,7 @@ class _Tried:
         )
 
 
-def _descent(problem: Problem, joints: MovingJoints, begin: FloatArray, tried: _Tried) -> Pose:
+def _descent(problem: DesignProblem, joints: MovingJoints, begin: FloatArray, tried: _Tried) -> CandidatePose:
     """The pose of the smallest largest utilisation that a local search reaches."""
     best = tried.pose(joints, begin)
 

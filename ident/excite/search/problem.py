@@ -9,12 +9,12 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.excite.criteria import Criterion
-from ident.excite.path import Constraint, Family, Path
+from ident.excite.path import Constraint, Family, JointPath
 from ident.excite.search.error_bars import ErrorBars
 
 
 @dataclass(frozen=True)
-class Problem:
+class DesignProblem:
     """Find x that makes a criterion small and uses no limit beyond `allowed`.
 
     Attributes:
@@ -35,7 +35,7 @@ class Problem:
     allowed: float
     error_bars: ErrorBars | None = None
 
-    def path(self, variables: FloatArray) -> Path:
+    def path(self, variables: FloatArray) -> JointPath:
         """The motion of x (size,) on the grid."""
         return self.family.path(variables, self.time)
 
@@ -61,7 +61,7 @@ class Problem:
         """Utilisation (m,) of every limit at x, on the grid."""
         return self.use_along(self.path(variables))
 
-    def use_along(self, path: Path) -> FloatArray:
+    def use_along(self, path: JointPath) -> FloatArray:
         """Utilisation (m,) of every limit along any motion."""
         return np.concatenate([np.zeros(0), *(constraint.use(path) for constraint in self.constraints)])
 

@@ -14,7 +14,7 @@ from drivers.core.clock import SYSTEM_CLOCK
 from drivers.core.errors import DynidError
 from ident.excite.choices import Solver
 from ident.excite.search.poses import NoFeasiblePoseError
-from ident.excite.search.problem import Problem
+from ident.excite.search.problem import DesignProblem
 from ident.excite.search.start import Report, random_start, run_start
 
 _JOINING = 1.0
@@ -43,7 +43,7 @@ class SearchProcesses:
     def __init__(
         self,
         count: int,
-        make: Callable[[], Problem],
+        make: Callable[[], DesignProblem],
         seed: int,
         solver: Solver,
         starts: int | None,
@@ -146,7 +146,7 @@ def _taken(counter: Any) -> int:
 
 
 def _work(
-    make: Callable[[], Problem],
+    make: Callable[[], DesignProblem],
     seed: int,
     solver: Solver,
     starts: int | None,

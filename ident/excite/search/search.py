@@ -14,9 +14,9 @@ from drivers.core.errors import IdentificationError
 from ident.excite.choices import SearchOptions
 from ident.excite.search.acceptance import accepted
 from ident.excite.search.poses import NoFeasiblePoseError
-from ident.excite.search.problem import Problem
+from ident.excite.search.problem import DesignProblem
 from ident.excite.search.processes import SearchProcesses, TimeIsUpError
-from ident.excite.search.start import Candidate, Finished, Report, no_tick, random_start, run_start
+from ident.excite.search.start import CandidateMotion, Finished, Report, no_tick, random_start, run_start
 
 _POLL = 0.2
 """Seconds between two polls of the other processes, and between two reports of progress."""
@@ -52,7 +52,7 @@ class SearchResult:
         died: processes that crashed or were killed.
     """
 
-    best: Candidate | None
+    best: CandidateMotion | None
     finished: int
     seconds: float
     limit: float | None
@@ -61,8 +61,8 @@ class SearchResult:
 
 
 def search(
-    problem: Problem,
-    make: Callable[[], Problem],
+    problem: DesignProblem,
+    make: Callable[[], DesignProblem],
     choices: SearchChoices,
     first: FloatArray | None = None,
     progress: Callable[[SearchResult], None] = lambda result: None,
@@ -108,7 +108,7 @@ class _Run:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: DesignProblem,
         choices: SearchChoices,
         others: SearchProcesses,
         progress: Callable[[SearchResult], None],
@@ -119,7 +119,7 @@ class _Run:
         self._problem, self._choices, self._others = problem, choices, others
         self._progress, self._clock, self._begun = progress, clock, begun
         self._end = np.inf if choices.time is None else begun + choices.time
-        self._best: Candidate | None = None
+        self._best: CandidateMotion | None = None
         self._finished = 0
         self._next_look = begun + _POLL
 

@@ -17,7 +17,7 @@ from scipy.optimize import BFGS, NonlinearConstraint, minimize
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from ident.excite.choices import LocalSolver
-from ident.excite.search.problem import Problem
+from ident.excite.search.problem import DesignProblem
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,9 @@ class Watch:
 UNWATCHED = Watch(lambda: None, lambda variables: False)
 
 
-def solve(problem: Problem, start: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED) -> Iterator[FloatArray]:
+def solve(
+    problem: DesignProblem, start: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED
+) -> Iterator[FloatArray]:
     """From `start` towards a local optimum: the variables (size,) after every round.
 
     Raises:
@@ -86,17 +88,19 @@ def solve(problem: Problem, start: FloatArray, solver: LocalSolver, watch: Watch
         yield variables
 
 
-def open_search(problem: Problem, feasible: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED) -> FloatArray:
+def open_search(
+    problem: DesignProblem, feasible: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED
+) -> FloatArray:
     """A better motion near a feasible one; it may exceed the limits a little."""
     return _SOLVERS[solver](_Evaluations(problem, OPENING, watch), feasible, OPENING, OPENING_REACH)
 
 
-def tighten(problem: Problem, variables: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED) -> FloatArray:
+def tighten(problem: DesignProblem, variables: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED) -> FloatArray:
     """Another last round from `variables`, for a problem whose limits were narrowed."""
     return _round(problem, variables, solver, ROUNDS[-1], watch)
 
 
-def _round(problem: Problem, start: FloatArray, solver: LocalSolver, step: Round, watch: Watch) -> FloatArray:
+def _round(problem: DesignProblem, start: FloatArray, solver: LocalSolver, step: Round, watch: Watch) -> FloatArray:
     """Result of a round; with a shorter reach where it ends further outside the limits than it began."""
     before = max(problem.allowed, float(problem.use(start).max(initial=0.0)))
     for reach in REACHES:
@@ -109,7 +113,7 @@ def _round(problem: Problem, start: FloatArray, solver: LocalSolver, step: Round
 class _Evaluations:
     """Smooth cost and slacks allowed − smooth use (m,), computed once for each point that a solver evaluates."""
 
-    def __init__(self, problem: Problem, step: Round, watch: Watch) -> None:
+    def __init__(self, problem: DesignProblem, step: Round, watch: Watch) -> None:
         self._problem = problem
         self._step = step
         self._watch = watch

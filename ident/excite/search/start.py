@@ -10,11 +10,11 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from ident.excite.choices import LocalSolver, Solver
-from ident.excite.search.acceptance import LEAST_SHARE, ROUNDING, accepted, dense_use, shrunk_to_fit
+from ident.excite.search.acceptance import LEAST_SHARE, UTILISATION_TOLERANCE, accepted, dense_use, shrunk_to_fit
 from ident.excite.search.error_bars import ErrorBar
 from ident.excite.search.frogs import leap
 from ident.excite.search.poses import NoFeasiblePoseError, feasible_pose
-from ident.excite.search.problem import Problem
+from ident.excite.search.problem import DesignProblem
 from ident.excite.search.solve import Watch, open_search, solve, tighten
 
 DRAWS = 20
@@ -27,7 +27,7 @@ _TIGHTENINGS = 5
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateMotion:
     """A motion that keeps every limit, reported by a start.
 
     Attributes:
@@ -56,7 +56,7 @@ class Finished:
     start: int
 
 
-Report = Candidate | Finished
+Report = CandidateMotion | Finished
 
 
 def no_tick() -> None:
@@ -64,7 +64,7 @@ def no_tick() -> None:
 
 
 def run_start(  # noqa: C901 — the steps, in their order
-    problem: Problem,
+    problem: DesignProblem,
     start: int,
     begin: FloatArray,
     seed: Sequence[int],
@@ -99,7 +99,7 @@ def run_start(  # noqa: C901 — the steps, in their order
             best, best_variables, reported = cost, variables, True
             condition = float(np.exp(problem.conditioning.cost(path)))
             worst = None if problem.error_bars is None else problem.error_bars.worst(path)
-            report(Candidate(start, cost, condition, worst, variables))
+            report(CandidateMotion(start, cost, condition, worst, variables))
 
     def offer(variables: FloatArray) -> bool:
         if accepted(problem, variables) is None:
@@ -139,7 +139,7 @@ def run_start(  # noqa: C901 — the steps, in their order
 
 
 def random_start(
-    problem: Problem, seed: Sequence[int], draws: int = DRAWS, tick: Callable[[], None] = no_tick
+    problem: DesignProblem, seed: Sequence[int], draws: int = DRAWS, tick: Callable[[], None] = no_tick
 ) -> FloatArray:
     """The first of `draws` random members that keeps all limits, or the one that passes them least; (size,).
 
@@ -159,7 +159,9 @@ def random_start(
     return best[1]
 
 
-def _feasible_near(problem: Problem, begin: FloatArray, seed: Sequence[int], tick: Callable[[], None]) -> FloatArray:
+def _feasible_near(
+    problem: DesignProblem, begin: FloatArray, seed: Sequence[int], tick: Callable[[], None]
+) -> FloatArray:
     """The motion itself where it is accepted; else shrunk, about its own middle or a pose with margin to the limits."""
     if accepted(problem, begin) is not None:
         return begin
@@ -177,15 +179,15 @@ def _feasible_near(problem: Problem, begin: FloatArray, seed: Sequence[int], tic
     return min(feasible, key=problem.cost)
 
 
-def _worst(problem: Problem, variables: FloatArray) -> str:
+def _worst(problem: DesignProblem, variables: FloatArray) -> str:
     use = problem.use(variables)
     worst = int(np.argmax(use))
     return f"{percent_text(float(use[worst]), 4)} of the {problem.limits[worst]}"
 
 
-def _narrowed(problem: Problem, variables: FloatArray, solver: LocalSolver, watch: Watch) -> Iterator[FloatArray]:
+def _narrowed(problem: DesignProblem, variables: FloatArray, solver: LocalSolver, watch: Watch) -> Iterator[FloatArray]:
     """Further rounds within narrower limits, until they are kept between the grid's points too."""
-    if float(problem.use(variables).max(initial=0.0)) > problem.allowed + ROUNDING:
+    if float(problem.use(variables).max(initial=0.0)) > problem.allowed + UTILISATION_TOLERANCE:
         return
     narrowed = problem
     for _ in range(_TIGHTENINGS):

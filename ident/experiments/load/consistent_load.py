@@ -21,8 +21,8 @@ from ident.estimators.feasible.pseudo_inertia import Body, body_of
 from ident.experiments.load.load_estimate import LoadEstimate, relative_error
 from ident.experiments.run_pair import FREE, LOADED, RunPair
 from ident.linear_algebra.triangular import triangular
-from ident.model.load import FIRST_MOMENTS, MASS, KnownLoad, load_effect, moved_origin
-from ident.model.parameters import INERTIAL
+from ident.model.load import FIRST_MOMENTS, KnownLoad, load_effect, moved_origin
+from ident.model.parameters import INERTIAL, MASS
 from ident.regression.estimate import Estimate
 from ident.regression.gain_uncertainty import gain_covariances
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest

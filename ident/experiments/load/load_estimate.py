@@ -9,7 +9,8 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
 from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_grams, weighted_blocks, widened
-from ident.model.load import MASS, KnownLoad, LoadColumns, load_columns
+from ident.model.load import KnownLoad, LoadColumns, load_columns
+from ident.model.parameters import MASS
 from ident.regression.estimate import Estimate, estimate_of
 from ident.regression.gain_uncertainty import gain_deviations, gain_sensitivity, relative_gain_std
 from ident.regression.jackknife import BlockSums, jackknife_covariance, least_squares_moves

@@ -36,7 +36,8 @@ from ident.experiments.load.load_estimate import (
     identify_separately,
 )
 from ident.experiments.run_pair import FREE, LOADED, RunPair, pair_warnings, prepare_pair
-from ident.model.load import INDEPENDENT, MASS, KnownLoad, load_effect
+from ident.model.load import INDEPENDENT, KnownLoad, load_effect
+from ident.model.parameters import MASS
 from ident.regression.hypothesis_tests import SignificanceTest, chi_square_test
 from ident.regression.jackknife import jackknife_covariance
 from ident.result.units import parameter_unit

@@ -26,7 +26,7 @@ from ident.model.kinematics.joints import BASE_INDEX, Joint
 from ident.model.kinematics.transmission import LinearTransmission
 from ident.model.newton_euler import rotation_coefficients
 
-ROUNDING = 1e-15
+EXACT_ENTRY_TOLERANCE = 1e-15
 """Entries of a rotation that are closer than this to 0 or ±1 are made exact; it is the rounding of a sine."""
 
 
@@ -131,7 +131,7 @@ def _joint_frame(
         return JointFrame(joint, add(translation, along), still, velocity, acceleration, constant, identity, None)
     # The constant part of the angle goes into the constant rotation: sin(q + π/2) is then cos q.
     joint = replace(joint, rotation=_exact(joint.rotation @ axis_rotation(joint.axis, start)))
-    aligned = [index for index in range(3) if abs(abs(joint.axis[index]) - 1.0) < ROUNDING]
+    aligned = [index for index in range(3) if abs(abs(joint.axis[index]) - 1.0) < EXACT_ENTRY_TOLERANCE]
     if not aligned:
         turn = _skew_rotation(sine(position), cosine(position), joint)
         return JointFrame(joint, translation, position, velocity, acceleration, identity, turn, None)
@@ -207,4 +207,4 @@ def _matrix(rows: list[list[Expression]]) -> Matrix:
 def _exact(values: FloatArray) -> FloatArray:
     """Entries within rounding of 0 and ±1 made exact."""
     nearest = np.round(values)
-    return np.where(np.abs(values - nearest) < ROUNDING, nearest, values)
+    return np.where(np.abs(values - nearest) < EXACT_ENTRY_TOLERANCE, nearest, values)

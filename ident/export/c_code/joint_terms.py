@@ -16,7 +16,7 @@ from ident.model.joint_columns import JointColumn, joint_column
 
 
 @dataclass(frozen=True)
-class JointTerms:
+class JointTermsCode:
     """Torques at the n joints with a motor: inertia·q̈ + viscous·q̇ + Σ coulomb·sign(motion·q̇) + offset + further terms.
 
     Attributes:
@@ -34,7 +34,7 @@ class JointTerms:
     further: tuple[tuple[JointColumn, FloatArray, FloatArray], ...]
 
 
-def joint_terms(dynamics: InverseDynamics) -> JointTerms:
+def joint_terms(dynamics: InverseDynamics) -> JointTermsCode:
     """The joint terms of identified parameters."""
     model = dynamics.model
     inertia, viscous = np.zeros((2, model.dof, model.dof))
@@ -56,12 +56,12 @@ def joint_terms(dynamics: InverseDynamics) -> JointTerms:
             offset += torques
         else:
             further.append((column, motion, torques))
-    return JointTerms(inertia, viscous, tuple(coulomb), offset, tuple(further))
+    return JointTermsCode(inertia, viscous, tuple(coulomb), offset, tuple(further))
 
 
 def friction(
     graph: Graph,
-    terms: JointTerms,
+    terms: JointTermsCode,
     smoothing: float,
     velocity: Sequence[Expression],
     load_torque: Sequence[Expression],

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.export.c_code.functions import Function
-from ident.export.c_code.reference import TOLERANCES, Reference
+from ident.export.c_code.reference import TOLERANCES, ReferenceValues
 from ident.export.c_code.statements import Dialect
 
 _COMPARE = """\
@@ -32,7 +32,7 @@ static int beyond(const char *name, const double *values, const double *expected
 """
 
 
-def self_test(functions: Sequence[Function], expected: Reference, prefix: str, dialect: Dialect) -> str:
+def self_test(functions: Sequence[Function], expected: ReferenceValues, prefix: str, dialect: Dialect) -> str:
     """C source behind `#ifdef PREFIX_SELF_TEST`."""
     macro, count = prefix.upper(), len(expected.inputs["q"])
     arrays = sorted({name for function in functions for name in function.inputs}, key=list(expected.inputs).index)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from ident.export.c_code.expressions import Graph
 from ident.export.c_code.functions import PAYLOAD, PAYLOAD_SIZE, Function
 from ident.export.c_code.names import comment_text
-from ident.export.c_code.reference import TOLERANCES, Reference
+from ident.export.c_code.reference import TOLERANCES, ReferenceValues
 from ident.export.c_code.self_test import self_test
 from ident.export.c_code.statements import Dialect, statements
 
@@ -125,7 +125,7 @@ def source(
     description: Description,
     functions: Sequence[Function],
     dialect: Dialect,
-    expected: Reference,
+    expected: ReferenceValues,
     header_name: str,
 ) -> str:
     """Text of the .c file."""

@@ -17,7 +17,7 @@ from drivers.core.arrays import FloatArray
 from ident.identify.friction.candidates import CandidateGrams, solve_columns, squared_error
 from ident.model.friction_terms import FrictionTerms
 from ident.model.parameters import Quantity
-from ident.regression.least_squares import LEAST_TORQUE, ROUNDING
+from ident.regression.least_squares import LEAST_TORQUE, RESIDUAL_FLOOR
 from ident.result.schema import FrictionStep
 
 LEVEL = 0.05
@@ -81,7 +81,7 @@ class FrictionSearch:
             if parameters is None:
                 return
             spread = np.sqrt(self._grams.residual_sums(parameters) / np.maximum(rows, 1.0))
-            weights = np.where(weights > 0.0, 1.0 / np.maximum(spread, ROUNDING * LEAST_TORQUE), 0.0)
+            weights = np.where(weights > 0.0, 1.0 / np.maximum(spread, RESIDUAL_FLOOR * LEAST_TORQUE), 0.0)
         self._weighted = self._grams.weighted(weights)
         self._total = self._weighted.sum(axis=0)
 

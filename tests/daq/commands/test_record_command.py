@@ -23,7 +23,7 @@ import pytest
 import yaml
 from kinematic_arm import FIRST_STAMP, NAMES, RATE, ROBOT_FILE, KinematicArm
 
-from daq.motion.player import Path as MotionPath
+from daq.motion.player import MotionSequence
 from daq.motion.trajectory_file import load_trajectory
 from daq.recording.growing_file import SPARE
 from daq.recording.reader import read_recording
@@ -110,7 +110,7 @@ def test_a_motion_is_recorded_and_told_as_json(bench, dynid):
     assert told["streams"]["joints"]["samples"] == len(joints.time) == arm.count
     assert told["streams"]["joints"]["lost"] == 0
     assert told["streams"]["joints"]["rate_hz"] == pytest.approx(RATE, rel=1e-6)
-    path = MotionPath([load_trajectory(Path("traj.yaml"), ROBOT_FILE.robot).motion], RATE)
+    path = MotionSequence([load_trajectory(Path("traj.yaml"), ROBOT_FILE.robot).motion], RATE)
     positions = path.positions(np.arange(round(path.duration * RATE) + 1) / RATE)
     end = 1 + int(np.flatnonzero(np.any(np.diff(arm.commands, axis=0), axis=1))[-1])  # held after it
     np.testing.assert_allclose(arm.commands[end - len(positions) + 2 : end + 1], positions[1:], rtol=0, atol=1e-12)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from simulated_clock import SimulatedClock
 
-from daq.motion.player import DRY_RUN, STALL_LIMIT, Path, Player, dry_run, skip_limit
+from daq.motion.player import DRY_RUN, STALL_LIMIT, MotionSequence, Player, dry_run, skip_limit
 from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest
 from drivers.core.errors import ConnectionLostError, SafetyStopError, WorkError
 
@@ -35,7 +35,7 @@ class Sent:
 
 
 def made(clock: SimulatedClock, sent: Sent, *motions: PointToPoint, acceleration: float = 400.0) -> Player:
-    return Player(sent.take, Path(motions or (RAMP,), RATE), np.array([acceleration]), clock)
+    return Player(sent.take, MotionSequence(motions or (RAMP,), RATE), np.array([acceleration]), clock)
 
 
 def played(clock: SimulatedClock, player: Player) -> Player:
@@ -139,7 +139,7 @@ def test_a_motion_that_uses_its_whole_acceleration_goes_on_by_a_longer_ramp(cloc
     limit = float(np.max(np.abs(motion.evaluate(np.linspace(0.0, motion.duration, 2000))[2])))
     sent = Sent(clock)
     clock.call_at(clock.now() + 0.9951, lambda: clock.stall(0.035))
-    player = Player(sent.take, Path([motion], RATE), np.array([limit * 1.05]), clock)
+    player = Player(sent.take, MotionSequence([motion], RATE), np.array([limit * 1.05]), clock)
     assert played(clock, player).failure is None
     due, positions = np.array(sent.due), np.array(sent.positions)
     gap = int(np.argmax(np.diff(due)))
@@ -157,7 +157,7 @@ def test_an_error_is_kept(clock: SimulatedClock, error: Exception, kind: type[Ex
             raise error
 
     begun = clock.now()
-    player = Player(broken, Path([RAMP], RATE), ACCELERATION, clock)
+    player = Player(broken, MotionSequence([RAMP], RATE), ACCELERATION, clock)
     player.start()
     assert clock.wait(lambda: player.failure is not None, 10.0)
     assert clock.now() == pytest.approx(begun + 4 * PERIOD)
@@ -167,7 +167,7 @@ def test_an_error_is_kept(clock: SimulatedClock, error: Exception, kind: type[Ex
 
 
 def test_a_command_that_hangs_is_waited_for_only_so_long(clock: SimulatedClock) -> None:
-    player = Player(lambda *_: clock.sleep(3.0), Path([RAMP], RATE), ACCELERATION, clock)
+    player = Player(lambda *_: clock.sleep(3.0), MotionSequence([RAMP], RATE), ACCELERATION, clock)
     begun = clock.now()
     player.start()
     assert not player.stop(0.1)
@@ -179,7 +179,7 @@ def test_a_command_that_hangs_is_waited_for_only_so_long(clock: SimulatedClock) 
 def test_a_path_joins_motions_at_its_ticks() -> None:
     first = PointToPoint(np.array([[0.0], [1.0]]), np.array([1.003]))
     second = PointToPoint(np.array([[1.0], [0.5]]), np.array([0.5]))
-    path = Path([first, second], RATE)
+    path = MotionSequence([first, second], RATE)
     np.testing.assert_allclose(path.starts, [0.0, 1.01, 1.51])
     times = np.arange(152) * PERIOD
     position, velocity, acceleration = path.evaluate(times)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from simulated_clock import simulated_time
 
 from daq.motion.limits import check_limits
-from daq.motion.player import STALL_LIMIT, Path, Player, skip_limit
+from daq.motion.player import STALL_LIMIT, MotionSequence, Player, skip_limit
 from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest, slow_move
 from daq.robot.schema import JointLimits
 from daq.session.command_gate import FRESH, MARGIN, CommandGate, GateLimits
@@ -211,7 +211,7 @@ def test_whatever_is_sent_keeps_the_limits_as_the_arm_sees_them(
 
 
 @st.composite
-def plans(draw: st.DrawFn) -> Path:
+def plans(draw: st.DrawFn) -> MotionSequence:
     """Motions that the plan's own check may or may not pass."""
     rate = draw(st.sampled_from([100.0, 125.0, 200.0, 500.0]))
     amplitude = draw(st.floats(0.01, 1.5))
@@ -225,7 +225,7 @@ def plans(draw: st.DrawFn) -> Path:
         points = np.array([[0.0, 0.0], [amplitude, -0.5 * amplitude], [0.1, 0.0]])
         motion = PointToPoint(points, np.array([draw(st.floats(0.05, 2.0)), draw(st.floats(0.05, 2.0))]))
     start = motion.evaluate(np.zeros(1))[0][:, 0]
-    return Path([slow_move(np.zeros(2), start, JOINTS), motion], rate)
+    return MotionSequence([slow_move(np.zeros(2), start, JOINTS), motion], rate)
 
 
 @given(
@@ -234,7 +234,7 @@ def plans(draw: st.DrawFn) -> Path:
     take=st.floats(0.0, 0.01),
 )
 def test_plans_stalls_and_rates_never_pass_a_limit_at_the_arm(
-    path: Path, stalls: list[tuple[float, float]], take: float
+    path: MotionSequence, stalls: list[tuple[float, float]], take: float
 ) -> None:
     """Player and gate together; the arm takes a while for each command, and the computer stalls."""
     period = 1.0 / path.rate

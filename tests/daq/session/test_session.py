@@ -15,8 +15,7 @@ from kinematic_arm import FIRST_STAMP, QUANTITIES, RATE, ROBOT_FILE, KinematicAr
 from simulated_clock import SimulatedClock
 from unchecked import Unchecked, unchecked_play
 
-from daq.motion.player import DRY_RUN
-from daq.motion.player import Path as MotionPath
+from daq.motion.player import DRY_RUN, MotionSequence
 from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest, slow_move
 from daq.recording import recorder as recorder_module
 from daq.recording.reader import read_recording
@@ -118,7 +117,7 @@ def test_a_motion_is_approached_played_and_recorded(tmp_path: Path, clock: Simul
     assert report.stopped_by is None
     here = np.array([0.1, -0.1])
     way = slow_move(here, motion.evaluate(np.zeros(1))[0][:, 0], ROBOT_FILE.robot.joints)
-    whole = MotionPath([way, motion], RATE)
+    whole = MotionSequence([way, motion], RATE)
     positions = whole.positions(np.arange(round(whole.duration * RATE) + 1) * PERIOD)
     np.testing.assert_array_equal(arm.commands[: len(positions)], positions)
     np.testing.assert_array_equal(np.diff(arm.commands[len(positions) - 1 :], axis=0), 0.0)

@@ -13,7 +13,7 @@ from ident.excite.constraints.within_limits import criterion_within_limits
 from ident.excite.criteria import RegressorCriterion
 from ident.excite.design import design
 from ident.excite.measures import condition
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.excite.prior import find_prior
 from ident.excite.search.search import SearchChoices
 from ident.model.dynamic_model import build_model
@@ -56,7 +56,7 @@ def test_within_the_limits_nothing_is_changed() -> None:
     assert moved is not plain
     low, high = (np.array(limit)[:, None] for limit in zip(*(joint.position for joint in model.limits), strict=True))
     position = np.random.default_rng(2).uniform(low, high, (3, 40))
-    path = Path(np.arange(40.0), position, *np.random.default_rng(3).standard_normal((2, 3, 40)))
+    path = JointPath(np.arange(40.0), position, *np.random.default_rng(3).standard_normal((2, 3, 40)))
     assert moved.cost(path) == plain.cost(path)
     one, other = moved.smooth_cost(path, 8.0), plain.smooth_cost(path, 8.0)
     assert one[0] == other[0]

@@ -9,20 +9,20 @@ import pytest
 
 from ident.excite.criteria import SIGN_SMOOTHING, MotionSize, RegressorCriterion
 from ident.excite.measures import condition, deviations, plain_condition
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.model.base_parameters import base_parameters
 from ident.model.regressor import regressor
 
 
-def random_path(dof: int, count: int, seed: int) -> Path:
+def random_path(dof: int, count: int, seed: int) -> JointPath:
     generator = np.random.default_rng(seed)
-    return Path(np.arange(count) * 0.1, *generator.uniform(-2.0, 2.0, (3, dof, count)))
+    return JointPath(np.arange(count) * 0.1, *generator.uniform(-2.0, 2.0, (3, dof, count)))
 
 
-def moved(path: Path, quantity: int, joint: int, sample: int, step: float) -> Path:
+def moved(path: JointPath, quantity: int, joint: int, sample: int, step: float) -> JointPath:
     arrays = [path.position.copy(), path.velocity.copy(), path.acceleration.copy()]
     arrays[quantity][joint, sample] += step
-    return Path(path.time, *arrays)
+    return JointPath(path.time, *arrays)
 
 
 @pytest.mark.parametrize("measure", [plain_condition, condition])
@@ -73,8 +73,8 @@ def test_deviations_are_those_of_least_squares(ur_like):
 def test_the_sign_of_the_velocity_is_smooth_in_the_smooth_cost_only(random_tree):
     model = dataclasses.replace(random_tree(1, dof=2), coulomb=(True, True), smoothing=0.0)
     path = random_path(2, 40, 4)
-    slow = Path(path.time, path.position, path.velocity * 0.01 * SIGN_SMOOTHING, path.acceleration)
-    still = Path(path.time, path.position, path.velocity * 1e-9, path.acceleration)
+    slow = JointPath(path.time, path.position, path.velocity * 0.01 * SIGN_SMOOTHING, path.acceleration)
+    still = JointPath(path.time, path.position, path.velocity * 1e-9, path.acceleration)
     criterion = RegressorCriterion(model, base_parameters(model).columns, condition)
     assert criterion.cost(slow) == pytest.approx(criterion.cost(still), rel=1e-3)
     assert np.any(criterion.smooth_cost(slow, 4.0)[1][1] != 0.0)

@@ -14,7 +14,7 @@ from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import RegressorCriterion
 from ident.excite.design import Design, design
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.excite.prior import find_prior
 from ident.excite.search.acceptance import DENSER
 from ident.excite.search.search import SearchChoices
@@ -169,7 +169,9 @@ def test_torque_limits_are_kept_where_a_prior_is_known():
     check = build_problem(tight, find_prior(tight), DesignChoices(kind="sines", harmonics=2))
     torque = next(c for c in check.constraints if c.names[0].startswith("torque of L"))
     time = np.linspace(0.0, free.motion.duration, 2000)
-    assert torque.use(Path(time, *free.motion.evaluate(time)))[0] > 1.0  # otherwise the limit would not have mattered
+    assert (
+        torque.use(JointPath(time, *free.motion.evaluate(time)))[0] > 1.0
+    )  # otherwise the limit would not have mattered
 
 
 @pytest.mark.parametrize(
@@ -252,5 +254,5 @@ def test_the_dense_grid_is_denser_than_the_designs():
     dense = problem.family.grid(DENSER * len(problem.time))
     assert len(dense) >= 10 * len(problem.time)
     path = problem.family.path(x, dense)
-    assert isinstance(path, Path)
+    assert isinstance(path, JointPath)
     assert max(float(c.use(path).max()) for c in problem.constraints) <= 1.0

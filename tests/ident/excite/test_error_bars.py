@@ -10,7 +10,7 @@ from daq.robot.loader import load_robot
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.forecast import excitation_figures
-from ident.excite.prior import Prior, find_prior
+from ident.excite.prior import PriorKnowledge, find_prior
 
 UP6 = load_robot("up6")
 
@@ -38,5 +38,5 @@ def test_a_parameter_that_is_not_excited_has_no_finite_error_bar():
 
 def test_without_parameters_there_is_none():
     known = find_prior(UP6)
-    prior = Prior(None, known.noise, "nothing", known.rate)
+    prior = PriorKnowledge(None, known.noise, "nothing", known.rate)
     assert build_problem(UP6, prior, DesignChoices()).error_bars is None

@@ -18,11 +18,11 @@ from ident.checks.robot_check import check_robot
 from ident.excite.constraints.capsules import Capsule
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry
 from ident.excite.constraints.constraints import unchecked_pairs
-from ident.excite.constraints.hull_distance import ROUNDING, HullDistances
+from ident.excite.constraints.hull_distance import DISTANCE_TOLERANCE, HullDistances
 from ident.excite.constraints.hulls import Hull, hull_of_capsule, hull_of_points
 from ident.excite.constraints.self_collision import SelfCollision, link_pairs
 from ident.excite.motion_check import ArmMotionCheck
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.model.dynamic_model import build_model
 from ident.model.kinematics.joints import BASE_INDEX
 
@@ -136,7 +136,7 @@ def test_bounds_along_a_path_hold_between_its_samples(random_tree, seed, loop):
     fine = distances.between(pair, path)
     coarse = distances.along(pair, path[:, ::4], np.ones(41, dtype=bool))
     least = np.array([fine[4 * k : 4 * k + 5].min() for k in range(41)])
-    assert np.all(coarse <= least + 2 * ROUNDING)
+    assert np.all(coarse <= least + 2 * DISTANCE_TOLERANCE)
     if not loop:  # where links come no nearer than they may, bounds are of use
         clear = least > 0.05
         still = distances.ways(pair, path[:, ::4]) < 0.01
@@ -150,7 +150,7 @@ def test_hulls_are_never_nearer_than_capsules_around_them(robot_file):
     pair = (BASE_INDEX, 1)
     capsules = SelfCollision(model, ArmGeometry(geometry.capsules, ()), link_pairs(model, geometry))
     capsules = SelfCollision(model, geometry, type(capsules.pairs)((pair,), (), (), ()))
-    apart = capsules.distances(Path(np.arange(60.0), position, 0 * position, 0 * position))[0]
+    apart = capsules.distances(JointPath(np.arange(60.0), position, 0 * position, 0 * position))[0]
     tight = HullDistances(model, geometry.hulls).between(pair, position)
     assert np.all(tight >= apart - 1e-5)
     assert np.mean(tight - apart) > 0.1

@@ -8,7 +8,7 @@ from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
 from daq.robot.schema import JointLimits
 from ident.excite.constraints.joint_limits import JointMotionLimits
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 
 LIMITS = (
     JointLimits(name="a", position=(-1.0, 3.0), velocity=2.0, acceleration=5.0),
@@ -18,7 +18,7 @@ LIMITS = (
 
 def still(position):
     position = np.array(position, dtype=float)[:, None]
-    return Path(np.zeros(1), position, np.zeros_like(position), np.zeros_like(position))
+    return JointPath(np.zeros(1), position, np.zeros_like(position), np.zeros_like(position))
 
 
 def by_name(constraint, path):
@@ -33,7 +33,9 @@ def test_all_of_a_limit_is_one():
     assert at_upper["upper position limit of b"] == pytest.approx(0.0)
     assert at_middle["upper position limit of a"] == pytest.approx(0.0)
     assert at_middle["lower position limit of b"] == pytest.approx(1.0)
-    moving = Path(np.zeros(2), np.zeros((2, 2)), np.array([[1.0, -2.0], [0.0, 0.1]]), np.array([[0, 0], [-0.5, 0.2]]))
+    moving = JointPath(
+        np.zeros(2), np.zeros((2, 2)), np.array([[1.0, -2.0], [0.0, 0.1]]), np.array([[0, 0], [-0.5, 0.2]])
+    )
     used = by_name(constraint, moving)
     assert used["velocity of a"] == pytest.approx(1.0)
     assert used["velocity of b"] == pytest.approx(0.4)
@@ -60,7 +62,7 @@ def test_derivatives_and_bound(random_tree, sharpness):
 def test_a_joint_at_rest_has_no_direction(random_tree):
     model = random_tree(2, dof=2)
     constraint = JointMotionLimits(model.limits)
-    path = Path(np.zeros(3), *np.zeros((3, 2, 3)))
+    path = JointPath(np.zeros(3), *np.zeros((3, 2, 3)))
     bound, gradient = constraint.smooth_use(path, 20.0)
     assert np.all(np.isfinite(bound))
     assert np.all(gradient[:, 1:] == 0.0)

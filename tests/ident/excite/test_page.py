@@ -17,7 +17,7 @@ from ident.excite.forecast import excitation_figures
 from ident.excite.page.arm_scene import FRAMES, arm_figure, capsule_mesh
 from ident.excite.page.page import render_page, write_page
 from ident.excite.page.plots import shown_part
-from ident.excite.prior import Prior, find_prior
+from ident.excite.prior import PriorKnowledge, find_prior
 from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
 from sim_drivers.synthetic.motion import random_fourier_motion
@@ -31,7 +31,7 @@ def motion_of(robot_file: RobotFile, periods: int = 2) -> RestToRest:
     return RestToRest(random_fourier_motion(build_model(robot_file), 8.0, seed=1), periods, 1.0)
 
 
-def text_of(robot_file: RobotFile, prior: Prior | None = None, periods: int = 2) -> str:
+def text_of(robot_file: RobotFile, prior: PriorKnowledge | None = None, periods: int = 2) -> str:
     prior = find_prior(robot_file) if prior is None else prior
     motion = motion_of(robot_file, periods)
     return render_page(robot_file, motion, prior, excitation_figures(robot_file, motion, prior), NOTES)

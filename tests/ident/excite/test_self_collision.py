@@ -18,7 +18,7 @@ from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometr
 from ident.excite.constraints.constraints import checked_pairs, unchecked_pairs
 from ident.excite.constraints.self_collision import SelfCollision, link_pairs
 from ident.excite.motion_check import ArmMotionCheck
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.model.base_parameters import random_states
 from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
@@ -53,7 +53,7 @@ def builtin_text(name):
 
 def pose(position):
     position = np.array(position, dtype=float)[:, None]
-    return Path(np.zeros(1), position, 0 * position, 0 * position)
+    return JointPath(np.zeros(1), position, 0 * position, 0 * position)
 
 
 def uses(constraint, position):

@@ -13,7 +13,7 @@ from drivers.core.errors import RobotFileError
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, tube_capsules
 from ident.excite.constraints.obstacle_distances import box_distances
 from ident.excite.constraints.workspace import WorkspaceLimits
-from ident.excite.path import Path
+from ident.excite.path import JointPath
 from ident.model.dynamic_model import build_model
 
 # Shoulder at 0.3 m; upper arm and forearm of 0.4 m each in the vertical plane through the first axis.
@@ -61,7 +61,7 @@ def obstacles(workspace):
 
 def poses(*positions):
     position = np.array(positions, dtype=float).T
-    return Path(np.arange(position.shape[1], dtype=float), position, 0 * position, 0 * position)
+    return JointPath(np.arange(position.shape[1], dtype=float), position, 0 * position, 0 * position)
 
 
 def use_of(constraint, *positions):

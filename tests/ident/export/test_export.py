@@ -12,7 +12,7 @@ from drivers.core.errors import ModelError, UsageError
 from ident.export import export, mujoco_reading
 from ident.export.arm import refuse_unidentified_friction
 from ident.export.export import export_mjcf, export_ros2_inertial, export_urdf
-from ident.export.reading import Reading, Simulation, check_same_torque, simulation_checks
+from ident.export.reading import ReadBack, Simulation, check_same_torque, simulation_checks
 
 EXPORTERS = (export_urdf, export_mjcf, export_ros2_inertial)
 
@@ -85,7 +85,7 @@ def test_without_mujoco_a_check_says_so(arm, tmp_path, monkeypatch):
     ],
 )
 def test_what_a_simulation_shows_is_a_check(simulation, name):
-    reading = Reading("MuJoCo", 1e-15, 10, (simulation,))
+    reading = ReadBack("MuJoCo", 1e-15, 10, (simulation,))
     assert [check.name for check in simulation_checks(reading)] == ([] if name is None else [name])
     assert all(check.severity == "serious" for check in simulation_checks(reading))
 
@@ -93,7 +93,7 @@ def test_what_a_simulation_shows_is_a_check(simulation, name):
 @pytest.mark.parametrize("error", [2e-6, float("nan"), float("inf")])
 def test_other_torques_are_refused(error):
     with pytest.raises(ModelError, match="reads another model"):
-        check_same_torque(Reading("Pinocchio", error, 10), "arm.urdf")
+        check_same_torque(ReadBack("Pinocchio", error, 10), "arm.urdf")
 
 
 def test_friction_that_was_not_identified_is_named():

@@ -179,7 +179,7 @@ def test_an_excitation_s_constraints_know_the_joints_that_follow() -> None:
     from ident.excite.constraints.collision_geometry import arm_geometry
     from ident.excite.constraints.self_collision import SelfCollision, link_pairs
     from ident.excite.constraints.workspace import WorkspaceLimits
-    from ident.excite.path import Path
+    from ident.excite.path import JointPath
 
     limits = "\nworkspace: {tool: [0, 0, 0.1], radius: [0.05, 1.5], height: [-0.3, 1.6]}\n"
     robot_file = parse_robot(four_bar_arm().text + limits, where="x", folder=None)
@@ -191,13 +191,13 @@ def test_an_excitation_s_constraints_know_the_joints_that_follow() -> None:
         WorkspaceLimits(model, geometry, robot_file.robot.workspace, obstacles_of(robot_file.robot)),
         SelfCollision(model, geometry, pairs),
     ):
-        gradient = constraint.smooth_use(Path(np.arange(3.0), position, *rates), 20.0)[1]
+        gradient = constraint.smooth_use(JointPath(np.arange(3.0), position, *rates), 20.0)[1]
         for joint in range(model.dof):
             for sample in range(3):
                 moved = []
                 for step in (1e-6, -1e-6):
                     there = position.copy()
                     there[joint, sample] += step
-                    moved.append(constraint.smooth_use(Path(np.arange(3.0), there, *rates), 20.0)[0])
+                    moved.append(constraint.smooth_use(JointPath(np.arange(3.0), there, *rates), 20.0)[0])
                 difference = (moved[0] - moved[1]) / 2e-6
                 np.testing.assert_allclose(gradient[:, 0, joint, sample], difference, atol=2e-5)

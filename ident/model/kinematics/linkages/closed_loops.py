@@ -19,7 +19,7 @@ from ident.model.kinematics.transmission import Transmission, TreeMotion
 
 
 @dataclass(frozen=True)
-class Pose:
+class ClosedPose:
     """N closed tree positions.
 
     Attributes:
@@ -80,7 +80,7 @@ class ClosedLoops(Transmission):
         """Implement `Transmission`."""
         return self.motion_at(self.pose(position), velocity, acceleration)
 
-    def pose(self, position: FloatArray, last: Pose | None = None) -> Pose:
+    def pose(self, position: FloatArray, last: ClosedPose | None = None) -> ClosedPose:
         """The closed tree for active positions (a, N).
 
         Args:
@@ -97,7 +97,7 @@ class ClosedLoops(Transmission):
         tree, closes = self.equations.newton(position, last.tree[passive] + moved)
         return self._posed(tree if np.all(closes) else self._solved(position))
 
-    def motion_at(self, pose: Pose, velocity: FloatArray, acceleration: FloatArray) -> TreeMotion:
+    def motion_at(self, pose: ClosedPose, velocity: FloatArray, acceleration: FloatArray) -> TreeMotion:
         """The tree's motion in a pose for velocities and accelerations (a, N) of the active joints."""
         rate = _applied(pose.follow, velocity)
         change = np.einsum("pnN,nN->pN", pose.closing.second(rate), rate)
@@ -161,9 +161,9 @@ class ClosedLoops(Transmission):
         linear = equations.linear.tolist(), equations.right.tolist()
         return (self.active, self.start.tolist(), loops, *linear, *self._motor_content())
 
-    def _posed(self, tree: FloatArray) -> Pose:
+    def _posed(self, tree: FloatArray) -> ClosedPose:
         closing = self.equations.at(tree)
-        return Pose(tree, closing, self._follow(closing))
+        return ClosedPose(tree, closing, self._follow(closing))
 
     def _solved(self, position: FloatArray) -> FloatArray:
         """Tree positions (n, N) for active ones (a, N)."""

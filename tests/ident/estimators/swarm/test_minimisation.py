@@ -5,9 +5,9 @@ import pytest
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, UsageError
-from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.minimisation import Budget, Optimiser, minimise
+from ident.estimators.swarm.minimisation import Optimiser, SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm, RandomWeight
 
 OPTIMISERS: list[Optimiser] = [
@@ -15,7 +15,7 @@ OPTIMISERS: list[Optimiser] = [
     ParticleSwarm(particles=30),
     ParticleSwarm(particles=30, weight=RandomWeight()),
 ]
-BOX = Box(np.array([-1.0, 0.0, 10.0]), np.array([3.0, 1e-3, 1e4]))
+BOX = SearchBox(np.array([-1.0, 0.0, 10.0]), np.array([3.0, 1e-3, 1e4]))
 INSIDE = np.array([0.5, 3e-4, 7e3])
 
 
@@ -29,7 +29,7 @@ every = pytest.mark.parametrize("optimiser", OPTIMISERS, ids=["frogs", "particle
 
 @every
 def test_the_minimum_of_a_bowl_is_found_in_any_units(optimiser: Optimiser) -> None:
-    found = minimise(optimiser, bowl, BOX, Budget(150), seed=1)
+    found = minimise(optimiser, bowl, BOX, SearchBudget(150), seed=1)
     assert np.all(np.abs(found.point - INSIDE) < 0.02 * BOX.width)
     assert np.all(np.diff(found.history) <= 0.0)
     assert found.history[-1] == found.cost == bowl(found.point[None])[0]
@@ -42,13 +42,13 @@ def test_a_minimum_outside_the_box_is_found_on_its_face(optimiser: Optimiser) ->
         assert np.all((points >= BOX.lower) & (points <= BOX.upper))
         return np.asarray(bowl(points) + points[:, 0])
 
-    found = minimise(optimiser, cost, BOX, Budget(60), seed=2)
+    found = minimise(optimiser, cost, BOX, SearchBudget(60), seed=2)
     assert found.point[0] == pytest.approx(-1.0, abs=0.05)
 
 
 @every
 def test_a_seed_gives_one_search(optimiser: Optimiser) -> None:
-    runs = [minimise(optimiser, bowl, BOX, Budget(5), seed=seed) for seed in (3, 3, 4)]
+    runs = [minimise(optimiser, bowl, BOX, SearchBudget(5), seed=seed) for seed in (3, 3, 4)]
     assert np.array_equal(runs[0].point, runs[1].point)
     assert not np.array_equal(runs[0].point, runs[2].point)
 
@@ -65,7 +65,7 @@ def test_undefined_costs_are_survived_and_counted(optimiser: Optimiser) -> None:
         bad += int(holes.sum())
         return values
 
-    found = minimise(optimiser, cost, BOX, Budget(80), seed=5)
+    found = minimise(optimiser, cost, BOX, SearchBudget(80), seed=5)
     assert found.undefined == bad > 0
     assert np.all(np.abs(found.point - INSIDE) < 0.1 * BOX.width)
 
@@ -81,7 +81,7 @@ def test_ctrl_c_gives_the_best_so_far(optimiser: Optimiser) -> None:
         seen.extend(values)
         return values
 
-    found = minimise(optimiser, cost, BOX, Budget(1000), seed=6)
+    found = minimise(optimiser, cost, BOX, SearchBudget(1000), seed=6)
     assert found.ended == "interrupted"
     assert found.cost == min(seen)
 
@@ -92,11 +92,11 @@ def test_the_time_limit_gives_the_best_so_far(optimiser: Optimiser, clock) -> No
         clock.sleep(1.0)
         return bowl(points)
 
-    found = minimise(optimiser, slow, BOX, Budget(10**6, seconds=4.5), clock=clock)
+    found = minimise(optimiser, slow, BOX, SearchBudget(10**6, seconds=4.5), clock=clock)
     assert found.ended == "time"
     assert np.isfinite(found.cost)
     # One evaluation happens, however short the time is.
-    assert np.isfinite(minimise(optimiser, slow, BOX, Budget(9, seconds=1e-9), clock=clock).cost)
+    assert np.isfinite(minimise(optimiser, slow, BOX, SearchBudget(9, seconds=1e-9), clock=clock).cost)
 
 
 def test_ctrl_c_before_any_cost_is_passed_on() -> None:
@@ -104,16 +104,16 @@ def test_ctrl_c_before_any_cost_is_passed_on() -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        minimise(OPTIMISERS[0], cost, BOX, Budget(3))
+        minimise(OPTIMISERS[0], cost, BOX, SearchBudget(3))
 
 
 def test_costs_that_are_never_numbers_are_an_error() -> None:
     with pytest.raises(IdentificationError, match="none of 60 costs was a number"):
-        minimise(OPTIMISERS[1], lambda points: np.full(len(points), np.nan), BOX, Budget(1))
+        minimise(OPTIMISERS[1], lambda points: np.full(len(points), np.nan), BOX, SearchBudget(1))
 
 
 def test_given_points_belong_to_the_initial_population() -> None:
-    found = minimise(OPTIMISERS[1], bowl, BOX, Budget(1), first=INSIDE)
+    found = minimise(OPTIMISERS[1], bowl, BOX, SearchBudget(1), first=INSIDE)
     assert found.cost == 0.0
     assert found.generations_to(0.0) == 0
     assert found.generations_to(-1.0) is None
@@ -133,11 +133,11 @@ def test_given_points_belong_to_the_initial_population() -> None:
         (lambda: ParticleSwarm(social=-1.0), "learning factors"),
         (lambda: ParticleSwarm(fastest=0.0), "velocity clamp 0"),
         (lambda: RandomWeight(0.9, 0.4), "no random weight"),
-        (lambda: Budget(0), "0 generations"),
-        (lambda: Budget(1, seconds=-1.0), "no time"),
-        (lambda: Box(np.zeros(2), np.array([1.0, 0.0]), ("M1", "M2")), "search range of M2 is empty: 0 to 0"),
-        (lambda: Box(np.zeros(1), np.array([np.nan])), "variable 1 is empty"),
-        (lambda: Box.around(np.array([2.0, 0.0]), 0.1), "variable 2 is empty"),
+        (lambda: SearchBudget(0), "0 generations"),
+        (lambda: SearchBudget(1, seconds=-1.0), "no time"),
+        (lambda: SearchBox(np.zeros(2), np.array([1.0, 0.0]), ("M1", "M2")), "search range of M2 is empty: 0 to 0"),
+        (lambda: SearchBox(np.zeros(1), np.array([np.nan])), "variable 1 is empty"),
+        (lambda: SearchBox.around(np.array([2.0, 0.0]), 0.1), "variable 2 is empty"),
     ],
 )
 def test_bad_settings_are_refused_in_one_line(make, message: str) -> None:

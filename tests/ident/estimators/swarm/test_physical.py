@@ -5,7 +5,7 @@ import pytest
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
-from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.identifiability import identifiability
 from ident.estimators.swarm.physical import (
     FeasibilityPenalty,
@@ -88,7 +88,7 @@ def test_gauss_newton_steps_find_the_truth_with_centres_of_mass_among_the_parame
     parameters = PhysicalParameters.of(MODEL, physical_values(MODEL, TRUTH), names)
     truth = parameters.reference[list(parameters.chosen)]
     cost = PhysicalCost(parameters, quadratic, BASE.projection)
-    box = Box.around(truth, 0.9, names)
+    box = SearchBox.around(truth, 0.9, names)
     found = cost.descended(box.draw(GENERATOR, 1)[0], box)
     assert cost.base(found[None])[0] == pytest.approx(BASE.projection @ TRUTH, rel=1e-6, abs=1e-6)
 

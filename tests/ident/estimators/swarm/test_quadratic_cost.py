@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.estimators.swarm.box import Box
+from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.regression.least_squares import weighted_least_squares
 
@@ -28,9 +28,9 @@ def test_the_exact_optimum_is_weighted_least_squares_and_nothing_is_below_it(den
     least = cost.least()
     assert least == pytest.approx(solution.parameters, rel=1e-9)
     assert cost.cost(least) == pytest.approx(solution.residual_sum**0.5)
-    box = Box.around(1.3 * least, 0.1)
+    box = SearchBox.around(1.3 * least, 0.1)
     inside = cost.least_within(box)
     trials = box.draw(GENERATOR, 2000)
     assert cost.cost(least) < cost.cost(inside) <= cost(trials).min()
     assert box.at_bound(inside)
-    assert cost.least_within(Box.around(least, 0.1)) == pytest.approx(least, rel=1e-6)
+    assert cost.least_within(SearchBox.around(least, 0.1)) == pytest.approx(least, rel=1e-6)

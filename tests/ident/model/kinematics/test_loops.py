@@ -287,7 +287,7 @@ def test_an_excitation_s_constraints_know_the_passive_joints() -> None:
     from ident.excite.constraints.collision_geometry import arm_geometry
     from ident.excite.constraints.self_collision import SelfCollision, link_pairs
     from ident.excite.constraints.workspace import WorkspaceLimits
-    from ident.excite.path import Path
+    from ident.excite.path import JointPath
 
     limits = "workspace: {tool: [0, 0, 0.1], radius: [0.2, 1.5], height: [-0.3, 1.6]}"
     text = load_robot("sr400").text.replace("workspace: {floor: -0.5}", limits)
@@ -301,7 +301,7 @@ def test_an_excitation_s_constraints_know_the_passive_joints() -> None:
         WorkspaceLimits(model, geometry, robot_file.robot.workspace, obstacles_of(robot_file.robot)),
         SelfCollision(model, geometry, pairs),
     ):
-        _, gradient = constraint.smooth_use(Path(np.arange(3.0), *motion), 20.0)
+        _, gradient = constraint.smooth_use(JointPath(np.arange(3.0), *motion), 20.0)
         assert len(gradient)
         for joint in range(model.dof):
             for sample in range(3):
@@ -309,6 +309,6 @@ def test_an_excitation_s_constraints_know_the_passive_joints() -> None:
                 for step in (1e-6, -1e-6):
                     position = motion[0].copy()
                     position[joint, sample] += step
-                    moved.append(constraint.smooth_use(Path(np.arange(3.0), position, *motion[1:]), 20.0)[0])
+                    moved.append(constraint.smooth_use(JointPath(np.arange(3.0), position, *motion[1:]), 20.0)[0])
                 difference = (moved[0] - moved[1]) / 2e-6
                 np.testing.assert_allclose(gradient[:, 0, joint, sample], difference, atol=2e-5)
