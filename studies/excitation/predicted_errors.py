@@ -23,7 +23,7 @@ from ident.assessment.recorded_motion import recorded_motion
 from ident.excite.forecast import excitation_figures
 from ident.excite.prior import PriorKnowledge, find_prior
 from ident.excite.sufficiency import motion_sufficiency
-from ident.identify.identification import IdentifyChoices
+from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
@@ -37,6 +37,8 @@ EARLIER_PERIOD, EARLIER_DURATION = 10.0, 30.0
 PERIOD, RAMP = 20.0, 2.0
 ASKED = 5
 """Recordings for `dynid info`."""
+CHOICES = IdentifyChoices(reversals=0.0, model=ModelChoices(friction="coulomb-viscous"))
+"""The parameters that are predicted: no further friction terms."""
 
 
 def without_ripple(robot_file: RobotFile) -> RobotFile:
@@ -50,7 +52,7 @@ def earlier_result(robot_file: RobotFile, recording: Recording) -> PriorKnowledg
     """Result of an identification of an earlier recording."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json"
-        result = identify([recording], [], IdentifyChoices(reversals=0.0), robot_file=robot_file)
+        result = identify([recording], [], CHOICES, robot_file=robot_file)
         write_result(path, summarise(result, [recording], []))
         return find_prior(robot_file, path)
 
@@ -71,7 +73,7 @@ def compare(label: str, robot_file: RobotFile, count: int) -> None:
     for seed in range(count):
         recording = simulate_recording(robot_file, motion, motion.duration, seed=seed)
         # Validated on the other recording, so that all of this one identifies.
-        result = identify([recording], [earlier], IdentifyChoices(reversals=0.0), robot_file=robot_file)
+        result = identify([recording], [earlier], CHOICES, robot_file=robot_file)
         errors.append(result.solution.parameters - truth)
         if seed < ASKED:
             forecast = motion_sufficiency(recorded_motion(recording, robot_file)).forecast
