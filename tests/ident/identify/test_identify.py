@@ -555,7 +555,9 @@ def test_error_bars_cover_the_truth(three_joint):
     truth = truth_of(three_joint)
     for seed in range(10):
         motion = random_fourier_motion(build_model(three_joint), 20.0, seed, candidates=3)
-        found = identify([simulate_recording(three_joint, motion, 22.0, seed)], [], IdentifyChoices(split=20.0))
+        found = identify(
+            [simulate_recording(three_joint, motion, 22.0, seed, rate=100.0)], [], IdentifyChoices(split=20.0)
+        )
         error = np.abs(found.solution.parameters - truth)
         corrected.append(error <= 1.96 * found.std)
         classical.append(error <= 1.96 * found.solution.std)

@@ -207,7 +207,7 @@ def test_coverage_stays_with_an_error_that_repeats_with_the_motion(three_joint, 
     known, ignored = [], []
     for seed in range(6):
         motion = random_fourier_motion(model, 10.0, seed, candidates=3)
-        recording = simulate_recording(robot, motion, 45.0, seed)
+        recording = simulate_recording(robot, motion, 45.0, seed, rate=100.0)
         choices = IdentifyChoices(split=40.0, search_delay=False, presliding=False, model=PLAIN)
         found = identify([recording], [], choices)
         assert found.corrected.repetitions == pytest.approx(4.0, abs=0.3)
