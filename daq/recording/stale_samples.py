@@ -8,6 +8,7 @@ more than the joint moves from sample to sample.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -118,7 +119,17 @@ def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[s
     if len(time) < 4 * _AROUND or not np.all(np.diff(time) >= 0) or not np.all(np.isfinite(position)):
         return StaleSamples(none, none, none, ())
     steps = np.array([resolution(column) for column in position.T])
+    standstills = []
+    for column in range(len(joints)):
+        others_of = {name: measured[name][:, column] for name in ("velocity", "target_position") if name in measured}
+        standstills += [
+            (column, *standstill) for standstill in _standstills(time, position[:, column], steps[column], others_of)
+        ]
+    spans = Counter((start, stop) for _, start, stop, _ in standstills)
     rows = _repeated(position, steps)
+    for (start, stop), several in spans.items():
+        if several > 1:  # encoders do not stop and go on together: the rows were not read anew
+            rows[start + 1 : stop] = True
     others = [measured[name] for name in MEASURED if name != "position" and name in measured]
     same = np.ones(len(time), dtype=np.bool_)
     for values in others:
@@ -128,11 +139,10 @@ def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[s
         counts = np.count_nonzero(kind)
         found.append(kind if counts >= max(LEAST_ROWS, LEAST_SHARE * len(time)) else none)
     stuck, encoders = none.copy(), []
-    for column, joint in enumerate(joints):
-        others_of = {name: measured[name][:, column] for name in ("velocity", "target_position") if name in measured}
-        for start, stop, evidence in _standstills(time, position[:, column], steps[column], others_of):
+    for column, start, stop, evidence in standstills:
+        if spans[start, stop] == 1:
             stuck[start + 1 : stop] = True
-            encoders.append(StuckEncoder(joint, float(time[start]), float(time[stop - 1]), evidence))
+            encoders.append(StuckEncoder(joints[column], float(time[start]), float(time[stop - 1]), evidence))
     return StaleSamples(found[0], found[1], stuck, tuple(encoders))
 
 

@@ -31,7 +31,7 @@ from daq.robot.section import (
     within,
 )
 from daq.robot.workspace import Mounting, Workspace
-from drivers.core.ranges import EXPONENT, JOINTS, NUMBER, STRIBECK_VELOCITY
+from drivers.core.ranges import EXPONENT, JOINTS, NUMBER, PAYLOAD, STRIBECK_VELOCITY
 from drivers.core.terminal import hidden_character
 from drivers.core.units import common_unit, joint_unit
 from drivers.core.validation import SeveralProblems
@@ -325,6 +325,9 @@ class Robot(Section):
     name: str = Field(min_length=1)
     description: str = ""
     sources: dict[str, str] = Field(default_factory=dict, description="where the numbers come from, by section")
+    payload: Annotated[float, AfterValidator(within(PAYLOAD))] | None = Field(
+        default=None, description="that the data sheet allows at the flange [kg]"
+    )
     model: ModelSection
     joints: tuple[JointLimits, ...] = Field(min_length=1, max_length=int(JOINTS.most))
     drives: tuple[Drive, ...] = ()

@@ -49,6 +49,8 @@ NUMBER = Range(-1e9, 1e9)
 POSITIVE = Range(1e-12, 1e9)
 """The same where 0 makes no sense, as of a resolution or a capacity."""
 MASS = Range(0.0, 1e5, "kg")
+PAYLOAD = Range(1e-3, 1e4, "kg")
+"""Of an arm; the strongest ones lift 2.3 t."""
 INERTIA = Range(-1e6, 1e6, "kg·m²")
 
 STAMP = Range(-1e11, 1e11, "s")

@@ -12,7 +12,7 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
 from drivers.core.text import percent_text
-from ident.assessment.arm_mass import ArmMass, arm_length, mass_of_size
+from ident.assessment.arm_mass import PER_PAYLOAD, ArmMass, arm_length, mass_of_size
 from ident.assessment.validation import fit_errors
 from ident.estimators.feasible.armature import ASSUMED
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
@@ -64,7 +64,7 @@ def body_checks(
     links = _links(consistent)
     masses = links[:, MASS]
     apparent = consistent.apparent_mass if whole else None
-    checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), apparent)
+    checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), robot_file.robot.payload, apparent)
     checks += _link_checks(model, masses)
     checks += _centre_checks(model, masses, links[:, 6:9] / masses[:, None])
     assumed = [one for one in consistent.armatures if one.source == ASSUMED]
@@ -139,8 +139,10 @@ def refuse_denied(identification: Identification, checks: Sequence[Check]) -> No
         )
 
 
-def _total_checks(size: ArmMass | None, urdf: float | None, apparent: float | None) -> list[Check]:
-    """The mass that the torques show against what arms of this size weigh, and against the URDF."""
+def _total_checks(
+    size: ArmMass | None, urdf: float | None, payload: float | None, apparent: float | None
+) -> list[Check]:
+    """The mass that the torques show against what arms of this size, and with this payload, weigh, and the URDF."""
     if apparent is None:
         return []
     if size is not None and not size.least / WRIST <= apparent <= size.most:
@@ -148,6 +150,14 @@ def _total_checks(size: ArmMass | None, urdf: float | None, apparent: float | No
             f"the torques are those of an arm of about {_kilograms(apparent)}; arms of this length weigh "
             f"{_kilograms(size.least)} to {_kilograms(size.most)}: check the unit of torque or current, the gains, "
             "and the lengths of the robot file or URDF (m, not mm)"
+        )
+        return [raised("implausible-mass", text)]
+    least, most = PER_PAYLOAD
+    if payload is not None and not least / WRIST <= apparent / payload <= most:
+        text = (
+            f"the torques are those of an arm of about {_kilograms(apparent)}; arms for a payload of "
+            f"{_kilograms(payload)} weigh {_kilograms(least * payload)} to {_kilograms(most * payload)}: check the "
+            "unit of torque or current, the gains, and 'payload' of the robot file"
         )
         return [raised("implausible-mass", text)]
     sane = urdf is not None and (size is None or size.least <= urdf <= size.most)

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
-from ident.assessment.residual_bursts import Burst, bursts_beyond, windows
+from ident.assessment.residual_bursts import REVERSAL, Burst, bursts_beyond, windows
 from ident.estimators.torque_estimator import reduce_torques
-from ident.identify.identification import Identification
+from ident.identify.identification import Identification, PreparedRun
 from ident.model.regressor import RegressorKernel
-from ident.regression.comparison import compare_torques
+from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.least_squares import weighted_least_squares
 from ident.signals.prepared import Prepared, Segment
 from ident.verdict.catalogue import raised
@@ -31,6 +33,9 @@ all joints 5.8 (UR10) and more."""
 LARGER = 3.0
 """Residual of a burst over the usual one, of the same fit, as the joints' geometric mean."""
 
+GAP = 2.5
+"""Time between rows, over the usual one, from which on the positions between are too uncertain for accelerations."""
+
 LEAST_ERROR = 0.005
 """Relative error of fit and validation below which bursts do not matter: without noise, rounding comes in bursts."""
 
@@ -45,9 +50,12 @@ def burst_checks(identification: Identification) -> list[Check]:
     small = max(errors) < LEAST_ERROR
     if identification.choices.estimator.equations == "energy" or not torques or small:
         return []
-    halves = (
-        (identification.runs, identification.fit_series),
-        (identification.validation_runs, identification.validation_series),
+    halves = tuple(
+        (runs, _away_from_gaps(runs, series))
+        for runs, series in (
+            (identification.runs, identification.fit_series),
+            (identification.validation_runs, identification.validation_series),
+        )
     )
     suspects = [bursts_beyond(windows(series, torques), SUSPECT) for _, series in halves]
     if not any(any(of_half) for of_half in suspects):
@@ -65,7 +73,7 @@ def burst_checks(identification: Identification) -> list[Check]:
                 kernel.model, kernel.columns, parameters, run.prepared.segments, run.prepared.parallel_filter
             )
         ]
-        found = windows(series, torques, suspect or None)
+        found = windows(_away_from_gaps(runs, series), torques, suspect or None)
         place = iter(bursts_beyond(found, CONFIRMED, LARGER) or [[] for _ in series])
         for run in runs:
             first = float(run.signals.time[0])
@@ -80,6 +88,24 @@ def burst_checks(identification: Identification) -> list[Check]:
         f"{', '.join(shown[:MOST_SHOWN])}{more}; did something touch the arm? Leave these times out{robust}"
     )
     return [raised("residual-bursts", text)]
+
+
+def _away_from_gaps(runs: Sequence[PreparedRun], series: Sequence[TorqueSeries]) -> list[TorqueSeries]:
+    """The series of all segments without what lies about rows that were left out one after the other.
+
+    Positions in between are interpolated, and their second derivatives are wrong for a moment.
+    """
+    of_segments = [run for run in runs for _ in run.prepared.segments]
+    kept = []
+    for run, part in zip(of_segments, series, strict=True):
+        used = part.used.copy()
+        if run.signals.stale is not None:
+            time = run.signals.time
+            steps = np.diff(time)
+            for row in np.flatnonzero(steps > GAP * np.median(steps)):
+                used &= (part.time < time[row] - REVERSAL) | (part.time > time[row + 1] + REVERSAL)
+        kept.append(replace(part, used=used))
+    return kept
 
 
 def _without_bursts(

@@ -387,7 +387,7 @@ _MODEL = (
         "implausible-mass",
         "serious",
         ALL,
-        "the torques are those of a mass that no arm of this size, or of this URDF, has",
+        "the torques are those of a mass that no arm of this size, payload or URDF has",
         "Check the unit of torque or current, the drive gains, and the lengths of the robot file or URDF (m, not mm).",
     ),
     CheckKind(

@@ -71,8 +71,8 @@ def _as_recorded(run: Prepared) -> Prepared:
 
 def _unsigned_check(names: Sequence[str]) -> Check:
     text = (
-        f"the torque of {', '.join(names)} is never negative, and with signs chosen by the model the data are "
-        "explained: it was recorded without its sign, which cannot be restored; record signed currents or torques"
+        f"the torque of {', '.join(names)} is never negative though it comes near 0, and the data are not explained: "
+        "it was recorded without its sign, which cannot be restored; record signed currents or torques"
     )
     return raised("unsigned-torque", text, names)
 

@@ -23,6 +23,9 @@ NEAR_ZERO = 0.1
 SEEN = 1e-6
 """Singular values below this share of the largest are rounding."""
 
+SEVERAL = 2
+"""Torques that come near 0 and are never negative, as no other one of the arm is, which need no other evidence."""
+
 TURN = 0.3
 """The same below which its sign may change."""
 
@@ -37,11 +40,15 @@ def unsigned_torques(competition: Competition, runs: Sequence[Prepared]) -> list
     """Joints whose torques are never negative, if signs chosen for them explain the recording and it is none as it is.
 
     The signs are those that the model predicts, fitted and predicted again; the first are those of the velocity, or
-    all positive.
+    all positive. Where no torque of an arm is ever negative, though several come near 0, it is none of signs that are
+    found: no arm moves to and fro so.
     """
-    folded = [joint for joint in competition.joints if _never_negative(joint, runs)]
+    least = {joint: _least(joint, runs) for joint in competition.joints}
+    folded = [joint for joint, value in least.items() if -BELOW_ZERO <= value < NEAR_ZERO]
     if not folded or competition.well_explained():
         return []
+    if len(folded) >= SEVERAL and all(value >= -BELOW_ZERO for value in least.values()):
+        return folded
     recorded = competition.bound(competition.recorded)
     instants, positions = competition.instants, competition.recorded.positions
     _, conditions = competition.system(competition.recorded)
@@ -118,13 +125,13 @@ def _error(rest: FloatArray, torque: FloatArray, counted: npt.NDArray[np.bool_],
     return float(np.linalg.norm(rest[rows][counted[rows]]) / np.linalg.norm(torque[rows][counted[rows]]))
 
 
-def _never_negative(joint: int, runs: Sequence[Prepared]) -> bool:
-    """Whether a torque comes near 0 and is never below, while its joint moves to and fro."""
+def _least(joint: int, runs: Sequence[Prepared]) -> float:
+    """Least torque over its root mean square; -inf where its joint does not move to and fro."""
     parts = [segment for run in runs for segment in run.segments if segment.used.any()]
     if not parts:
-        return False
+        return -np.inf
     torque = np.concatenate([segment.torque[joint, segment.used] for segment in parts])
     velocity = np.concatenate([segment.velocity[joint, segment.used] for segment in parts])
     size = float(np.sqrt(np.mean(torque**2)))
-    least = float(np.min(torque))
-    return -BELOW_ZERO * size <= least < NEAR_ZERO * size and bool(np.min(velocity) < 0.0 < np.max(velocity))
+    to_and_fro = bool(np.min(velocity) < 0.0 < np.max(velocity))
+    return float(np.min(torque)) / size if to_and_fro and size > 0.0 else -np.inf

@@ -90,3 +90,15 @@ def test_a_joint_that_rests_is_no_stuck_encoder() -> None:
     measured["velocity"][:, 1] = 1e-3 * np.random.default_rng(1).standard_normal(2000)
     measured["target_position"] = measured["position"] + np.array([1e-3, 1.5e-3])
     assert found(measured).encoders == ()
+
+
+def test_encoders_that_stop_and_go_on_together_are_rows_that_were_not_read_anew() -> None:
+    measured = signals(1)
+    held = measured["position"].copy()
+    held[1000:1030] = held[1000]
+    stale = found({**measured, "position": held})
+    assert stale.encoders == ()
+    assert stale.held[1001:1030].all()
+    held[:, 1] = measured["position"][:, 1]
+    (encoder,) = found({**measured, "position": held}).encoders
+    assert encoder.joint == "j1"

@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from daq.robot.loader import parse_robot
-from ident.assessment.arm_mass import mass_of_size
+from daq.robot.loader import load_robot, parse_robot
+from ident.assessment.arm_mass import PER_PAYLOAD, mass_of_size
+from ident.identify.body_checks import WRIST, _total_checks
 from ident.model.dynamic_model import build_model
 
 GANTRY = """\
@@ -28,3 +31,20 @@ def test_what_slides_out_of_an_arm_makes_it_longer_than_its_frames_show() -> Non
     assert long is not None
     assert long.expected == pytest.approx(short.expected)
     assert long.heaviest_link > 50.0 * short.heaviest_link
+
+
+@pytest.mark.parametrize("name", ["ur5e", "ur10", "ur10e", "panda", "aubo_i5"])
+def test_the_built_in_arms_weigh_what_their_payload_lets_expect(name: str) -> None:
+    robot = load_robot(name).robot
+    assert robot.payload is not None
+    mass = sum(link.mass for link in robot.truth.links.values())
+    assert PER_PAYLOAD[0] < mass / robot.payload < PER_PAYLOAD[1]
+    (check,) = _total_checks(None, None, robot.payload, 0.1 * mass)
+    assert check.name == "implausible-mass"
+
+
+@given(st.floats(1e-2, 1e3), st.floats(1e-3, 1e5))
+def test_a_mass_is_implausible_beside_a_payload_by_their_ratio_alone(payload: float, apparent: float) -> None:
+    allowed = PER_PAYLOAD[0] / WRIST <= apparent / payload <= PER_PAYLOAD[1]
+    assert bool(_total_checks(None, None, payload, apparent)) is not allowed
+    assert _total_checks(None, None, None, apparent) == []

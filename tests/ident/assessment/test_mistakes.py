@@ -15,9 +15,10 @@ from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.mistakes.competition import Competition, explanations
 from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions
 from ident.assessment.mistakes.hypotheses import as_recorded, mistakes
+from ident.assessment.mistakes.unsigned import unsigned_torques
 from ident.assessment.model_errors import simplest_first
 from ident.assessment.refit import Refit, Unknown, tangents
-from ident.assessment.torque_level import weight_checks
+from ident.assessment.torque_level import _small_beside, weight_checks
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters, random_states
@@ -25,6 +26,7 @@ from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import truth_vector
 from ident.regression.observability import whole_arm
+from ident.signals.prepared import Segment
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
@@ -164,6 +166,27 @@ def test_a_gain_that_was_left_at_1_is_found_from_afar(found, factor):
     assert 1.0 + best.value == pytest.approx(1.0 / (1.0 / factor), rel=0.1)
 
 
+def test_an_arm_whose_torques_are_never_negative_was_recorded_without_signs_even_if_nothing_explains_them(found):
+    generator = np.random.default_rng(2)
+
+    def folded(negative: int | None) -> list[int]:
+        def spoilt(segment: Segment) -> Segment:
+            torque = np.abs(segment.torque * generator.uniform(0.5, 1.5, segment.torque.shape))
+            if negative is not None:
+                torque[negative] = segment.torque[negative]
+            return replace(segment, torque=torque)
+
+        runs = [
+            replace(run.prepared, segments=tuple(spoilt(segment) for segment in run.prepared.segments))
+            for run in found.runs
+        ]
+        kernel = RegressorKernel(found.model, found.base.columns)
+        return unsigned_torques(competition(found, instants(kernel, runs)), runs)
+
+    assert folded(None) == [0, 1, 2]
+    assert 1 not in folded(1)
+
+
 def test_blocks_cover_the_recording(found):
     few = light(found)
     assert set(few.block) == set(range(BLOCKS))
@@ -196,3 +219,14 @@ def test_gravity_is_compared_with_the_torque_limits(found):
     assert said(0.1, 10.0) == ["implausible-load"]
     assert said(1e4, 1e-3) == ["torque-far-below-limits"]
     assert said(1e4, 1e3) == []
+
+
+def test_the_lighter_an_arm_seems_the_more_of_the_limits_gravity_may_take():
+    """Where torques show no mass, friction that gears do not have says the same; arms that carry nothing do not."""
+    assert _small_beside(0.09, 30.0, 3.0, None)
+    assert not _small_beside(0.09, 30.0, 9.0, None)
+    assert _small_beside(0.05, 30.0, 9.0, None)
+    assert not _small_beside(0.2, 30.0, 1.0, 1e-3)
+    assert _small_beside(0.05, 30.0, None, 5e-3)
+    assert not _small_beside(0.05, 30.0, None, 0.05)
+    assert not _small_beside(0.0, 30.0, None, 5e-3)

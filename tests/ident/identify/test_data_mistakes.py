@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import cast
 
+import numpy as np
 import pytest
 
 import dynid
 from daq.recording.recording import Recording
+from ident.assessment.residual_bursts import REVERSAL
+from ident.identify.identification import PreparedRun
+from ident.identify.residual_bursts import _away_from_gaps
+from ident.regression.comparison import TorqueSeries
 from sim_drivers.synthetic.data_mistakes import (
     contact,
     filled_with_zeros,
@@ -82,7 +89,21 @@ def test_contacts_are_named_by_their_times(sound: Recording) -> None:
     assert not checks(result) & MODEL_CHECKS
 
 
+def test_what_is_interpolated_where_several_rows_are_missing_is_no_burst() -> None:
+    time = np.delete(np.arange(200) / 50.0, [50, 51, 120])
+    signals = SimpleNamespace(time=time, stale=object())
+    run = cast(PreparedRun, SimpleNamespace(signals=signals, prepared=SimpleNamespace(segments=[None])))
+    grid = np.arange(200) / 50.0
+    zeros = np.zeros((1, 200))
+    (part,) = _away_from_gaps([run], [TorqueSeries(grid, zeros, zeros, zeros, np.ones(200, dtype=np.bool_))])
+    near = (grid >= 49 / 50 - REVERSAL) & (grid <= 52 / 50 + REVERSAL)
+    assert np.array_equal(part.used, ~near)
+    signals.stale = None
+    (part,) = _away_from_gaps([run], [part])
+    assert np.array_equal(part.used, ~near)
+
+
 def test_drop_outs_that_were_filled_with_zeros_are_named(sound: Recording) -> None:
     result = dynid.identify(filled_with_zeros(sound, 0.5, 1))
-    assert "filled-with-zeros" in checks(result)
+    assert checks(result) & (DATA_CHECKS | MODEL_CHECKS) == {"filled-with-zeros"}
     assert "poor" in result.verdict.headline.lower()
