@@ -405,7 +405,42 @@ def further_arms(seeds: Iterable[int]) -> Iterator[tuple[str, int, RobotFile, Re
         yield f"further arm {seed}", seed, robot_file, mistakes.with_velocity(run)
 
 
+def delays(count: int) -> None:
+    """Print, of lifts that carry an arm with a light wrist, what is found of a torque that is 0 and 4 ms late."""
+    print("| arm | jitter [ms] | late by [ms] | found [ms] | used [ms] | held-out error [%] | checks |")
+    print("|---|---|---|---|---|---|---|")
+    fine = 10
+    for seed in range(1, 1 + count):
+        generator = np.random.default_rng([seed, 8])
+        content = yaml.safe_load(built_arm(seed, wrist=0.3, sizes=(0.8, 0.9)).text)
+        slide(content, 0, generator)
+        content["truth"]["noise"] |= {"encoder_resolution": 1e-4}
+        robot_file = parse_robot(json.dumps(content), where=f"lift {seed}", folder=None)
+        motion = random_fourier_motion(build_model(robot_file), 15.0, seed, candidates=5)
+        run = simulate_recording(robot_file, motion, 30.0, seed, rate=50.0 * fine)
+        torque = signals(run)["torque"]
+        for jitter in (0.0, 0.004):
+            for late in (0.0, 0.004):
+                shift = round(late * 50.0 * fine)
+                moved = with_signals(run, torque=np.roll(torque, shift, axis=0))
+                moved = mistakes.jittering_position(mistakes.sampled(moved, fine), jitter, seed)
+                found = identify([moved], [], replace(CHOICES, search_delay=True))
+                search = found.delay
+                said = "–" if search is None else f"{1e3 * search.best:.2f} ± {1e3 * search.interval:.2f}"
+                used = "–" if search is None else f"{1e3 * search.used:.2f}"
+                raised = ", ".join(c.name for c in found.checks if c.name in (*BLAMING, "torque-ahead")) or "none"
+                error = 100 * found.validation.relative_error
+                print(
+                    f"| {seed} ({found.model.dof}) | {1e3 * jitter:g} | {1e3 * late:g} | {said} | {used} | {error:.2f} "
+                    f"| {raised} |",
+                    flush=True,
+                )
+
+
 if __name__ == "__main__":
+    if sys.argv[1] == "delay":
+        delays(int(sys.argv[2]))
+        sys.exit()
     kind, numbers = ("first", sys.argv[1]) if sys.argv[1][0].isdigit() else (sys.argv[1], sys.argv[2])
     chosen = range(1, 1 + int(numbers)) if numbers.isdigit() else [int(one) for one in numbers.split(",") if one]
     campaign(further_arms(chosen) if kind == "further" else first_arms(chosen))
