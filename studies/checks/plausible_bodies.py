@@ -1,11 +1,11 @@
 """Are the default bodies plausible, and do they simulate? Public recordings, and random arms with light wrists.
 
-For each arm: held-out error of the unconstrained and the consistent model, mass of the links, mass that the torques show
-over the payload (below 0.67 and beyond 60 it is named), least inertia that a joint has over random poses with all others
-free (the motor's included), how many times 1 ms friction needs to stop it from its greatest velocity, and the worst
-joint's error of the simulated motion: with a soft controller, and without one over 1 s windows as a multiple of constant
-velocity's. The last column are the checks of bodies that are raised. No check of bodies may be raised for any of them.
-About 20 s an arm.
+For each arm: held-out error of the unconstrained and the consistent model, mass of the links, mass that the torques
+show over the payload (below 0.67 and beyond 60 it is named), least inertia that a joint has over random poses with
+all others free (the motor's included), how many times 1 ms friction needs to stop it from its greatest velocity, and
+the worst joint's error of the simulated motion: with a soft controller, and without one over 1 s windows as a
+multiple of constant velocity's. The last column are the checks of bodies that are raised. No check of bodies may be
+raised for any of them. About 20 s an arm.
 
     python -m studies.checks.plausible_bodies [ARMS [DATA]]
 
