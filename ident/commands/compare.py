@@ -25,9 +25,10 @@ def compare_methods(
 
     Example: dynid compare run.h5 --methods ols,wls --validate val-1.h5 --validate val-2.h5 -o comparison
     """
-    from daq.commands.console import print_table, progress_line
+    from daq.commands.console import progress_line
     from daq.output_files import REPORT_FILE, check_output_folder
     from daq.robot.loader import load_robot
+    from ident.commands.print_result import print_tables
     from ident.tasks.comparison import COMPARISON_FILE, compare
     from ident.tasks.runs import paths_of
 
@@ -43,10 +44,7 @@ def compare_methods(
     if as_json:
         print(comparison.to_json())
         return
-    for table in (comparison.errors, comparison.maxima, comparison.differences):
-        if len(table):
-            headings = [column.heading.replace("_", " ") for column in table.columns]
-            print_table(f"\n{table.title}", headings, [list(row.values()) for row in table])
+    print_tables((comparison.errors, comparison.maxima, comparison.differences))
     for failure in comparison.failures:
         print(failure)
     if out is not None:

@@ -23,7 +23,8 @@ def compare_models(
     """
     from dataclasses import asdict
 
-    from daq.commands.console import print_json, print_table
+    from daq.commands.console import print_json
+    from ident.commands.print_result import print_tables
     from ident.tasks.difference import diff
 
     difference = diff(first, second)
@@ -47,7 +48,4 @@ def compare_models(
         )
         return
     print(f"first: {first}\nsecond: {second}\n{difference.headline}")
-    for table in tables.values():
-        if len(table):
-            headings = [column.heading.replace("_", " ") for column in table.columns]
-            print_table(f"\n{table.title}", headings, [list(row.values()) for row in table])
+    print_tables(tables.values())

@@ -25,14 +25,14 @@ def find_friction(
 
     Example: dynid friction cold.h5 warm.h5 warmer.h5 -o friction
     """
-    from daq.commands.console import print_table, progress_line
+    from daq.commands.console import progress_line
     from daq.output_files import REPORT_FILE, check_output_folder
     from daq.robot.loader import load_robot
-    from drivers.core.units import common_unit
-    from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+    from ident.commands.print_result import print_tables
     from ident.result.friction_experiment import FRICTION_FILE
     from ident.tasks.friction import friction
     from ident.tasks.runs import paths_of
+    from ident.views.friction_tables import COEFFICIENTS
 
     recordings, robot = paths_of(options.runs), options.robot
     folder = out if out is not None else Path(f"{recordings[0].stem}-friction")
@@ -47,23 +47,7 @@ def find_friction(
         return
     result = identified.result
     print(f"delay: {result.delay_note}")
-    rows = [
-        (
-            joint.joint,
-            joint.coulomb,
-            None if joint.coulomb_std is None else WITHIN_95_PERCENT * joint.coulomb_std,
-            joint.viscous,
-            None if joint.viscous_std is None else WITHIN_95_PERCENT * joint.viscous_std,
-            joint.offset,
-            None if joint.offset_std is None else WITHIN_95_PERCENT * joint.offset_std,
-            joint.rmse,
-            joint.terms_text,
-        )
-        for joint in result.joints
-    ]
-    headings = ("joint", "Coulomb", "±", "viscous", "±", "offset", "±", "residual RMS", "further terms")
-    sliding = [joint.sliding for joint in result.joints]
-    print_table(f"\nFriction [{common_unit('N·m', sliding)}, {common_unit('s/rad', sliding)}]", headings, rows)
+    print_tables([identified.table.pick(*COEFFICIENTS)])
     for warning in result.warnings:
         print(f"warning: {warning}")
     print(f"\n{folder / FRICTION_FILE}\n{folder / REPORT_FILE}")

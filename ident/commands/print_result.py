@@ -8,9 +8,10 @@ from daq.commands.console import print_table
 from drivers.core.text import in_percent, percent_text
 from ident.assessment.validation import Fit
 from ident.result.delivered import DELIVERED_WORDS
-from ident.result.schema import Merge, Result
+from ident.result.schema import Result
 from ident.result.tables import Table
 from ident.verdict.verdict import Verdict
+from ident.views.result_tables import friction_step_table, joint_friction_table, merge_tables, parameter_table
 
 
 def print_tables(tables: Iterable[Table]) -> None:
@@ -29,16 +30,13 @@ def print_result(result: Result) -> None:
         print(f"{step.name}: {step.text}")
     print(f"delay: {result.delay.note}")
     if result.merge is not None:
-        _print_merge(result.merge)
-    print_table(
-        f"\nBase parameters ({result.method}); σ corrected for autocorrelated residuals",
-        ("name", "value", "σ", "RSD [%]", "F", "significant", "unit"),
-        [
-            (p.name, p.value, p.std, p.rsd_percent, p.f_value, "yes" if p.significant else "no", p.unit)
-            for p in result.base_parameters
-        ],
-    )
-    _print_friction(result)
+        print_tables(merge_tables(result.merge))
+    print_tables([parameter_table(result).pick("name", "value", "std", "rsd", "f_value", "significant", "unit")])
+    if any(joint.terms_text or joint.repeatability_text for joint in result.friction):
+        print_tables([joint_friction_table(result)])
+    elif result.friction_note:
+        print(f"\n{result.friction_note}")
+    print_tables([friction_step_table(result)])
     _print_errors(result)
     _print_simulation(result)
     print(
@@ -48,32 +46,6 @@ def print_result(result: Result) -> None:
     print_verdict(result.verdict)
     if result.acceptance is not None:
         print(f"\n{result.acceptance}")
-
-
-def _print_friction(result: Result) -> None:
-    """What friction's intervals hold, further terms of the joints that have some, and the steps that led there."""
-    repeated = [p for p in result.base_parameters if p.repeatability is not None]
-    if repeated:
-        print_table(
-            "\nFriction between runs",
-            ("name", "value", "σ of the mean", "repeatability σ", "unit"),
-            [(p.name, p.value, p.std, p.repeatability, p.unit) for p in repeated],
-        )
-    if result.friction_note:
-        print(f"\n{result.friction_note}")
-    further = [(joint.joint, joint.terms_text) for joint in result.friction if joint.terms_text]
-    if further:
-        print_table("\nFurther friction, ± 95 %", ("joint", "terms"), further)
-    if result.friction_steps:
-        print_table(
-            "\nFriction terms tried",
-            ("joint", "term", "F", "p", "held-out error before", "after", "added"),
-            [
-                (step.joint, step.term, step.f_value, step.p_value, step.error_before, step.error_after, yes_no)
-                for step in result.friction_steps
-                for yes_no in ["yes" if step.accepted else "no"]
-            ],
-        )
 
 
 def _print_errors(result: Result) -> None:
@@ -129,32 +101,6 @@ def print_verdict(verdict: Verdict) -> None:
     """Headline, purposes, joints that are not good, checks."""
     for line in verdict.lines:
         print(line)
-
-
-def _print_merge(merge: Merge) -> None:
-    print_table(
-        "\nModels that were merged",
-        ("model", "method", "values", "locked", "torques of"),
-        [
-            (
-                model.file,
-                model.method,
-                model.parameters,
-                "; ".join(dict.fromkeys(", ".join(experiment.locked) or "none" for experiment in model.experiments)),
-                "; ".join(dict.fromkeys(", ".join(experiment.torques_of) for experiment in model.experiments)),
-            )
-            for model in merge.models
-        ],
-    )
-    if merge.consistency is not None and merge.consistency.contradictions:
-        print_table(
-            "\nValues that differ significantly from the merged model",
-            ("parameter", "of", "value", "merged", "difference [σ]"),
-            [
-                (value.parameter, value.file, value.value, value.merged, value.deviations)
-                for value in merge.consistency.contradictions
-            ],
-        )
 
 
 def print_fit(title: str, joints: Sequence[str], unit: str, fit: Fit) -> None:

@@ -19,6 +19,7 @@ from ident.report.html_file import page_templates
 from ident.report.number_text import number
 from ident.report.section import Tile
 from ident.result.friction_experiment import FrictionExperimentResult
+from ident.views.friction_tables import COEFFICIENTS, COVERED, friction_table
 
 POINTS = 1200
 """Per panel."""
@@ -38,12 +39,14 @@ def friction_page(result: FrictionExperimentResult, experiment: FrictionExperime
     joints, model = experiment.joints, experiment.periods.model
     heated = [joint for joint in joints if joint.temperature is not None]
     loaded = [joint for joint in joints if joint.load.greatest > 0.0]
+    table = friction_table(result)
     return (
         page_templates()
         .get_template("friction_page.html.j2")
         .render(
             result=result,
-            units=_units(result),
+            coefficients=table.pick(*COEFFICIENTS),
+            covered=table.pick(*COVERED),
             tiles=_tiles(result),
             speed=_figure("speed-plot", model, joints, _speed_panel, SPEED_CAPTION),
             temperature=_figure("temperature-plot", model, heated, _temperature_panel, TEMPERATURE_CAPTION),
@@ -67,6 +70,7 @@ LOAD_CAPTION = (
 
 
 def _tiles(result: FrictionExperimentResult) -> list[Tile]:
+    torque = common_unit("N·m", [joint.sliding for joint in result.joints])
     heat = [joint.temperature_range for joint in result.joints if joint.temperature_range is not None]
     widest = max((one.greatest - one.least for one in heat), default=None)
     return [
@@ -75,7 +79,7 @@ def _tiles(result: FrictionExperimentResult) -> list[Tile]:
         Tile("Widest range of temperature", "–" if widest is None else f"{number(widest, 3)} K"),
         Tile(
             "Highest load torque",
-            f"{number(max(joint.load_range.greatest for joint in result.joints), 3)} {_units(result)['torque']}",
+            f"{number(max(joint.load_range.greatest for joint in result.joints), 3)} {torque}",
         ),
     ]
 
@@ -134,13 +138,6 @@ def _joint_units(model: DynamicModel, joint: JointFriction) -> tuple[str, str]:
     """Units of a joint's torque and velocity."""
     sliding = model.sliding[model.joint_names.index(joint.joint)]
     return joint_unit("N·m", sliding=sliding), joint_unit("rad/s", sliding=sliding)
-
-
-def _units(result: FrictionExperimentResult) -> dict[str, str]:
-    """Units of columns of all joints."""
-    sliding = [joint.sliding for joint in result.joints]
-    units = {"torque": "N·m", "speed": "rad/s", "viscous": "N·m·(s/rad)^α"}
-    return {name: common_unit(unit, sliding) for name, unit in units.items()}
 
 
 def _temperature_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:

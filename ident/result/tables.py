@@ -45,9 +45,9 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """Label and unit."""
+        """Label and unit; σ has that of the column before it."""
         label = self.label or self.name.replace("_", " ")
-        return f"{label} [{self.unit}]" if self.unit else label
+        return f"{label} [{self.unit}]" if self.unit and self.kind != "std" else label
 
     @property
     def texts(self) -> tuple[str, ...]:
@@ -124,6 +124,11 @@ class Table:
         for name in names:
             self[name]
         return replace(self, columns=tuple(by_name[name] for name in names))
+
+    def in_order(self, rows: Sequence[int]) -> Table:
+        """The table with these rows, in this order."""
+        columns = (replace(one, cells=tuple(one.cells[row] for row in rows)) for one in self.columns)
+        return replace(self, columns=tuple(columns))
 
     def to_frame(self) -> DataFrame:
         """The table as a pandas data frame, indexed by the rows' names; units in `frame.attrs["units"]`.

@@ -12,12 +12,13 @@ from daq.robot.loader import load_robot
 from drivers.core.options import keywords_of
 from drivers.core.text import json_text
 from ident.experiments.friction.experiment import FrictionExperiment, analyse_friction
-from ident.experiments.friction.summary import friction_result, friction_table
+from ident.experiments.friction.summary import friction_result
 from ident.report.friction_page import friction_page
 from ident.result.friction_experiment import FRICTION_FILE, FrictionExperimentResult
 from ident.result.tables import Table
 from ident.tasks.options import FrictionOptions
 from ident.tasks.runs import recordings_of
+from ident.views.friction_tables import friction_table
 
 
 @dataclass(frozen=True)

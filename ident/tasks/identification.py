@@ -27,6 +27,7 @@ from ident.tasks.options import IdentifyOptions
 from ident.tasks.runs import recordings_of
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
+from ident.views.result_tables import joint_friction_table, parameter_table
 
 
 class IdentificationResult:
@@ -93,47 +94,12 @@ class IdentificationResult:
     @cached_property
     def parameters(self) -> Table:
         """The base parameters: values, σ (corrected for autocorrelated residuals), partial F, expressions."""
-        headings = [
-            ("name", ""),
-            ("value", ""),
-            ("std", ""),
-            ("unit", ""),
-            ("rsd", "%"),
-            ("f_value", ""),
-            ("significant", ""),
-            ("essential_value", ""),
-            ("kind", ""),
-            ("joint", ""),
-            ("expression", ""),
-        ]
-        rows = [
-            (
-                p.name,
-                p.value,
-                p.std,
-                p.unit,
-                p.rsd_percent,
-                p.f_value,
-                p.significant,
-                p.essential_value,
-                p.kind,
-                p.joint,
-                p.expression,
-            )
-            for p in self.result.base_parameters
-        ]
-        return table_of_rows(f"Base parameters of {self.result.robot} ({self.result.method})", headings, rows)
+        return parameter_table(self.result)
 
     @cached_property
     def friction(self) -> Table:
         """Friction of each joint with its σ, and σ between several runs; empty where the model has no such column."""
-        units = {"viscous": "N·m·s/rad", "coulomb": "N·m", "offset": "N·m"}
-        repeated = any(joint.repeatability_text for joint in self.result.friction)
-        parts = ("", "_std", "_repeatability") if repeated else ("", "_std")
-        headings = [("joint", ""), *((f"{kind}{part}", unit) for kind, unit in units.items() for part in parts)]
-        rows = [tuple(getattr(joint, name) for name, _ in headings) for joint in self.result.friction]
-        headings = [(name, self.result.unit(unit)) for name, unit in headings]
-        return table_of_rows(f"Friction of {self.result.robot}. {self.result.friction_note}", headings, rows)
+        return joint_friction_table(self.result)
 
     @cached_property
     def errors(self) -> Table:

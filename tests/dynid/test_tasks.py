@@ -65,7 +65,7 @@ def test_a_table_becomes_a_frame(result):
     frame = result.friction.to_frame()
     assert frame.loc["elbow_joint", "viscous"] == result.friction.row("elbow_joint")["viscous"]
     assert frame.attrs["units"]["viscous"] == "N·m·s/rad"
-    assert result.parameters.to_frame().shape == (len(result.parameters), 10)
+    assert result.parameters.to_frame().shape == (len(result.parameters), 12)
 
 
 def test_a_table_escapes_what_it_shows():

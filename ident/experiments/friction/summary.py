@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from daq.recording.recording import software_versions
-from drivers.core.units import ZERO_CELSIUS, common_unit
+from drivers.core.units import ZERO_CELSIUS
 from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_friction import JointFriction
 from ident.identify.summary import PLAIN_KINDS
 from ident.model.friction_terms import LEAST_TEMPERATURE_SPAN, LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
 from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment, ValueRange
-from ident.result.tables import Table, table_of_rows
 
 
 def friction_result(experiment: FrictionExperiment) -> FrictionExperimentResult:
@@ -83,34 +81,3 @@ def _joint_result(joint: JointFriction, sliding: bool) -> JointFrictionExperimen
         settled=joint.settled,
         notes=list(joint.notes),
     )
-
-
-def friction_table(result: FrictionExperimentResult) -> Table:
-    """One row per joint: coefficients and shapes with σ, what they hold for, and the residual."""
-    named = ("coulomb", "viscous", "exponent", "offset", "stribeck", "stribeck_velocity", "load")
-    units = ("N·m", "N·m·(s/rad)^α", "", "N·m", "N·m", "rad/s", "")
-    sliding = [joint.sliding for joint in result.joints]
-    torque, speed = common_unit("N·m", sliding), common_unit("rad/s", sliding)
-    headings = [("joint", "")]
-    for name, unit in zip(named, [common_unit(unit, sliding) for unit in units], strict=True):
-        headings += [(name, unit), (f"{name}_std", unit)]
-    headings += [(name, "") for index in (1, 2, 3) for name in (f"beta{index}", f"beta{index}_std")]
-    headings += [("fastest", speed), ("coldest", "°C"), ("warmest", "°C"), ("highest_load", torque), ("rmse", torque)]
-    rows = []
-    for joint in result.joints:
-        heat = joint.temperature_range
-        beta: Sequence[float | None] = joint.temperature or (None,) * 3
-        deviations: Sequence[float | None] = joint.temperature_std or (None,) * 3
-        rows.append(
-            (
-                joint.joint,
-                *(getattr(joint, field) for name in named for field in (name, f"{name}_std")),
-                *(cell for pair in zip(beta, deviations, strict=True) for cell in pair),
-                joint.speed_range.greatest,
-                None if heat is None else heat.least,
-                None if heat is None else heat.greatest,
-                joint.load_range.greatest,
-                joint.rmse,
-            )
-        )
-    return table_of_rows("Friction by experiment", headings, rows)

@@ -17,6 +17,7 @@ from ident.report.figures.traces import packed
 from ident.report.number_text import whole
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import JointFrictionResult, Result
+from ident.views.result_tables import friction_step_table, joint_friction_table
 
 KINDS = ("viscous", "coulomb", "offset", "stribeck")
 COLUMNS = 2
@@ -29,13 +30,9 @@ CURVE_POINTS = 60
 
 def section(data: ReportData) -> ReportSection:
     """Coefficients with their intervals, and a curve per joint."""
-    friction = [data.result.friction[joint] for joint in _order(data)]
     context = {
-        "friction": friction,
-        "further": any(joint.terms_text for joint in friction),
-        "repeated": any(joint.repeatability_text for joint in friction),
-        "note": data.result.friction_note,
-        "steps": data.result.friction_steps,
+        "friction": joint_friction_table(data.result).in_order(_order(data)),
+        "steps": friction_step_table(data.result),
         "figure": _figure(data),
         "with_weight": [
             parameter

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from ident.report.section import ReportData, ReportSection
+from ident.views.result_tables import merge_tables
 
 
 def section(data: ReportData) -> ReportSection | None:
@@ -10,5 +11,6 @@ def section(data: ReportData) -> ReportSection | None:
     merge = data.result.merge
     if merge is None:
         return None
-    context = {"models": merge.models, "consistency": merge.consistency}
+    models, contradictions = merge_tables(merge)
+    context = {"models": models, "contradictions": contradictions, "consistency": merge.consistency}
     return ReportSection("Merged models", "merge", "merge.html.j2", context)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from ident.report.figures.figures import KIND_STYLES, Figure
 from ident.report.figures.interval_panel import IntervalSeries, interval_panel
@@ -10,6 +11,8 @@ from ident.report.figures.panels import Panel, panel_figure
 from ident.report.reference_values import ReferenceValues, reference_values
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import BaseParameterResult, Result
+from ident.result.tables import Column, Table
+from ident.views.result_tables import parameter_table
 
 REFERENCE_MARKER = "#7C828A"
 
@@ -19,8 +22,8 @@ def section(data: ReportData) -> ReportSection:
     result = data.result
     reference = reference_values(data)
     context = {
-        "parameters": result.base_parameters,
-        "kinds": {kind: words for kind, (words, _, _) in KIND_STYLES.items()},
+        "parameters": _table(result, reference),
+        "muted": [not parameter.significant for parameter in result.base_parameters],
         "figure": _figure(result, reference),
         "reference": reference,
         "reference_words": _reference_words(reference) if reference is not None else "",
@@ -29,6 +32,19 @@ def section(data: ReportData) -> ReportSection:
         "essential": result.essential,
     }
     return ReportSection("Parameters", "parameters", "parameters.html.j2", context)
+
+
+def _table(result: Result, reference: ReferenceValues | None) -> Table:
+    """The parameters, their kinds in words, and the reference values behind the unit."""
+    columns = []
+    for column in parameter_table(result).columns:
+        if column.name == "kind":
+            column = replace(column, cells=tuple(KIND_STYLES[str(kind)][0] for kind in column.cells))
+        columns.append(column)
+        if column.name == "unit" and reference is not None:
+            known = tuple(reference.values.get(parameter.name) for parameter in result.base_parameters)
+            columns.append(Column("reference", known, label=reference.label))
+    return Table("Base parameters", tuple(columns))
 
 
 def _threshold(result: Result) -> float | None:
