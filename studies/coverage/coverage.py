@@ -15,6 +15,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -25,7 +26,7 @@ import yaml
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
-from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
@@ -68,14 +69,15 @@ def another_arm(name: str, seed: int) -> RobotFile:
 
 
 def identified(arm: RobotFile, method: str, play: Play, seed: int) -> tuple[Identification, Recording]:
-    """The arm's model, from the first part of the motion."""
+    """The arm's model with the friction that it has, from the first part of the motion."""
+    choices = IdentifyChoices(method, model=ModelChoices(friction="coulomb-viscous"))
     if play == "points":
         motion = random_points_motion(arm.robot, seed, MOVES)
         recording = simulate_recording(arm, motion, motion.duration, seed)
-        return identify([recording], [], IdentifyChoices(method)), recording
+        return identify([recording], [], choices), recording
     periodic = random_fourier_motion(build_model(arm), DURATION, seed=seed, candidates=10)
     recording = simulate_recording(arm, periodic, DURATION + HELD_OUT, seed=seed)
-    return identify([recording], [], IdentifyChoices(method, split=DURATION)), recording
+    return identify([recording], [], replace(choices, split=DURATION)), recording
 
 
 def deviations(arm: RobotFile, method: str, play: Play, seed: int) -> tuple[list[FloatArray], float]:

@@ -22,7 +22,7 @@ from ident.excite.choices import CriterionName, DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
 from ident.excite.search.search import SearchChoices
-from ident.identify.identification import IdentifyChoices
+from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
@@ -72,7 +72,8 @@ def errors(robot_file: RobotFile, motion: Motion, seeds: int) -> npt.NDArray[np.
     results = []
     for seed in range(seeds):
         recording = simulate_recording(robot_file, motion, motion.duration, seed=seed)
-        result = identify([recording], [validation], IdentifyChoices(reversals=0.0), robot_file=robot_file)
+        choices = IdentifyChoices(reversals=0.0, model=ModelChoices(friction="coulomb-viscous"))
+        result = identify([recording], [validation], choices, robot_file=robot_file)
         results.append(np.abs(result.solution.parameters - truth) / scale)
     return np.array(results)
 

@@ -30,7 +30,7 @@ from daq.importers.import_file import import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot, parse_robot
 from drivers.core.arrays import FloatArray
-from ident.identify.identification import IdentifyChoices
+from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
@@ -210,7 +210,8 @@ def simulated_identifications() -> None:
                         runs.append(
                             _noisy(simulate_recording(robot_file, motion, DURATION, part, rate=500.0), noise, part)
                         )
-                    choices = IdentifyChoices(preprocess=PreprocessChoices(differentiation=way))
+                    plain = ModelChoices(friction="coulomb-viscous")
+                    choices = IdentifyChoices(preprocess=PreprocessChoices(differentiation=way), model=plain)
                     identification = identify(runs[:1], runs[1:], choices)
                     true = identification.base.projection @ truth_vector(robot_file)
                     used = list(identification.solution.active)

@@ -24,7 +24,7 @@ import numpy as np
 from daq.recording.recording import JOINTS_STREAM, Recording, Stream
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from ident.identify.identification import Identification, IdentifyChoices
+from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
@@ -113,8 +113,9 @@ def recordings(robot: str, seed: int) -> tuple[Recording, Recording]:
 
 
 def identified(recording: Recording, held_out: Recording, method: str) -> Identification:
-    """With a known delay of 0, so that only the estimators differ."""
-    return identify([recording], [held_out], IdentifyChoices(method, search_delay=False))
+    """With a known delay of 0 and the arm's own friction, so that only the estimators differ."""
+    choices = IdentifyChoices(method, model=ModelChoices(friction="coulomb-viscous"), search_delay=False)
+    return identify([recording], [held_out], choices)
 
 
 def line(robot: str, seeds: int, name: str, methods: Sequence[str]) -> list[str]:
