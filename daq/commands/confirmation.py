@@ -49,7 +49,7 @@ def motion_lines(figures: MotionFigures) -> list[str]:
 
 
 class Confirmation:
-    """Tells a person where the arm will go, and asks; a `daq.session.permission.Permission`.
+    """Tells a person where the arm will go, and asks; a `daq.session.play.Permission`.
 
     Args:
         motion: that will be played.

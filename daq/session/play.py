@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from daq.recording.recording import JOINTS_STREAM
 from daq.robot.schema import Robot
 from daq.session.command_gate import COMMAND_RATE, CommandGate, GateLimits
 from daq.session.course import GAP, REST_TIME, Course
-from daq.session.permission import Permission
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
 from drivers.base import Driver, Holding, ReportingSafety
@@ -33,6 +33,23 @@ ARRIVAL_LIMIT = 3.0
 """How long [s] an arm may take to come to rest after the last command of a motion."""
 ARRIVAL_ERROR = 0.02
 """Distance [rad or m] from the end of the motion at which an arm at rest is said not to have reached it."""
+
+
+class Permission(Protocol):
+    """Permission that a session requests before it moves an arm; it must not block."""
+
+    def approach(self, position: FloatArray) -> Motion:
+        """The checked approach from a position (n,) [rad or m] to the start of the motion.
+
+        Raises:
+            MotionRefusedError: there is none.
+        """
+
+    def ask(self) -> None:
+        """Ask whether the arm may make the approach and then play the motion."""
+
+    def answer(self) -> bool | None:
+        """The answer; None until there is one."""
 
 
 @dataclass(frozen=True)

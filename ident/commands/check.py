@@ -7,8 +7,8 @@ from typing import NoReturn
 
 import typer
 
+from daq.commands.options import JSON, ROBOT
 from drivers.core.errors import InputError
-from ident.commands.options import JSON, ROBOT
 
 app = typer.Typer()
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import CompareOptions
 
 app = typer.Typer()
@@ -29,8 +29,8 @@ def compare_methods(
     from daq.output_files import REPORT_FILE, check_output_folder
     from daq.robot.loader import load_robot
     from ident.commands.print_result import print_tables
+    from ident.tasks.arguments import paths_of
     from ident.tasks.comparison import COMPARISON_FILE, compare
-    from ident.tasks.runs import paths_of
 
     if out is not None:
         robot = options.robot

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import JSON
+from daq.commands.options import JSON
 
 app = typer.Typer()
 

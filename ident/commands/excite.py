@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ident.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import ExciteOptions
 
 if TYPE_CHECKING:
@@ -35,8 +35,8 @@ def excite(
     from daq.output_files import check_outputs, written_together
     from daq.robot.loader import load_robot
     from ident.result.model import result_path
+    from ident.tasks.arguments import paths_of
     from ident.tasks.excitation import design_excitation, search_state
-    from ident.tasks.runs import paths_of
 
     prior_file = None if options.prior is None else result_path(options.prior)
     inputs = [*load_robot(options.robot).files, *paths_of(options.earlier), prior_file]

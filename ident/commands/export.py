@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON
+from daq.commands.options import FORCE, JSON
 
 app = typer.Typer()
 

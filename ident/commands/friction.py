@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import FrictionOptions
 
 app = typer.Typer()
@@ -30,8 +30,8 @@ def find_friction(
     from daq.robot.loader import load_robot
     from ident.commands.print_result import print_tables
     from ident.result.friction_experiment import FRICTION_FILE
+    from ident.tasks.arguments import paths_of
     from ident.tasks.friction import friction
-    from ident.tasks.runs import paths_of
     from ident.views.friction_tables import COEFFICIENTS
 
     recordings, robot = paths_of(options.runs), options.robot

@@ -6,16 +6,8 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import (
-    ACCEPT,
-    FORCE,
-    JSON,
-    MAX_ERROR,
-    MAX_JOINT_ERROR,
-    MAX_RMSE,
-    METHOD,
-    takes,
-)
+from daq.commands.options import FORCE, JSON, takes
+from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, METHOD
 from ident.tasks.options import IdentifyOptions
 
 app = typer.Typer()
@@ -44,8 +36,8 @@ def identify_recordings(
     from ident.commands.options import limits_option
     from ident.commands.print_result import print_result
     from ident.result.friction_experiment import friction_path
+    from ident.tasks.arguments import paths_of
     from ident.tasks.identification import identify
-    from ident.tasks.runs import paths_of
 
     recordings, robot = paths_of(options.runs), options.robot
     folder = out if out is not None else Path(f"{recordings[0].stem}-model")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import InfoOptions
 
 app = typer.Typer()
@@ -30,8 +30,8 @@ def show_info(
     from daq.robot.loader import load_robot
     from ident.checks.page.page import JSON_FILE, PAGE_FILE
     from ident.commands.print_checks import print_info
+    from ident.tasks.arguments import paths_of
     from ident.tasks.recording_quality import info
-    from ident.tasks.runs import paths_of
 
     if page is not None:
         robot = options.robot

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import MergeOptions
 
 app = typer.Typer()
@@ -29,7 +29,7 @@ def merge_models(
     from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
     from ident.commands.print_result import print_result
     from ident.result.model import result_path
-    from ident.tasks.runs import paths_of
+    from ident.tasks.arguments import paths_of
     from ident.tasks.validation import merge
 
     inputs = [*map(result_path, paths_of(options.results)), *paths_of(options.validation)]

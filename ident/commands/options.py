@@ -7,11 +7,6 @@ from typing import Any
 
 import typer
 
-from daq.commands.options import FORCE as FORCE
-from daq.commands.options import JSON as JSON
-from daq.commands.options import ROBOT as ROBOT
-from daq.commands.options import takes as takes
-
 
 def _list_methods(text: str) -> str:
     """Print the methods and end, where asked for them."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from ident.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import GainsOptions, LoadOptions
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def _folder(options: LoadOptions, out: Path | None, experiment: str, result: str
     """
     from daq.output_files import REPORT_FILE, check_output_folder
     from daq.robot.loader import load_robot
-    from ident.tasks.runs import paths_of
+    from ident.tasks.arguments import paths_of
 
     free, loaded = paths_of(options.free, options.loaded)
     folder = out if out is not None else Path(f"{loaded.stem}-{experiment}")

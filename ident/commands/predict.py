@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import PredictOptions
 
 app = typer.Typer()
@@ -29,8 +29,8 @@ def predict_torque(
     from daq.commands.console import print_json, print_table, progress_line
     from daq.output_files import check_outputs
     from ident.result.model import result_path
+    from ident.tasks.arguments import paths_of
     from ident.tasks.prediction import predict
-    from ident.tasks.runs import paths_of
 
     model, recording = paths_of(options.identified, options.run)
     file = out if out is not None else Path(f"{recording.stem}-predicted.h5")

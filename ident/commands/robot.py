@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON, ROBOT
+from daq.commands.options import FORCE, JSON, ROBOT
 
 robot_app = typer.Typer(no_args_is_help=True, help="Robot files: joints, limits, base parameters.")
 app = typer.Typer()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from ident.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import SweepOptions
 
 app = typer.Typer()
@@ -33,7 +33,7 @@ def sweep_velocities(
     from daq.robot.loader import load_robot
     from drivers.core.units import common_unit
     from ident.result.model import result_path
-    from ident.tasks.velocity_sweep import design_sweep
+    from ident.tasks.excitation import design_sweep
 
     prior_file = None if options.prior is None else result_path(options.prior)
     check_outputs([out, page], [*load_robot(options.robot).files, prior_file], overwrite=force)

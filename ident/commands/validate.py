@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ident.commands.options import ACCEPT, JSON, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, takes
+from daq.commands.options import JSON, takes
+from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE
 from ident.tasks.options import ValidateOptions
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Design, show and save an excitation trajectory in one call each."""
+"""Design, show and save a motion that excites an arm, or a sweep for friction, in one call each."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.motion.trajectories import Motion
-from daq.motion.trajectory_file import dump_trajectory, parse_trajectory
+from daq.motion.trajectory_file import PointsTrajectory, dump_trajectory, parse_trajectory
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
 from daq.output_files import replace_files
 from daq.robot.assumptions import assumed_limits
@@ -24,12 +24,15 @@ from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
 from ident.excite.constraints.surroundings import surroundings_warning
 from ident.excite.design import Design, design
 from ident.excite.forecast import ExcitationFigures, excitation_figures
+from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.page.page import write_page
 from ident.excite.prior import PriorKnowledge, find_prior
 from ident.excite.search.search import SearchChoices, SearchResult
+from ident.excite.sweep_choices import SweepChoices
+from ident.excite.velocity_sweep import JointSweep, velocity_sweep
 from ident.result.model import result_path
 from ident.result.tables import Table, table_of_rows
-from ident.tasks.options import ExciteOptions
+from ident.tasks.options import ExciteOptions, SweepOptions
 
 
 class ExcitationTrajectory:
@@ -257,3 +260,30 @@ def design_notes(designed: Design) -> list[tuple[str, str]]:
         ("Self-collision", "checked" if choices.self_collision else "not checked"),
         ("Search", search_words(designed)),
     ]
+
+
+@keywords_of(SweepOptions)
+def design_sweep(options: SweepOptions) -> tuple[ExcitationTrajectory, tuple[JointSweep, ...]]:
+    """Design a motion for friction: one joint at a time, forth and back, its speed rising and falling again.
+
+    Returns:
+        The motion, and what each joint does in it.
+
+    Raises:
+        UsageError: an option is not possible for this arm.
+        MotionRefusedError: no joint can move.
+    """
+    robot_file = load_robot(options.robot)
+    known = None if options.prior is None else result_path(options.prior)
+    choices = same_named(options, SweepChoices, joints=tuple(options.joints))
+    sweep = velocity_sweep(robot_file, ArmMotionCheck(robot_file, known), choices)
+    trajectory = PointsTrajectory(
+        robot=robot_file.robot.name,
+        comment="designed by dynid sweep: one joint at a time, forth and back, for friction",
+        kind="points",
+        points=tuple(map(tuple, sweep.motion.points.tolist())),
+        durations=tuple(sweep.motion.durations.tolist()),
+    )
+    text = dump_trajectory(trajectory)
+    motion = parse_trajectory(text, robot_file.robot, where="the sweep", folder=None).motion
+    return ExcitationTrajectory(robot_file, text, motion, find_prior(robot_file, known)), sweep.joints

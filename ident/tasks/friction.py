@@ -16,8 +16,8 @@ from ident.experiments.friction.summary import friction_result
 from ident.report.friction_page import friction_page
 from ident.result.friction_experiment import FRICTION_FILE, FrictionExperimentResult
 from ident.result.tables import Table
+from ident.tasks.arguments import recordings_of
 from ident.tasks.options import FrictionOptions
-from ident.tasks.runs import recordings_of
 from ident.views.friction_tables import friction_table
 
 

@@ -22,9 +22,8 @@ from ident.result.model import Model, result_path
 from ident.result.schema import Delivered, Result, read_result, result_json
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.pipeline import PreprocessChoices
-from ident.tasks.acceptance import limits_of
+from ident.tasks.arguments import limits_of, recordings_of
 from ident.tasks.options import IdentifyOptions
-from ident.tasks.runs import recordings_of
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
 from ident.views.result_tables import joint_friction_table, parameter_table

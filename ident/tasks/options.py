@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from drivers.core.reading_process import Progress
     from ident.excite.search.search import SearchResult
     from ident.result.delivered import Parameters
-    from ident.tasks.acceptance import Limits
+    from ident.tasks.arguments import Limits, Run, Runs
     from ident.tasks.excitation import ExcitationTrajectory
-    from ident.tasks.runs import Run, Runs
     from ident.tasks.validation import Identified
 
 _RUNS = argument(

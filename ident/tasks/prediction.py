@@ -25,9 +25,9 @@ from ident.result.delivered import Parameters
 from ident.result.model import Model, load_model
 from ident.result.stored_model import stored_model
 from ident.result.tables import Table, table_of_rows
+from ident.tasks.arguments import recording_of
 from ident.tasks.identification import IdentificationResult
 from ident.tasks.options import PredictOptions
-from ident.tasks.runs import recording_of
 
 PREDICTION_STREAM = "prediction"
 

@@ -13,8 +13,8 @@ from drivers.core.text import json_text
 from ident.checks.page.page import write_page
 from ident.checks.recording_check import RecordingInfo, info_object, recording_info
 from ident.result.tables import Table, table_of_rows
+from ident.tasks.arguments import recording_of
 from ident.tasks.options import InfoOptions
-from ident.tasks.runs import recording_of
 from ident.verdict.verdict import Verdict
 
 

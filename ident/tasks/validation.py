@@ -15,10 +15,9 @@ from ident.identify.revalidate import revalidate
 from ident.result.model import Model, result_path
 from ident.result.schema import Delivered, HeldOutErrors, Result, read_result
 from ident.result.tables import Table
-from ident.tasks.acceptance import limits_of
+from ident.tasks.arguments import limits_of, recording_of, recordings_of
 from ident.tasks.identification import IdentificationResult, error_table
 from ident.tasks.options import MergeOptions, ValidateOptions
-from ident.tasks.runs import recording_of, recordings_of
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
 

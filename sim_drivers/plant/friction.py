@@ -18,6 +18,7 @@ import numpy as np
 from daq.robot.schema import Robot, TruthJoint
 from drivers.core.arrays import FloatArray
 from drivers.core.units import ZERO_CELSIUS
+from ident.model.dynamic_model import DynamicModel
 
 BRISTLE_DAMPING = 0.5
 """Damping ratio of a joint at rest on its bristle."""
@@ -151,3 +152,26 @@ class SimulatedFriction:
         floored = np.maximum(np.abs(velocity), SLOWEST)
         slope = parameters.viscous * floored ** (parameters.alpha - 1.0) + self._factor / np.sqrt(floored)
         return torque + np.maximum(slope, 0.0) * velocity
+
+
+WIDTH = 0.01
+"""Width [rad/s] of the smoothed sign: the joint has no bristle, its motor's holds it at rest."""
+
+
+class PairFriction:
+    """Fs·sign(q̇) + Fv·q̇ of every coupled joint q̇ = R⁻¹·q̇_m, mapped to the motors by −R⁻ᵀ."""
+
+    def __init__(self, robot: Robot, model: DynamicModel) -> None:
+        joints = [robot.truth.joints.get(name, TruthJoint()) for name in robot.joint_names]
+        transmission = model.transmission
+        present = np.zeros(model.dof) if transmission is None else np.array(transmission.pair_friction, dtype=float)
+        self._viscous = present * [joint.pair_viscous for joint in joints]
+        self._coulomb = present * [joint.pair_coulomb for joint in joints]
+        self._to_joints = np.eye(model.dof) if transmission is None else np.linalg.inv(transmission.coupling)
+        self.present = bool(np.any(self._viscous) or np.any(self._coulomb))
+
+    def torque(self, velocity: FloatArray) -> FloatArray:
+        """Friction torque (n,) [N·m] at the motors for their velocities (n,), counted as the motors' own is."""
+        joint_velocity = self._to_joints @ velocity
+        at_joints = self._viscous * joint_velocity + self._coulomb * np.tanh(joint_velocity / WIDTH)
+        return np.asarray(-self._to_joints.T @ at_joints)

@@ -23,8 +23,13 @@ from ident.model.dynamic_model import build_model
 from ident.model.rigid_arm import RigidArm, rigid_arm
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.control import Braking, ComputedTorque, JointController, Pid, Reference, independent_inertia
-from sim_drivers.plant.friction import SimulatedFriction, bristle_stiffness, friction_parameters, steepest_slope
-from sim_drivers.plant.pair_friction import PairFriction
+from sim_drivers.plant.friction import (
+    PairFriction,
+    SimulatedFriction,
+    bristle_stiffness,
+    friction_parameters,
+    steepest_slope,
+)
 from sim_drivers.plant.sensors import EncoderSpeed, Measurement, TorqueSensor, drive_gains, quantised
 from sim_drivers.plant.thermal import JointHeat, copper_losses
 

@@ -8,7 +8,7 @@ from daq.motion.trajectories import slow_move
 
 
 class Unchecked:
-    """Implements daq.session.permission.Permission."""
+    """Implements daq.session.play.Permission."""
 
     def __init__(self, motion, robot):
         self._start = motion.evaluate(np.zeros(1))[0][:, 0]

@@ -12,9 +12,9 @@ from drivers.can_signals.table.bits import BitField, ByteOrder
 from drivers.can_signals.table.dbc import Dbc, DbcSignal
 from drivers.can_signals.table.keys import BitKeys, IdentifiedKeys, MultiplexerKeys
 from drivers.can_signals.table.signals import Signal, check_overlaps
-from drivers.can_signals.table.units import FACTORS, to_si
 from drivers.connection_settings import ConnectionSettings, refused
 from drivers.core.text import did_you_mean
+from drivers.core.units import conversion, factors, normalised
 from drivers.streams import UNITS
 
 WHOLE_ARM = ("time", "counter")
@@ -23,6 +23,47 @@ STREAM_OF: Mapping[str, str] = {"temperature": "thermal", "fault": "status"}
 """Stream of a quantity where the entry names none; all others are in `joints`."""
 COUNTER_TURN = 4
 """Fewest rows after which a counter may begin anew: with less, a lost row is indistinguishable from a repeated one."""
+
+
+_ANGLE = factors("rad", "mrad", "urad", "deg", "mdeg", "rev")
+_VELOCITY = factors(*(f"{unit}/s" for unit in _ANGLE), "rpm", "1/min")
+_ACCELERATION = factors(*(f"{unit}/s^2" for unit in _ANGLE), "rpm/s")
+_CURRENT = factors("a", "ma")
+_TORQUE = factors("nm", "mnm", "cnm", "knm")
+_NONE = factors("1", "")
+
+FACTORS: Mapping[str, Mapping[str, float]] = {
+    "position": _ANGLE,
+    "velocity": _VELOCITY,
+    "acceleration": _ACCELERATION,
+    "current": _CURRENT,
+    "voltage": factors("v", "mv"),
+    "torque": _TORQUE,
+    "temperature": factors("degc", "c", "k", "degf", "f"),
+    "target_position": _ANGLE,
+    "target_velocity": _VELOCITY,
+    "target_acceleration": _ACCELERATION,
+    "target_current": _CURRENT,
+    "target_torque": _TORQUE,
+    "time": factors("s", "ms", "us", "ns"),
+    "counter": _NONE,
+    "fault": _NONE,
+}
+"""Quantity → unit, as `normalised` spells it → factor; a temperature's unit may have an offset too, see `to_si`."""
+
+
+def to_si(quantity: str, unit: str) -> tuple[float, float]:
+    """Factor and offset so that SI = factor · value + offset.
+
+    Raises:
+        ValueError: the quantity does not have this unit; says which it may have.
+    """
+    allowed = FACTORS[quantity]
+    spelled = normalised(unit)
+    if spelled not in allowed:
+        given = f"unit '{unit}'" if unit else "no unit"
+        raise ValueError(f"{given} of {quantity} cannot be converted; allowed: {', '.join(filter(None, allowed))}")
+    return conversion(spelled)
 
 
 class SignalKeys(ConnectionSettings):

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from drivers.can.bus import EXTENDED
 from drivers.can_signals.table import signals as table
 from drivers.can_signals.table.bits import BitField, stack
-from drivers.can_signals.table.units import FACTORS, to_si
+from drivers.can_signals.table.signal_keys import FACTORS, to_si
 
 BYTES = 8
 

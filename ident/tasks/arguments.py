@@ -1,13 +1,15 @@
-"""Recordings as arguments of a task: one or several, read already or by path."""
+"""Arguments of a task: one or several recordings, read already or by path; limits, by key or in a file."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from daq.recording.reader import read_recording
 from daq.recording.recording import Recording
+from ident.verdict.acceptance import AcceptanceLimits, declared, read_limits
 
 Run = Recording | str | PathLike[str]
 """A recording, or the path of one."""
@@ -35,3 +37,16 @@ def paths_of(*given: object) -> list[Path]:
     """The paths among arguments of a task, and in lists of them; recordings that were read already have none."""
     flat = [one for part in given for one in (part if isinstance(part, (list, tuple)) else [part])]
     return [Path(one) for one in flat if isinstance(one, (str, PathLike))]
+
+
+Limits = Mapping[str, Any] | str | PathLike[str]
+"""Limits by their keys (docs/identification.md), or the path of a YAML file with them."""
+
+
+def limits_of(accept: Limits) -> AcceptanceLimits:
+    """The limits, read where a path is given.
+
+    Raises:
+        UsageError: the file cannot be read, or a key is wrong.
+    """
+    return declared(accept, "accept") if isinstance(accept, Mapping) else read_limits(Path(accept))
