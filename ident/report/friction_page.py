@@ -16,10 +16,10 @@ from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Fi
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.traces import packed
 from ident.report.html_file import page_templates
-from ident.report.number_text import number
 from ident.report.section import Tile
 from ident.result.friction_experiment import FrictionExperimentResult
 from ident.views.friction_tables import COEFFICIENTS, COVERED, friction_table
+from ident.views.number_text import number
 
 POINTS = 1200
 """Per panel."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import cache
 from typing import TYPE_CHECKING
 
-from ident.report import number_text
 from ident.report.table_html import table_html
+from ident.views import number_text
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -20,9 +20,9 @@ from ident.report.figures.figures import MEASURED, PREDICTED, Figure
 from ident.report.figures.interval_panel import IntervalSeries, interval_panel
 from ident.report.figures.panels import panel_figure
 from ident.report.html_file import page_templates
-from ident.report.number_text import DASH, number, with_error
 from ident.report.section import Tile
 from ident.views.load_tables import gains_tables, payload_tables
+from ident.views.number_text import DASH, number, with_error
 
 IDENTIFIED = {"color": MEASURED, "symbol": "circle", "size": 6}
 COMPARED = {"color": PREDICTED, "symbol": "diamond-open", "size": 9, "line": {"width": 1.5}}

@@ -7,8 +7,8 @@ from math import isfinite
 
 from markupsafe import Markup
 
-from ident.report.number_text import half_interval, number, percentage, with_error
 from ident.result.tables import Cell, Column, Table, cell_text, numeric
+from ident.views.number_text import half_interval, number, percentage, with_error
 
 
 def table_html(table: Table, name: str, muted: Sequence[bool] = (), style: str = "") -> Markup:
@@ -50,7 +50,7 @@ def _groups(columns: Sequence[Column]) -> list[list[Column]]:
 def _heading(group: Sequence[Column]) -> Markup:
     column, *others = group
     label, unit = column.heading.removesuffix(f" [{column.unit}]"), f" [{column.unit}]" if column.unit else ""
-    label = label[:1].upper() + label[1:] if label.isascii() else label
+    label = label[:1].upper() + label[1:] if label[:1].isascii() else label
     added = "".join(" ± 95 %" if other.kind == "std" else f", {other.heading}" for other in others)
     csv = "|".join([column.heading, *("± 95 %" if other.kind == "std" else other.heading for other in others)])
     return Markup('<th scope="col"{} data-csv="{}">{}</th>').format(_class(column), csv, f"{label}{added}{unit}")

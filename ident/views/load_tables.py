@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from drivers.core.text import DASH, percent_text
+from drivers.core.text import percent_text
 from drivers.core.units import common_unit
 from ident.experiments.consistent_load_summary import INERTIA
 from ident.experiments.schema import (
@@ -16,8 +16,8 @@ from ident.experiments.schema import (
     SlowGainsResult,
 )
 from ident.linear_algebra.row_space import DETERMINED
-from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.tables import Column, Table, table_of, table_of_rows
+from ident.views.number_text import with_error
 
 VALUE, STD, UNIT = Column("value"), Column("std", label="σ", kind="std"), Column("unit")
 
@@ -125,7 +125,4 @@ BASE = (Column("name"), VALUE, STD, UNIT)
 
 def _intervals(values: Sequence[float | None], deviations: Sequence[float | None]) -> str:
     """Values, each with half of its 95 % interval."""
-    return ", ".join(
-        DASH if value is None else f"{value:.4g} ± {DASH if std is None else f'{WITHIN_95_PERCENT * std:.1g}'}"
-        for value, std in zip(values, deviations, strict=True)
-    )
+    return ", ".join(with_error(value, std) for value, std in zip(values, deviations, strict=True))

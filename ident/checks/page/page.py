@@ -11,8 +11,8 @@ from ident.checks.page.plots import intervals_figure, shown_unit, signals_figure
 from ident.checks.recording_check import RecordingInfo, info_object
 from ident.regression.options import SIGNIFICANT_RSD
 from ident.report.html_file import page_templates
-from ident.report.number_text import DASH, number, percent, whole
 from ident.report.section import Tile
+from ident.views.number_text import DASH, number, percent, whole
 
 JSON_FILE = "info.json"
 PAGE_FILE = "info.html"

@@ -16,8 +16,8 @@ from ident.assessment.recorded_motion import RecordedMotion
 from ident.report.figures.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Line, Panel, panel_figure
 from ident.report.figures.traces import broken_line, envelope_indices, packed
-from ident.report.number_text import number
 from ident.signals.resampling import gap_free_segments
+from ident.views.number_text import number
 
 MOST_COLUMNS = 32
 """Lines of one panel; of a channel with more columns, the first ones are shown."""

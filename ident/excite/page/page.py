@@ -17,11 +17,11 @@ from ident.excite.page.plots import clearance_figure, joints_figure, shown_part,
 from ident.excite.prior import PriorKnowledge
 from ident.model.dynamic_model import build_model
 from ident.regression.options import SIGNIFICANT_RSD
-from ident.report import number_text
 from ident.report.figures.figures import KIND_STYLES
 from ident.report.html_file import page_templates
-from ident.report.number_text import number, percent
 from ident.report.section import Tile
+from ident.views import number_text
+from ident.views.number_text import number, percent
 
 
 def write_page(

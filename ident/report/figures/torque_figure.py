@@ -14,8 +14,8 @@ from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.traces import broken_line, lay_out, packed, points_per_trace
-from ident.report.number_text import number, percent, whole
 from ident.result.schema import Result
+from ident.views.number_text import number, percent, whole
 
 PANEL = 150
 """Height of a panel [px]."""

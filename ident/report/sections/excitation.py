@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from ident.report.figures.figures import ACCENT, BOTTOM, LOG_AXIS, TOP, Figure, base_layout
-from ident.report.number_text import number
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import Result
+from ident.views.number_text import number
 
 PANEL = 260
 

@@ -14,9 +14,9 @@ from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.traces import packed
-from ident.report.number_text import whole
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import JointFrictionResult, Result
+from ident.views.number_text import whole
 from ident.views.result_tables import friction_step_table, joint_friction_table
 
 KINDS = ("viscous", "coulomb", "offset", "stribeck")

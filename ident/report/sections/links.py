@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ident.assessment.validation import Fit
-from ident.report.number_text import number, percent
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import ConsistentModel
+from ident.views.number_text import number, percent
 
 
 def section(data: ReportData) -> ReportSection | None:

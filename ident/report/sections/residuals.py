@@ -19,9 +19,9 @@ from ident.regression.hypothesis_tests import p_text
 from ident.report.figures.figures import ACCENT, REFERENCE, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.traces import packed
-from ident.report.number_text import number, whole
 from ident.report.residual_statistics import HISTOGRAM_EDGES, PROBABILITIES, JointResidual, joint_residual
 from ident.report.section import ReportData, ReportSection
+from ident.views.number_text import number, whole
 
 SCATTER_POINTS = 1500
 PAGE_SCATTER_POINTS = 15_000

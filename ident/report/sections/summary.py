@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from ident.assessment.validation import LOW_SPEED, Fit
-from ident.report.number_text import DASH, number, percent, whole
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
 from ident.result.schema import Result
 from ident.verdict.check import PURPOSE_WORDS
+from ident.views.number_text import DASH, number, percent, whole
 
 
 def section(data: ReportData) -> ReportSection:

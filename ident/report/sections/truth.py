@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import BOTTOM, REFERENCE, TOP, Figure, base_layout, kind_markers, vertical_line
-from ident.report.number_text import DASH, number, percent
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import BaseParameterResult
+from ident.views.number_text import DASH, number, percent
 
 ROW = 15
 

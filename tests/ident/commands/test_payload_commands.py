@@ -99,7 +99,7 @@ def test_gains_as_json(folder, capsys, monkeypatch):
         (["gains", "free.h5", "free.h5", "--mass", "2.8"], "same file"),
         (["gains", "free.h5", "loaded.h5", "--mass", "-1"], "not possible"),
         (["gains", "free.h5", "missing.h5", "--mass", "2.8"], "missing.h5"),
-        (["payload", "free.h5", "loaded.h5", "--mass", "nan"], "not possible"),
+        (["payload", "free.h5", "loaded.h5", "--mass", "nan"], "not a finite number"),
         (["payload", "free.h5", "loaded.h5", "--com", "0,0,0.1"], "whose mass is missing"),
         (["payload", "free.h5", "loaded.h5", "--mass", "2.8", "--com", "0;0;0"], "separated by commas"),
         (["payload", "free.h5", "loaded.h5", "--mass", "2.8", "--com", "0,0"], "3 finite numbers"),

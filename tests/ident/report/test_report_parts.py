@@ -16,8 +16,8 @@ from ident.model.parameters import KIND_SYMBOLS
 from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import KIND_STYLES
 from ident.report.figures.traces import LONGEST_PAUSE, envelope_indices, lay_out
-from ident.report.number_text import number, with_error
 from ident.report.residual_statistics import joint_residual
+from ident.views.number_text import number, with_error
 
 
 def series(start: float = 0.0, samples: int = 300, *, rate: float = 100.0, seed: int = 0) -> TorqueSeries:
