@@ -64,6 +64,12 @@ BLAMING = (
 )  # fmt: skip
 """Checks that say what is wrong with a recording."""
 
+CLAUSES = {
+    "joint-zero": "added to the position of {joint}", "gravity-direction": "gravity along",
+    "inconsistent-gain": "the drive gain of {joint} ",
+}  # fmt: skip
+"""What their sentences say of others that explain the data equally well."""
+
 Change = Callable[[Recording], Recording]
 
 
@@ -344,6 +350,11 @@ def judged(mistake: Mistake, checks: Sequence[Check], names: Sequence[str]) -> s
     several = [one for one in said if one.name == "sign-or-column" and own and own <= set(one.joints)]
     if not said:
         return "missed"
+    clauses = [
+        clause.format(joint=joint) for joint in own or {""} for name, clause in CLAUSES.items() if name in mistake.right
+    ]
+    if said[0] not in right and "equally well with" in said[0].text and any(one in said[0].text for one in clauses):
+        return "among others"
     if said[0] not in (*right, *several):
         return "wrong: " + "; ".join(" ".join((one.name, *one.joints)) for one in said)
     exact = said[0] in right and (not own or mistake.right == ("torques-opposite",) or len(said[0].joints) <= len(own))
