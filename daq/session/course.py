@@ -9,6 +9,7 @@ import numpy as np
 
 from daq.recording.clocks import ClockLog
 from daq.recording.recording import JOINTS_STREAM
+from daq.session.clock_rates import ClockRates
 from daq.session.command_gate import CommandGate
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
@@ -38,7 +39,7 @@ class Course:
     `breach_time` [s, the source's clock] is that of what stopped it, where it has one; `silent` are the streams whose
     silence is an event already, `stuck` the channels that hang and are one; `host_ahead` is by stream the host's clock
     less the source's at its last sample [s]; `heard` is the host's time of the newest position, `rest` watches it and
-    what the controller aims at.
+    what the controller aims at; `untrusted` is why the clocks cannot be trusted, in words.
     """
 
     clock: Clock
@@ -57,6 +58,8 @@ class Course:
     silent: set[str] = field(default_factory=set)
     stuck: set[tuple[str, str]] = field(default_factory=set)
     host_ahead: dict[str, float] = field(default_factory=dict)
+    rates: ClockRates = field(default_factory=ClockRates)
+    untrusted: str = ""
 
     def add(self, batch: Batch) -> None:
         """Note a batch."""
@@ -69,6 +72,7 @@ class Course:
         if batch.stream == JOINTS_STREAM and len(batch.time):
             self.position = batch.values["position"][-1].copy()
             self.heard = float(batch.host_time[-1])
+            self.untrusted = self.rates.add(float(batch.time[-1]), self.heard) or self.untrusted
             watched = [batch.values[name] for name in ("position", "target_position") if name in batch.values]
             for host_time, row in zip(batch.host_time.tolist(), np.hstack(watched), strict=True):
                 self.rest.add(host_time, row)

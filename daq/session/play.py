@@ -154,6 +154,8 @@ def permitted_approach(driver: Driver, cycle: Callable[[], None], course: Course
     if not answer:
         raise MotionRefusedError("not confirmed, so nothing was moved")
     _wait_for_rest(cycle, course)
+    if course.untrusted:
+        raise MotionRefusedError(course.untrusted)
     _require_unmoved(course, shown, "before the motion was confirmed")
     _take_control(driver, cycle, course)
     _wait_for_rest(cycle, course)

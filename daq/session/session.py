@@ -280,6 +280,8 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
             if (stuck.what, stuck.joint) not in course.stuck:
                 course.stuck.add((stuck.what, stuck.joint))
                 recorder.event(stuck.time, "warning", batch.stream, str(stuck))
+    if course.moves and course.untrusted:
+        raise SafetyStopError(course.untrusted)
     notice = _note(driver.notices(), recorder)
     if notice is not None and not (breach is not None and breach.time < notice.time):
         # Braking after a protective stop may itself pass a limit: what came first is the reason.

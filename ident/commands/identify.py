@@ -56,7 +56,7 @@ def identify_recordings(
         progress("report")
         result.save(folder)
     if as_json:
-        print(result.to_json())
+        print((folder / RESULT_FILE).read_text(encoding="utf-8"), end="")
     else:
         print_result(result.result)
         print(f"\n{folder / RESULT_FILE}\n{folder / REPORT_FILE}")

@@ -218,6 +218,7 @@ def estimate_result(estimate: Estimate, names: Sequence[str]) -> EstimateResult:
         parameters=[names[column] for column in estimate.active],
         root=estimate.root.tolist(),
         covariance=estimate.covariance.tolist(),
+        within=None if estimate.within is None else estimate.within.tolist(),
         taken_up={
             names[column]: shares.tolist()
             for column, shares in zip(others, estimate.taken_up.T, strict=True)

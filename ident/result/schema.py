@@ -9,11 +9,14 @@ import warnings
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from pydantic import (
     AfterValidator,
     Field,
     ValidationError,
+    ValidationInfo,
     computed_field,
+    field_validator,
     model_validator,
 )
 
@@ -316,8 +319,33 @@ class EstimateResult(Stored):
     parameters: list[str] = Field(description="names of the estimated base parameters, a of them")
     root: list[list[Value]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")
     covariance: list[list[Number]] = Field(description="(a, a) corrected for autocorrelated residuals")
+    within: list[list[Number]] | None = Field(
+        default=None, description="(a, a) the same without what changes between runs; null where that is all of it"
+    )
     taken_up: dict[str, list[Value]] = Field(description="how an unexcited parameter is absorbed by each estimated one")
     blocks: int = Field(description="of the jackknife behind the covariance")
+
+    @field_validator("root", "covariance", "within")
+    @classmethod
+    def _sound(cls, rows: list[list[float | None]] | None, info: ValidationInfo) -> list[list[float | None]] | None:
+        """Refuse what is no triangular factor, or no covariance, of the parameters."""
+        size = len(info.data.get("parameters", rows or ()))
+        if rows is None:
+            return None
+        if len(rows) != size or any(len(row) != size for row in rows):
+            raise ValueError(f"is not {size} by {size}")
+        if not size:
+            return rows
+        matrix = np.array([[np.inf if value is None else value for value in row] for row in rows], dtype=np.float64)
+        if info.field_name == "root":
+            if not np.all(np.isfinite(matrix)) or not np.all(np.diag(matrix)) or np.any(np.tril(matrix, -1)):
+                raise ValueError("is no triangular factor")
+            return rows
+        finite = np.isfinite(np.diag(matrix))
+        inner = matrix[np.ix_(finite, finite)]
+        if not np.all(np.isfinite(inner)) or np.any(np.diag(inner) < 0) or not np.allclose(inner, inner.T, rtol=1e-6):
+            raise ValueError("is no covariance")
+        return rows
 
 
 class MergedModel(Stored):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from daq.robot.loader import RobotFile, parse_robot
+from drivers.core.arrays import FloatArray
 from drivers.core.errors import ResultFileError
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel, build_model
@@ -93,13 +95,6 @@ def stored_estimate(result: Result, base: BaseParameters) -> Estimate:
         raise ResultFileError("names parameters that have no value", where="estimate.parameters", hint=AGAIN)
     active = tuple(base.names.index(name) for name in stored.parameters)
     others = [base.names[column] for column in range(base.count) if column not in active]
-    root, covariance = _square(stored.root, count, "root"), _square(stored.covariance, count, "covariance")
-    if not np.all(np.isfinite(root)) or not np.all(np.diag(root) != 0.0) or np.any(np.tril(root, -1)):
-        raise ResultFileError("is no triangular factor", where="estimate.root", hint=AGAIN)
-    finite = np.isfinite(np.diag(covariance))
-    inner = covariance[np.ix_(finite, finite)]
-    if not np.all(np.isfinite(inner)) or np.any(np.diag(inner) < 0) or not np.allclose(inner, inner.T, rtol=1e-6):
-        raise ResultFileError("is no covariance", where="estimate.covariance", hint=AGAIN)
     taken_up = np.zeros((count, len(others)))
     for name, shares in stored.taken_up.items():
         if name not in others or len(shares) != count or not np.all(np.isfinite(shares)):
@@ -108,18 +103,18 @@ def stored_estimate(result: Result, base: BaseParameters) -> Estimate:
     return Estimate(
         active=active,
         values=np.array([values[name] for name in stored.parameters], dtype=np.float64),
-        root=root,
-        covariance=covariance,
+        root=_matrix(stored.root, count),
+        covariance=_matrix(stored.covariance, count),
         taken_up=taken_up,
         blocks=stored.blocks,
+        within=None if stored.within is None else _matrix(stored.within, count),
     )
 
 
-def _square(rows: list[list[float | None]] | list[list[float]], size: int, name: str) -> np.ndarray:
-    if len(rows) != size or any(len(row) != size for row in rows):
-        raise ResultFileError(f"is not {size} by {size}", where=f"estimate.{name}", hint=AGAIN)
-    # A variance that is not known is null in JSON.
-    return np.array([[np.inf if value is None else value for value in row] for row in rows], dtype=np.float64)
+def _matrix(rows: Sequence[Sequence[float | None]], size: int) -> FloatArray:
+    """A square of numbers; a variance that is not known is null in JSON."""
+    values = [[np.inf if value is None else value for value in row] for row in rows]
+    return np.array(values, dtype=np.float64).reshape(size, size)
 
 
 def _experiment(model: DynamicModel, stored: ExperimentResult, index: int) -> Experiment:

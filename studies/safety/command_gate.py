@@ -32,12 +32,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from daq.motion.player import MotionSequence, Player, skip_limit
+from daq.motion.player import DRY_RUN, MotionSequence, Player, skip_limit
 from daq.motion.trajectories import FourierSeries, Motion, Pieces, PointToPoint, RestToRest, slow_move
 from daq.recording.recorder import Recorder
 from daq.robot.loader import load_robot
 from daq.robot.schema import JointLimits, Robot
+from daq.session.clock_rates import ClockRates
 from daq.session.command_gate import MARGIN, CommandGate, GateLimits
+from daq.session.course import REST_TIME
 from daq.session.play import Play
 from daq.session.session import record
 from daq.session.supervisor import Limits, Supervisor
@@ -239,6 +241,7 @@ class World(Clock):
         self.player: Player | None = None
         self.measure: Callable[[float, FloatArray], FloatArray] = lambda _, position: position
         self.jump: Callable[[float], float] = lambda now: now
+        self.rates, self.own_clock = ClockRates(), True
         self.stop_at = np.inf
         self._held = 0.0
 
@@ -260,6 +263,9 @@ class World(Clock):
         self.arm.advance(goal)
         if self.gate is not None and not self.frozen:
             self.gate.measured(self.now(), self.measure(goal, self.arm.reference))
+            if self.own_clock and (said := self.rates.add(goal, self.now())):
+                self.own_clock = False
+                raise SafetyStopError(said)
         if self.player is not None:
             self._held += slept if self.player.done else 0.0
             if self._held > 0.03 or goal > self.stop_at or goal > self.begun + 60.0:
@@ -370,6 +376,11 @@ def played(case: Case, start: FloatArray) -> Outcome:
     period = 1.0 / case.rate
     world, outcome = World(case.stalls, period), Outcome()
     world.jump, world.measure = case.lie, case.measure
+    # A session waits for an arm at rest before it moves anything; samples of the dry run come all at once.
+    for before in np.arange(DRY_RUN - REST_TIME, 0.0, 0.01).tolist():
+        if case.bus != "CiA 402" and (said := world.rates.add(world.begun + before, case.lie(world.begun + before))):
+            return Outcome(refused=said)
+    world.own_clock = case.bus != "CiA 402"  # whose samples are stamped by the SYNCs of this computer
     world.arm = new_arm(case.bus, start, case.rate, world.time, world.free)
     goal = case.motion.evaluate(np.zeros(1))[0][:, 0]
     here = start

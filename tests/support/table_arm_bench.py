@@ -29,6 +29,8 @@ ROBOT_FILE = load_robot("aubo_i5")
 ROBOT = ROBOT_FILE.robot
 JOINTS = ROBOT.joint_names
 KEYS = dict(ROBOT.connections["can"].model_extra or {})
+TIME = {"quantity": "time", "id": 0x181, "start": 48, "length": 16, "scale": 0.001, "unit": "s"}
+"""Of the arm, in place of its counter."""
 STEP = 2 * np.pi * 2.0**-20
 """Of a position in a frame [rad]."""
 RATE = 200.0

@@ -15,7 +15,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from rtde_in_process import HOST, NOWHERE, Motions, serving
 from simulated_clock import SimulatedClock, simulated_time
-from table_arm_bench import KEYS, POSE, ROBOT, connection_of, opened, served, session
+from table_arm_bench import KEYS, POSE, ROBOT, TIME, connection_of, opened, served, session
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import PointToPoint
@@ -228,7 +228,6 @@ def test_any_faults_of_a_ur_controller_end_at_rest_and_with_a_reason(drawn: Faul
     assert_in_order(*on_ur_arm(drawn))
 
 
-TIME = {"quantity": "time", "id": 0x181, "start": 48, "length": 16, "scale": 0.001, "unit": "s"}
 CLOCKS = st.sampled_from(["counter", "time"])
 
 

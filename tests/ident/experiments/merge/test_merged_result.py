@@ -24,6 +24,7 @@ from ident.regression.options import ExperimentChoices
 from ident.report.page import render_report
 from ident.report.section import ReportData
 from ident.result.schema import read_result, result_json, write_result
+from ident.result.stored_model import stored_estimate, stored_model
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
@@ -251,11 +252,6 @@ def test_one_model_is_no_merge(results):
     ("change", "message"),
     [
         (lambda content: content.update(estimate=None), "earlier dynid"),
-        (lambda content: content["estimate"]["covariance"].pop(), "estimate.covariance"),
-        (lambda content: content["estimate"]["root"][0].pop(), "estimate.root"),
-        (lambda content: content["estimate"]["root"][2].__setitem__(2, 0.0), "estimate.root"),
-        (lambda content: content["estimate"]["covariance"][1].__setitem__(0, 1e3), "estimate.covariance"),
-        (lambda content: content["estimate"]["covariance"][1].__setitem__(1, -1.0), "estimate.covariance"),
         (lambda content: content["estimate"].update(taken_up={"XX9": [1.0]}), "taken_up.XX9"),
         (lambda content: content["estimate"]["parameters"].__setitem__(0, "XX9"), "estimate.parameters"),
         (lambda content: content["base_parameters"][0].update(value=None), "estimate.parameters"),
@@ -273,6 +269,38 @@ def test_what_does_not_fit_together_is_refused_by_name(results, change, message)
         merge_results([("arm/result.json", spoilt), ("wrist", results[1])])
     assert message in str(caught.value)
     assert "arm/result.json" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (lambda content: content["estimate"]["covariance"].pop(), "estimate.covariance"),
+        (lambda content: content["estimate"]["root"][0].pop(), "estimate.root"),
+        (lambda content: content["estimate"]["root"][2].__setitem__(2, 0.0), "estimate.root"),
+        (lambda content: content["estimate"]["covariance"][1].__setitem__(0, 1e3), "estimate.covariance"),
+        (lambda content: content["estimate"]["covariance"][1].__setitem__(1, -1.0), "estimate.covariance"),
+        (lambda content: content["estimate"].update(within=[[1.0]]), "estimate.within"),
+    ],
+)
+def test_a_broken_covariance_is_refused_when_the_file_is_read(results, tmp_path, change, key):
+    content = json.loads(result_json(results[0]))
+    change(content)
+    path = tmp_path / "result.json"
+    path.write_text(json.dumps(content))
+    with pytest.raises(ResultFileError) as caught:
+        read_result(path)
+    assert caught.value.where == f"{path}: {key}"
+
+
+def test_what_changes_between_runs_is_apart_after_reading(results, tmp_path):
+    whole = results[0].estimate
+    apart = whole.model_copy(update={"within": (0.25 * np.array(whole.covariance)).tolist()})
+    path = tmp_path / "result.json"
+    path.write_text(result_json(results[0].model_copy(update={"estimate": apart})))
+    base = stored_model(results[0]).base
+    assert stored_estimate(results[0], base).within is None
+    read = stored_estimate(read_result(path), base)
+    np.testing.assert_allclose(read.within, 0.25 * read.covariance)
 
 
 def test_noise_free_estimates_can_be_merged(three_joint):
