@@ -24,6 +24,8 @@ from ident.result.schema import Result, result_json
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 TRAVELS = {"Fs1": 1e-3, "Fs2": 4e-3}
 """Of the true arm; the third joint has none."""
 
