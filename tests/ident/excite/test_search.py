@@ -140,7 +140,7 @@ def test_with_a_time_limit_the_search_goes_on_without_a_process_that_died(clock)
         if found.died and found.finished > 1:
             raise KeyboardInterrupt
 
-    choices = SearchChoices(starts=None, time=1e9, workers=2)
+    choices = SearchChoices(starts=None, time=6e5, workers=2)
     found = search(slow_problem(clock, 0.1), maker(fault="die"), choices, progress=interrupt, clock=clock)
     assert found.died == 1
     assert found.best is not None
