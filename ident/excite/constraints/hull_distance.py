@@ -93,7 +93,7 @@ class HullDistances:
         # Until the next sample, links come nearer from both ends, together by the way between.
         following = np.append(result[1:], np.inf)
         following = np.where(np.isfinite(following), following, np.maximum(result - way, 0.0))
-        return np.where(exact, 0.5 * (result + following - way), result - way)
+        return np.where(exact, np.minimum(result, 0.5 * (result + following - way)), result - way)
 
     def ways(self, pair: Pair, position: FloatArray) -> FloatArray:
         """How far (N,) [m] a point of one link may move, seen from the other, from each sample to the next."""
