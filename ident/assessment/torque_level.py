@@ -149,12 +149,12 @@ def weight_checks(
         return [raised("implausible-load", text, [name])]
     limits = {robot.joint_names.index(one.name): one.torque for one in robot.joints if one.torque is not None}
     limits = {row: limit for row, limit in limits.items() if row in turning}
-    if len(set(limits.values())) < 2 or model.transmission is not None:  # placeholders; motors that share a load
+    if len(set(limits.values())) < 2:  # placeholders
         return []
     shares = {row: float(peak[row]) / limit for row, limit in limits.items()}
     most = max(shares, key=lambda row: shares[row])
     name, share = model.joint_names[most], percent_text(shares[most], 2)
-    if shares[most] > HOLDS:
+    if shares[most] > HOLDS and model.transmission is None:  # else motors share a load
         text = (
             f"gravity alone takes {share} of the torque limit of {name}, so that the arm could not hold itself: check "
             "the unit of the current (A, not mA) or torque, the drive gains, and the limits"
