@@ -63,7 +63,7 @@ def run(calls: int = 200_000, repeats: int = 7, robots: Sequence[str] = ("ur5e",
             program = _c_program(dynamics, folder)
             command = [program, "states", STATES, calls // STATES]
             sides = {f"c_torque_{robot}_ns": (command, float(dynamics.torque(*states).sum()))}
-            if model.transmission is None and _has_eigen():
+            if model.transmission.direct and _has_eigen():
                 command, expected = _pinocchio_program(model, truth, states, folder)
                 sides[f"pinocchio_cpp_rnea_{robot}_ns"] = ([*command, calls // STATES], expected)
             figures: dict[str, list[float]] = {side: [] for side in sides}

@@ -68,7 +68,7 @@ def run(duration: float = DURATION, rounds: int = 3) -> dict[str, float]:
         sides: dict[str, Callable[[], object]] = {"ours": ours}
         if (mujoco := _mujoco_loop(arm, controller, steps, ends)) is not None:
             sides["mj_step"] = mujoco
-        if arm.model.transmission is None:
+        if arm.model.transmission.direct:
             sides["pin_aba"] = _pinocchio_loop(arm, start, controller, steps, ends)
         seconds = medians(sides, rounds, warm_up=False)
         results[f"simulate_{name}_seconds"] = seconds["ours"]

@@ -191,7 +191,7 @@ class Drive(Section):
 Exponent = Annotated[Positive, AfterValidator(within(EXPONENT))] | Literal["estimated"]
 StribeckVelocity = Annotated[Positive, AfterValidator(within(STRIBECK_VELOCITY))] | Literal["estimated"]
 LoadFriction = Literal["none", "linear", "quadratic"]
-FRICTION_TERMS = ("exponent", "stribeck", "stribeck_velocity", "load", "temperature")
+FRICTION_TERMS = ("exponent", "stribeck", "stribeck_velocity", "load", "temperature", "terms")
 """Keys of terms beside Coulomb and viscous friction, of the arm or of a joint."""
 TemperatureFriction = Literal["none", "linear", "full"]
 
@@ -207,6 +207,7 @@ class JointFriction(Section):
     stribeck_velocity: StribeckVelocity | None = None
     load: LoadFriction | None = None
     temperature: TemperatureFriction | None = None
+    terms: tuple[str, ...] | None = None
     pair: bool | None = Field(default=None, description="of coupled motors: friction of the joint, too (SR400 eq. 8)")
 
 
@@ -227,6 +228,7 @@ class Friction(Section):
     temperature: TemperatureFriction = Field(
         default="none", description="√|q̇| times a function of the temperature: 'linear', or 'full' as AUBO eq. 5"
     )
+    terms: tuple[str, ...] = Field(default=(), description="further terms, as --friction calls them")
     joints: dict[str, JointFriction] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -269,6 +271,7 @@ class TruthJoint(Section):
     load: NonNegative = Field(default=0.0, description="f_L of AUBO eq. 6 [1/(N·m)]")
     stribeck: NonNegative = Field(default=0.0, description="static friction above Coulomb's [N·m]")
     stribeck_velocity: Positive = Field(default=0.05, description="[rad/s] where the Stribeck term is down to 1/e")
+    terms: dict[str, Finite] = Field(default_factory=dict, description="coefficients of further friction terms")
     pre_sliding: Positive = Field(default=5e-5, description="travel [rad] until a joint at rest breaks away")
     pair_inertia: NonNegative = Field(default=0.0, description="Iac of a coupled joint [kg·m²]")
     pair_viscous: Finite = Field(default=0.0, description="Fv of a coupled joint, signs as SR400 eq. 8 [N·m·s/rad]")

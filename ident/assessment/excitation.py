@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ident.assessment.recorded_motion import RecordedMotion
+from ident.friction.table import FRICTION_KINDS
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import BaseParameters
 from ident.model.joint_columns import combined
-from ident.model.parameters import FRICTION_KINDS
 from ident.regression.least_squares import excited_columns
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.table import DISSIPATIVE_KINDS, REFERENCE_TEMPERATURE
 from ident.model.base_parameters import BaseParameters, random_states
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import REFERENCE_TEMPERATURE
-from ident.model.parameters import DISSIPATIVE_KINDS
 from ident.model.regressor import regressor
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction
@@ -46,9 +45,7 @@ def inertia_matrices(
         rows = regressor(weightless, position, still, acceleration, base.columns, heat)
         # The offset column is 1 whatever moves, and no torque of inertia.
         matrices[:, :, joint] = np.einsum("nbN,b->Nn", rows, np.where(inertial, parameters, 0.0))
-    if model.transmission is not None:  # from the motors to the joints
-        matrices = model.transmission.coupling.T @ matrices
-    return matrices
+    return model.transmission.at_joints(matrices)
 
 
 def indefinite_share(model: DynamicModel, base: BaseParameters, parameters: FloatArray) -> float:

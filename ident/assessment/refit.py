@@ -133,7 +133,7 @@ class Refit:
         found = [Unknown("length", joint, axis) for joint, axis in shifted_origins(self.model)]
         found += [Unknown("gain", joint) for joint in self.used]
         moving = [joint for joint in range(self.model.dof) if joint not in self.experiment.locked]
-        if self.model.transmission is None or not self.model.transmission.closed:
+        if not self.model.transmission.closed:
             found += [Unknown("zero", j) for j in moving if not self.model.joints[self.model.active[j]].prismatic]
         return [*found, Unknown("gravity")] if np.any(self.model.gravity) else found
 
@@ -315,7 +315,7 @@ class Refit:
 
 def shifted_origins(model: DynamicModel) -> list[tuple[int, int]]:
     """Joints and axes of their parents' frames along which their origins have a length; none where loops close."""
-    if model.transmission is not None and model.transmission.closed:
+    if model.transmission.closed:
         return []
     return [
         (number, axis)

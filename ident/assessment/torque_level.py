@@ -154,7 +154,7 @@ def weight_checks(
     shares = {row: float(peak[row]) / limit for row, limit in limits.items()}
     most = max(shares, key=lambda row: shares[row])
     name, share = model.joint_names[most], percent_text(shares[most], 2)
-    if shares[most] > HOLDS and model.transmission is None:  # else motors share a load
+    if shares[most] > HOLDS and model.transmission.direct:  # else motors share a load
         text = (
             f"gravity alone takes {share} of the torque limit of {name}, so that the arm could not hold itself: check "
             "the unit of the current (A, not mA) or torque, the drive gains, and the limits"

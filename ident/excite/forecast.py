@@ -21,7 +21,6 @@ from ident.excite.prior import PriorKnowledge, recording_rate
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
-from ident.model.parameters import Kind
 from ident.model.regressor import RegressorKernel, model_torque
 from ident.regression.least_squares import excited_columns
 from ident.regression.observation_matrix import Reduction, reduce_segments
@@ -53,7 +52,7 @@ class ParameterForecast:
 
     name: str
     expression: str
-    kind: Kind
+    kind: str
     unit: str
     value: float | None
     std: float

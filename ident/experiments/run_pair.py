@@ -23,9 +23,8 @@ from ident.assessment.recording_checks import closing_checks
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
-from ident.regression.autocorrelation import residual_autocorrelation
 from ident.regression.comparison import TorqueSeries, compare_torques
-from ident.regression.jackknife import block_count, block_length, distinct_samples, rows_by_block
+from ident.regression.jackknife import motion_blocks, rows_by_block
 from ident.regression.observation_matrix import Reduction, reduce_segments, stack_reductions
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
@@ -187,24 +186,20 @@ def block_grams(
     """
     series = [_series(pair, run, values) for run, values in zip(pair.runs, parameters, strict=True)]
     everything = [torques for of_run in series for torques in of_run]
-    samples = distinct_samples(everything)
-    autocorrelation = residual_autocorrelation(everything)
-    length = block_length(autocorrelation if joints is None else autocorrelation[list(joints)], samples.count)
-    blocks = block_count(samples.count, length)
-    indices = iter(samples.indices)
-    free, loaded = (_block_grams(pair.kernel, run.prepared, indices, length, blocks) for run in pair.runs)
-    return BlockGrams((free, loaded), length)
+    blocks = motion_blocks(everything, joints)
+    of_segments = iter(blocks.of_segments)
+    free, loaded = (_block_grams(pair.kernel, run.prepared, of_segments, blocks.count) for run in pair.runs)
+    return BlockGrams((free, loaded), blocks.length)
 
 
 def _block_grams(
-    kernel: RegressorKernel, prepared: Prepared, indices: Iterator[IntArray], length: int, blocks: int
+    kernel: RegressorKernel, prepared: Prepared, of_segments: Iterator[IntArray], blocks: int
 ) -> tuple[FloatArray, ...]:
     """One run's Gram matrices (B, w + 1, w + 1), joint by joint."""
     widths = [joint.rows.stop - joint.rows.start + 1 for joint in kernel.joint_rows]
     grams = tuple(np.zeros((blocks, width, width)) for width in widths)
     for segment in prepared.segments:
-        of_block = next(indices) // length
-        for block in rows_by_block(kernel, segment, prepared.parallel_filter, of_block, segment.torque):
+        for block in rows_by_block(kernel, segment, prepared.parallel_filter, next(of_segments), segment.torque):
             for joint, gram in enumerate(grams):
                 rows = np.vstack([block.regressor[kernel.joint_rows[joint].rows], block.torque[joint : joint + 1]])
                 gram[block.index] += rows @ rows.T

@@ -15,7 +15,7 @@ from ident.estimators.feasible.pseudo_inertia import Body, body_of
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics
-from ident.model.parameters import LINK_SIZE, Quantity
+from ident.model.parameters import LINK_SIZE
 
 
 @dataclass(frozen=True)
@@ -67,12 +67,12 @@ class ExportedArm:
     @property
     def coupled(self) -> tuple[bool, ...]:
         """(a,) whether several joints move a motor."""
-        return (False,) * self.model.dof if self.model.transmission is None else self.model.transmission.coupled
+        return self.model.transmission.coupled
 
     @property
     def closed(self) -> bool:
         """Whether some joints have no motor and follow the others."""
-        return self.model.transmission is not None and self.model.transmission.closed
+        return self.model.transmission.closed
 
     @cached_property
     def motors(self) -> JointTerms:
@@ -94,7 +94,7 @@ class ExportedArm:
         )
 
     def _terms(self, *, of_pairs: bool) -> JointTerms:
-        kinds: dict[str, Quantity] = {"Iac": "motor_inertia", "Fv": "viscous", "Fs": "coulomb"}
+        kinds: dict[str, str] = {"Iac": "motor_inertia", "Fv": "viscous", "Fs": "coulomb"}
         terms = {name: np.zeros(self.model.dof) for name in ("motor_inertia", "viscous", "coulomb", "offset")}
         for parameter, value in zip(self.model.parameters, self.values, strict=True):
             if parameter.kind == "inertial" or (parameter.kind == "coupling") != of_pairs:

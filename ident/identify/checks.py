@@ -410,7 +410,7 @@ def _indefinite_share(identification: Identification) -> float:
         return indefinite_share(model, identification.base, parameters)
     moving = [joint for joint in range(model.dof) if joint not in experiment.locked]
     rows = [joint for joint in moving if joint in experiment.torques]
-    if model.transmission is not None and rows != moving:  # a coupled motor's row belongs to several joints
+    if not model.transmission.direct and rows != moving:  # a coupled motor's row belongs to several joints
         return 0.0
     position = np.concatenate([state[0] for state in experiment_states(model, experiment)], axis=1)
     few = position[:, :: max(1, position.shape[1] // POSES)]

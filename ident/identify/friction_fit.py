@@ -1,15 +1,12 @@
 """Friction with unknown shapes, load torque, terms or travels, settled before the regression, which is then linear.
 
-The load torque comes from the gravity parameters of the estimate before (AUBO eq. 18), until it does not change. The
-shapes, exponent α and Stribeck velocity v_s, are found by variable projection: Gauss-Newton on the shapes, all linear
-parameters estimated anew at each of them, with exact derivatives ∂τ/∂α and ∂τ/∂v_s as columns of the regression
-(Golub and Pereyra, Inverse Problems 19, 2003). The search begins at the best shapes of a grid. Pre-sliding travels
-follow, and all other parameters are estimated with them.
+Shapes and load torque are those of `ident.friction.solver`; the search begins at the best shapes of a grid. Pre-sliding
+travels follow, and all other parameters are estimated with them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,15 +16,8 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
-from ident.estimators.friction_steps import (
-    LOAD_TOLERANCE,
-    SHAPE_TOLERANCE,
-    braking,
-    gravity_of,
-    load_change,
-    own_column,
-    shortened_step,
-)
+from ident.friction.solver import Value, settle
+from ident.friction.terms import NO_TERMS, FrictionTerms, LoadTorque, no_terms
 from ident.identify.friction.candidates import FOLDS, candidates_of, greatest_speeds, motor_motion
 from ident.identify.friction.delivered import delivered_errors, falls
 from ident.identify.friction.rows import FrictionRows
@@ -37,13 +27,13 @@ from ident.identify.preparation import PreparedData, compare_run
 from ident.identify.presliding import find_travels
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import FrictionTerms, LoadTorque, no_terms
 from ident.model.joint_columns import combined
+from ident.model.own_columns import gravity_of, load_change, own_column
 from ident.model.presliding import dry_friction
 from ident.model.regressor import RegressorKernel
 from ident.regression.autocorrelation import independent_share, residual_autocorrelation
 from ident.regression.comparison import TorqueSeries
-from ident.regression.jackknife import block_length, distinct_samples
+from ident.regression.jackknife import distinct_samples
 from ident.regression.least_squares import (
     LeastSquares,
     LinearMethod,
@@ -53,9 +43,6 @@ from ident.regression.least_squares import (
 from ident.regression.observability import Experiment, experiment_base
 from ident.regression.observation_matrix import Reduction
 from ident.result.schema import PreslidingTravel
-
-ROUNDS = 20
-"""Of Gauss-Newton steps and new load torques."""
 
 TRAVEL_ROUNDS = 2
 """Of travels and all other parameters in turn; the second moves them by a fraction of the first."""
@@ -90,7 +77,7 @@ def fit_friction(
         DataError: the friction depends on a temperature that was not recorded.
     """
     automatic = choices.chooses_friction(robot_file.robot.friction)
-    terms = no_terms(model.dof) if model.terms is None else model.terms
+    terms = model.terms
     if not (automatic or terms.shaped or terms.loaded or choices.finds_travels(model)):
         return FrictionFit(model)
     progress("friction")
@@ -136,11 +123,6 @@ class _Solved:
         return column if column in self.solution.active else None
 
     @property
-    def brakes(self) -> bool:
-        """Whether friction with an estimated exponent brakes."""
-        return self.model.terms is None or braking(self.model.terms, self.value)
-
-    @property
     def load_torque(self) -> LoadTorque:
         """What the links' parameters say of gravity."""
         return gravity_of(self.base, self.solution.parameters)
@@ -155,7 +137,7 @@ class _Fit:
         self._prepared, self._runs = prepared.runs, [run.prepared for run in prepared.runs]
         self._experiment, self._method = experiment, method
         self._weights: FloatArray | None = None
-        self._plain = replace(model, terms=None, presliding=())
+        self._plain = replace(model, terms=NO_TERMS, presliding=())
         plain_base = experiment_base(self._plain, [experiment])
         self._rows = FrictionRows(self._plain, plain_base, self._runs)
         self._bases = {tuple(parameter.name for parameter in self._plain.parameters): plain_base}
@@ -233,14 +215,12 @@ class _Fit:
         for _ in range(TRAVEL_ROUNDS):
             solved = self.solve(found.model)
             series = self._series(solved, presliding=False)
-            length = block_length(residual_autocorrelation(series), distinct_samples(series).count)
             dry = dry_friction(solved.model, solved.base, solved.solution.parameters)
-            travels = find_travels(dry, runs, series, length)
+            travels = find_travels(dry, runs, series)
             if not travels and not found.model.presliding:
                 break
             model = replace(found.model, presliding=tuple((one.parameter, one.travel) for one in travels))
-            terms = model.terms
-            if terms is not None and (terms.shaped or terms.loaded):
+            if model.terms.shaped or model.terms.loaded:
                 found = replace(found, model=self.settled(model).model)
             else:
                 found = replace(found, model=model)
@@ -248,22 +228,14 @@ class _Fit:
 
     def started(self, terms: FrictionTerms) -> FrictionTerms:
         """The terms with free shapes from the best of a grid."""
-        without = replace(
-            terms,
-            exponent=tuple(
-                1.0 if free else value for free, value in zip(terms.free_exponent, terms.exponent, strict=True)
-            ),
-            stribeck=tuple(
-                wanted and not free for wanted, free in zip(terms.stribeck, terms.free_stribeck_velocity, strict=True)
-            ),
-        )
+        without = terms.without_free_shapes()
         model = replace(self._plain, terms=without)
         if terms.loaded:
             model = replace(model, terms=replace(without, load_torque=self.solve(model).load_torque))
         solved = self.solve(model)
         search = self._search(model, solved, self._series(solved))
         for motor in (*self._experiment.torques, *self._experiment.torques):  # the second time beside all others
-            search.start_shapes(motor, terms.free_exponent[motor], terms.free_stribeck_velocity[motor])
+            search.start_shapes(motor, [shape.name for shape, of in terms.free_shapes() if of == motor])
         return search.terms(without)
 
     def _search(self, model: DynamicModel, solved: _Solved, series: Sequence[TorqueSeries]) -> FrictionSearch:
@@ -291,37 +263,31 @@ class _Fit:
 
     def settled(self, model: DynamicModel) -> FrictionFit:
         """The model with load torque and shapes iterated until they do not change."""
-        terms = model.terms
-        assert terms is not None
-        solved = self.solve(replace(model, terms=replace(terms, load_torque=None)))
-        for rounds in range(1, ROUNDS + 1):
-            of_load = of_shapes = 0.0
-            if terms.loaded:
-                loaded = replace(terms, load_torque=solved.load_torque)
-                of_load = load_change(model, self._runs, terms, loaded)
-                terms = loaded
-                solved = self.solve(replace(model, terms=terms))
-            if terms.shaped:
-                solved, of_shapes = self._step(solved)
-                assert solved.model.terms is not None
-                terms = solved.model.terms
-            if of_load < LOAD_TOLERANCE and of_shapes < SHAPE_TOLERANCE:
-                return FrictionFit(solved.model, rounds=rounds)
-        return FrictionFit(solved.model, rounds=ROUNDS, settled=False)
+        start = self.solve(replace(model, terms=replace(model.terms, load_torque=None)))
+        settled = settle(self, replace(start, model=model))
+        return FrictionFit(settled.fit.model, rounds=settled.rounds, settled=settled.converged)
 
-    def _step(self, solved: _Solved) -> tuple[_Solved, float]:
-        """One Gauss-Newton step of the shapes, shortened until it improves the fit; largest relative change."""
-        terms = solved.model.terms
-        assert terms is not None
-        linear = self.solve(replace(solved.model, terms=replace(terms, sensitivities=True)))
+    # What follows makes it a `FrictionProblem`.
 
-        def improved(moved: FrictionTerms) -> _Solved | None:
-            candidate = self.solve(replace(solved.model, terms=moved))
-            better = candidate.misfit <= solved.misfit and (candidate.brakes or not solved.brakes)
-            return candidate if better else None
+    def terms(self, fit: _Solved) -> FrictionTerms:
+        return fit.model.terms
 
-        found, change = shortened_step(terms, linear.value, improved)
-        return found or solved, change
+    def value(self, fit: _Solved) -> Value:
+        return fit.value
+
+    def linearised(self, fit: _Solved) -> Value:
+        return self.fitted(fit, replace(fit.model.terms, sensitivities=True)).value
+
+    def fitted(self, fit: _Solved, terms: FrictionTerms) -> _Solved:
+        return self.solve(replace(fit.model, terms=terms))
+
+    def no_worse(self, fit: _Solved, before: _Solved) -> bool:
+        return fit.misfit <= before.misfit
+
+    def reloaded(self, fit: _Solved) -> tuple[Callable[[], _Solved], float]:
+        loaded = replace(fit.model.terms, load_torque=fit.load_torque)
+        change = load_change(fit.model, self._runs, fit.model.terms, loaded)
+        return lambda: self.fitted(fit, loaded), change
 
 
 def _folds(indices: npt.NDArray[np.int64], count: int) -> npt.NDArray[np.int64]:

@@ -15,17 +15,17 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, UsageError
 from drivers.core.text import did_you_mean
-from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import (
-    FIRST_STRIBECK_VELOCITY,
+from ident.friction.table import (
+    FURTHER_KINDS,
     LEAST_CURVATURE_SPAN,
     LEAST_TEMPERATURE_SPAN,
+    SHAPES,
     TEMPERATURE_KINDS,
-    FrictionConditions,
-    FrictionTerms,
 )
+from ident.friction.terms import FrictionConditions, FrictionTerms, no_terms
+from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import column_signal, joint_column
-from ident.model.parameters import KIND_SYMBOLS, Quantity, StandardParameter
+from ident.model.parameters import JOINT_SYMBOLS, StandardParameter
 from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment
 from ident.signals.prepared import Prepared, Segment, Step
 
@@ -39,15 +39,13 @@ class HeldJoint:
         kinds: of the columns.
         values: (m,).
         covariance: (m, m) by the experiment.
-        term: "linear" or "full".
         span: of the recordings' temperatures [K].
     """
 
     motor: int
-    kinds: tuple[Quantity, ...]
+    kinds: tuple[str, ...]
     values: FloatArray
     covariance: FloatArray
-    term: str
     span: float
 
 
@@ -89,9 +87,9 @@ class HeldFriction:
         return replace(prepared, segments=tuple(segments), steps=(*prepared.steps, step))
 
 
-def parameter_of(model: DynamicModel, motor: int, kind: Quantity) -> StandardParameter:
+def parameter_of(model: DynamicModel, motor: int, kind: str) -> StandardParameter:
     """The standard parameter of a motor's friction."""
-    joint, symbol = model.active[motor], KIND_SYMBOLS[kind]
+    joint, symbol = model.active[motor], JOINT_SYMBOLS[kind]
     return StandardParameter(f"{symbol}{joint + 1}", kind, joint, symbol)
 
 
@@ -111,22 +109,16 @@ def experiment_terms(experiment: FrictionExperimentResult, robot: str, names: Se
             )
     joints = {joint.joint: joint for joint in experiment.joints}
     found: list[JointFrictionExperiment | None] = [joints.get(name) for name in names]
-    fixed = (False,) * len(names)
-    return FrictionTerms(
-        exponent=tuple(1.0 if one is None or one.exponent is None else one.exponent for one in found),
-        stribeck=tuple(one is not None and one.stribeck is not None for one in found),
-        stribeck_velocity=tuple(
-            FIRST_STRIBECK_VELOCITY if one is None or one.stribeck_velocity is None else one.stribeck_velocity
-            for one in found
-        ),
-        load=tuple(
-            "none" if one is None or one.load is None else "quadratic" if one.load_power == 2.0 else "linear"
-            for one in found
-        ),
-        temperature=tuple("none" if one is None else one.temperature_term for one in found),
-        free_exponent=fixed,
-        free_stribeck_velocity=fixed,
-    )
+    terms = no_terms(len(names))
+    for motor, one in enumerate(found):
+        if one is None:
+            continue
+        terms = terms.with_kinds(motor, [kind for kind in one.kinds if kind in FURTHER_KINDS])
+        for name in SHAPES:
+            value = one.shape_value(name)
+            if value is not None:
+                terms = terms.with_shape(name, motor, value)
+    return terms
 
 
 def hold_temperatures(
@@ -147,17 +139,17 @@ def hold_temperatures(
     for label, kelvin in temperatures:
         model.require_temperature(None if kelvin is None else kelvin.T, label)
     terms = model.terms
-    assert terms is not None
     values = {joint.joint: joint for joint in experiment.joints}
     held = []
-    for motor, (name, term) in enumerate(zip(model.joint_names, terms.temperature, strict=True)):
-        if term == "none":
+    for motor, name in enumerate(model.joint_names):
+        kinds = tuple(kind for kind in TEMPERATURE_KINDS if terms.asks(kind, motor))
+        if not kinds:
             continue
+        curved = len(kinds) == len(TEMPERATURE_KINDS)
         of_joint = np.concatenate([kelvin[:, motor] for _, kelvin in temperatures if kelvin is not None])
         span = float(np.ptp(of_joint))
-        if span >= (LEAST_CURVATURE_SPAN if term == "full" else LEAST_TEMPERATURE_SPAN):
+        if span >= (LEAST_CURVATURE_SPAN if curved else LEAST_TEMPERATURE_SPAN):
             continue
-        kinds = TEMPERATURE_KINDS[: 3 if term == "full" else 2]
         coefficients, covariance = values[name].part(kinds)
         if not np.all(np.isfinite(covariance)) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
             raise DataError(
@@ -165,9 +157,7 @@ def hold_temperatures(
                 where="--friction-from",
                 hint="repeat the sweep, and dynid friction",
             )
-        held.append(HeldJoint(motor, kinds, coefficients, covariance, term, span))
-    motors = {joint.motor for joint in held}
-    kept = tuple("none" if motor in motors else term for motor, term in enumerate(terms.temperature))
+        held.append(HeldJoint(motor, kinds, coefficients, covariance, span))
     spans = ", ".join(f"{model.joint_names[joint.motor]} {joint.span:.2g} K" for joint in held)
     text = (
         "temperature terms held at the friction experiment's values, for the recordings span too little temperature "
@@ -176,5 +166,7 @@ def hold_temperatures(
         if held
         else "no value of the friction experiment is held, only its terms and shapes"
     )
-    reduced = replace(model, terms=replace(terms, temperature=kept))
-    return reduced, HeldFriction(model, tuple(held), text)
+    kept = terms
+    for joint in held:
+        kept = kept.with_kinds(joint.motor, (), TEMPERATURE_KINDS)
+    return replace(model, terms=kept), HeldFriction(model, tuple(held), text)

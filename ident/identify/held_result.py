@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from ident.friction.table import temperature_coefficients
+from ident.friction.terms import no_terms
 from ident.identify.held_friction import HeldFriction, HeldJoint, parameter_of
 from ident.identify.identification import Identification
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import temperature_coefficients
 from ident.regression.observability import experiment_base
 from ident.result.schema import (
     BaseParameterResult,
@@ -49,9 +50,10 @@ def with_held_friction(result: Result, identification: Identification) -> Result
 
 def _whole_model(model: DynamicModel, held: HeldFriction) -> DynamicModel:
     """The identified model with all temperature terms."""
-    assert model.terms is not None
-    assert held.model.terms is not None
-    return replace(model, terms=replace(model.terms, temperature=held.model.terms.temperature))
+    terms = model.terms if model.terms.kinds else no_terms(model.dof)
+    for joint in held.joints:
+        terms = terms.with_kinds(joint.motor, joint.kinds)
+    return replace(model, terms=terms)
 
 
 def _entries(model: DynamicModel, identification: Identification, joint: HeldJoint) -> list[BaseParameterResult]:

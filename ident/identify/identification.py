@@ -16,14 +16,14 @@ from ident.assessment.validation import Fit
 from ident.estimators.estimator import Estimation
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.method_choice import MethodChoice, chosen_method
+from ident.friction.choice import AUTO, check_friction, chosen_friction, friction_columns
+from ident.friction.terms import friction_terms
 from ident.identify.cutoff_search import LoweredCutoffs
-from ident.identify.friction.choice import AUTO, check_friction, chosen_friction, friction_columns
 from ident.identify.held_friction import HeldFriction, experiment_terms
 from ident.identify.held_out import HeldOutRun
 from ident.identify.options import ColumnOptions
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import friction_terms
 from ident.regression.comparison import TorqueSeries
 from ident.regression.estimate import Estimate, estimate_of
 from ident.regression.jackknife import CorrectedCovariance

@@ -21,6 +21,7 @@ from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.estimators.torque_estimator import reduce_torques
+from ident.friction.terms import NO_TERMS
 from ident.identify.body_checks import refuse_denied
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import check_torques, split_data
@@ -96,14 +97,14 @@ def identify(  # noqa: PLR0915 — the steps, in their order
         model.require_temperature(None if heat is None else heat.T, run.signals.label)
 
     progress("preprocessing")
-    plain = replace(model, terms=None)
+    plain = replace(model, terms=NO_TERMS)
     kernel = RegressorKernel(plain, experiment_base(plain, [experiment]).columns)
     prepared = prepare_data(kernel, data, experiment.torques, predictable, choices, progress)
     friction = fit_friction(model, prepared, experiment, robot_file, choices, progress)
     model = friction.model
     base = experiment_base(model, [experiment])
     kernel = RegressorKernel(model, base.columns)
-    if model.terms is not None:  # friction that fits better shows the delay better
+    if not model.terms.plain:  # friction that fits better shows the delay better
         prepared = prepare_data(kernel, data, experiment.torques, predictable, choices, progress)
 
     progress("regression")

@@ -15,7 +15,7 @@ from drivers.core.arrays import FloatArray
 from ident.assessment.validation import LOW_SPEED
 from ident.model.presliding import DryFriction
 from ident.regression.comparison import TorqueSeries
-from ident.regression.jackknife import block_count, distinct_samples
+from ident.regression.jackknife import motion_blocks
 from ident.result.schema import PreslidingTravel
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
@@ -30,19 +30,16 @@ Run = tuple[Sequence[Segment], ZeroPhaseFilter]
 """Segments of a recording and the filter of its torques."""
 
 
-def find_travels(
-    dry: DryFriction, runs: Sequence[Run], series: Sequence[TorqueSeries], length: int
-) -> tuple[PreslidingTravel, ...]:
+def find_travels(dry: DryFriction, runs: Sequence[Run], series: Sequence[TorqueSeries]) -> tuple[PreslidingTravel, ...]:
     """The travels by which Dahl's model leaves least of the residuals; motions one after the other.
 
     Args:
         dry: dry friction of the identified model.
         runs: the identification data.
         series: their torques without presliding, a series per segment.
-        length: of the jackknife's blocks [filtered samples].
     """
-    samples = distinct_samples(series)
-    blocks, count = [indices // length for indices in samples.indices], block_count(samples.count, length)
+    motion = motion_blocks(series)
+    blocks, count = motion.of_segments, motion.count
     segments = [(segment, run_filter) for of_run, run_filter in runs for segment in of_run]
     conditions = [dry.conditions(segment.position) for segment, _ in segments]
     residuals = [np.where(np.isfinite(part.residual), part.residual, 0.0) for part in series]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -18,6 +18,8 @@ from drivers.core.text import percent_text
 from drivers.core.units import common_unit
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.validation import LOW_SPEED, Fit
+from ident.friction.table import SHAPED, TEMPERATURE_KINDS, TERM, TERMS, temperature_coefficients
+from ident.friction.terms import FrictionTerms
 from ident.identify.convergence import convergence_result
 from ident.identify.data_split import RunWindow
 from ident.identify.held_out import delivered_model, model_verdict
@@ -25,8 +27,6 @@ from ident.identify.held_result import with_held_friction
 from ident.identify.identification import Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
-from ident.model.parameters import Kind
 from ident.regression.estimate import Estimate
 from ident.regression.gain_uncertainty import gain_deviations, gain_sensitivity, relative_gain_std
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -42,6 +42,7 @@ from ident.result.schema import (
     EstimateResult,
     Excitation,
     ExperimentResult,
+    FurtherFriction,
     JointFrictionResult,
     ModelOptions,
     RecordingUse,
@@ -357,10 +358,7 @@ def parameter_results(
     return [entry(i) for i in range(base.count)]
 
 
-PLAIN_KINDS: tuple[Kind, ...] = ("viscous", "coulomb", "offset", "stribeck", "load")
-"""Kinds whose values and deviations `JointFrictionResult` has by name."""
-
-REPEATED_KINDS: tuple[Kind, ...] = ("viscous", "coulomb", "offset")
+REPEATED_KINDS: tuple[str, ...] = ("viscous", "coulomb", "offset")
 """Those whose σ between runs it has, too."""
 
 
@@ -381,6 +379,49 @@ def friction_note(runs: int, repeatability: FloatArray | None) -> str:
         f"Intervals of friction come from {known}: they do not cover how much friction changes from run to run "
         "(temperature, load and rest before). Identify several recordings together to have that in them."
     )
+
+
+NAMED_KINDS = tuple(kind for kind in TERM if kind in JointFrictionResult.model_fields and kind != "temperature")
+"""Kinds whose values and deviations `JointFrictionResult` has by name; the temperature's are β there."""
+
+
+def friction_fields(
+    terms: FrictionTerms,
+    motor: int,
+    kinds: Collection[str],
+    value: Callable[[str], float | None],
+    std: Callable[[str], float | None],
+) -> dict[str, Any]:
+    """Fields of a joint's friction but those of the temperature.
+
+    Args:
+        terms: of the arm.
+        motor: of the joint.
+        kinds: of its columns.
+        value: of the coefficient of a kind; None where it was not estimated.
+        std: σ of it, or of the estimated shape of a name.
+    """
+    found: dict[str, Any] = {"further": []}
+    for term in TERMS:
+        if term.needs == "temperature":
+            continue
+        shape, own = term.shape, dict[str, float | None]()
+        if shape is not None and term.kind in kinds and terms.shape(shape.name, motor) != shape.plain:
+            own = {shape.name: terms.shape(shape.name, motor), f"{shape.name}_std": std(shape.name)}
+        if term.kind in NAMED_KINDS:
+            found |= {term.kind: value(term.kind), f"{term.kind}_std": std(term.kind), **own}
+        elif term.kind in kinds:
+            shape_value, shape_std = own.values() or (None, None)
+            found["further"].append(
+                FurtherFriction(
+                    kind=term.kind,
+                    value=value(term.kind),
+                    std=std(term.kind),
+                    shape=shape_value,
+                    shape_std=shape_std,
+                )
+            )
+    return found
 
 
 def friction_results(
@@ -405,25 +446,21 @@ def friction_results(
     """
     position = {(kind, joint): i for i, (kind, joint) in enumerate(zip(base.kinds, base.joints, strict=True))}
 
-    def value(kind: Kind, joint: int, values: FloatArray) -> float | None:
+    def value(kind: str, joint: int, values: FloatArray) -> float | None:
         i = position.get((kind, joint))
         return float(values[i]) if i is not None and i in solution.active else None
 
     def of_motor(motor: int, joint: int) -> dict[str, Any]:
-        terms, found = model.terms, dict[str, Any]()
-        for kind in PLAIN_KINDS:
-            found |= {kind: value(kind, joint, solution.parameters), f"{kind}_std": value(kind, joint, std)}
+        kinds = [kind for kind in TERM if model.has(kind)[motor]]
+        found = friction_fields(
+            model.terms,
+            motor,
+            kinds,
+            lambda kind: value(kind, joint, solution.parameters),
+            lambda kind: shape_std.get((kind, motor)) if kind in SHAPED else value(kind, joint, std),
+        )
         if repeatability is not None:
             found |= {f"{kind}_repeatability": value(kind, joint, repeatability) for kind in REPEATED_KINDS}
-        if terms is None:
-            return found
-        if model.viscous[motor] and terms.exponent[motor] != 1.0:
-            found |= {"exponent": terms.exponent[motor], "exponent_std": shape_std.get(("exponent", motor))}
-        if terms.stribeck[motor]:
-            deviation = shape_std.get(("stribeck_velocity", motor))
-            found |= {"stribeck_velocity": terms.stribeck_velocity[motor], "stribeck_velocity_std": deviation}
-        if model.has("load")[motor]:
-            found["load_power"] = LOAD_POWERS[terms.load[motor]]
         places = [position.get((kind, joint)) for kind in TEMPERATURE_KINDS]
         if any(place in solution.active for place in places):
             # β is linear in Ft, Fts and Ftc.

@@ -17,11 +17,13 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from drivers.core.units import ZERO_CELSIUS
+from ident.friction.table import FRICTION_KINDS, SHAPES
+from ident.friction.terms import NO_TERMS
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import joint_column
 from ident.model.kinematics.loops import main_chain
-from ident.model.parameters import FRICTION_KINDS, Kind, StandardParameter
+from ident.model.parameters import StandardParameter
 from ident.model.regressor import RegressorKernel, motion_factor
 
 RANDOM_SEED = 20260101
@@ -56,7 +58,7 @@ class BaseParameters:
 
     names: tuple[str, ...]
     expressions: tuple[str, ...]
-    kinds: tuple[Kind, ...]
+    kinds: tuple[str, ...]
     joints: tuple[int, ...]
     columns: tuple[int, ...]
     projection: FloatArray
@@ -125,7 +127,7 @@ class ModelKey:
         )
         limits = tuple((one.position, one.velocity, one.acceleration) for one in model.limits)
         columns = (model.motor_inertia, model.viscous, model.coulomb, model.offset, model.smoothing, repr(model.terms))
-        follows = None if model.transmission is None else repr(model.transmission.content())
+        follows = repr(model.transmission.content())
         self._content = (joints, limits, model.gravity.tobytes(), *columns, follows)
 
     def __hash__(self) -> int:
@@ -138,17 +140,16 @@ class ModelKey:
 def _with_plain_shapes(model: DynamicModel) -> DynamicModel:
     """The model with shapes of its friction that show at any velocity."""
     terms = model.terms
-    if terms is None:
-        return model
-    free = zip(terms.exponent, terms.free_exponent, strict=True)
-    return replace(
-        model,
-        terms=replace(
-            terms,
-            exponent=tuple(0.7 if wanted or exponent != 1.0 else 1.0 for exponent, wanted in free),
-            stribeck_velocity=tuple(0.3 * limits.velocity for limits in model.limits),
-        ),
-    )
+    if terms.plain:
+        return replace(model, terms=NO_TERMS)
+    for name in terms.shapes:
+        shape = SHAPES[name]
+        for motor, limits in enumerate(model.limits):
+            if shape.relative:
+                terms = terms.with_shape(name, motor, 0.3 * limits.velocity, free=terms.is_free(name, motor))
+            elif shape.derivative is not None and terms.bent(name, motor):
+                terms = terms.with_shape(name, motor, shape.first, free=terms.is_free(name, motor))
+    return replace(model, terms=terms)
 
 
 @lru_cache(maxsize=32)
@@ -233,7 +234,7 @@ def _greedy_columns(
 ) -> list[int]:
     """Indices of `rank` independent columns, the preferred ones first."""
     # The rods of a closed loop are regrouped on the links between base and tool, as SR400 Table 1 does.
-    closed = model.transmission is not None and model.transmission.closed
+    closed = model.transmission.closed
     chain = main_chain(model.joints, model.active) if closed else range(len(model.joints))
     preferred = [column for column in chain if column not in still]
     order = sorted(range(len(parameters)), key=lambda i: _preference(parameters[i], preferred))

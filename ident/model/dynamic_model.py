@@ -4,11 +4,11 @@ Column order, everywhere: ten inertial parameters a link, links in the order of 
 
     XX1 XY1 XZ1 YY1 YZ1 ZZ1 MX1 MY1 MZ1 M1  XX2 … M2  …
 
-then motor inertias `Ia`, viscous `Fv`, Coulomb `Fs`, offset `Fo` and further friction (`friction_terms`), each for
-those joints that have it. Inertias are
-about the origin of the joint's frame and in its axes, MX MY MZ are the first moments there (SR400 .3.1). A motor that
-several joints move has `Fvm` and `Fsm` in place of `Fv` and `Fs`; the latter two are then the joint's own friction
-(SR400 eq. 8) and come last, after the joint's inertia `Iac` where there is one.
+then motor inertias `Ia` and the friction of `ident.friction.table` (viscous `Fv`, Coulomb `Fs`, offset `Fo`, …), each
+for those joints that have it. Inertias are about the origin of the joint's frame and in its axes, MX MY MZ are the
+first moments there (SR400 .3.1). A motor that several joints move has `Fvm` and `Fsm` in place of `Fv` and `Fs`; the
+latter two are then the joint's own friction (SR400 eq. 8) and come last, after the joint's inertia
+`Iac` where there is one.
 """
 
 from __future__ import annotations
@@ -23,20 +23,14 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits, Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
-from ident.model.friction_terms import FrictionTerms
+from ident.friction.table import TERMS
+from ident.friction.terms import NO_TERMS, FrictionTerms
 from ident.model.kinematics.joints import Joint
 from ident.model.kinematics.loops import build_transmission, main_chain
 from ident.model.kinematics.mdh import mdh_joints
 from ident.model.kinematics.transmission import Transmission, TreeMotion
 from ident.model.kinematics.urdf import urdf_joints, urdf_order
-from ident.model.parameters import (
-    INERTIAL,
-    KIND_SYMBOLS,
-    MOTOR_SYMBOLS,
-    PAIR_SYMBOLS,
-    Kind,
-    StandardParameter,
-)
+from ident.model.parameters import INERTIAL, JOINT_SYMBOLS, MOTOR_SYMBOLS, PAIR_SYMBOLS, StandardParameter
 
 
 @dataclass(frozen=True)
@@ -49,9 +43,9 @@ class DynamicModel:
         limits: of each joint with a motor.
         gravity: (3,) [m/s²] in the base frame.
         motor_inertia, viscous, coulomb, offset: whether each motor has that column.
+        transmission: between the tree's joints, those with a motor, and the motors.
         smoothing: ε [rad/s] of tanh(q̇/ε) in the Coulomb column (ROCR6 eq. 4); 0 for sign(q̇) (SR400 eq. 7).
-        transmission: between the tree's joints, those with a motor, and the motors; None where all are the same.
-        terms: friction beside viscous, Coulomb and offset; None where there is none.
+        terms: friction beside viscous, Coulomb and offset, and shapes.
         presliding: (name of a Coulomb parameter, pre-sliding travel [rad or m]) of each motion that has one: along a
             motion in time its dry friction follows Dahl's state (`ident.model.presliding`), else sign(q̇).
     """
@@ -64,20 +58,20 @@ class DynamicModel:
     viscous: tuple[bool, ...]
     coulomb: tuple[bool, ...]
     offset: tuple[bool, ...]
+    transmission: Transmission
     smoothing: float = 0.0
-    transmission: Transmission | None = None
-    terms: FrictionTerms | None = None
+    terms: FrictionTerms = NO_TERMS
     presliding: tuple[tuple[str, float], ...] = ()
 
     @property
     def active(self) -> tuple[int, ...]:
         """Indices of the tree's joints that have a motor, in the order of every array."""
-        return tuple(range(len(self.joints))) if self.transmission is None else self.transmission.active
+        return self.transmission.active
 
     @property
     def dof(self) -> int:
         """Number of joints with a motor."""
-        return len(self.joints) if self.transmission is None else len(self.transmission.active)
+        return len(self.active)
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -96,18 +90,14 @@ class DynamicModel:
 
     def tree_position(self, position: FloatArray) -> FloatArray:
         """Positions (n, …) of the tree's joints for positions (dof, …) of those with a motor [rad or m]."""
-        return position if self.transmission is None else self.transmission.tree_position(position)
+        return self.transmission.tree_position(position)
 
     def tree_velocity(self, position: FloatArray, velocity: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions and velocities (n, N) of the tree's joints for those (dof, N) of the joints with a motor."""
-        if self.transmission is None:
-            return position, velocity
         return self.transmission.tree_velocity(position, velocity)
 
     def tree_motion(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> TreeMotion:
         """The tree's motion for positions, velocities and accelerations (dof, N) of the joints with a motor."""
-        if self.transmission is None:
-            return TreeMotion(position, velocity, acceleration, np.eye(len(self.joints)))
         return self.transmission.tree_motion(position, velocity, acceleration)
 
     def active_gradient(self, position: FloatArray, gradient: FloatArray) -> FloatArray:
@@ -117,12 +107,12 @@ class DynamicModel:
             position: (dof, N) of the joints with a motor, where the derivatives are taken.
             gradient: (…, n, N).
         """
-        return gradient if self.transmission is None else self.transmission.active_gradient(position, gradient)
+        return self.transmission.active_gradient(position, gradient)
 
     @property
     def tool_link(self) -> int:
         """Index of the link that carries the tool: the last one; behind the longest chain where loops add rods."""
-        if self.transmission is None or not self.transmission.closed:
+        if not self.transmission.closed:
             return len(self.joints) - 1
         return main_chain(self.joints, self.active)[-1]
 
@@ -134,9 +124,9 @@ class DynamicModel:
             for index in range(len(self.joints))
             for symbol in INERTIAL
         ]
-        coupled = (False,) * self.dof if self.transmission is None else self.transmission.coupled
+        coupled = self.transmission.coupled
         of_joints = []
-        for kind, plain in KIND_SYMBOLS.items():
+        for kind, plain in JOINT_SYMBOLS.items():
             for index, several, present in zip(self.active, coupled, self.has(kind), strict=True):
                 symbol = MOTOR_SYMBOLS.get(plain, plain) if several else plain
                 if present:
@@ -145,8 +135,6 @@ class DynamicModel:
 
     def _pair_parameters(self) -> list[StandardParameter]:
         """Inertia and friction that turn with a coupled joint, beside its motor's."""
-        if self.transmission is None:
-            return []
         friction, inertia = self.transmission.pair_friction, self.transmission.pair_inertia
         present = {"motor_inertia": inertia, "viscous": friction, "coulomb": friction}
         return [
@@ -156,24 +144,29 @@ class DynamicModel:
             if present[quantity][motor] and getattr(self, quantity)[motor]
         ]
 
-    def has(self, kind: Kind) -> tuple[bool, ...]:
+    def has(self, kind: str) -> tuple[bool, ...]:
         """Whether each motor has a column of this kind."""
         if kind == "inertial":
             return (True,) * self.dof
         if kind not in ("motor_inertia", "viscous", "coulomb", "offset"):
-            return (False,) * self.dof if self.terms is None else self.terms.has(kind)
+            return tuple(kind != "coupling" and self.terms.has(kind, motor) for motor in range(self.dof))
         present: tuple[bool, ...] = getattr(self, kind)
         return present
+
+    def needs(self, condition: Literal["load", "temperature"]) -> tuple[bool, ...]:
+        """Whether each motor's friction depends on the load torque or the temperature."""
+        kinds = [term.kind for term in TERMS if term.needs == condition]
+        return tuple(any(self.terms.has(kind, motor) for kind in kinds) for motor in range(self.dof))
 
     @property
     def needs_temperature(self) -> bool:
         """Whether its friction depends on the temperature."""
-        return any(self.has("temperature"))
+        return any(self.needs("temperature"))
 
     @property
     def needs_load_torque(self) -> bool:
         """Whether its friction depends on the load, and so on the position."""
-        return any(self.has("load"))
+        return any(self.needs("load"))
 
     def require_temperature(self, temperature: FloatArray | None, where: str = "") -> None:
         """Refuse joint temperatures (n, …) [K] that lack those of joints whose friction depends on them.
@@ -183,7 +176,7 @@ class DynamicModel:
         """
         lacking = [
             name
-            for index, (name, needed) in enumerate(zip(self.joint_names, self.has("temperature"), strict=True))
+            for index, (name, needed) in enumerate(zip(self.joint_names, self.needs("temperature"), strict=True))
             if needed and (temperature is None or not np.all(np.isfinite(temperature[index])))
         ]
         if lacking:

@@ -23,6 +23,7 @@ from functools import lru_cache
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.terms import FrictionConditions
 from ident.linear_algebra.triangular import triangular
 from ident.linear_algebra.vectors import cross
 from ident.model.base_parameters import (
@@ -34,7 +35,6 @@ from ident.model.base_parameters import (
     random_temperature,
 )
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import FrictionConditions
 from ident.model.joint_columns import JointColumn, column_signal, combined, joint_column
 from ident.model.kinematics.joints import BASE_INDEX, Joint
 from ident.model.newton_euler import rotation_coefficients
@@ -156,7 +156,7 @@ class EnergyKernel:
 
 def motor_velocity(model: DynamicModel, velocity: FloatArray) -> FloatArray:
     """Velocities (n, N) of the motors, referred to the joint side, for those of the joints with a motor."""
-    return velocity if model.transmission is None else np.asarray(model.transmission.coupling @ velocity)
+    return model.transmission.motor_rate(velocity)
 
 
 def _power_sign(model: DynamicModel, column: JointColumn) -> float:
@@ -164,7 +164,7 @@ def _power_sign(model: DynamicModel, column: JointColumn) -> float:
     torque = np.zeros(model.dof)
     for motor, factor in column.rows:
         torque[motor] += factor
-    joints = torque if model.transmission is None else model.transmission.coupling.T @ torque
+    joints = model.transmission.at_joints(torque)
     motion = np.zeros(model.dof)
     for joint, factor in column.motion:
         motion[joint] += factor

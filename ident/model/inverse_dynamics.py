@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.terms import FrictionConditions
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import FrictionConditions
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.parameters import INERTIAL
 from ident.model.pinocchio_model import pinocchio_model
@@ -77,10 +77,9 @@ class InverseDynamics:
             armature: (n,) of the motors whose inertia the measured torque does not carry [kg·m²]; 0 where None.
         """
         self.model, self.base, self.parameters = model, base, parameters
-        self.coupling = np.eye(model.dof) if model.transmission is None else model.transmission.coupling
+        self.coupling = model.transmission.coupling
         own = np.zeros(model.dof) if armature is None else armature
         self.armature = np.asarray(self.coupling.T @ (own[:, None] * self.coupling))
-        self._coupled = model.transmission is not None and not np.array_equal(self.coupling, np.eye(model.dof))
         columns = model.parameters
         self.joint_columns: list[tuple[JointColumn, float]] = [
             (joint_column(model, columns[column]), float(value))
@@ -136,7 +135,7 @@ class InverseDynamics:
         for arm, data, sign in arms:
             for sample, (q, rate, change) in enumerate(zip(*signals, strict=True)):
                 tree[:, sample] += sign * inverse(arm, data, q, rate, change)
-        return tree if self.model.transmission is None else _from_tree(motion.follow, tree)
+        return self.model.transmission.from_tree(motion, tree)
 
     def conditions(self, position: FloatArray | None, temperature: FloatArray | None) -> FrictionConditions:
         """What friction depends on beside the velocity, at positions (n, N) and temperatures (n, N) [K]."""
@@ -208,7 +207,7 @@ class InverseDynamics:
         return self._to_joints(matrix)
 
     def _to_joints(self, motors: FloatArray) -> FloatArray:
-        return np.asarray(self.coupling.T @ motors) if self._coupled else motors
+        return self.model.transmission.at_joints(motors)
 
 
 def _arms(model: DynamicModel, inertial: FloatArray, extra: dict[int, float]) -> list[_Arm]:
@@ -219,7 +218,7 @@ def _arms(model: DynamicModel, inertial: FloatArray, extra: dict[int, float]) ->
 
 def _load_arms(model: DynamicModel) -> list[_Arm]:
     """The same of the parameters that a model's load torque follows from."""
-    load = model.terms.load_torque if model.terms is not None else None
+    load = model.terms.load_torque
     if load is None:
         return []
     standard = np.zeros(10 * len(model.joints))
@@ -236,11 +235,6 @@ def _lift_masses(model: DynamicModel, standard: FloatArray) -> dict[int, float]:
             extra[link] = PLACEHOLDER_MASS - float(standard[mass])
             standard[mass] = PLACEHOLDER_MASS
     return extra
-
-
-def _from_tree(follow: FloatArray, tree: FloatArray) -> FloatArray:
-    """Gᵀ times torques (m, N) of the tree's joints: those (n, N) at the joints with a motor."""
-    return np.asarray(follow.T @ tree if follow.ndim == 2 else np.einsum("mnN,mN->nN", follow, tree))
 
 
 def with_masses(

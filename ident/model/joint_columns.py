@@ -2,7 +2,7 @@
 
 Each is one signal of the motion, put into one motor's row, or into several for the friction of a coupled pair. For a
 motor that several joints move, inertia and friction follow the motor: Ia on q̈m, Fvm on q̇m, Fsm on sign(q̇m), q̇m = R·q̇,
-and so do the further terms of `friction_terms`, with the motor's load torque and temperature.
+and so do the further terms of `ident.friction.table`, with the motor's load torque and temperature.
 The joint's own friction beside it follows eq. 8 as printed: of joint j, the torque Fs·sign(q̇_j) + Fv·q̇_j counts
 negative at the motor of that joint and positive at the one that it turns with (rows −R⁻ᵀ·e_j). With these signs
 friction that brakes has negative values, as Fs6 in Table 4.
@@ -17,16 +17,10 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
+from ident.friction.table import Operands, Term, signal_of, slope_of, term_of
+from ident.friction.terms import FrictionConditions
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import (
-    LOAD_POWERS,
-    SLOWEST,
-    FrictionConditions,
-    power_law,
-    stribeck_share,
-    temperature_factor,
-)
-from ident.model.parameters import PAIR_SYMBOLS, Kind, Quantity, StandardParameter
+from ident.model.parameters import PAIR_SYMBOLS, StandardParameter
 
 NO_CONDITIONS = FrictionConditions()
 """Of friction that depends on the velocity alone."""
@@ -43,7 +37,7 @@ class JointColumn:
         shape: of the signal: exponent of |q̇| or of the load torque, or the Stribeck velocity [rad/s or m/s].
     """
 
-    quantity: Quantity
+    quantity: str
     motion: tuple[tuple[int, float], ...]
     rows: tuple[tuple[int, float], ...]
     shape: float = 1.0
@@ -52,9 +46,6 @@ class JointColumn:
 def joint_column(model: DynamicModel, parameter: StandardParameter) -> JointColumn:
     """Where a joint parameter acts, and on what; of an inertial parameter it has no meaning."""
     transmission = model.transmission
-    if transmission is None:
-        own = ((parameter.joint, 1.0),)
-        return JointColumn(quantity_of(parameter), own, own, _shape(model, parameter.kind, parameter.joint))
     motor = transmission.active.index(parameter.joint)
     if parameter.kind != "coupling":
         motion, shape = _entries(transmission.coupling[motor]), _shape(model, parameter.kind, motor)
@@ -87,14 +78,12 @@ def column_signal(
     """
     if column.quantity == "motor_inertia":
         return combined(column.motion, acceleration)
-    if column.quantity == "offset":
-        return 1.0
+    term = term_of(column.quantity)
     rate = combined(column.motion, velocity)
-    if column.quantity == "viscous":
-        return power_law(rate, column.shape)
-    if column.quantity == "coulomb":
-        return _direction(model, column, rate, conditions)
-    return _further_signal(model, column, rate, conditions)
+    direction = _direction(model, column, rate, conditions) if term.dry else None
+    at = Operands(rate, direction, column.shape, *_needed(model, term, column, conditions))
+    signal: FloatArray | float = signal_of(column.quantity)(at)
+    return signal
 
 
 def _direction(
@@ -105,27 +94,24 @@ def _direction(
     return model.coulomb_direction(rate) if state is None else state
 
 
-def _further_signal(
-    model: DynamicModel, column: JointColumn, rate: FloatArray, conditions: FrictionConditions
-) -> FloatArray:
-    """Signal (m,) of a further friction term at motor velocities (m,)."""
+def _needed(
+    model: DynamicModel, term: Term, column: JointColumn, conditions: FrictionConditions
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Load torque and temperature (m,) of the column's motor, each where its term depends on it.
+
+    Raises:
+        ModelError: `conditions` lacks it.
+    """
     motor = column.rows[0][0]
-    if column.quantity == "exponent":  # ∂/∂α of sign(q̇)·|q̇|^α
-        speed = np.maximum(np.abs(rate), np.finfo(np.float64).tiny)
-        return np.asarray(np.sign(rate) * speed**column.shape * np.log(speed))
-    if column.quantity in ("stribeck", "stribeck_velocity"):
-        signal = _direction(model, column, rate, conditions) * stribeck_share(rate, column.shape)
-        # ∂/∂v_s of exp(−(q̇/v_s)²)
-        return np.asarray(signal if column.quantity == "stribeck" else signal * 2.0 * np.square(rate) / column.shape**3)
-    if column.quantity == "load":
+    if term.needs == "load":
         if conditions.load_torque is None:
             raise _lacking(model, motor, "the position, which its load-dependent friction follows")
-        direction = _direction(model, column, rate, conditions)
-        return np.asarray(direction * np.abs(conditions.load_torque[motor]) ** column.shape)
-    if conditions.temperature is None:
-        raise _lacking(model, motor, "its temperature, which its friction depends on")
-    factor = temperature_factor(column.quantity, conditions.temperature[motor])
-    return np.asarray(power_law(rate, 0.5) * factor)
+        return conditions.load_torque[motor], None
+    if term.needs == "temperature":
+        if conditions.temperature is None:
+            raise _lacking(model, motor, "its temperature, which its friction depends on")
+        return None, conditions.temperature[motor]
+    return None, None
 
 
 def _lacking(model: DynamicModel, motor: int, what: str) -> ModelError:
@@ -139,49 +125,29 @@ def column_slope(
 
     Below `SLOWEST`, the unbounded slopes of |q̇|^α and √|q̇| are those at that speed.
     """
-    if column.quantity == "viscous" and column.shape == 1.0:
-        return 1.0
-    if column.quantity in ("motor_inertia", "offset"):
+    if column.quantity == "motor_inertia":
         return 0.0
+    term = term_of(column.quantity)
     rate = combined(column.motion, velocity)
-    speed = np.maximum(np.abs(rate), SLOWEST)
     direction_slope: FloatArray | float = 0.0
     if model.smoothing > 0:
         direction_slope = (1.0 - np.tanh(rate / model.smoothing) ** 2) / model.smoothing
-    if column.quantity == "viscous":
-        return np.asarray(column.shape * speed ** (column.shape - 1.0))
-    if column.quantity == "exponent":
-        return np.asarray(speed ** (column.shape - 1.0) * (column.shape * np.log(speed) + 1.0))
-    if column.quantity == "coulomb":
-        return direction_slope
-    if column.quantity == "load":
-        assert conditions.load_torque is not None
-        return np.asarray(direction_slope * np.abs(conditions.load_torque[column.rows[0][0]]) ** column.shape)
-    if column.quantity in ("stribeck", "stribeck_velocity"):
-        share, direction = stribeck_share(rate, column.shape), model.coulomb_direction(rate)
-        slope = share * (direction_slope - 2.0 * direction * rate / column.shape**2)
-        if column.quantity == "stribeck":
-            return np.asarray(slope)
-        return np.asarray((slope * np.square(rate) + 2.0 * rate * direction * share) * 2.0 / column.shape**3)
-    factor: FloatArray | float = 1.0
-    if column.quantity != "temperature":
-        assert conditions.temperature is not None
-        factor = temperature_factor(column.quantity, conditions.temperature[column.rows[0][0]])
-    return np.asarray(0.5 * speed**-0.5 * factor)
+    at = Operands(
+        rate,
+        model.coulomb_direction(rate) if term.dry else None,
+        column.shape,
+        *_needed(model, term, column, conditions),
+        direction_slope=direction_slope,
+    )
+    slope: FloatArray | float = slope_of(column.quantity)(at)
+    return slope
 
 
-def _shape(model: DynamicModel, kind: Kind, motor: int) -> float:
-    terms = model.terms
-    if terms is None:
-        return 1.0
-    if kind in ("viscous", "exponent"):
-        return terms.exponent[motor]
-    if kind in ("stribeck", "stribeck_velocity"):
-        return terms.stribeck_velocity[motor]
-    return LOAD_POWERS[terms.load[motor]] if kind == "load" else 1.0
+def _shape(model: DynamicModel, kind: str, motor: int) -> float:
+    return 1.0 if kind == "motor_inertia" else model.terms.shape_of(kind, motor)
 
 
-def quantity_of(parameter: StandardParameter) -> Quantity:
+def quantity_of(parameter: StandardParameter) -> str:
     """What a joint parameter's column follows.
 
     Raises:

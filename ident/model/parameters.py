@@ -4,58 +4,31 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.table import SHAPED, TERMS, derivative_of
 
 INERTIAL = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
 """The ten standard inertial parameters of a link, in column order [kg·m², kg·m, kg] (SR400 .3.1)."""
 LINK_SIZE, MASS = len(INERTIAL), INERTIAL.index("M")
 
-Quantity = Literal[
-    "motor_inertia",
-    "viscous",
-    "coulomb",
-    "offset",
-    "stribeck",
-    "load",
-    "temperature",
-    "temperature_slope",
-    "temperature_curvature",
-    "exponent",
-    "stribeck_velocity",
-]
-"""Signal that a joint parameter multiplies: the acceleration, the velocity, its sign, 1, or one of the further friction
-terms (`ident.model.friction_terms`), the last two of which are derivatives by a shape."""
-
-Kind = Literal["inertial", "coupling"] | Quantity
-KIND_SYMBOLS: dict[Quantity, str] = {
+JOINT_SYMBOLS: dict[str, str] = {
     "motor_inertia": "Ia",
-    "viscous": "Fv",
-    "coulomb": "Fs",
-    "offset": "Fo",
-    "stribeck": "Fb",
-    "load": "Fl",
-    "temperature": "Ft",
-    "temperature_slope": "Fts",
-    "temperature_curvature": "Ftc",
-    "exponent": "Fve",
-    "stribeck_velocity": "Fbv",
+    **{term.kind: term.symbol for term in TERMS},
+    **{name: derivative_of(name).symbol for name in SHAPED},
 }
-"""Symbols of the joint parameters, in column order (SR400 eq. 6-7; Fo as f_o in AUBO eq. 6)."""
+"""Symbols of the parameters of a joint's motor, in column order, by kind: also the signal that the parameter
+multiplies, the acceleration or a friction term's (`ident.friction.table`), the last ones a derivative by a shape."""
 
-FRICTION_KINDS: tuple[Quantity, ...] = tuple(kind for kind in KIND_SYMBOLS if kind != "motor_inertia")
-"""Kinds of the columns of a motor's own friction, offset included."""
-
-DISSIPATIVE_KINDS: tuple[Quantity, ...] = ("viscous", "coulomb", "stribeck", "load")
-"""Those whose coefficient is not negative on any arm."""
+KINDS: tuple[str, ...] = ("inertial", "coupling", *JOINT_SYMBOLS)
+"""All kinds of standard parameters."""
 
 PAIR_FIELDS = {"Iac": "pair_inertia", "Fv": "pair_viscous", "Fs": "pair_coulomb"}
 """Keys of a coupled joint's own true parameters in the robot file, by symbol."""
 
-PAIR_SYMBOLS: dict[str, Quantity] = {"Iac": "motor_inertia", "Fv": "viscous", "Fs": "coulomb"}
+PAIR_SYMBOLS: dict[str, str] = {"Iac": "motor_inertia", "Fv": "viscous", "Fs": "coulomb"}
 """What the columns of kind "coupling" are like, by symbol."""
 
 MOTOR_SYMBOLS = {"Fv": "Fvm", "Fs": "Fsm"}
@@ -68,13 +41,13 @@ class StandardParameter:
 
     Attributes:
         name: as in the papers (`XX2`, `Fv1`); numbered from 1 in the order of the tree's joints.
-        kind: of the parameter.
+        kind: one of `KINDS`.
         joint: number of its joint in the tree, from 0.
         symbol: the name without the number.
     """
 
     name: str
-    kind: Kind
+    kind: str
     joint: int
     symbol: str
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.terms import FrictionConditions
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import FrictionConditions
 from ident.model.joint_columns import NO_CONDITIONS, column_signal, joint_column
 from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.parameters import INERTIAL
@@ -74,7 +74,7 @@ def pinocchio_regressor(
     dense = np.zeros((model.dof, len(parameters), count))
     motion = model.tree_motion(position, velocity, acceleration)
     tree = motion.position, motion.velocity, motion.acceleration
-    shares = None if model.transmission is None else model.transmission.to_motors(motion.follow)
+    shares = None if model.transmission.direct else model.transmission.to_motors(motion.follow)
     for sample in range(count):
         one = pin.computeJointTorqueRegressor(arm, data, *(signal[:, sample] for signal in tree))
         # Pinocchio gives a one-joint arm's regressor as a vector.

@@ -15,14 +15,12 @@ from itertools import pairwise
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.table import DRY_KINDS
+from ident.friction.terms import NO_STATES, FrictionConditions, Motion, States
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import NO_STATES, FrictionConditions, Motion, States
 from ident.model.joint_columns import JointColumn, column_signal, combined, joint_column
 from ident.model.regressor import LoadTorqueKernel
-
-DRY = ("coulomb", "stribeck", "load")
-"""Quantities of the columns that sign(q̇) multiplies and that do not vanish at rest."""
 
 
 def dahl_states(velocity: FloatArray, rate: float, travels: Sequence[float] | FloatArray) -> FloatArray:
@@ -136,7 +134,9 @@ def dry_friction(model: DynamicModel, base: BaseParameters, parameters: FloatArr
         model,
         {
             name: tuple(
-                (column, value) for _, column, value in given if column.motion == motion and column.quantity in DRY
+                (column, value)
+                for _, column, value in given
+                if column.motion == motion and column.quantity in DRY_KINDS
             )
             for motion, name in names.items()
         },

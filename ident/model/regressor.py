@@ -26,9 +26,10 @@ from typing import Any
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.table import LOAD_KINDS
+from ident.friction.terms import NO_STATES, NO_TERMS, FrictionConditions, States
 from ident.linear_algebra.triangular import QrAccumulator
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import NO_STATES, FrictionConditions, States
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.kinematics.joints import ancestors
 from ident.model.kinematics.transmission import TreeMotion
@@ -120,8 +121,6 @@ class JointParameterRow:
 
 def _motor_axes(model: DynamicModel, chain: Sequence[int]) -> list[tuple[tuple[int, Share], ...]]:
     """For each motor, (index in the chain, factor) of the axes that make up its own; empty where it moves none."""
-    if model.transmission is None:
-        return [((chain.index(joint), 1.0),) if joint in chain else () for joint in range(model.dof)]
     constant, varies = model.transmission.share_pattern()
     return [
         tuple(
@@ -219,7 +218,7 @@ class RegressorKernel:
         self._axis = np.empty((6, chunk))
         self._part = np.empty(chunk)
         self.shares = np.empty((0, 0, 0))
-        loads = model.terms is not None and any(row.column.quantity == "load" for row in self.joint_parameter_rows)
+        loads = any(row.column.quantity in LOAD_KINDS for row in self.joint_parameter_rows)
         self._load = LoadTorqueKernel(model, chunk) if loads else None
 
     @property
@@ -253,7 +252,7 @@ class RegressorKernel:
         model = self.model
         self.tree = model.tree_motion(position, velocity, acceleration)
         self._recursion.run(self.tree.position, self.tree.velocity, self.tree.acceleration)
-        if model.transmission is not None and self.tree.follow.ndim == 3:
+        if self.tree.follow.ndim == 3:
             self.shares = model.transmission.to_motors(self.tree.follow)
         for block in self._blocks:
             if block.targets:
@@ -345,10 +344,10 @@ class LoadTorqueKernel:
 
     def __init__(self, model: DynamicModel, chunk: int = CHUNK) -> None:
         """For a model with load-dependent friction, evaluated `chunk` samples at once."""
-        if model.terms is None or model.terms.load_torque is None:
-            raise ValueError("the model has no load torque")
         load = model.terms.load_torque
-        self._kernel = RegressorKernel(replace(model, terms=None), load.columns, chunk)
+        if load is None:
+            raise ValueError("the model has no load torque")
+        self._kernel = RegressorKernel(replace(model, terms=NO_TERMS), load.columns, chunk)
         self._values = np.array(load.values)
 
     def torque(self, position: FloatArray) -> FloatArray:

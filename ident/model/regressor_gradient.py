@@ -70,7 +70,7 @@ class _Spatial:
         return _Spatial(self.angular.sum(axis=0), self.linear.sum(axis=0))
 
 
-def pull_back_regressor(  # noqa: PLR0912 — one loop
+def pull_back_regressor(
     kernel: RegressorKernel,
     position: FloatArray,
     velocity: FloatArray,
@@ -108,8 +108,7 @@ def pull_back_regressor(  # noqa: PLR0912 — one loop
             gradient[:, chain] += _link_gradient(kernel, link, of_rows, tree.velocity[chain], tree.acceleration[chain])
             for index, share, of_motor in varying:
                 by_share[share] += _row_value(kernel, link, index, rows.kinds, of_motor)
-    if model.transmission is not None:
-        gradient = model.transmission.pull_back(velocity, acceleration, tree, gradient, by_share)
+    gradient = model.transmission.pull_back(velocity, acceleration, tree, gradient, by_share)
     for entry in kernel.joint_parameter_rows:
         column = entry.column
         weight = weights[entry.row] if entry.factor == 1.0 else entry.factor * weights[entry.row]

@@ -61,9 +61,9 @@ def rigid_arm(
         armature: (n,) motor inertias [kg·m²].
         pair_inertia: (n,) inertias that turn with a coupled joint, beside the motor's [kg·m²].
     """
-    if model.transmission is None:
-        return _Tree(model, inertial, armature)
     transmission = model.transmission
+    if transmission.direct:
+        return _Tree(model, inertial, armature)
     if isinstance(transmission, LinearTransmission):
         return _Linear(model, transmission, inertial, armature, pair_inertia)
     from ident.model.kinematics.linkages.closed_loops import ClosedLoops  # only arms that have such loops pay for it

@@ -10,9 +10,13 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import TruthJoint
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
+from ident.friction.table import SHAPED, TEMPERATURE_KINDS, root_coefficients
+from ident.friction.terms import LoadTorque, friction_terms
 from ident.model.dynamic_model import DynamicModel, build_model
-from ident.model.friction_terms import TEMPERATURE_KINDS, LoadTorque, friction_terms, root_coefficients
 from ident.model.parameters import INERTIAL, PAIR_FIELDS, link_parameters
+
+TRUE_SHAPES = {"exponent": "alpha", "stribeck_velocity": "stribeck_velocity"}
+"""Keys of shapes in a robot file's truth."""
 
 
 def true_model(robot_file: RobotFile) -> DynamicModel:
@@ -23,22 +27,17 @@ def true_model(robot_file: RobotFile) -> DynamicModel:
     """
     model, robot = build_model(robot_file), robot_file.robot
     terms = friction_terms(robot.friction, robot.joint_names)
-    if terms is None:
+    if terms.plain:
         return model
-    joints = [robot.truth.joints.get(name, TruthJoint()) for name in robot.joint_names]
-    inertial = truth_vector(robot_file)[: len(INERTIAL) * len(model.joints)]
-    return replace(
-        model,
-        terms=replace(
-            terms,
-            exponent=tuple(
-                joint.alpha if free or exponent != 1.0 else 1.0
-                for joint, free, exponent in zip(joints, terms.free_exponent, terms.exponent, strict=True)
-            ),
-            stribeck_velocity=tuple(joint.stribeck_velocity for joint in joints),
-            load_torque=LoadTorque(tuple(range(len(inertial))), tuple(inertial.tolist())) if terms.loaded else None,
-        ),
-    )
+    for motor, name in enumerate(robot.joint_names):
+        joint = robot.truth.joints.get(name, TruthJoint())
+        for shape, key in TRUE_SHAPES.items():
+            if shape in terms.shapes and terms.bent(shape, motor):
+                terms = terms.with_shape(shape, motor, getattr(joint, key), free=terms.is_free(shape, motor))
+    if terms.loaded:
+        inertial = truth_vector(robot_file)[: len(INERTIAL) * len(model.joints)]
+        terms = replace(terms, load_torque=LoadTorque(tuple(range(len(inertial))), tuple(inertial.tolist())))
+    return replace(model, terms=terms)
 
 
 def truth_vector(robot_file: RobotFile, model: DynamicModel | None = None) -> FloatArray:
@@ -67,8 +66,8 @@ def truth_vector(robot_file: RobotFile, model: DynamicModel | None = None) -> Fl
         elif parameter.kind in TEMPERATURE_KINDS:
             roots = root_coefficients(*joint.temperature)
             values[parameter.name] = roots[TEMPERATURE_KINDS.index(parameter.kind)]
-        elif parameter.kind in ("exponent", "stribeck_velocity"):
+        elif parameter.kind in SHAPED:
             values[parameter.name] = 0.0
         else:
-            values[parameter.name] = getattr(joint, parameter.kind)
+            values[parameter.name] = joint.terms.get(parameter.kind) or getattr(joint, parameter.kind, 0.0)
     return np.array([values[parameter.name] for parameter in model.parameters])

@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ident.regression.autocorrelation import residual_autocorrelation
 from ident.regression.comparison import TorqueSeries
-from ident.regression.jackknife import block_length, distinct_samples, jackknife_covariance
+from ident.regression.jackknife import jackknife_covariance, motion_blocks
 from ident.regression.least_squares import LeastSquares
 from ident.regression.moment_equations import MomentRows, moment_moves
 
@@ -53,9 +52,8 @@ def exogeneity_test(
     """
     from scipy.stats import t as student
 
-    samples = distinct_samples(series)
-    length = block_length(residual_autocorrelation(series), samples.count)
-    one, other = (moment_moves(samples, length, sources, solution) for solution, sources in (instrumental, plain))
+    blocks = motion_blocks(series)
+    one, other = (moment_moves(blocks, sources, solution) for solution, sources in (instrumental, plain))
     active = list(instrumental[0].active)
     difference = np.abs(instrumental[0].parameters - plain[0].parameters)[active]
     deviation = np.sqrt(np.diag(jackknife_covariance(one - other)))

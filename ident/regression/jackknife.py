@@ -108,38 +108,99 @@ class BlockSums:
         """Of no rows."""
         return cls(np.zeros((blocks, parameters, parameters)), np.zeros((blocks, parameters)))
 
+    def add(self, of_row: npt.NDArray[np.int64], regressor: FloatArray, residual: FloatArray) -> None:
+        """Add equations (a, m) and their residuals (m,) to the block (m,) of each."""
+        for block in np.unique(of_row).tolist():
+            inside = of_row == block
+            self.gram[block] += regressor[:, inside] @ regressor[:, inside].T
+            self.score[block] += regressor[:, inside] @ residual[inside]
+
+    @property
+    def occupied(self) -> BlockSums:
+        """Those of blocks with equations."""
+        filled = self.gram.any(axis=(1, 2))
+        return BlockSums(self.gram[filled], self.score[filled])
+
+
+@dataclass(frozen=True, eq=False)
+class MotionBlocks:
+    """The blocks of a motion's filtered samples, as long as the residuals' memory.
+
+    Attributes:
+        samples: counted along the motion.
+        length: of a block [filtered samples].
+        autocorrelation: (n,) of the residuals at lag one.
+    """
+
+    samples: DistinctSamples
+    length: int
+    autocorrelation: FloatArray
+
+    @property
+    def count(self) -> int:
+        """Number of blocks."""
+        return block_count(self.samples.count, self.length)
+
+    @property
+    def of_segments(self) -> tuple[npt.NDArray[np.int64], ...]:
+        """For each series, the block (M,) of each filtered sample."""
+        return tuple(indices // self.length for indices in self.samples.indices)
+
+    def sums(self, parameters: int) -> BlockSums:
+        """Sums of this many parameters, to add equations to."""
+        return BlockSums.empty(self.count, parameters)
+
+    def corrected(self, moves: FloatArray, rows: float, share: float) -> CorrectedCovariance:
+        """The covariance for how far each block moves the parameters.
+
+        Args:
+            moves: (B, a).
+            rows: number of equations.
+            share: of them, how many independent ones they are worth.
+        """
+        return CorrectedCovariance(
+            covariance=jackknife_covariance(moves),
+            block_length=self.length,
+            blocks=len(moves),
+            autocorrelation=self.autocorrelation,
+            effective_rows=rows * share * self.samples.share,
+            repetitions=1.0 / self.samples.share,
+        )
+
+
+def motion_blocks(series: Sequence[TorqueSeries], joints: Sequence[int] | None = None) -> MotionBlocks:
+    """The blocks of all series, for the residuals of some joints; of all where None."""
+    autocorrelation, samples = residual_autocorrelation(series), distinct_samples(series)
+    judged = autocorrelation if joints is None else autocorrelation[list(joints)]
+    return MotionBlocks(samples, block_length(judged, samples.count), autocorrelation)
+
 
 def block_jackknife(
     kernel: RegressorKernel, runs: Sequence[FilteredRun], solution: LeastSquares
 ) -> CorrectedCovariance:
     """Corrected covariance of a solution of the joints' torque equations."""
-    series = [torques for run in runs for torques in run.series]
-    autocorrelation = residual_autocorrelation(series)
-    samples = distinct_samples(series)
-    length = block_length(autocorrelation, samples.count)
-    sums = BlockSums.empty(block_count(samples.count, length), len(solution.active))
-    indices = iter(samples.indices)
+    blocks = motion_blocks([torques for run in runs for torques in run.series])
+    sums, of_segments = blocks.sums(len(solution.active)), iter(blocks.of_segments)
     for run in runs:
         for segment, torques in zip(run.segments, run.series, strict=True):
-            rows = rows_by_block(kernel, segment, run.parallel_filter, next(indices) // length)
+            rows = rows_by_block(kernel, segment, run.parallel_filter, next(of_segments))
             add_torque_rows(sums, kernel, solution, rows, torques.residual)
     normal = np.asarray(np.linalg.inv(solution.inverse))
     if not np.all(np.diag(normal) > 0.0):  # rounding, where columns are barely excited
         normal = sums.gram.sum(axis=0)
-    share = independent_share(autocorrelation[solution.weights > 0])
-    return CorrectedCovariance(
-        covariance=jackknife_covariance(tolerant_moves(sums, normal)),
-        block_length=length,
-        blocks=len(sums.gram),
-        autocorrelation=autocorrelation,
-        effective_rows=solution.rows * share * samples.share,
-        repetitions=1.0 / samples.share,
-    )
+    share = independent_share(blocks.autocorrelation[solution.weights > 0])
+    return blocks.corrected(tolerant_moves(sums, normal), solution.rows, share)
 
 
 def jackknife_covariance(moves: FloatArray) -> FloatArray:
     """Delete-block covariance (a, a) from how far each block moves the parameters (B, a)."""
     return np.asarray((len(moves) - 1) / len(moves) * moves.T @ moves)
+
+
+def deviation_without(values: FloatArray) -> FloatArray:
+    """Standard deviation (…) of an estimate from its values (B, …) without each block."""
+    moves = values - values.mean(axis=0)
+    return np.asarray(np.sqrt((len(values) - 1) / len(values) * np.sum(np.square(moves), axis=0)))
 
 
 def least_squares_moves(sums: BlockSums, normal: FloatArray) -> FloatArray:

@@ -20,18 +20,9 @@ import numpy.typing as npt
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.model.regressor import RegressorKernel
-from ident.regression.autocorrelation import independent_share, residual_autocorrelation
+from ident.regression.autocorrelation import independent_share
 from ident.regression.comparison import TorqueSeries
-from ident.regression.jackknife import (
-    BlockSums,
-    CorrectedCovariance,
-    DistinctSamples,
-    block_count,
-    block_length,
-    distinct_samples,
-    jackknife_covariance,
-    tolerant_moves,
-)
+from ident.regression.jackknife import BlockSums, CorrectedCovariance, MotionBlocks, motion_blocks, tolerant_moves
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import FilteredSamples, filtered_samples
 from ident.signals.filters import ZeroPhaseFilter
@@ -122,23 +113,13 @@ def moment_jackknife(
     Raises:
         IdentificationError: the instruments do not follow the regressor.
     """
-    autocorrelation = residual_autocorrelation(series)
-    samples = distinct_samples(series)
-    length = block_length(autocorrelation, samples.count)
-    moves = moment_moves(samples, length, sources, solution, penalty)
-    return CorrectedCovariance(
-        covariance=jackknife_covariance(moves),
-        block_length=length,
-        blocks=len(moves),
-        autocorrelation=autocorrelation,
-        effective_rows=solution.rows * independent_share(autocorrelation[solution.weights > 0]) * samples.share,
-        repetitions=1.0 / samples.share,
-    )
+    blocks = motion_blocks(series)
+    share = independent_share(blocks.autocorrelation[solution.weights > 0])
+    return blocks.corrected(moment_moves(blocks, sources, solution, penalty), solution.rows, share)
 
 
 def moment_moves(
-    samples: DistinctSamples,
-    length: int,
+    blocks: MotionBlocks,
     sources: Sequence[Iterable[MomentRows]],
     solution: LeastSquares,
     penalty: FloatArray | None = None,
@@ -146,8 +127,7 @@ def moment_moves(
     """(B, a) how far leaving out each block moves a solution of moment equations.
 
     Args:
-        samples: of every segment.
-        length: of a block [samples].
+        blocks: of every segment.
         sources: the equations of every segment, in the same order.
         solution: of them, with the weights (n,) of the joints' rows.
         penalty: P (a, a) of the active columns; 0 where None.
@@ -155,14 +135,14 @@ def moment_moves(
     Raises:
         IdentificationError: the instruments do not follow the regressor.
     """
-    sums = BlockSums.empty(block_count(samples.count, length), len(solution.active))
+    sums = blocks.sums(len(solution.active))
     place = np.full(len(solution.parameters), -1)
     place[list(solution.active)] = np.arange(len(solution.active))
     used = solution.weights > 0
-    for indices, source in zip(samples.indices, sources, strict=True):
+    for of_sample, source in zip(blocks.of_segments, sources, strict=True):
         for rows in source:
             if used[rows.motor]:
-                _add(sums, place, solution, rows, indices[rows.samples] // length)
+                _add(sums, place, solution, rows, of_sample[rows.samples])
     normal = sums.gram.sum(axis=0)
     if penalty is not None:
         normal = normal + penalty

@@ -129,8 +129,6 @@ def joint_numbers(model: DynamicModel, names: Sequence[str], option: str) -> tup
 def moving_motors(model: DynamicModel, locked: Sequence[int]) -> tuple[int, ...]:
     """Indices of the motors that turn when every joint but the locked ones moves."""
     free = [joint for joint in range(model.dof) if joint not in locked]
-    if model.transmission is None:
-        return tuple(free)
     return tuple(int(motor) for motor in np.flatnonzero(np.any(model.transmission.coupling[:, free] != 0.0, axis=1)))
 
 

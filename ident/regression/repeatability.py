@@ -17,8 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.table import FRICTION_KINDS
 from ident.model.base_parameters import BaseParameters
-from ident.model.parameters import FRICTION_KINDS
 from ident.model.regressor import RegressorKernel
 from ident.regression.hypothesis_tests import LEVEL, WITHIN_95_PERCENT
 from ident.regression.jackknife import (

@@ -6,9 +6,9 @@ import numpy as np
 
 from drivers.core.errors import ResultFileError, UsageError
 from ident.export.arm import ExportedArm, refuse_unidentified_friction
+from ident.friction.table import FRICTION_KINDS
 from ident.model.base_parameters import base_parameters
 from ident.model.inverse_dynamics import InverseDynamics
-from ident.model.parameters import FRICTION_KINDS
 from ident.result.further_friction import without_further_friction
 from ident.result.schema import Result
 from ident.result.stored_model import AGAIN, StoredModel

@@ -13,10 +13,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
-from drivers.core.ranges import EXPONENT, STRIBECK_VELOCITY
-from ident.model.friction_terms import TEMPERATURE_KINDS
-from ident.model.parameters import Kind
-from ident.result.schema import FrictionStep, JointFrictionResult
+from ident.friction.table import SHAPED, SHAPES, TEMPERATURE_KINDS
+from ident.result.schema import FrictionStep, JointFrictionResult, ParameterKind
 from ident.stored import Number, Value
 
 FRICTION_FILE = "friction.json"
@@ -38,7 +36,7 @@ class JointFrictionExperiment(JointFrictionResult):
     """Friction of one joint by the experiment: values with σ, what they hold for, and their covariance."""
 
     temperature_term: TemperatureTerm = Field(description="'linear' has two of the coefficients, 'full' all three")
-    kinds: list[Kind] = Field(
+    kinds: list[ParameterKind] = Field(
         description="what the covariance is of: kinds of friction columns, then of the shapes that were estimated; the "
         "three of the temperature are those about 298.15 K that β1, β2, β3 follow from"
     )
@@ -63,12 +61,10 @@ class JointFrictionExperiment(JointFrictionResult):
             raise ValueError(f"{len(self.values)} values for {len(set(self.kinds))} different kinds")
         if len(self.covariance) != count or any(len(row) != count for row in self.covariance):
             raise ValueError(f"covariance is not {count} by {count}")
-        for name, value, allowed in (
-            ("exponent", self.exponent, EXPONENT),
-            ("stribeck_velocity", self.stribeck_velocity, STRIBECK_VELOCITY),
-        ):
-            if value is not None and not allowed.holds(value):
-                raise ValueError(f"{name} {value:g} is not within {allowed}")
+        for name, shape in SHAPES.items():
+            value = self.shape_value(name)
+            if value is not None and name in SHAPED and not shape.allowed.holds(value):
+                raise ValueError(f"{name} {value:g} is not within {shape.allowed}")
         if self.load_power not in (None, 1.0, 2.0):
             raise ValueError(f"load_power {self.load_power:g} is neither 1 nor 2")
         heat = {"none": 0, "linear": 2, "full": 3}[self.temperature_term]
@@ -76,7 +72,7 @@ class JointFrictionExperiment(JointFrictionResult):
             raise ValueError("kinds and temperature_term do not agree")
         return self
 
-    def part(self, kinds: tuple[Kind, ...]) -> tuple[FloatArray, FloatArray]:
+    def part(self, kinds: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
         """Values (m,) and covariance (m, m) of some kinds, inf where it is not known."""
         places = [self.kinds.index(kind) for kind in kinds]
         rows = [[self.covariance[i][j] for j in places] for i in places]

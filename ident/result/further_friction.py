@@ -7,18 +7,13 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.table import REFERENCE_TEMPERATURE, SHAPED, SHAPES, TERMS
+from ident.friction.terms import NO_TERMS, FrictionConditions
 from ident.model.base_parameters import random_states
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import REFERENCE_TEMPERATURE, FrictionConditions
 from ident.model.joint_columns import column_signal, joint_column
-from ident.model.parameters import Kind, StandardParameter
+from ident.model.parameters import StandardParameter
 from ident.model.regressor import LoadTorqueKernel
-
-KINDS: tuple[tuple[Kind, str], ...] = (
-    ("stribeck", "Stribeck friction"),
-    ("load", "load-dependent friction"),
-    ("temperature", "temperature-dependent friction"),
-)
 
 SPEEDS = 50
 """Speeds up to a joint's limit at which the nearest Coulomb and viscous friction is found."""
@@ -42,24 +37,25 @@ def without_further_friction(
     travels = [name for name, _ in model.presliding]
     gradual = (f"presliding of {', '.join(travels)}: friction changes sign at once",) if travels else ()
     terms = model.terms
-    if terms is None:
+    if terms.plain:
         return replace(model, presliding=()), values, gradual
-    simple = replace(model, terms=None, presliding=())
+    simple = replace(model, terms=NO_TERMS, presliding=())
     value_of = dict(zip((parameter.name for parameter in model.parameters), values.tolist(), strict=True))
     value_of |= _nearest(model, value_of)
     kept = np.array([value_of[parameter.name] for parameter in simple.parameters])
     names, sentences = model.joint_names, []
-    for kind, what in KINDS:
-        joints = [name for name, there in zip(names, model.has(kind), strict=True) if there]
+    for term in TERMS:
+        joints = [name for name, there in zip(names, model.has(term.kind), strict=True) if there and term.left_out]
         if joints:
-            sentences.append(f"{what} of {', '.join(joints)}")
-    bent = [
-        f"{name} {exponent:.3g}"
-        for name, there, exponent in zip(names, model.viscous, terms.exponent, strict=True)
-        if there and exponent != 1.0
-    ]
-    if bent:
-        sentences.append(f"viscous friction that grows with |q̇|^α, α of {', '.join(bent)}")
+            sentences.append(f"{term.left_out} of {', '.join(joints)}")
+    for shape in SHAPES.values():
+        bent = [
+            f"{name} {terms.shape(shape.name, motor):.3g}"
+            for motor, name in enumerate(names)
+            if shape.left_out and model.has(SHAPED[shape.name].kind)[motor] and terms.bent(shape.name, motor)
+        ]
+        if bent:
+            sentences.append(f"{shape.left_out} of {', '.join(bent)}")
     if sentences:
         sentences.append(
             "in their place stands the Coulomb and viscous friction nearest to them up to the joints' limits"
@@ -81,8 +77,8 @@ def _nearest(model: DynamicModel, value_of: dict[str, float]) -> dict[str, float
             if parameter.joint == joint and parameter.kind not in ("inertial", "motor_inertia", "offset", "coupling")
         ]
         plain = {parameter.kind: parameter.name for parameter in own if parameter.kind in ("coulomb", "viscous")}
-        exponent = 1.0 if model.terms is None else model.terms.exponent[motor]
-        if not plain or (len(own) == len(plain) and exponent == 1.0):
+        bent = any(model.terms.shape_of(kind, motor) != 1.0 for kind in plain)
+        if not plain or (len(own) == len(plain) and not bent):
             continue
         speed = np.linspace(0.0, model.limits[motor].velocity, SPEEDS + 1)[1:]
         curve = np.sum([value_of[one.name] * _signal(model, one, motor, speed, load) for one in own], axis=0)

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, ModelError, UsageError
-from ident.model.parameters import FRICTION_KINDS
+from ident.friction.table import FRICTION_KINDS
 from ident.model.presliding import dry_friction
 from ident.model.regressor import CHUNK
 from ident.result.arrays import outward, samples

@@ -12,8 +12,8 @@ from drivers.core.errors import DataError, ModelError
 from drivers.core.units import ZERO_CELSIUS
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
+from ident.friction.table import REFERENCE_TEMPERATURE
 from ident.model.base_parameters import base_parameters
-from ident.model.friction_terms import REFERENCE_TEMPERATURE
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.regressor import regressor
 from ident.regression.observability import describe
@@ -233,7 +233,7 @@ class ModelParameters:
         """Joint regressor (n, b, N); the kernel's rows are the motors'. At rest no temperature is needed."""
         heat = np.full_like(position, REFERENCE_TEMPERATURE) if kelvin is None else kelvin
         rows = regressor(self._stored.model, position, velocity, acceleration, self._base.columns, heat)
-        if self._stored.model.transmission is None:
+        if self._stored.model.transmission.direct:
             return rows
         return np.asarray(np.einsum("mn,mbN->nbN", self._dynamics.coupling, rows))
 

@@ -6,12 +6,14 @@ import hashlib
 import json
 import re
 import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import (
     AfterValidator,
+    BeforeValidator,
     Field,
     ValidationError,
     ValidationInfo,
@@ -24,15 +26,15 @@ from daq.output_files import replace_files, strange_files
 from daq.robot.section import within
 from drivers.core.errors import DynidWarning, ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
-from drivers.core.ranges import EXPONENT, STRIBECK_VELOCITY
 from drivers.core.units import common_unit, joint_unit
 from ident.assessment.delay.delay import JointDelay
 from ident.assessment.residual_tests import ResidualTests
 from ident.assessment.validation import Fit
 from ident.estimators.estimator import Loop
 from ident.estimators.feasible.armature import Armature
-from ident.model.friction_terms import FrictionTerms
-from ident.model.parameters import Kind
+from ident.friction.table import FURTHER_KINDS, SHAPES, TERM, TERMS
+from ident.friction.terms import NO_TERMS, FrictionTerms
+from ident.model.parameters import KINDS
 from ident.ranges import PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.delivered import DeliveredParameters
@@ -49,20 +51,25 @@ UNITS: dict[str, str] = {
     **dict.fromkeys(("XX", "XY", "XZ", "YY", "YZ", "ZZ", "Ia", "Iac"), "kg·m²"),
     **dict.fromkeys(("MX", "MY", "MZ"), "kg·m"),
     "M": "kg",
-    **dict.fromkeys(("Fv", "Fvm"), "N·m·s/rad"),
-    **dict.fromkeys(("Fs", "Fsm"), "N·m"),
-    "Fo": "N·m",
-    "Fb": "N·m",
-    "Fl": "(N·m)^(1-k)",
-    "Ft": "N·m·(s/rad)^½",
-    "Fts": "N·m·(s/rad)^½/K",
-    "Ftc": "N·m·(s/rad)^½",
+    **{term.symbol: term.unit(1.0) for term in TERMS},
+    "Fvm": "N·m·s/rad",
+    "Fsm": "N·m",
 }
-"""Units by symbol, for revolute joints; of Fv where the exponent α is 1, of Fl for the power k of the load torque."""
+"""Units by symbol, for revolute joints; of friction with a shape where that is 1."""
 
 
 _NUMBERS = re.compile(r"\[\n[-+.0-9eEnul,\s]+\]")
 """A list of nothing but numbers, which stands in one line."""
+
+
+def _known_kind(value: str) -> str:
+    if value not in KINDS:
+        raise ValueError(f"no parameter is of the kind '{value}'")
+    return value
+
+
+ParameterKind = Annotated[str, AfterValidator(_known_kind)]
+"""Kind of a standard parameter, as `ident.model.parameters` names them."""
 
 
 class BaseParameterResult(Stored):
@@ -70,7 +77,7 @@ class BaseParameterResult(Stored):
 
     name: str
     expression: str
-    kind: Kind
+    kind: ParameterKind
     joint: str
     unit: str
     value: Number = Field(description="of the full model; null where the recording does not excite it")
@@ -95,6 +102,16 @@ class BaseParameterResult(Stored):
         description="σ of friction between runs, which std counts for the mean over them; null with one run",
     )
     origin: str = Field(default="", description="of a value that was held; empty where the recordings give it")
+
+
+class FurtherFriction(Stored):
+    """One friction term of a joint that has no fields of its own in `JointFrictionResult`."""
+
+    kind: ParameterKind
+    value: Number
+    std: Number
+    shape: Number = Field(default=None, description="null where the term has none")
+    shape_std: Number = Field(default=None, description="null where it was not estimated")
 
 
 class JointFrictionResult(Stored):
@@ -123,10 +140,22 @@ class JointFrictionResult(Stored):
     load_power: Number = Field(default=None, description="1 (linear) or 2 (quadratic)")
     temperature: list[Value] | None = Field(default=None, description="β1, β2, β3 of AUBO eq. 5, T in kelvin")
     temperature_std: list[Number] | None = None
+    further: list[FurtherFriction] = Field(default=[], description="terms beside those above")
     temperature_origin: str = Field(default="", description="of values that were held; empty otherwise")
     viscous_repeatability: Number = Field(default=None, description="σ between runs, as of the base parameter")
     coulomb_repeatability: Number = None
     offset_repeatability: Number = None
+
+    def coefficient(self, kind: str) -> float | None:
+        """Value of a term that depends on the velocity alone, or on the load; None where the joint has none."""
+        named: float | None = getattr(self, kind, None)
+        return next((one.value for one in self.further if one.kind == kind), named)
+
+    def shape_value(self, name: str) -> float | None:
+        """The shape of this name; None where the joint has none but the plain one."""
+        named: float | None = getattr(self, name, None)
+        kinds = [term.kind for term in TERMS if term.shape is not None and term.shape.name == name]
+        return next((one.shape for one in self.further if one.kind in kinds), named)
 
     @property
     def repeatability_text(self) -> str:
@@ -158,6 +187,10 @@ class JointFrictionResult(Stored):
             deviations = self.temperature_std or [None] * len(self.temperature)
             beta = (_with_interval(*pair) for pair in zip(self.temperature, deviations, strict=True))
             parts.append(f"β {', '.join(beta)}{held}")
+        for one in self.further:
+            shape = "" if one.shape is None else f", shape {_with_interval(one.shape, one.shape_std)}"
+            unit = joint_unit(TERM[one.kind].unit(one.shape or 1.0), sliding=self.sliding)
+            parts.append(f"{TERM[one.kind].words} {_with_interval(one.value, one.std)} {unit}{shape}")
         return "; ".join(parts)
 
 
@@ -416,6 +449,15 @@ class DelayFigures(Stored):
     joints: list[JointDelay] = Field(default=[], description="empty where it was not searched")
 
 
+def _check_shapes(shapes: Mapping[str, Sequence[float]]) -> None:
+    for name, values in shapes.items():
+        if name not in SHAPES:
+            raise ValueError(f"terms.shapes: no friction term has a shape called '{name}'")
+        for value in values:
+            if not SHAPES[name].allowed.holds(value):
+                raise ValueError(f"terms.shapes.{name}: {value:g} is not within {SHAPES[name].allowed}")
+
+
 class ModelOptions(Stored):
     """Which columns the model has."""
 
@@ -424,28 +466,30 @@ class ModelOptions(Stored):
     coulomb: list[bool]
     offset: list[bool]
     smoothing: Annotated[float, AfterValidator(within(SMOOTHING))]
-    terms: FrictionTerms | None = Field(default=None, description="further friction, its shapes and its load torque")
+    terms: Annotated[FrictionTerms, BeforeValidator(lambda given: NO_TERMS if given is None else given)] = Field(
+        default=NO_TERMS, description="further friction, its shapes and its load torque"
+    )
 
     @model_validator(mode="after")
     def _possible_terms(self) -> Self:
         """Refuse shapes that no friction has, and lists whose length is not the number of joints."""
-        terms = self.terms
-        if terms is None:
-            return self
-        for name, values, allowed in (
-            ("exponent", terms.exponent, EXPONENT),
-            ("stribeck_velocity", terms.stribeck_velocity, STRIBECK_VELOCITY),
-            ("load_torque", () if terms.load_torque is None else terms.load_torque.values, RESULT_VALUE),
-        ):
-            for value in values:
-                if not allowed.holds(value):
-                    raise ValueError(f"terms.{name}: {value:g} is not within {allowed}")
+        terms, count = self.terms, len(self.viscous)
+        _check_shapes(terms.shapes)
+        for value in () if terms.load_torque is None else terms.load_torque.values:
+            if not RESULT_VALUE.holds(value):
+                raise ValueError(f"terms.load_torque: {value:g} is not within {RESULT_VALUE}")
         if terms.load_torque is not None and len(terms.load_torque.columns) != len(terms.load_torque.values):
             raise ValueError("terms.load_torque: columns and values differ in number")
-        per_joint = ("exponent", "stribeck", "stribeck_velocity", "load", "temperature")
-        for name in (*per_joint, "free_exponent", "free_stribeck_velocity"):
-            if len(getattr(terms, name)) != len(self.viscous):
-                raise ValueError(f"terms.{name} has {len(getattr(terms, name))} entries for {len(self.viscous)} joints")
+        if unknown := {kind for kinds in terms.kinds for kind in kinds} - set(FURTHER_KINDS):
+            raise ValueError(f"terms.kinds: no further friction term is called '{min(unknown)}'")
+        lists: dict[str, tuple[object, ...]] = {"kinds": terms.kinds}
+        lists |= {f"shapes.{name}": values for name, values in terms.shapes.items()}
+        lists |= {f"free.{name}": values for name, values in terms.free.items()}
+        for name, entries in lists.items():
+            if len(entries) != count and (entries or name != "kinds"):
+                raise ValueError(f"terms.{name} has {len(entries)} entries for {count} joints")
+        if (terms.shapes or terms.free) and not terms.kinds:
+            raise ValueError("terms.kinds is empty, and there are shapes")
         if terms.sensitivities:
             raise ValueError("terms.sensitivities belongs to a regression, not to a result")
         return self

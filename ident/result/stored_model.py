@@ -69,7 +69,7 @@ def stored_model(result: Result) -> StoredModel:
     rubbing = {parameter.name for parameter in link_free if quantity_of(parameter) == "coulomb"}
     if not rubbing.issuperset(name for name, _ in model.presliding):
         raise ResultFileError("names no Coulomb parameter of this model", where="presliding.travels", hint=AGAIN)
-    load = None if options.terms is None else options.terms.load_torque
+    load = options.terms.load_torque
     if load is not None and not all(0 <= column < len(INERTIAL) * len(model.joints) for column in load.columns):
         raise ResultFileError("names columns that are no link's", where="model_options.terms.load_torque", hint=AGAIN)
     experiments = tuple(_experiment(model, stored, index) for index, stored in enumerate(result.experiments))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from drivers.core.units import joint_unit
+from ident.friction.table import TERM
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import joint_column
 from ident.result.schema import UNITS
@@ -14,10 +15,6 @@ def parameter_unit(model: DynamicModel, column: int) -> str:
     unit = UNITS[parameter.symbol]
     if parameter.kind == "inertial":
         return unit
-    if parameter.kind != "coupling" and model.terms is not None:
-        shape = joint_column(model, parameter).shape
-        if parameter.kind == "viscous" and shape != 1.0:
-            unit = f"N·m·(s/rad)^{shape:.3g}"
-        elif parameter.kind == "load":
-            unit = "1" if shape == 1.0 else "1/(N·m)"
+    if parameter.kind in TERM:
+        unit = TERM[parameter.kind].unit(joint_column(model, parameter).shape)
     return joint_unit(unit, sliding=model.joints[parameter.joint].prismatic)

@@ -17,8 +17,9 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
 from drivers.core.units import joint_unit
+from ident.friction.table import SLOWEST, TERM
+from ident.friction.terms import FrictionConditions
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import SLOWEST, TEMPERATURE_KINDS, FrictionConditions
 from ident.model.inverse_dynamics import InverseDynamics, with_masses
 from ident.model.joint_columns import JointColumn, column_signal, combined
 from ident.model.parameters import INERTIAL
@@ -64,6 +65,8 @@ class ForwardArm:
         directions, dry = [], []
         identity = np.eye(self.dof)
         for column, value in inverse.joint_columns:
+            if column.quantity not in TERM:  # the motor's inertia is among the rotors'
+                continue
             at_motors = np.zeros(self.dof)
             for motor, factor in column.rows:
                 at_motors[motor] += factor * value
@@ -73,20 +76,20 @@ class ForwardArm:
             if column.quantity == "viscous" and column.shape == 1.0:
                 matrix = self.viscous if at_joints @ motion >= 0.0 else self._accelerating
                 matrix += np.outer(at_joints, motion)
-            elif column.quantity == "viscous" or column.quantity in TEMPERATURE_KINDS:
-                self._smooth.append(_Term(along, at_joints, motion))
             elif column.quantity == "offset":
                 self.offset += at_joints
             elif column.quantity == "coulomb":
                 directions.append(motion)
                 dry.append(float(at_joints @ motion / (motion @ motion)))
-            elif column.quantity in ("stribeck", "load"):
+            elif TERM[column.quantity].dry:
                 same = [place for place, other in enumerate(directions) if np.array_equal(other, motion)]
                 if not same:
                     same = [len(directions)]
                     directions.append(motion)
                     dry.append(0.0)
                 self._further_dry.append((same[0], _Term(along, at_joints, motion)))
+            else:
+                self._smooth.append(_Term(along, at_joints, motion))
         self.directions, self.dry = np.array(directions).reshape(-1, self.dof), np.array(dry)
         _check_dissipative(model, self.directions, self.dry)
         self._rotors = inverse.rotor_inertia + inverse.armature
@@ -151,9 +154,8 @@ class ForwardArm:
 
 def _rigid_arms(model: DynamicModel, inverse: InverseDynamics) -> list[tuple[RigidArm, float]]:
     """The links, without motors, at the joints; and the point masses that are taken off again, where there are any."""
-    transmission = model.transmission
-    if transmission is not None:  # torque and motion of the joints, not of coupled motors
-        model = replace(model, transmission=replace(transmission, coupling=np.eye(model.dof)))
+    # Torque and motion of the joints, not of coupled motors.
+    model = replace(model, transmission=replace(model.transmission, coupling=np.eye(model.dof)))
     inertial, extra = with_masses(inverse.model, inverse.base, inverse.parameters)
     arms = [(rigid_arm(model, inertial, np.zeros(model.dof)), 1.0)]
     if extra:

@@ -164,10 +164,10 @@ class PairFriction:
     def __init__(self, robot: Robot, model: DynamicModel) -> None:
         joints = [robot.truth.joints.get(name, TruthJoint()) for name in robot.joint_names]
         transmission = model.transmission
-        present = np.zeros(model.dof) if transmission is None else np.array(transmission.pair_friction, dtype=float)
+        present = np.array(transmission.pair_friction, dtype=float)
         self._viscous = present * [joint.pair_viscous for joint in joints]
         self._coulomb = present * [joint.pair_coulomb for joint in joints]
-        self._to_joints = np.eye(model.dof) if transmission is None else np.linalg.inv(transmission.coupling)
+        self._to_joints = np.linalg.inv(transmission.coupling)
         self.present = bool(np.any(self._viscous) or np.any(self._coulomb))
 
     def torque(self, velocity: FloatArray) -> FloatArray:

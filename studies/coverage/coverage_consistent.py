@@ -64,7 +64,7 @@ def deviations(robot: str, seed: int) -> tuple[list[FloatArray], FloatArray]:
     motion = random_points_motion(arm.robot, 1000 + seed, 8)
     samples = [signal.T for signal in motion.evaluate(np.linspace(0.0, motion.duration, INSTANTS + 2)[1:-1])]
     torque = model_torque(found.model, None, truth, *(signal.T for signal in samples)).T
-    if found.model.transmission is not None:  # `Model.torque` is at the joints
+    if not found.model.transmission.direct:  # `Model.torque` is at the joints
         torque = torque @ found.model.transmission.coupling
     model = Model(summarise(found, [recording], []), "consistent")
     return [

@@ -64,7 +64,7 @@ def main(seeds: int = 20, first: int = 0) -> None:
             found = identify(recordings[:1], recordings[1:], choices)
             columns = [truth.get(parameter.name, 0.0) for parameter in found.model.parameters]
             true = found.base.projection @ np.array(columns)
-            plain = found.model.terms is None or not (found.model.terms.shaped or found.model.terms.loaded)
+            plain = not (found.model.terms.shaped or found.model.terms.loaded)
             further[case] += not plain
             for place in found.solution.active:
                 kind = found.base.kinds[place] if found.base.kinds[place] in KINDS else KINDS[-1]

@@ -35,9 +35,7 @@ def text(graph: Graph, function: Function) -> str:
 def links_only(model: DynamicModel) -> DynamicModel:
     """The arm without friction, offsets and motor inertia."""
     none = (False,) * model.dof
-    transmission = model.transmission
-    if transmission is not None:
-        transmission = replace(transmission, pair_friction=none, pair_inertia=none)
+    transmission = replace(model.transmission, pair_friction=none, pair_inertia=none)
     return replace(model, motor_inertia=none, viscous=none, coulomb=none, offset=none, transmission=transmission)
 
 

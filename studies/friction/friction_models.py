@@ -67,8 +67,8 @@ def main(names: list[str]) -> None:
             test = f"F({step.freedom}) {step.f_value:8.1f}  p {step.p_value:8.2g}"
             print(f"  {step.joint:22} {step.term:18} {test}  held out {errors_text}  {'added' * step.accepted}")
         terms = found.model.terms
-        if terms is not None:
-            print(f"  exponents {np.round(terms.exponent, 3)}\n  v_s {np.round(terms.stribeck_velocity, 4)}")
+        for name, values in terms.shapes.items():
+            print(f"  {name} {np.round(values, 4)}")
 
 
 if __name__ == "__main__":

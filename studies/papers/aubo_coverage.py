@@ -51,10 +51,9 @@ def found_errors(found: Identification) -> Errors:
             float(found.solution.parameters[index] - truth[index]),
             float(found.std[index]),
         )
-    assert found.model.terms is not None
     for (kind, motor), sigma in found.shape_std.items():
         alpha = robot.truth.joints[found.model.joint_names[motor]].alpha
-        errors[kind, motor] = (found.model.terms.exponent[motor] - alpha, sigma)
+        errors[kind, motor] = (found.model.terms.shape("exponent", motor) - alpha, sigma)
     return errors
 
 

@@ -30,9 +30,9 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.units import ZERO_CELSIUS
 from ident.experiments.method_comparison import paired_difference
+from ident.friction.table import TEMPERATURE_KINDS, power_law, temperature_factor
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.model.friction_terms import TEMPERATURE_KINDS, power_law, temperature_factor
 from ident.tasks.comparison import ComparedModel, compare
 from studies.papers.aubo_session import COLD, PERIOD, RATE, WARM, aubo, excitation, played, sweep, temperatures
 

@@ -18,8 +18,8 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
+from ident.friction.table import temperature_coefficients
 from ident.model.dynamic_model import build_model
-from ident.model.friction_terms import temperature_coefficients
 from sim_drivers.plant.plant import Plant
 from sim_drivers.synthetic.controlled_run import record_plant
 from sim_drivers.synthetic.motion import random_fourier_motion
@@ -31,7 +31,7 @@ LOAD = (0.0, 0.0015, 0.004, 0.05, 0.05, 0.0)
 ROOT = (4.0, 4.0, 4.0, 1.0, 1.0, 1.0)
 SLOPE = (-0.16, -0.18, -0.16, -0.06, -0.06, -0.06)
 CURVATURE = (25.0, 25.0, 25.0, 8.0, 8.0, 8.0)
-"""f_c [N·m], f_v [N·m·(s/rad)^α], α, f_L [1/(N·m)], and Ft, Fts, Ftc of eq. 5 about 25 °C (`friction_terms`)."""
+"""f_c [N·m], f_v [N·m·(s/rad)^α], α, f_L [1/(N·m)], and Ft, Fts, Ftc of eq. 5 about 25 °C (`ident.friction.table`)."""
 
 STRIBECK = 0.15
 STRIBECK_VELOCITY = 0.05

@@ -13,6 +13,7 @@ from drivers.core.arrays import FloatArray
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import Joint
+from ident.model.kinematics.transmission import direct_transmission
 from ident.model.regressor import model_torque
 from ident.regression.observation_matrix import JointFactor, Reduction
 from ident.signals.pipeline import Segment
@@ -172,6 +173,7 @@ def random_tree() -> Callable[..., DynamicModel]:
             viscous=flags(),
             coulomb=flags(),
             offset=flags(),
+            transmission=direct_transmission(dof),
             smoothing=float(generator.choice([0.0, 0.05])),
         )
 

@@ -28,6 +28,7 @@ from ident.assessment.delay.delay_equations import (
     torque_slopes,
 )
 from ident.model.regressor import RegressorKernel
+from ident.regression.jackknife import deviation_without
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
 from ident.stored import Number
@@ -191,7 +192,7 @@ class _Candidate:
     @property
     def std(self) -> FloatArray:
         """Jackknife standard deviations (n,) of the delays [s]."""
-        return _jackknife(self.without)
+        return deviation_without(self.without)
 
 
 def _settled(data: _Data, groups: Sequence[int | None], start: FloatArray) -> _Candidate | None:
@@ -307,13 +308,7 @@ def _drift(common: _Candidate, quantile: float) -> tuple[float, float]:
         fit_delays(equations, groups, without=block, weights=weights, drift=True).drift
         for block in range(equations.blocks)
     ]
-    return drift, quantile * float(_jackknife(np.array(without)))
-
-
-def _jackknife(without: FloatArray) -> FloatArray:
-    """Standard deviation of an estimate (…) from its values (B, …) without each block."""
-    count = len(without)
-    return np.asarray(np.sqrt((count - 1) / count * np.sum((without - without.mean(axis=0)) ** 2, axis=0)))
+    return drift, quantile * float(deviation_without(np.array(without)))
 
 
 def _gain(errors: FloatArray, other: FloatArray) -> float:

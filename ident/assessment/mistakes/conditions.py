@@ -12,9 +12,10 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.assessment.instants import Instants
+from ident.friction.table import TERM
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.parameters import FRICTION_KINDS, PAIR_SYMBOLS
+from ident.model.parameters import PAIR_SYMBOLS
 from ident.model.regressor import RegressorKernel, dense_regressor
 from ident.regression.observability import Experiment, experiment_states
 
@@ -26,15 +27,12 @@ SPEEDS = 8
 SLOWEST_SHARE = 0.1
 """Share of the instants, the slowest ones, at which friction's direction is not certain."""
 
-_SHAPES = ("offset", "exponent", "stribeck_velocity")
-"""Kinds of friction columns that are no friction torque: constants, and derivatives by a shape."""
-
 
 def moving_joints(model: DynamicModel, experiment: Experiment) -> tuple[int, ...]:
     """Joints that moved and whose motors' torques are used; none where coupled motors' torques are missing."""
     moving = tuple(joint for joint in range(model.dof) if joint not in experiment.locked)
     both = tuple(joint for joint in moving if joint in experiment.torques)
-    return () if model.transmission is not None and both != moving else both
+    return both if model.transmission.direct or both == moving else ()
 
 
 def inertia_conditions(model: DynamicModel, experiment: Experiment, base: BaseParameters) -> FloatArray:
@@ -59,18 +57,18 @@ def inertia_conditions(model: DynamicModel, experiment: Experiment, base: BasePa
         kind in ("inertial", "motor_inertia") or name.startswith("Iac")
         for kind, name in zip(base.kinds, base.names, strict=True)
     ]
-    return np.asarray(np.einsum("nN,nbN->Nb", _of_motors(model, direction), rows) * np.array(inertial))
+    return np.asarray(np.einsum("nN,nbN->Nb", model.transmission.motor_rate(direction), rows) * np.array(inertial))
 
 
 def friction_conditions(
     model: DynamicModel, base: BaseParameters, instants: Instants, regressor: FloatArray
 ) -> FloatArray:
     """(c, b) powers that each friction takes, at some of the instants with this regressor (n, b, N)."""
-    power = np.einsum("nN,nbN->bN", _of_motors(model, instants.velocity), regressor)
+    power = np.einsum("nN,nbN->bN", model.transmission.motor_rate(instants.velocity), regressor)
     frictions: dict[tuple[tuple[int, float], ...], list[int]] = {}
     for column, (kind, name) in enumerate(zip(base.kinds, base.names, strict=True)):
-        of_pair = kind == "coupling" and PAIR_SYMBOLS.get(name[:2]) in FRICTION_KINDS
-        if of_pair or (kind in FRICTION_KINDS and kind not in _SHAPES):
+        of_pair = kind == "coupling" and PAIR_SYMBOLS.get(name[:2]) in TERM
+        if of_pair or (kind in TERM and kind != "offset"):
             frictions.setdefault(base.motions[column], []).append(column)
     count = power.shape[1]
     rows = [np.empty((0, base.count))]
@@ -81,8 +79,3 @@ def friction_conditions(
         powers[:, columns] = power[np.ix_(columns, chosen)].T
         rows.append(powers)
     return np.vstack(rows)
-
-
-def _of_motors(model: DynamicModel, velocity: FloatArray) -> FloatArray:
-    """Velocities (n, N) of the motors, referred to the joint side."""
-    return velocity if model.transmission is None else np.asarray(model.transmission.coupling @ velocity)

@@ -19,13 +19,11 @@ from ident.linear_algebra.triangular import QrAccumulator
 from ident.model.energy import EnergyKernel
 from ident.regression.autocorrelation import independent_share, lag_one, residual_autocorrelation
 from ident.regression.jackknife import (
-    BlockSums,
     CorrectedCovariance,
     FilteredRun,
-    block_count,
+    MotionBlocks,
     block_length,
     distinct_samples,
-    jackknife_covariance,
     tolerant_moves,
 )
 from ident.regression.least_squares import LeastSquares
@@ -116,21 +114,10 @@ def energy_jackknife(
     samples_per_row = sum(int(torques.used.sum()) for torques in series) / solution.rows
     length_in_rows = max(equations.overlap, block_length(of_rows, round(samples.share * solution.rows)))
     length = int(np.ceil(samples_per_row * length_in_rows))
-    sums = BlockSums.empty(block_count(samples.count, length), len(active))
-    occupied = np.zeros(len(sums.gram), dtype=np.bool_)  # windows hold many samples: a block may be left without a row
+    blocks = MotionBlocks(samples, length, residual_autocorrelation(series))
+    sums = blocks.sums(len(active))
     for regressor, residual, sample_numbers in equation_parts:
-        blocks = sample_numbers // length
-        for block in np.unique(blocks).tolist():
-            inside = blocks == block
-            occupied[block] = True
-            sums.gram[block] += regressor[:, inside] @ regressor[:, inside].T
-            sums.score[block] += regressor[:, inside] @ residual[inside]
-    sums = BlockSums(sums.gram[occupied], sums.score[occupied])
-    return CorrectedCovariance(
-        covariance=jackknife_covariance(tolerant_moves(sums, sums.gram.sum(axis=0))),
-        block_length=length,
-        blocks=len(sums.gram),
-        autocorrelation=residual_autocorrelation(series),
-        effective_rows=solution.rows * independent_share(of_rows) * samples.share,
-        repetitions=1.0 / samples.share,
-    )
+        sums.add(sample_numbers // length, regressor, residual)
+    sums = sums.occupied  # windows hold many samples: a block may be left without a row
+    moves = tolerant_moves(sums, sums.gram.sum(axis=0))
+    return blocks.corrected(moves, solution.rows, independent_share(of_rows))

@@ -16,9 +16,9 @@ from ident.estimators.feasible.centre_bounds import centre_bounds
 from ident.estimators.feasible.interior_point import BoolArray, Conditions
 from ident.estimators.feasible.prior import LinkPriors
 from ident.estimators.feasible.pseudo_inertia import BASIS, pseudo_inertia
+from ident.friction.table import REFERENCE_TEMPERATURE, TERM, Operands
 from ident.model.base_parameters import BaseParameters, random_states
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import REFERENCE_TEMPERATURE, TEMPERATURE_KINDS, temperature_factor
 from ident.model.joint_columns import joint_column
 from ident.model.parameters import INERTIAL, LINK_SIZE, MASS, PAIR_SYMBOLS, StandardParameter
 from ident.model.regressor import regressor
@@ -273,7 +273,7 @@ def _least_inertias(
         unit[joint] = 1.0
         motors = regressor(weightless, position, still, unit, range(len(parameters)), heat)
         rows = motors[joint]
-        if model.transmission is not None:
+        if not model.transmission.direct:
             rows = np.einsum("m,mpN->pN", model.transmission.coupling[:, joint], motors)
         for row in np.unique(np.round(np.where(carrying[:, None], rows, 0.0), 9), axis=1).T:
             yield name, row, COASTING * float(friction[joint])
@@ -303,11 +303,9 @@ def _sign(parameter: StandardParameter) -> float:
 
     Friction of a coupled joint brakes where it is negative (SR400 eq. 8).
     """
-    if parameter.kind == "offset" or parameter.kind in TEMPERATURE_KINDS:
-        return 0.0
     if parameter.kind == "coupling" and PAIR_SYMBOLS[parameter.symbol] != "motor_inertia":
         return -1.0
-    return 1.0
+    return 1.0 if parameter.kind not in TERM or TERM[parameter.kind].brakes else 0.0
 
 
 def _joint_sizes(
@@ -342,15 +340,11 @@ def _signal_size(model: DynamicModel, parameter: StandardParameter, torque: floa
     """What a friction parameter is multiplied with at the limits of the torque and the velocity."""
     if parameter.kind == "coupling":
         return velocity if PAIR_SYMBOLS[parameter.symbol] == "viscous" else 1.0
-    column = joint_column(model, parameter)
-    if column.quantity == "viscous":
-        return float(velocity**column.shape)
-    if column.quantity == "load":
-        return float(torque**column.shape)
-    if column.quantity in TEMPERATURE_KINDS:
-        factor = temperature_factor(column.quantity, np.array(REFERENCE_TEMPERATURE + PLAUSIBLE_RISE))
-        return float(np.sqrt(velocity) * np.abs(factor))
-    return 1.0
+    term, shape = TERM[parameter.kind], joint_column(model, parameter).shape
+    # Dry friction is largest where a motion begins, all other friction at the greatest velocity.
+    rate = np.array(0.0 if term.dry else velocity)
+    kelvin = np.array(REFERENCE_TEMPERATURE + PLAUSIBLE_RISE)
+    return float(np.abs(term.signal(Operands(rate, 1.0, shape, np.array(torque), kelvin))))
 
 
 def _units(pseudo: FloatArray) -> FloatArray:

@@ -15,12 +15,14 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Setup
-from ident.estimators.friction_steps import own_column
-from ident.model.friction_terms import LOAD_POWERS
-from ident.model.parameters import DISSIPATIVE_KINDS
+from ident.friction.table import DISSIPATIVE_KINDS, TERMS, Operands
+from ident.model.own_columns import own_column
 from ident.model.regressor import LoadTorqueKernel, RegressorKernel
 from ident.regression.least_squares import LeastSquares, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction
+
+BOUNDED = tuple(term for term in TERMS if term.kind != "stribeck" and term.needs != "temperature")
+"""Terms whose coefficient has an upper bound: neither those that vanish at high speed nor those of either sign."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,26 +76,24 @@ def friction_bounds(setup: Setup, kernel: RegressorKernel, share: float | None) 
         return FrictionBounds(least, most)
     model = kernel.model
     speed, load, torque = _largest(setup, kernel)
-    signals = {"coulomb": np.ones(model.dof), "viscous": speed, "load": load, "offset": np.ones(model.dof)}
-    if model.terms is not None:
-        signals["viscous"] = speed ** np.array(model.terms.exponent)
-        signals["load"] = load ** np.array([LOAD_POWERS.get(kind, 1.0) for kind in model.terms.load])
     limits = {joint.name: joint.torque for joint in setup.robot_file.robot.joints}
     for motor, name in enumerate(model.joint_names):
         limit = share * (limits.get(name) or float(torque[motor]))
-        for kind, signal in signals.items():
-            place = own_column(model, kernel.columns, kind, motor)
-            if place is None or not alone[place] or signal[motor] <= 0.0:
+        for term in BOUNDED:
+            place = own_column(model, kernel.columns, term.kind, motor)
+            at = Operands(speed[motor], 1.0, model.terms.shape_of(term.kind, motor), load[motor])
+            largest = float(term.signal(at))
+            if place is None or not alone[place] or largest <= 0.0:
                 continue
-            most[place] = limit / signal[motor]
-            least[place] = 0.0 if kind in DISSIPATIVE_KINDS else -limit
+            most[place] = limit / largest
+            least[place] = 0.0 if term.brakes else -limit
     return FrictionBounds(least, most)
 
 
 def _largest(setup: Setup, kernel: RegressorKernel) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Largest speed, load torque and measured torque (n,) of the data."""
     model = kernel.model
-    loads = None if model.terms is None or model.terms.load_torque is None else LoadTorqueKernel(model)
+    loads = None if model.terms.load_torque is None else LoadTorqueKernel(model)
     speed, load, torque = np.zeros(model.dof), np.zeros(model.dof), np.zeros(model.dof)
     for run in setup.runs:
         for segment in run.segments:

@@ -1,13 +1,13 @@
 """I-IRLS: robust least squares with nonlinear friction and load torque estimated along (AUBO Algorithm 1).
 
 The two inner loops are those of `reweighting`; the third one changes the shapes of the friction, the fourth one the
-load torque, by the gravity parameters just estimated (eq. 18). ID-IRLS (eq. 19) estimates inertial and friction
-parameters in turn, each with the others as they are.
+load torque, by the gravity parameters just estimated (eq. 18): steps of `ident.friction.solver`. ID-IRLS (eq. 19)
+estimates inertial and friction parameters in turn, each with the others as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 
@@ -16,24 +16,14 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from ident.estimators.estimator import Estimation, Loop, Setup
-from ident.estimators.friction_steps import (
-    LOAD_TOLERANCE,
-    SHAPE_TOLERANCE,
-    SHORTER,
-    braking,
-    gravity_of,
-    load_change,
-    moved_shapes,
-    own_column,
-    shape_change,
-)
-from ident.estimators.robust.friction_bounds import friction_bounds
+from ident.estimators.robust.friction_bounds import FrictionBounds, friction_bounds
 from ident.estimators.robust.irls import RobustEstimator, estimation, reweighting
 from ident.estimators.robust.reweighting import PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
 from ident.estimators.robust.sensitivities import ShapeSystem
-from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import FrictionTerms
-from ident.model.parameters import FRICTION_KINDS
+from ident.friction.solver import SHAPE_TOLERANCE, Value, moved_shapes, settle_nested, shape_change, shape_step
+from ident.friction.table import FRICTION_KINDS
+from ident.friction.terms import FrictionTerms
+from ident.model.own_columns import gravity_of, load_change, own_column
 from ident.model.regressor import RegressorKernel
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import Reduction
@@ -43,22 +33,8 @@ MOST_SHAPE_ROUNDS = 15
 MOST_DECOUPLED_ROUNDS = 40
 MOST_LOAD_ROUNDS = 10
 
-
-@dataclass
-class _Rounds:
-    """What the outer loops record.
-
-    Attributes:
-        spreads: geometric mean of the joints' residual standard deviations after each round of the third loop [N·m].
-        shapes: after each, the friction's terms.
-        loads: largest relative change of the load torque in each round of the fourth loop.
-        settled: whether the third and the fourth loop converged.
-    """
-
-    spreads: list[float] = field(default_factory=list)
-    shapes: list[FrictionTerms] = field(default_factory=list)
-    loads: list[float] = field(default_factory=list)
-    settled: tuple[bool, bool] = (True, True)
+EVERY_LENGTH = 40
+"""Lengths of a step that are tried: until the change of the shapes is below their tolerance."""
 
 
 @dataclass(frozen=True)
@@ -78,23 +54,20 @@ class FullFrictionEstimator(RobustEstimator):
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
         """Iterate all four loops from weighted least squares."""
         loops = reweighting(self.setup, self.weights, runs, plain, active, self.solver(active))
-        fit, rounds = loops.started(self.setup.kernel, plain), _Rounds()
-        fit = self._third_loop(loops, fit, rounds)
-        terms = fit.kernel.model.terms
-        if terms is not None and terms.loaded:
-            fit = self._fourth_loop(loops, fit, rounds)
+        outer = _OuterLoops(self, loops)
+        settled = settle_nested(outer, loops.started(self.setup.kernel, plain), outer.settled_shapes, MOST_LOAD_ROUNDS)
+        fit = settled.fit
         inner = estimation(fit, loops, "iirls")
-        if self._bounded:
+        if self.bounded:
             inner = replace(inner, steps=(*inner.steps, self._bounds_step(fit)))
-        solution = replace(
-            inner.solution, parameters=fit.solution.parameters, settled=fit.settled and all(rounds.settled)
-        )
-        return replace(inner, solution=solution, loops=(*inner.loops, *_outer_loops(rounds, fit.kernel.model)))
+        converged = fit.settled and outer.shapes_settled and settled.converged
+        solution = replace(inner.solution, parameters=fit.solution.parameters, settled=converged)
+        return replace(inner, solution=solution, loops=(*inner.loops, *outer.loops_of(fit, settled.converged)))
 
     def solver(self, active: Sequence[int]) -> Solve:
         """As for IRLS, within the bounds; decoupled, the parameters that are no friction, friction as it was."""
         together = super().solver(active)
-        if self._bounded and not self.decoupled:
+        if self.bounded and not self.decoupled:
             # The bounds follow the shapes and the load torque, which are those of the kernel.
             bounds = lru_cache(maxsize=1)(partial(friction_bounds, self.setup, share=self.largest_friction))
             return lambda kernel, reduction, before: bounds(kernel).solution(reduction, active)
@@ -115,9 +88,10 @@ class FullFrictionEstimator(RobustEstimator):
         return solve
 
     @property
-    def _bounded(self) -> bool:
+    def bounded(self) -> bool:
+        """Whether the parameters are estimated within bounds."""
         terms = self.setup.kernel.model.terms
-        further = terms is not None and (terms.shaped or terms.loaded)
+        further = terms.shaped or terms.loaded
         return self.largest_friction is not None or (further and not self.consistent and not self.decoupled)
 
     def _bounds_step(self, fit: RobustFit) -> Step:
@@ -130,73 +104,104 @@ class FullFrictionEstimator(RobustEstimator):
         text = f"each term at most {percent_text(largest)} of the joint's torque limit, {text}"
         return Step("friction bounds", {"largest_friction": largest}, text)
 
-    def _third_loop(self, loops: Reweighting, fit: RobustFit, rounds: _Rounds) -> RobustFit:
+
+@dataclass
+class _OuterLoops:
+    """The third and the fourth loop as a `FrictionProblem`, and what they record.
+
+    Attributes:
+        estimator: whose loops.
+        inner: the two inner ones.
+        spreads: geometric mean of the joints' residual standard deviations after each round of the third loop [N·m].
+        shapes: after each, the friction's terms.
+        loads: largest relative change of the load torque in each round of the fourth loop.
+        shapes_settled: whether the third loop converged the last time.
+    """
+
+    estimator: FullFrictionEstimator
+    inner: Reweighting
+    spreads: list[float] = field(default_factory=list)
+    shapes: list[FrictionTerms] = field(default_factory=list)
+    loads: list[float] = field(default_factory=list)
+    shapes_settled: bool = True
+
+    def terms(self, fit: RobustFit) -> FrictionTerms:
+        return fit.kernel.model.terms
+
+    def value(self, fit: RobustFit) -> Value:
+        def value(kind: str, motor: int) -> float | None:
+            column = own_column(fit.kernel.model, fit.kernel.columns, kind, motor)
+            return None if column is None else float(fit.solution.parameters[column])
+
+        return value
+
+    def linearised(self, fit: RobustFit) -> Value:
+        system, held = ShapeSystem.at(self.inner, fit), set[int]()
+        if self.estimator.bounded:
+            held = set(self._bounds(fit).reached(fit.solution.parameters))
+        parameters = system.together([column for column in self.inner.active if column not in held])
+        return partial(system.value, parameters)
+
+    def fitted(self, fit: RobustFit, terms: FrictionTerms) -> RobustFit:
+        return self._iterated(fit, terms, fit.solution.parameters)
+
+    def no_worse(self, fit: RobustFit, before: RobustFit) -> bool:
+        return fit.spread <= before.spread * (1.0 + 1e-9)
+
+    def reloaded(self, fit: RobustFit) -> tuple[Callable[[], RobustFit], float]:
+        gravity = gravity_of(self.estimator.setup.base, fit.solution.parameters)
+        terms = replace(self.terms(fit), load_torque=gravity)
+        self.loads.append(load_change(fit.kernel.model, self.inner.runs, self.terms(fit), terms))
+        return lambda: self.fitted(fit, terms), self.loads[-1]
+
+    def settled_shapes(self, fit: RobustFit) -> RobustFit:
         """Shapes, and decoupled all friction, until they settle."""
-        terms = fit.kernel.model.terms
-        shaped = terms is not None and terms.shaped
-        if not shaped and not self.decoupled:
+        shaped, decoupled = self.terms(fit).shaped, self.estimator.decoupled
+        if not shaped and not decoupled:
             return fit
-        settled = False
-        for _ in range(MOST_DECOUPLED_ROUNDS if self.decoupled else MOST_SHAPE_ROUNDS):
+        for _ in range(MOST_DECOUPLED_ROUNDS if decoupled else MOST_SHAPE_ROUNDS):
             before = fit
-            fit, change = self._round(loops, fit)
-            rounds.spreads.append(fit.spread)
+            fit, change = self._decoupled_round(fit) if decoupled else shape_step(self, fit, EVERY_LENGTH)
+            self.spreads.append(fit.spread)
             if shaped:
-                rounds.shapes.append(_terms(fit))
-            step = np.abs(fit.solution.parameters - before.solution.parameters)[list(loops.active)]
+                self.shapes.append(self.terms(fit))
+            step = np.abs(fit.solution.parameters - before.solution.parameters)[list(self.inner.active)]
             relative = float(np.max(step / np.sqrt(np.diag(fit.solution.covariance)), initial=0.0))
-            settled = change < SHAPE_TOLERANCE and (not self.decoupled or relative < PARAMETER_TOLERANCE)
-            if settled:
+            self.shapes_settled = change < SHAPE_TOLERANCE and (not decoupled or relative < PARAMETER_TOLERANCE)
+            if self.shapes_settled:
                 break
-        rounds.settled = settled, rounds.settled[1]
         return fit
 
-    def _round(self, loops: Reweighting, fit: RobustFit) -> tuple[RobustFit, float]:
-        """One step of the shapes, shortened until the fit is no worse; their largest relative change."""
-        if self.decoupled:
-            return self._decoupled_round(loops, fit)
-        system = ShapeSystem.at(loops, fit)
-        held = set[int]()
-        if self._bounded:
-            held = set(friction_bounds(self.setup, fit.kernel, self.largest_friction).reached(fit.solution.parameters))
-        parameters = system.together([column for column in loops.active if column not in held])
-        share = 1.0
-        while True:
-            moved = moved_shapes(_terms(fit), partial(system.value, parameters), share)
-            change = shape_change(_terms(fit), moved)
-            if change < SHAPE_TOLERANCE:
-                return fit, change
-            candidate = loops.iterated(_reshaped(fit.kernel, moved), fit.solution.parameters, fit.covariance)
-            if candidate.spread <= fit.spread * (1.0 + 1e-9) and (_brakes(candidate) or not _brakes(fit)):
-                return candidate, change
-            share *= SHORTER
-
-    def _decoupled_round(self, loops: Reweighting, fit: RobustFit) -> tuple[RobustFit, float]:
+    def _decoupled_round(self, fit: RobustFit) -> tuple[RobustFit, float]:
         """All friction by the torque that the other parameters leave (eq. 15 and 16), then these."""
-        friction = [column for column in loops.active if column in friction_columns(self.setup)]
-        system = ShapeSystem.at(loops, fit)
-        bounds = None
-        if self.largest_friction is not None:
-            bounds = friction_bounds(self.setup, fit.kernel, self.largest_friction)
+        friction = [column for column in self.inner.active if column in friction_columns(self.estimator.setup)]
+        system = ShapeSystem.at(self.inner, fit)
+        bounds = None if self.estimator.largest_friction is None else self._bounds(fit)
         parameters = system.friction_alone(friction, fit.solution.parameters, bounds)
+        moved = moved_shapes(self.terms(fit), partial(system.value, parameters), 1.0)
         start = parameters[: len(fit.kernel.columns)]
-        terms = fit.kernel.model.terms
-        if terms is None or not terms.shaped:
-            return loops.iterated(fit.kernel, start, fit.covariance), 0.0
-        moved = moved_shapes(terms, partial(system.value, parameters), 1.0)
-        return loops.iterated(_reshaped(fit.kernel, moved), start, fit.covariance), shape_change(terms, moved)
+        return self._iterated(fit, moved, start), shape_change(self.terms(fit), moved)
 
-    def _fourth_loop(self, loops: Reweighting, fit: RobustFit, rounds: _Rounds) -> RobustFit:
-        """Load torque from the gravity parameters, until it settles."""
-        for _ in range(MOST_LOAD_ROUNDS):
-            terms = replace(_terms(fit), load_torque=gravity_of(self.setup.base, fit.solution.parameters))
-            rounds.loads.append(load_change(fit.kernel.model, loops.runs, _terms(fit), terms))
-            if rounds.loads[-1] < LOAD_TOLERANCE:
-                return fit
-            fit = loops.iterated(_reshaped(fit.kernel, terms), fit.solution.parameters, fit.covariance)
-            fit = self._third_loop(loops, fit, rounds)
-        rounds.settled = rounds.settled[0], False
-        return fit
+    def _bounds(self, fit: RobustFit) -> FrictionBounds:
+        return friction_bounds(self.estimator.setup, fit.kernel, self.estimator.largest_friction)
+
+    def _iterated(self, fit: RobustFit, terms: FrictionTerms, start: FloatArray) -> RobustFit:
+        kernel = RegressorKernel(replace(fit.kernel.model, terms=terms), fit.kernel.columns)
+        return self.inner.iterated(kernel, start, fit.covariance)
+
+    def loops_of(self, fit: RobustFit, load_settled: bool) -> tuple[Loop, ...]:
+        """Third and fourth loop, and the shapes by joint (AUBO Figs. 10 and 11)."""
+        found = []
+        if self.spreads:
+            name = "friction, residual σ (mean over the joints)"
+            found.append(Loop(name, "N·m", tuple(self.spreads), self.shapes_settled))
+        for shape, motor in self.terms(fit).free_shapes() if self.shapes else ():
+            values = tuple(terms.shape(shape.name, motor) for terms in self.shapes)
+            joint = fit.kernel.model.joint_names[motor]
+            found.append(Loop(shape.text, shape.unit, values, self.shapes_settled, joint))
+        if self.loads:
+            found.append(Loop("load torque, relative change", "", tuple(self.loads), load_settled))
+        return tuple(found)
 
 
 def friction_columns(setup: Setup) -> frozenset[int]:
@@ -208,44 +213,3 @@ def friction_columns(setup: Setup) -> frozenset[int]:
         if standard[column].kind in FRICTION_KINDS
         or (standard[column].kind == "coupling" and standard[column].symbol != "Iac")
     )
-
-
-def _terms(fit: RobustFit) -> FrictionTerms:
-    terms = fit.kernel.model.terms
-    assert terms is not None
-    return terms
-
-
-def _brakes(fit: RobustFit) -> bool:
-    """Whether friction with an estimated exponent brakes."""
-
-    def value(kind: str, motor: int) -> float | None:
-        column = own_column(fit.kernel.model, fit.kernel.columns, kind, motor)
-        return None if column is None else float(fit.solution.parameters[column])
-
-    return braking(_terms(fit), value)
-
-
-def _reshaped(kernel: RegressorKernel, terms: FrictionTerms) -> RegressorKernel:
-    return RegressorKernel(replace(kernel.model, terms=terms), kernel.columns)
-
-
-def _outer_loops(rounds: _Rounds, model: DynamicModel) -> tuple[Loop, ...]:
-    """Third and fourth loop, and the shapes by joint (AUBO Figs. 10 and 11)."""
-    found = []
-    if rounds.spreads:
-        found.append(
-            Loop("friction, residual σ (mean over the joints)", "N·m", tuple(rounds.spreads), rounds.settled[0])
-        )
-    terms = model.terms
-    for name, unit, attribute, free in (
-        ("exponent α", "", "exponent", "free_exponent"),
-        ("Stribeck velocity", "rad/s", "stribeck_velocity", "free_stribeck_velocity"),
-    ):
-        for motor, joint in enumerate(model.joint_names):
-            if terms is not None and getattr(terms, free)[motor] and rounds.shapes:
-                values = tuple(getattr(shape, attribute)[motor] for shape in rounds.shapes)
-                found.append(Loop(name, unit, values, rounds.settled[0], joint))
-    if rounds.loads:
-        found.append(Loop("load torque, relative change", "", tuple(rounds.loads), rounds.settled[1]))
-    return tuple(found)

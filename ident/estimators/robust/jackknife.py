@@ -8,17 +8,8 @@ import numpy as np
 
 from ident.estimators.estimator import Estimation
 from ident.estimators.robust.whitened_equations import Whitening, sample_equations, whitened
-from ident.regression.autocorrelation import independent_share, residual_autocorrelation
-from ident.regression.jackknife import (
-    BlockSums,
-    CorrectedCovariance,
-    FilteredRun,
-    block_count,
-    block_length,
-    distinct_samples,
-    jackknife_covariance,
-    tolerant_moves,
-)
+from ident.regression.autocorrelation import independent_share
+from ident.regression.jackknife import CorrectedCovariance, FilteredRun, motion_blocks, tolerant_moves
 
 
 def whitened_jackknife(
@@ -34,19 +25,15 @@ def whitened_jackknife(
     """
     kernel, solution, active = estimation.kernel, estimation.solution, list(estimation.solution.active)
     whitening = Whitening(estimation.joint_covariance)
-    series = [torques_of for run in runs for torques_of in run.series]
-    autocorrelation = residual_autocorrelation(series)
-    samples = distinct_samples(series)
-    length = block_length(autocorrelation, samples.count)
-    sums = BlockSums.empty(block_count(samples.count, length), len(active))
-    indices, weights = iter(samples.indices), iter(estimation.weights)
+    blocks = motion_blocks([torques_of for run in runs for torques_of in run.series])
+    sums, of_segments, weights = blocks.sums(len(active)), iter(blocks.of_segments), iter(estimation.weights)
     for run in runs:
         for segment in run.segments:
-            blocks, weight = next(indices) // length, next(weights)
+            of_segment, weight = next(of_segments), next(weights)
             for part in sample_equations(kernel, segment, run.parallel_filter, torques):
                 _, unroot = whitening.roots(part.motors)
                 root_weight = np.sqrt(weight[np.ix_(np.array(part.motors), part.samples)])
-                of_sample = blocks[part.samples]
+                of_sample = of_segment[part.samples]
                 regressor, residual = part.regressor[:, active], part.residual(solution.parameters)
                 for block in np.unique(of_sample).tolist():
                     inside = of_sample == block
@@ -54,11 +41,5 @@ def whitened_jackknife(
                     sums.gram[block] += rows[:-1] @ rows[:-1].T
                     sums.score[block] += rows[:-1] @ rows[-1]
     moves = steepness * tolerant_moves(sums, sums.gram.sum(axis=0))
-    return CorrectedCovariance(
-        covariance=jackknife_covariance(moves),
-        block_length=length,
-        blocks=len(sums.gram),
-        autocorrelation=autocorrelation,
-        effective_rows=solution.rows * independent_share(autocorrelation[list(torques)]) * samples.share,
-        repetitions=1.0 / samples.share,
-    )
+    share = independent_share(blocks.autocorrelation[list(torques)])
+    return blocks.corrected(moves, solution.rows, share)

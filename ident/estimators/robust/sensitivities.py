@@ -9,11 +9,11 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation
-from ident.estimators.friction_steps import COEFFICIENT_OF, own_column
 from ident.estimators.robust.friction_bounds import FrictionBounds
 from ident.estimators.robust.reweighting import Reweighting, RobustFit
 from ident.estimators.robust.weighted_pass import weighted_pass
-from ident.model.parameters import DISSIPATIVE_KINDS
+from ident.friction.table import DISSIPATIVE_KINDS, SHAPED
+from ident.model.own_columns import own_column
 from ident.model.regressor import RegressorKernel
 from ident.regression.least_squares import excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction
@@ -43,7 +43,7 @@ class ShapeColumns:
 def shape_columns(kernel: RegressorKernel, torques: Sequence[int]) -> ShapeColumns:
     """The kernel with the derivatives of these motors' torques by their free shapes."""
     model = kernel.model
-    if model.terms is None or not model.terms.shaped:
+    if not model.terms.shaped:
         return ShapeColumns(kernel, (), ())
     linear = replace(model, terms=replace(model.terms, sensitivities=True))
     place = {parameter.name: column for column, parameter in enumerate(linear.parameters)}
@@ -51,7 +51,7 @@ def shape_columns(kernel: RegressorKernel, torques: Sequence[int]) -> ShapeColum
     added = [
         (column, str(parameter.kind), model.active.index(parameter.joint))
         for column, parameter in enumerate(linear.parameters)
-        if parameter.kind in COEFFICIENT_OF and model.active.index(parameter.joint) in torques
+        if parameter.kind in SHAPED and model.active.index(parameter.joint) in torques
     ]
     return ShapeColumns(
         RegressorKernel(linear, [*columns, *(column for column, _, _ in added)]),

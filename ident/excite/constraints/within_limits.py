@@ -35,7 +35,7 @@ def constraints_within_limits(model: DynamicModel, constraints: Sequence[Constra
 
 
 def _may_not_close(model: DynamicModel) -> bool:
-    return model.transmission is not None and model.transmission.solved_numerically
+    return model.transmission.solved_numerically
 
 
 class _CriterionWithin:

@@ -17,7 +17,7 @@ from ident.experiments.friction.joint_fit import fit_joint
 from ident.experiments.friction.joint_friction import JointFriction
 from ident.experiments.friction.single_joint import JointPeriods, joint_periods
 from ident.experiments.run_pair import check_same_robot
-from ident.identify.friction.choice import AUTO, check_friction
+from ident.friction.choice import AUTO, check_friction
 from ident.identify.identification import IdentifyChoices
 from ident.signals.options import PreprocessChoices
 

@@ -10,9 +10,9 @@ import numpy.typing as npt
 from drivers.core.arrays import FloatArray
 from ident.experiments.friction.joint_friction import friction_signal
 from ident.experiments.friction.single_joint import JointPeriod
+from ident.friction.terms import FrictionConditions
 from ident.identify.friction.candidates import Candidate
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import FrictionConditions
 from ident.regression.autocorrelation import lag_one
 
 POSITION_BLOCKS = 24

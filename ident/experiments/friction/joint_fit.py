@@ -10,39 +10,33 @@ position (torque ripple): of blocks of either kind, those count that give a para
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from daq.robot.schema import Friction, TemperatureFriction
+from daq.robot.schema import Friction
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
-from ident.estimators.friction_steps import LOAD_TOLERANCE, SHAPE_TOLERANCE, braking, shortened_step
 from ident.experiments.friction.joint_data import JointData
-from ident.experiments.friction.joint_friction import JointFriction, Span, shape_of
+from ident.experiments.friction.joint_friction import JointFriction, Span
 from ident.experiments.friction.single_joint import JointPeriod
-from ident.identify.friction.candidates import (
-    EXPONENTS,
-    FOLDS,
-    STRIBECK_SHARES,
-    Candidate,
-    CandidateGrams,
-)
-from ident.identify.friction.choice import AUTO, chosen_friction, friction_columns
-from ident.identify.friction.selection import FrictionSearch
-from ident.identify.friction_fit import ROUNDS
-from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import (
+from ident.friction.choice import AUTO, chosen_friction, friction_columns
+from ident.friction.solver import Value, settle
+from ident.friction.table import (
+    FURTHER_KINDS,
     LEAST_CURVATURE_SPAN,
     LEAST_TEMPERATURE_SPAN,
+    LOAD_KINDS,
+    OPTIONS,
+    SHAPED,
     TEMPERATURE_KINDS,
-    FrictionTerms,
-    friction_terms,
-    no_terms,
 )
-from ident.model.parameters import Quantity
+from ident.friction.terms import FrictionTerms, friction_terms, no_terms
+from ident.identify.friction.candidates import CANDIDATE_KINDS, FOLDS, Candidate, CandidateGrams, term_candidates
+from ident.identify.friction.selection import FrictionSearch
+from ident.model.dynamic_model import DynamicModel
 from ident.regression.autocorrelation import independent_share
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import BlockSums, block_length, jackknife_covariance, tolerant_moves
@@ -66,7 +60,7 @@ class _Solved:
     parameters: FloatArray
     residual: FloatArray
     own: int
-    kinds: tuple[Quantity, ...]
+    kinds: tuple[str, ...]
 
     def value(self, kind: str, motor: int) -> float | None:
         """Of a kind; None where there is no such column. `motor` is 0."""
@@ -99,7 +93,7 @@ class _JointFit:
 
     def __init__(self, model: DynamicModel, name: str, periods: Sequence[JointPeriod], friction: str) -> None:
         self._data, self._name = JointData(model, periods), name
-        self._base: tuple[Quantity, ...] = tuple(
+        self._base: tuple[str, ...] = tuple(
             kind for kind in ("coulomb", "viscous") if kind in friction_columns(friction)
         )
         sliding = model.joints[model.joint_names.index(name)].prismatic
@@ -145,19 +139,11 @@ class _JointFit:
         """Of |τ_L| over all equations."""
         return _span(np.abs(self._data.sampled(self._load)))
 
-    def kinds(self, terms: FrictionTerms) -> tuple[Quantity, ...]:
+    def kinds(self, terms: FrictionTerms) -> tuple[str, ...]:
         """Friction columns for these terms."""
-        further: list[Quantity] = []
-        if terms.stribeck[0]:
-            further.append("stribeck")
-        if terms.load[0] != "none":
-            further.append("load")
-        if terms.temperature[0] != "none":
-            further += TEMPERATURE_KINDS[: 3 if terms.temperature[0] == "full" else 2]
-        if terms.sensitivities:
-            further += ["exponent"] if terms.free_exponent[0] else []
-            further += ["stribeck_velocity"] if terms.free_stribeck_velocity[0] else []
-        return (*self._base, *further)
+        further = [kind for kind in FURTHER_KINDS if terms.asks(kind, 0)]
+        free = [shape.name for shape, _ in terms.free_shapes()] if terms.sensitivities else []
+        return (*self._base, *further, *free)
 
     def solve(self, terms: FrictionTerms) -> _Solved:
         """Least squares of all parameters.
@@ -166,7 +152,7 @@ class _JointFit:
             IdentificationError: columns depend on each other.
         """
         kinds = self.kinds(terms)
-        candidates = [Candidate(kind, shape_of(terms, kind)) for kind in kinds]
+        candidates = [Candidate(kind, terms.shape_of(kind, 0)) for kind in kinds]
         columns = np.concatenate([self._data.own, self._data.columns(candidates, self._load)], axis=1)
         scale = np.linalg.norm(columns, axis=0)
         if np.any(scale == 0.0) or np.linalg.cond(columns / scale) > 1e8:
@@ -183,13 +169,14 @@ class _JointFit:
         solved = self.solve(base)
         greatest = max(float(np.max(np.abs(one.velocity))) for one in self._data.periods)
         heat = TEMPERATURE_KINDS[: self.slope * (2 + self.curvature)]
-        groups: tuple[tuple[bool, list[Candidate]], ...] = (
-            (base.exponent[0] == 1.0, [Candidate("viscous", exponent) for exponent in EXPONENTS]),
-            (not base.stribeck[0], [Candidate("stribeck", share * greatest) for share in STRIBECK_SHARES]),
-            (self.loads and base.load[0] == "none", [Candidate("load", 1.0), Candidate("load", 2.0)]),
-            (base.temperature[0] == "none", [Candidate(kind) for kind in heat]),
+        missing = {option.group for option in OPTIONS if base.option(option.group, 0) is None}
+        kinds = {kind for option in OPTIONS if option.group in missing for kind in option.kinds}
+        candidates = tuple(
+            one
+            for kind in CANDIDATE_KINDS
+            if kind in kinds and (kind in heat or kind not in TEMPERATURE_KINDS)
+            for one in term_candidates(kind, greatest, loads=self.loads, temperature=True)
         )
-        candidates = tuple(one for wanted, group in groups if wanted for one in group)
         further = [self._data.columns(candidates, self._load)] if candidates else []
         stacked = np.concatenate([solved.columns, *further, self._data.torque[:, None]], axis=1)
         count = self._data.count
@@ -226,84 +213,70 @@ class _JointFit:
         # Terms were added one by one: beside all others, other shapes may fit better.
         ends = [self.settled(start)[0] for start in (terms, self._started(terms))]
         settled = min(ends, key=lambda end: float(end.residual @ end.residual))
-        if terms.temperature[0] != "full":
+        if not terms.asks("temperature_curvature", 0):
             return settled.terms
         values, covariance, kinds = self._estimated(settled)
         place = kinds.index("temperature_curvature")
         significant = abs(values[place]) > WITHIN_95_PERCENT * np.sqrt(covariance[place, place])
-        return settled.terms if significant else replace(settled.terms, temperature=("linear",))
+        return settled.terms if significant else settled.terms.with_kinds(0, (), ("temperature_curvature",))
 
     def given(self, section: Friction, text: str) -> tuple[FrictionTerms, tuple[FrictionStep, ...]]:
         """The terms of a text that the spans allow, free shapes from the best of a grid."""
-        terms = friction_terms(chosen_friction(section, text), (self._name,)) or no_terms(1)
-        if terms.load[0] == "none":
+        terms = friction_terms(chosen_friction(section, text), (self._name,))
+        terms = terms if terms.kinds else no_terms(1)
+        if not terms.loaded:
             self._notes.pop("load", None)
-        if terms.temperature[0] == "none" or (terms.temperature[0] == "linear" and self.slope):
+        heat = [kind for kind in TEMPERATURE_KINDS if terms.asks(kind, 0)]
+        if not heat or (len(heat) < len(TEMPERATURE_KINDS) and self.slope):
             self._notes.pop("temperature", None)
-        terms = replace(
-            terms,
-            load=terms.load if self.loads else ("none",),
-            temperature=self._possible(terms.temperature[0]),
-        )
-        return self._started(terms), ()
+        impossible = () if self.loads else LOAD_KINDS
+        impossible += TEMPERATURE_KINDS[self.slope * (2 + self.curvature) :]
+        return self._started(terms.with_kinds(0, (), impossible)), ()
 
     def _started(self, terms: FrictionTerms) -> FrictionTerms:
         """The terms with free shapes from the best of a grid, all shapes at once."""
         if not terms.shaped:
             return terms
-        without = replace(
-            terms,
-            exponent=(1.0,) if terms.free_exponent[0] else terms.exponent,
-            stribeck=(terms.stribeck[0] and not terms.free_stribeck_velocity[0],),
-        )
+        without = terms.without_free_shapes()
         search = self.search(without)
-        search.start_shapes(0, terms.free_exponent[0], terms.free_stribeck_velocity[0])
+        search.start_shapes(0, [shape.name for shape, _ in terms.free_shapes()])
         return search.terms(without)
-
-    def _possible(self, asked: TemperatureFriction) -> tuple[TemperatureFriction]:
-        """The temperature term that the span allows."""
-        if asked == "none" or not self.slope:
-            return ("none",)
-        return (asked,) if self.curvature else ("linear",)
 
     def settled(self, terms: FrictionTerms) -> tuple[_Solved, bool]:
         """Load torque and shapes iterated until they do not change."""
-        solved = self.solve(terms)
-        for _ in range(ROUNDS):
-            load_change = change = 0.0
-            if terms.load[0] != "none":
-                before, self._load = self._load, self._data.load_torques(solved.parameters)
-                size = max(float(np.max(np.abs(load))) for load in self._load)
-                moves = [float(np.max(np.abs(a - b))) for a, b in zip(before, self._load, strict=True)]
-                load_change = max(moves) / size
-                solved = self.solve(terms)
-            if terms.shaped:
-                solved, change = self._step(solved)
-                terms = solved.terms
-            if load_change < LOAD_TOLERANCE and change < SHAPE_TOLERANCE:
-                return solved, True
-        return solved, False
+        settled = settle(self, self.solve(terms))
+        return settled.fit, settled.converged
 
-    def _step(self, solved: _Solved) -> tuple[_Solved, float]:
-        """One Gauss-Newton step of the shapes, shortened until it improves the fit; largest relative change."""
-        linear = self.solve(replace(solved.terms, sensitivities=True))
+    # What follows makes it a `FrictionProblem`.
 
-        def improved(moved: FrictionTerms) -> _Solved | None:
-            candidate = self.solve(moved)
-            better = candidate.residual @ candidate.residual <= solved.residual @ solved.residual
-            brakes = braking(moved, candidate.value) or not braking(solved.terms, solved.value)
-            return candidate if better and brakes else None
+    def terms(self, fit: _Solved) -> FrictionTerms:
+        return fit.terms
 
-        found, change = shortened_step(solved.terms, linear.value, improved)
-        return found or solved, change
+    def value(self, fit: _Solved) -> Value:
+        return fit.value
 
-    def _estimated(self, solved: _Solved) -> tuple[FloatArray, FloatArray, tuple[Quantity, ...]]:
+    def linearised(self, fit: _Solved) -> Value:
+        return self.solve(replace(fit.terms, sensitivities=True)).value
+
+    def fitted(self, fit: _Solved, terms: FrictionTerms) -> _Solved:
+        return self.solve(terms)
+
+    def no_worse(self, fit: _Solved, before: _Solved) -> bool:
+        return bool(fit.residual @ fit.residual <= before.residual @ before.residual)
+
+    def reloaded(self, fit: _Solved) -> tuple[Callable[[], _Solved], float]:
+        before, self._load = self._load, self._data.load_torques(fit.parameters)
+        size = max(float(np.max(np.abs(load))) for load in self._load)
+        moves = [float(np.max(np.abs(a - b))) for a, b in zip(before, self._load, strict=True)]
+        return lambda: self.solve(fit.terms), max(moves) / size
+
+    def _estimated(self, solved: _Solved) -> tuple[FloatArray, FloatArray, tuple[str, ...]]:
         """Friction coefficients and estimated shapes (k,), their covariance (k, k), and their kinds."""
         linear = self.solve(replace(solved.terms, sensitivities=True)) if solved.terms.shaped else solved
         columns = linear.columns.copy()
         coefficient = solved.value("load", 0)
         if coefficient is not None:
-            power = shape_of(solved.terms, "load")
+            power = solved.terms.shape_of("load", 0)
             columns[:, : linear.own] += self._data.load_slopes(coefficient, power, self._load)
         length = block_length(self._data.autocorrelation(solved.residual), self._data.count)
         along_motion = _jackknife(columns, linear.residual, self._data.index // length)
@@ -314,11 +287,11 @@ class _JointFit:
         covariance = (covariance * np.outer(factor, factor))[linear.own :, linear.own :]
         values = solved.parameters[solved.own :].tolist()
         for index, kind in enumerate(linear.kinds[len(solved.kinds) :], len(solved.kinds)):
-            coefficient = solved.value("viscous" if kind == "exponent" else "stribeck", 0)
+            coefficient = solved.value(SHAPED[kind].kind, 0)
             # The parameter is the coefficient times a change of the shape.
             covariance[index] /= coefficient or np.nan
             covariance[:, index] /= coefficient or np.nan
-            values.append(shape_of(solved.terms, kind))
+            values.append(solved.terms.shape_of(kind, 0))
         return np.array(values), covariance, linear.kinds
 
     def result(self, solved: _Solved, steps: tuple[FrictionStep, ...], settled: bool) -> JointFriction:
@@ -359,10 +332,7 @@ class _JointFit:
 def _jackknife(columns: FloatArray, residual: FloatArray, block: npt.NDArray[np.int64]) -> FloatArray:
     """Delete-block covariance (p, p) of a least-squares solution with columns (R, p); R blocks by their numbers."""
     sums = BlockSums.empty(int(block.max()) + 1, columns.shape[1])
-    for index in range(len(sums.gram)):
-        rows = block == index
-        sums.gram[index] = columns[rows].T @ columns[rows]
-        sums.score[index] = columns[rows].T @ residual[rows]
+    sums.add(block, columns.T, residual)
     return jackknife_covariance(tolerant_moves(sums, sums.gram.sum(axis=0)))
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.table import TERM
+from ident.friction.terms import FrictionConditions, FrictionTerms
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import LOAD_POWERS, FrictionConditions, FrictionTerms
 from ident.model.joint_columns import JointColumn, column_signal
-from ident.model.parameters import Quantity
 from ident.result.schema import FrictionStep
 
 ALONE = ((0, 1.0),)
@@ -55,7 +55,7 @@ class JointFriction:
 
     joint: str
     terms: FrictionTerms
-    kinds: tuple[Quantity, ...]
+    kinds: tuple[str, ...]
     values: FloatArray
     covariance: FloatArray
     speed: Span
@@ -72,7 +72,7 @@ class JointFriction:
 
 
 def friction_signal(
-    model: DynamicModel, kind: Quantity, shape: float, velocity: FloatArray, conditions: FrictionConditions
+    model: DynamicModel, kind: str, shape: float, velocity: FloatArray, conditions: FrictionConditions
 ) -> FloatArray:
     """Signal (N,) of a friction column of one joint.
 
@@ -95,16 +95,7 @@ def friction_torque(
     conditions = FrictionConditions(load[None], kelvin[None])
     total = np.zeros_like(velocity)
     for kind, value in zip(joint.kinds, joint.values.tolist(), strict=True):
-        if kind not in ("exponent", "stribeck_velocity"):
-            signal = friction_signal(model, kind, shape_of(joint.terms, kind), velocity, conditions)
+        if kind in TERM:
+            signal = friction_signal(model, kind, joint.terms.shape_of(kind, 0), velocity, conditions)
             total = total + value * signal
     return total
-
-
-def shape_of(terms: FrictionTerms, kind: Quantity) -> float:
-    """Shape of a column of one joint with these terms."""
-    if kind in ("viscous", "exponent"):
-        return terms.exponent[0]
-    if kind in ("stribeck", "stribeck_velocity"):
-        return terms.stribeck_velocity[0]
-    return LOAD_POWERS[terms.load[0]] if kind == "load" else 1.0

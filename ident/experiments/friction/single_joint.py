@@ -22,6 +22,7 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
 from drivers.core.reading_process import Progress
+from ident.friction.terms import NO_TERMS
 from ident.identify.data_split import DataSplit, run_window
 from ident.identify.identification import IdentifyChoices
 from ident.identify.preparation import PreparedData, prepare_data
@@ -105,13 +106,13 @@ def joint_periods(
     """
     model = build_model(robot_file)
     everywhere = (True,) * model.dof
-    if model.transmission is not None:
+    if not model.transmission.direct:
         raise DataError(
             "one joint cannot move alone in an arm with loops or coupled motors",
             where=robot_file.robot.name,
             hint="dynid identify --friction auto finds the friction terms of such an arm",
         )
-    model = replace(model, terms=None, coulomb=everywhere, viscous=everywhere, offset=everywhere)
+    model = replace(model, terms=NO_TERMS, coulomb=everywhere, viscous=everywhere, offset=everywhere)
     robot = robot_file.robot
     progress("preprocessing")
     windows = [run_window(one, robot, choices.preprocess) for one in recordings]

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from daq.recording.recording import software_versions
 from drivers.core.units import ZERO_CELSIUS
 from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_friction import JointFriction
-from ident.identify.summary import PLAIN_KINDS
-from ident.model.friction_terms import LEAST_TEMPERATURE_SPAN, LOAD_POWERS, TEMPERATURE_KINDS, temperature_coefficients
+from ident.friction.table import LEAST_TEMPERATURE_SPAN, TEMPERATURE_KINDS, temperature_coefficients
+from ident.identify.summary import friction_fields
 from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment, ValueRange
 
 
@@ -41,20 +39,9 @@ def _joint_result(joint: JointFriction, sliding: bool) -> JointFrictionExperimen
     value = dict(zip(joint.kinds, joint.values.tolist(), strict=True))
     std = dict(zip(joint.kinds, np.sqrt(np.diag(joint.covariance)).tolist(), strict=True))
     terms = joint.terms
-    found: dict[str, Any] = {}
-    for kind in PLAIN_KINDS:
-        found |= {kind: value.get(kind), f"{kind}_std": std.get(kind)}
-    if "viscous" in value and terms.exponent[0] != 1.0:
-        found |= {"exponent": terms.exponent[0], "exponent_std": std.get("exponent")}
-    if "stribeck" in value:
-        found |= {
-            "stribeck_velocity": terms.stribeck_velocity[0],
-            "stribeck_velocity_std": std.get("stribeck_velocity"),
-        }
-    if "load" in value:
-        found["load_power"] = LOAD_POWERS[terms.load[0]]
-    if "temperature" in value:
-        places = [joint.kinds.index(kind) for kind in TEMPERATURE_KINDS if kind in value]
+    found = friction_fields(terms, 0, value, value.get, std.get)
+    places = [joint.kinds.index(kind) for kind in TEMPERATURE_KINDS if kind in value]
+    if places:
         to_beta = np.array([temperature_coefficients(*unit) for unit in np.eye(3)])[: len(places)].T
         covariance = to_beta @ joint.covariance[np.ix_(places, places)] @ to_beta.T
         found["temperature"] = (to_beta @ joint.values[places]).tolist()
@@ -63,7 +50,7 @@ def _joint_result(joint: JointFriction, sliding: bool) -> JointFrictionExperimen
     return JointFrictionExperiment(
         joint=joint.joint,
         **found,
-        temperature_term=terms.temperature[0],
+        temperature_term="full" if len(places) == 3 else "linear" if places else "none",
         kinds=list(joint.kinds),
         values=joint.values.tolist(),
         covariance=np.where(np.isfinite(joint.covariance), joint.covariance, np.inf).tolist(),

@@ -208,6 +208,9 @@ class Expression:
             self.graph, self.graph.operation("multiply", nodes[0], nodes[1]), self.negative != right.negative
         )
 
+    def __truediv__(self, divisor: float) -> Expression:
+        return self * (1.0 / divisor)
+
     __radd__ = __add__
     __rmul__ = __mul__
 

@@ -98,11 +98,9 @@ def joint_frames(
 
     Joints without a motor must follow linearly.
     """
-    follow, offset = np.eye(len(model.joints)), np.zeros(len(model.joints))
-    if model.transmission is not None:
-        if not isinstance(model.transmission, LinearTransmission):
-            raise TypeError("the joints without a motor do not follow linearly")
-        follow, offset = model.transmission.follow, model.transmission.offset
+    if not isinstance(model.transmission, LinearTransmission):
+        raise TypeError("the joints without a motor do not follow linearly")
+    follow, offset = model.transmission.follow, model.transmission.offset
     frames: list[JointFrame] = []
     for joint, start, row in zip(model.joints, offset, follow, strict=True):
         motion = [combination(graph, row, signal) for signal in (position, velocity, acceleration)]

@@ -96,7 +96,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
         return [combination(graph, column, tree_torques(resting_frames, wrenches)) for column in follow.T]
 
     load_torque = still
-    if model.terms is not None and model.terms.load_torque is not None:
+    if model.terms.load_torque is not None:
         of_links = np.zeros(SIZE * len(model.joints))
         of_links[list(model.terms.load_torque.columns)] = model.terms.load_torque.values
         at_joints = held([of_links[SIZE * link : SIZE * (link + 1)] for link in range(len(model.joints))])
@@ -219,7 +219,7 @@ def refuse_numerical_loops(dynamics: InverseDynamics) -> None:
         ModelError: it is one.
     """
     model = dynamics.model
-    if model.transmission is not None and model.transmission.solved_numerically:
+    if model.transmission.solved_numerically:
         raise ModelError(
             "C code needs joints that follow linearly; a loop of this arm is solved numerically",
             where=model.name,

@@ -10,9 +10,13 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.export.c_code.expressions import Expression, Graph, decay, hyperbolic_tangent, power, sign
 from ident.export.c_code.frames import combination
+from ident.friction.table import TERM, Maths, Operands
 from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.joint_columns import JointColumn, joint_column
+
+EXPRESSIONS = Maths(sign, power, decay)
+"""The functions that friction terms are written with."""
 
 
 @dataclass(frozen=True)
@@ -80,14 +84,11 @@ def friction(
 def _further_signal(
     column: JointColumn, rate: Expression, smoothing: float, load_torque: Sequence[Expression]
 ) -> Expression:
-    """Signal of a power law, a Stribeck or a load column at a motor's velocity."""
-    if column.quantity == "viscous":
-        return sign(rate) * power(rate, column.shape)
+    """Signal of a column of further friction at a motor's velocity."""
     direction = coulomb_direction(rate, smoothing)
-    if column.quantity == "stribeck":
-        share = rate * (1.0 / column.shape)
-        return direction * decay(share * share)
-    return direction * power(load_torque[column.rows[0][0]], column.shape)
+    at = Operands(rate, direction, column.shape, load_torque[column.rows[0][0]], maths=EXPRESSIONS)
+    signal: Expression = TERM[column.quantity].signal(at)
+    return signal
 
 
 def joint_parameter_column(

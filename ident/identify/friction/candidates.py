@@ -13,18 +13,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.table import OPTIONS, TERM
+from ident.friction.terms import FrictionConditions
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import TEMPERATURE_KINDS, FrictionConditions
 from ident.model.joint_columns import JointColumn, column_signal, combined, joint_column
-from ident.model.parameters import Quantity, StandardParameter
+from ident.model.parameters import StandardParameter
 from ident.model.regressor import LoadTorqueKernel
 from ident.signals.motion_masks import REST_FLOOR
 from ident.signals.prepared import Prepared, Segment
 
-EXPONENTS = (0.2, 0.3, 0.4, 0.55, 0.65, 0.75, 0.87, 1.2, 1.4, 1.7)
-"""Grid of α, without that of the temperature columns."""
-STRIBECK_SHARES = (0.02, 0.03, 0.042, 0.06, 0.085, 0.12, 0.17, 0.24, 0.34, 0.5)
-"""Grid of v_s over a motor's greatest speed."""
+CANDIDATE_KINDS = tuple(kind for kind in TERM if any(kind in option.kinds for option in OPTIONS))
+"""Kinds of the columns that some option asks for."""
 
 FOLDS = 6
 
@@ -36,7 +35,7 @@ INDEPENDENT = 1e-4
 class Candidate:
     """A column that a motor's friction could have: its signal, and the signal's shape."""
 
-    quantity: Quantity
+    quantity: str
     shape: float = 1.0
 
 
@@ -123,16 +122,25 @@ def candidates_of(model: DynamicModel, speeds: FloatArray, *, temperature: bool)
         speeds: (n,) [rad/s or m/s].
         temperature: whether the data hold temperatures of all joints.
     """
-    loads = model.terms is not None and model.terms.load_torque is not None
+    loads = model.terms.load_torque is not None
     return tuple(
-        (
-            *(Candidate("viscous", exponent) for exponent in EXPONENTS),
-            *(Candidate("stribeck", share * speed) for share in STRIBECK_SHARES),
-            *((Candidate("load", 1.0), Candidate("load", 2.0)) if loads else ()),
-            *((Candidate(kind) for kind in TEMPERATURE_KINDS) if temperature else ()),
+        tuple(
+            one
+            for kind in CANDIDATE_KINDS
+            for one in term_candidates(kind, speed, loads=loads, temperature=temperature)
         )
         for speed in speeds.tolist()
     )
+
+
+def term_candidates(kind: str, speed: float, *, loads: bool, temperature: bool) -> tuple[Candidate, ...]:
+    """The candidates of one kind, one per shape on its grid, of a motor with this greatest speed [rad/s or m/s]."""
+    term = TERM[kind]
+    if (term.needs == "load" and not loads) or (term.needs == "temperature" and not temperature):
+        return ()
+    if term.shape is None:
+        return (Candidate(kind),)
+    return tuple(Candidate(kind, speed * share if term.shape.relative else share) for share in term.shape.grid)
 
 
 def motor_motion(model: DynamicModel, motor: int) -> JointColumn:
@@ -159,7 +167,7 @@ def candidate_signals(
     model: DynamicModel, segment: Segment, candidates: tuple[tuple[Candidate, ...], ...]
 ) -> FloatArray:
     """(e·n, N) the candidates' signals, the first of all motors first."""
-    loads = any(candidate.quantity == "load" for candidate in candidates[0])
+    loads = any(TERM[candidate.quantity].needs == "load" for candidate in candidates[0])
     load = LoadTorqueKernel(model).torque(segment.position) if loads else None
     conditions = FrictionConditions(load, segment.temperature)
     motions = [motor_motion(model, motor) for motor in range(model.dof)]

@@ -17,10 +17,10 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
-from ident.estimators.friction_steps import shifted_shapes
 from ident.estimators.torque_estimator import reduce_torques
+from ident.friction.solver import shifted_shapes
+from ident.friction.table import FRICTION_KINDS
 from ident.identify.friction.shapes import FreeShapes
-from ident.model.parameters import FRICTION_KINDS
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import CorrectedCovariance
 from ident.regression.least_squares import solve_weighted
@@ -54,7 +54,7 @@ def with_curvature(
         weights: (n,) of the motors' equations.
     """
     terms, known = kernel.model.terms, {name: std for name, std in shape_std.items() if np.isfinite(std)}
-    if free.reduction is None or terms is None or not known:
+    if free.reduction is None or not known:
         return corrected
     count, reduction = len(free.active) - len(free.names), free.reduction
     active = list(free.active[:count])

@@ -13,11 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
+from ident.friction.terms import FrictionConditions, States
 from ident.identify.friction.candidates import FOLDS, Candidate, CandidateGrams, candidate_signals
 from ident.linear_algebra.triangular import triangular
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.friction_terms import FrictionConditions, States
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.presliding import presliding_states
 from ident.model.regressor import LoadTorqueKernel, RegressorKernel
@@ -205,7 +205,7 @@ class FrictionRows:
 
     def _conditions(self, model: DynamicModel, part: _SegmentRows) -> FrictionConditions:
         """What friction depends on along a segment; kept until load torque or travels change."""
-        needed = None if model.terms is None or not model.needs_load_torque else model.terms.load_torque
+        needed = model.terms.load_torque if model.needs_load_torque else None
         key, segment = (needed, model.presliding), part.segment
         if part not in self._given or self._given[part][0] != key:
             load = None if needed is None else LoadTorqueKernel(model).torque(segment.position)

@@ -9,32 +9,23 @@ coefficient may be negative: the consistent model, which is delivered, could not
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.table import OPTIONS, TERM
+from ident.friction.terms import FrictionTerms
 from ident.identify.friction.candidates import CandidateGrams, solve_columns, squared_error
-from ident.model.friction_terms import FrictionTerms
-from ident.model.parameters import Quantity
 from ident.regression.least_squares import LEAST_TORQUE, RESIDUAL_FLOOR
 from ident.result.schema import FrictionStep
 
 LEVEL = 0.05
 """Significance level of the F-test, that of AUBO Table II."""
 
-GROUPS: dict[str, str] = {
-    "power": "exponent",
-    "stribeck": "stribeck",
-    "load-linear": "load",
-    "load": "load",
-    "temperature-linear": "temperature",
-    "temperature": "temperature",
-}
-"""Terms that can be added; of a group a joint has one."""
-
-BRAKING = ("viscous", "stribeck", "load")
-"""Quantities whose coefficients the consistent model holds above 0, as it does Coulomb friction."""
+OPTION = {option.word: option for option in OPTIONS}
+"""Terms that can be added, by their words."""
 
 
 @dataclass(frozen=True)
@@ -96,25 +87,18 @@ class FrictionSearch:
 
     def ways(self, motor: int, term: str) -> list[_Addition]:
         """The ways to add a term to a motor: one, or one per shape on the grid; none where it is not to be had."""
-        of = self._grams.candidates[motor]
-
-        def places(quantity: Quantity) -> list[int]:
-            return [place for place, candidate in enumerate(of) if candidate.quantity == quantity]
-
-        if term == "power":
-            viscous = self._viscous[motor]
-            if viscous is None:
-                return []
-            return [_Addition((place,), viscous, of[place].shape) for place in places("viscous")]
-        if term == "stribeck":
-            return [_Addition((place,), None, of[place].shape) for place in places("stribeck")]
-        if term in ("load", "load-linear"):
-            power = 2.0 if term == "load" else 1.0
-            return [_Addition((place,)) for place in places("load") if of[place].shape == power]
-        kinds: tuple[Quantity, ...] = ("temperature", "temperature_slope")
-        kinds = (*kinds, "temperature_curvature") if term == "temperature" else kinds
-        found = [place for kind in kinds for place in places(kind)]
-        return [_Addition(tuple(found))] if found else []
+        option, of = OPTION[term], self._grams.candidates[motor]
+        places = [[at for at, one in enumerate(of) if one.quantity == kind] for kind in option.kinds]
+        shape = TERM[option.kinds[0]].shape
+        if shape is None:
+            found = tuple(place for of_kind in places for place in of_kind)
+            return [_Addition(found)] if found else []
+        if option.shape is not None:
+            return [_Addition((place,)) for place in places[0] if of[place].shape == option.shape]
+        replaced = self._viscous[motor] if option.bends else None
+        if option.bends and replaced is None:
+            return []
+        return [_Addition((place,), replaced, of[place].shape) for place in places[0]]
 
     def best(
         self, motor: int, ways: Sequence[_Addition], gram: FloatArray
@@ -133,7 +117,7 @@ class FrictionSearch:
         """Whether no friction of a motor is negative, that of the temperature aside, once it has a further term."""
         additions = (way, *(addition for (at, _), addition in self._added.items() if at == motor))
         of = self._grams.candidates[motor]
-        added = {place for addition in additions for place in addition.candidates if of[place].quantity in BRAKING}
+        added = {place for addition in additions for place in addition.candidates if TERM[of[place].quantity].brakes}
         if not added:
             return True
         dropped = {addition.dropped for addition in additions}
@@ -153,7 +137,7 @@ class FrictionSearch:
 
     def add(self, motor: int, term: str, addition: _Addition) -> None:
         """Keep an addition."""
-        self._added[motor, GROUPS[term]] = addition
+        self._added[motor, OPTION[term].group] = addition
 
     def choose(self, motor: int, name: str) -> list[FrictionStep]:
         """Add terms to a motor as long as one counts."""
@@ -164,8 +148,8 @@ class FrictionSearch:
             before, plain = self.held_out(motor, nothing), self.best(motor, nothing, self._total)[0]
             options = [
                 (self.held_out(motor, ways), term, ways)
-                for term in GROUPS
-                if (motor, GROUPS[term]) not in self._added and (ways := self.ways(motor, term))
+                for term in OPTION
+                if (motor, OPTION[term].group) not in self._added and (ways := self.ways(motor, term))
             ]
             if not options:
                 return steps
@@ -200,7 +184,7 @@ class FrictionSearch:
     def revise(self, motor: int) -> bool:
         """Exchange one added term of a motor for another of its group that holds better beside the rest; whether so."""
         for key, kept in list(self._added.items()):
-            others = [term for term, group in GROUPS.items() if key == (motor, group)]
+            others = [term for term, option in OPTION.items() if key == (motor, option.group)]
             del self._added[key]
             errors = {term: self.held_out(motor, ways).sum() for term in others if (ways := self.ways(motor, term))}
             best = min(errors, key=lambda term: errors[term])
@@ -216,41 +200,38 @@ class FrictionSearch:
         """The chosen terms, shapes from the grid marked as free, beside those of `start`."""
         for (motor, group), addition in self._added.items():
             kept = [self._grams.candidates[motor][place] for place in addition.candidates]
-            if group == "exponent":
-                start = _set(_set(start, "exponent", motor, addition.shape), "free_exponent", motor, True)
-            elif group == "stribeck":
-                start = _set(_set(start, "stribeck", motor, True), "stribeck_velocity", motor, addition.shape)
-                start = _set(start, "free_stribeck_velocity", motor, True)
-            elif group == "load":
-                start = _set(start, "load", motor, "quadratic" if kept[0].shape == 2.0 else "linear")
-            else:
-                start = _set(start, "temperature", motor, "full" if len(kept) == 3 else "linear")
+            kinds = {one.quantity for one in kept}
+            option = next(
+                one
+                for one in OPTIONS
+                if one.group == group and kinds == set(one.kinds) and one.shape in (None, kept[0].shape)
+            )
+            start = start.with_option(option, motor)
+            shape = TERM[option.kinds[0]].shape
+            if shape is not None and option.shape is None:
+                start = start.with_shape(shape.name, motor, kept[0].shape, free=True)
         return start
 
-    def start_shapes(self, motor: int, free_exponent: bool, free_velocity: bool) -> None:
-        """Give a motor the power law and the Stribeck term with the shapes on the grids that fit best."""
+    def start_shapes(self, motor: int, shapes: Sequence[str]) -> None:
+        """Give a motor the terms with these shapes, by name, with the values on the grids that fit best together."""
         self._added = {key: way for key, way in self._added.items() if key[0] != motor}
-        powers: list[_Addition | None] = [*self.ways(motor, "power")] if free_exponent else []
-        falls: list[_Addition | None] = [*self.ways(motor, "stribeck")] if free_velocity else []
-        found: tuple[float, _Addition | None, _Addition | None] = (float("inf"), None, None)
-        for power in powers or [None]:
-            for fall in falls or [None]:
-                both = [way for way in (power, fall) if way is not None]
-                merged = _Addition(
-                    tuple(place for way in both for place in way.candidates), power.dropped if power else None
-                )
-                error = self.best(motor, [merged], self._total)[0]
-                if error < found[0]:
-                    found = (error, power, fall)
-        for term, way in (("power", found[1]), ("stribeck", found[2])):
-            if way is not None:
-                self.add(motor, term, way)
-
-
-def _set(terms: FrictionTerms, field: str, motor: int, value: object) -> FrictionTerms:
-    values = list(getattr(terms, field))
-    values[motor] = value
-    return replace(terms, **{field: tuple(values)})  # type: ignore[arg-type]
+        words = [
+            option.word
+            for option in OPTIONS
+            for shape in [TERM[option.kinds[0]].shape]
+            if shape is not None and shape.name in shapes and option.shape is None
+        ]
+        least, best = float("inf"), tuple[_Addition, ...]()
+        for both in product(*(ways for word in words if (ways := self.ways(motor, word)))):
+            dropped = [way.dropped for way in both if way.dropped is not None]
+            merged = _Addition(
+                tuple(place for way in both for place in way.candidates), dropped[0] if dropped else None
+            )
+            error = self.best(motor, [merged], self._total)[0]
+            if error < least:
+                least, best = error, both
+        for term, way in zip([word for word in words if self.ways(motor, word)], best, strict=False):
+            self.add(motor, term, way)
 
 
 def _f_tail(f_value: float, freedom: int, independent: float) -> float:

@@ -16,8 +16,9 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation, Estimator
-from ident.estimators.friction_steps import COEFFICIENT_OF, own_column
 from ident.estimators.robust.sensitivities import ShapeColumns, shape_columns, with_shapes
+from ident.friction.table import SHAPED
+from ident.model.own_columns import own_column
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun, block_jackknife
 from ident.regression.least_squares import (
@@ -87,7 +88,7 @@ def with_free_shapes(
     known = FreeShapes(kernel, solution.parameters, tuple(solution.active))
     terms = kernel.model.terms
     whitened = bool(estimation.joint_covariance.size)
-    if terms is None or not terms.shaped or not (whitened or solution.method in get_args(LinearMethod)):
+    if not terms.shaped or not (whitened or solution.method in get_args(LinearMethod)):
         return corrected, known
     shapes = shape_columns(kernel, torques)
     reduction = only_torques(
@@ -115,7 +116,7 @@ def _free_shapes(
         for column, kind, motor in zip(shapes.columns, shapes.kinds, shapes.motors, strict=True)
         if column in columns
     ]
-    places = [own_column(kernel.model, kernel.columns, COEFFICIENT_OF[kind], motor) for kind, motor in names]
+    places = [own_column(kernel.model, kernel.columns, SHAPED[kind].kind, motor) for kind, motor in names]
     return FreeShapes(
         kernel=shapes.kernel,
         parameters=np.concatenate([solution.parameters, np.zeros(len(shapes.columns))]),

@@ -29,7 +29,7 @@ from ident.linear_algebra.vectors import axis_rotation
 from ident.model.kinematics.joints import BASE_INDEX, Joint, Placement, ancestors
 from ident.model.kinematics.loop_text import length, loop_name
 from ident.model.kinematics.mdh import mdh_placement
-from ident.model.kinematics.transmission import LinearTransmission, Transmission
+from ident.model.kinematics.transmission import LinearTransmission, Transmission, direct_transmission
 
 CLOSING_TOLERANCE = 1e-6
 """Largest distance [m] of the closing frames at any position; files print lengths to this."""
@@ -45,8 +45,8 @@ LOOPS_KEPT = 8
 builds the model of its arm several times."""
 
 
-def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Transmission | None:
-    """The transmission of an arm; None where every joint of the tree has a motor that it moves alone.
+def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Transmission:
+    """The transmission of an arm.
 
     Args:
         robot_file: the arm's.
@@ -57,7 +57,7 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
     """
     robot = robot_file.robot
     if not robot.model.loops and not robot.model.coupling:
-        return None
+        return direct_transmission(len(joints))
     where = f"{robot_file.where}: model.loops"
     joint_index = {joint.name: index for index, joint in enumerate(joints)}
     active = tuple(joint_index[name] for name in robot.joint_names)

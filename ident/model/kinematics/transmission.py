@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -30,7 +31,7 @@ class TreeMotion:
 
 @dataclass(frozen=True)
 class Transmission(ABC):
-    """An arm with closed loops or coupled motors: n joints in its tree, a of them with a motor.
+    """How n joints of a tree, a of them with a motor, and the motors move each other.
 
     Attributes:
         active: (a,) indices of the tree's joints that have a motor, in the order of every array.
@@ -48,6 +49,11 @@ class Transmission(ABC):
     @abstractmethod
     def joint_count(self) -> int:
         """Joints of the tree, n."""
+
+    @property
+    def direct(self) -> bool:
+        """Whether every joint of the tree has a motor that it moves alone."""
+        return False
 
     @property
     def closed(self) -> bool:
@@ -68,6 +74,19 @@ class Transmission(ABC):
     def joint_to_motor(self) -> FloatArray:
         """R⁻ᵀ (a, a): motor torques = R⁻ᵀ · torques at the active joints, by the power that both give."""
         return without_rounding(np.asarray(np.linalg.inv(self.coupling).T, dtype=np.float64))
+
+    def motor_rate(self, rate: FloatArray) -> FloatArray:
+        """Velocities or accelerations (a, N) of the motors, referred to the joint side, for those of the joints."""
+        return np.asarray(self.coupling @ rate)
+
+    def at_joints(self, torque: FloatArray) -> FloatArray:
+        """Rᵀ times torques (…, a, N) of the motors: those at the active joints."""
+        return np.asarray(self.coupling.T @ torque)
+
+    def from_tree(self, motion: TreeMotion, torque: FloatArray) -> FloatArray:
+        """Gᵀ times torques (n, N) of the tree's joints in a motion: those (a, N) at the active joints."""
+        follow = motion.follow
+        return np.asarray(follow.T @ torque if follow.ndim == 2 else np.einsum("mnN,mN->nN", follow, torque))
 
     def to_motors(self, follow: FloatArray) -> FloatArray:
         """R⁻ᵀ·Gᵀ (a, n) or (a, n, N) from G (n, a) or (n, a, N): motor torques from those of the tree's joints."""
@@ -184,6 +203,57 @@ class LinearTransmission(Transmission):
     def content(self) -> tuple[object, ...]:
         """Implement `Transmission`."""
         return (self.active, self.follow.tolist(), self.offset.tolist(), *self._motor_content())
+
+
+class DirectTransmission(LinearTransmission):
+    """The identity: every joint of the tree has a motor that it moves alone."""
+
+    @property
+    def direct(self) -> bool:
+        """Implement `Transmission`."""
+        return True
+
+    def motor_rate(self, rate: FloatArray) -> FloatArray:
+        """Implement `Transmission`."""
+        return rate
+
+    def at_joints(self, torque: FloatArray) -> FloatArray:
+        """Implement `Transmission`."""
+        return torque
+
+    def from_tree(self, motion: TreeMotion, torque: FloatArray) -> FloatArray:
+        """Implement `Transmission`."""
+        return torque
+
+    def tree_position(self, position: FloatArray) -> FloatArray:
+        """Implement `Transmission`."""
+        return position
+
+    def tree_rate(self, rate: FloatArray) -> FloatArray:
+        """Implement `LinearTransmission`."""
+        return rate
+
+    def active_gradient(self, position: FloatArray, gradient: FloatArray) -> FloatArray:
+        """Implement `Transmission`."""
+        return gradient
+
+    def pull_back(
+        self,
+        velocity: FloatArray,
+        acceleration: FloatArray,
+        motion: TreeMotion,
+        gradient: FloatArray,
+        share: FloatArray,
+    ) -> FloatArray:
+        """Implement `Transmission`."""
+        return gradient
+
+
+@lru_cache
+def direct_transmission(joints: int) -> DirectTransmission:
+    """The transmission of a tree whose joints all have motors of their own."""
+    none, identity = (False,) * joints, np.eye(joints)
+    return DirectTransmission(tuple(range(joints)), identity, none, none, identity, np.zeros(joints))
 
 
 def without_rounding(matrix: FloatArray) -> FloatArray:

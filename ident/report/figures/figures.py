@@ -10,6 +10,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from ident.friction.table import TERMS
 from ident.result.schema import BaseParameterResult
 
 MEASURED = "#0072B2"
@@ -20,15 +21,8 @@ REFERENCE = "#D55E00"
 KIND_STYLES: dict[str, tuple[str, str, str]] = {
     "inertial": ("inertial", "#0072B2", "circle"),
     "motor_inertia": ("motor inertia", "#CC79A7", "square"),
-    "viscous": ("viscous friction", "#009E73", "triangle-up"),
-    "coulomb": ("Coulomb friction", "#D55E00", "diamond"),
-    "offset": ("offset", "#7C828A", "cross"),
     "coupling": ("coupled joint", "#E69F00", "triangle-down"),
-    "stribeck": ("Stribeck friction", "#56B4E9", "diamond-tall"),
-    "load": ("friction by load", "#E69F00", "square-cross"),
-    "temperature": ("friction by speed's root", "#CC79A7", "star"),
-    "temperature_slope": ("friction by temperature", "#009E73", "star-diamond"),
-    "temperature_curvature": ("friction by temperature, curved", "#56B4E9", "hexagram"),
+    **{term.kind: (term.words, term.colour, term.marker) for term in TERMS},
 }
 """Label, colour and marker of each kind: palette of Okabe and Ito, distinguishable by colour-blind readers."""
 

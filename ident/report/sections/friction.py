@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.units import joint_unit
-from ident.model.friction_terms import power_law, stribeck_share
+from ident.friction.table import TERMS, Operands, Term
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
@@ -19,7 +19,9 @@ from ident.result.schema import JointFrictionResult, Result
 from ident.views.number_text import whole
 from ident.views.result_tables import friction_step_table, joint_friction_table
 
-KINDS = ("viscous", "coulomb", "offset", "stribeck")
+DRAWN = tuple(term for term in TERMS if not term.needs)
+"""Terms that the velocity alone decides, which a curve over it shows."""
+
 COLUMNS = 2
 PANEL = 190
 SCATTER_POINTS = 1200
@@ -52,7 +54,9 @@ def _figure(data: ReportData) -> Figure | None:
     if not any(series.counted.any() for series in data.fit):
         return None
     joints = [
-        joint for joint in _order(data) if any(getattr(result.friction[joint], kind) is not None for kind in KINDS)
+        joint
+        for joint in _order(data)
+        if any(result.friction[joint].coefficient(term.kind) is not None for term in DRAWN)
     ]
     if not joints:
         return None
@@ -156,27 +160,31 @@ def _curve_velocity(velocity: FloatArray) -> FloatArray:
 
 
 def _columns(velocity: FloatArray, smoothing: float, friction: JointFrictionResult) -> FloatArray:
-    """Regressor (4, N) of viscous friction, Coulomb friction, offset and Stribeck friction."""
+    """Regressor (k, N) of the drawn terms."""
     direction = np.tanh(velocity / smoothing) if smoothing > 0 else np.sign(velocity)
-    viscous = power_law(velocity, friction.exponent or 1.0)
-    share = stribeck_share(velocity, friction.stribeck_velocity or 1.0)
-    return np.array([viscous, direction, np.ones_like(velocity), direction * share])
+    signals = [term.signal(Operands(velocity, direction, _shape(friction, term))) for term in DRAWN]
+    return np.array([np.broadcast_to(signal, velocity.shape) for signal in signals])
+
+
+def _shape(friction: JointFrictionResult, term: Term) -> float:
+    return 1.0 if term.shape is None else friction.shape_value(term.shape.name) or 1.0
 
 
 def _coefficients(friction: JointFrictionResult) -> FloatArray:
-    """(4,) of the joint; 0 where the model has no such column."""
-    return np.array([getattr(friction, kind) or 0.0 for kind in KINDS])
+    """(k,) of the joint; 0 where the model has no such column."""
+    return np.array([friction.coefficient(term.kind) or 0.0 for term in DRAWN])
 
 
 def _covariance(result: Result, joint: str) -> FloatArray | None:
-    """Covariance (4, 4) of a joint's coefficients, 0 for those that the model lacks; None where it is not stored."""
+    """Covariance (k, k) of a joint's coefficients, 0 for those that the model lacks; None where it is not stored."""
     if result.estimate is None:
         return None
     names: Sequence[str | None] = [
-        next((p.name for p in result.base_parameters if p.joint == joint and p.kind == kind), None) for kind in KINDS
+        next((p.name for p in result.base_parameters if p.joint == joint and p.kind == term.kind), None)
+        for term in DRAWN
     ]
     places = [result.estimate.parameters.index(name) if name in result.estimate.parameters else None for name in names]
-    covariance = np.zeros((len(KINDS), len(KINDS)))
+    covariance = np.zeros((len(DRAWN), len(DRAWN)))
     for i, row in enumerate(places):
         for j, column in enumerate(places):
             if row is not None and column is not None:

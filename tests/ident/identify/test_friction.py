@@ -11,7 +11,7 @@ from friction_experiment_arm import TWO_JOINTS
 
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import DataError, ModelError, UsageError
-from ident.identify.friction.choice import check_friction, chosen_friction
+from ident.friction.choice import check_friction, chosen_friction
 from ident.identify.friction.curvature import with_curvature
 from ident.identify.friction.shapes import with_free_shapes
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
@@ -96,7 +96,7 @@ def test_truth_lies_within_the_error_bars(friction):
     joints = robot_file.robot.truth.joints
     for (kind, motor), deviation_of_shape in found.shape_std.items():
         name = found.model.joint_names[motor]
-        estimated = (found.model.terms.exponent if kind == "exponent" else found.model.terms.stribeck_velocity)[motor]
+        estimated = found.model.terms.shape(kind, motor)
         true = joints[name].alpha if kind == "exponent" else joints[name].stribeck_velocity
         assert abs(estimated - true) < 4.0 * deviation_of_shape
     assert len(found.shape_std) == 2 * (friction.get("exponent") == "estimated") + 2 * ("stribeck" in friction)
@@ -150,7 +150,7 @@ def test_automatic_choice_finds_what_there_is():
     plain = identify(*runs, IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), search_delay=False))
     found = identify(*runs, IdentifyChoices(model=ModelChoices(friction="auto"), search_delay=False))
     assert [(step.joint, step.term) for step in found.friction.steps if step.accepted] == [("j1", "stribeck")]
-    assert found.model.terms.stribeck == (True, False)
+    assert found.model.has("stribeck") == (True, False)
     assert found.validation.relative_error < 0.7 * plain.validation.relative_error
 
 

@@ -8,6 +8,7 @@ import pytest
 from daq.robot.loader import load_robot
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import build_model
+from ident.model.kinematics.transmission import direct_transmission
 from ident.model.regressor import regressor
 
 
@@ -83,6 +84,13 @@ def test_first_three_joints_of_rocr6_have_fifteen():
     model = build_model(load_robot("rocr6"))
     off = (False, False, False)
     three = replace(
-        model, joints=model.joints[:3], limits=model.limits[:3], motor_inertia=off, viscous=off, coulomb=off, offset=off
+        model,
+        joints=model.joints[:3],
+        limits=model.limits[:3],
+        transmission=direct_transmission(3),
+        motor_inertia=off,
+        viscous=off,
+        coulomb=off,
+        offset=off,
     )
     assert base_parameters(three).count == 15

@@ -9,16 +9,11 @@ import pytest
 from friction_arm import TERMS, arm_file
 
 from drivers.core.errors import DataError, ModelError
+from ident.friction.table import SHAPED, root_coefficients, temperature_coefficients
+from ident.friction.terms import FrictionConditions, friction_terms, no_terms
 from ident.model.base_parameters import base_parameters, random_states, random_temperature
 from ident.model.dynamic_model import build_model
 from ident.model.energy import EnergyKernel
-from ident.model.friction_terms import (
-    FrictionConditions,
-    friction_terms,
-    no_terms,
-    root_coefficients,
-    temperature_coefficients,
-)
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.joint_columns import column_signal, column_slope, joint_column
 from ident.model.pinocchio_model import pinocchio_regressor
@@ -107,7 +102,7 @@ def test_slopes_and_sensitivities_are_derivatives(arm):
     shaped = replace(
         model,
         smoothing=0.1,
-        terms=replace(model.terms, sensitivities=True, free_exponent=(True,) * 3, free_stribeck_velocity=(True,) * 3),
+        terms=replace(model.terms, sensitivities=True, free=dict.fromkeys(SHAPED, (True,) * 3)),
     )
     speed = np.random.default_rng(1).uniform(0.05, 2.0, (3, 40)) * np.array([[1.0], [-1.0], [1.0]])
     conditions = FrictionConditions(np.full_like(speed, 3.0), np.full_like(speed, 310.0))
@@ -148,13 +143,13 @@ def terms_of(text):
 
 def test_terms_of_a_robot_file():
     terms = terms_of(TERMS)
-    assert terms.exponent == (0.6, 0.6, 1.0)
-    assert terms.load == ("quadratic", "quadratic", "linear")
-    assert terms.temperature == ("full", "full", "linear")
+    assert [terms.shape("exponent", motor) for motor in range(3)] == [0.6, 0.6, 1.0]
+    assert [terms.option("load", motor).value for motor in range(3)] == ["quadratic", "quadratic", "linear"]
+    assert [terms.option("temperature", motor).value for motor in range(3)] == ["full", "full", "linear"]
     assert not terms.shaped
     free = terms_of("\nfriction: {stribeck: true, exponent: estimated}\n")
-    assert free.free_exponent == free.free_stribeck_velocity == (True,) * 3
-    assert terms_of("") is None
+    assert free.free["exponent"] == free.free["stribeck_velocity"] == (True,) * 3
+    assert terms_of("").plain
 
 
 def test_no_terms_change_nothing(arm):

@@ -13,6 +13,7 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.schema import JointLimits
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.kinematics.joints import Joint
+from ident.model.kinematics.transmission import direct_transmission
 from ident.model.rigid_arm import RigidArm, rigid_arm
 from ident.model.true_parameters import truth_vector
 
@@ -67,6 +68,7 @@ def test_random_trees_whose_joints_are_numbered_in_any_order(parents: list[int],
         viscous=none,
         coulomb=none,
         offset=none,
+        transmission=direct_transmission(dof),
         smoothing=0.0,
     )
     arm = rigid_arm(model, np.array(inertial), generator.uniform(0.05, 0.5, dof))

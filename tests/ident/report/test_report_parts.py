@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ident.model.parameters import KIND_SYMBOLS
+from ident.model.parameters import JOINT_SYMBOLS
 from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import KIND_STYLES
 from ident.report.figures.traces import LONGEST_PAUSE, envelope_indices, lay_out
@@ -101,4 +101,4 @@ def test_values_are_cut_at_their_error(value: float | None, std: float | None, t
 
 def test_every_kind_of_base_parameter_has_a_style() -> None:
     """Those of the shapes' sensitivities are columns of a fit, never parameters of a result."""
-    assert set(KIND_STYLES) == {"inertial", "coupling", *KIND_SYMBOLS} - {"exponent", "stribeck_velocity"}
+    assert set(KIND_STYLES) == {"inertial", "coupling", *JOINT_SYMBOLS} - {"exponent", "stribeck_velocity"}

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ident.friction.terms import no_terms
 from ident.model.dynamic_model import build_model
-from ident.model.friction_terms import no_terms
 from ident.model.true_parameters import truth_vector
 from ident.result.further_friction import without_further_friction
 
@@ -18,14 +18,13 @@ def test_coulomb_and_viscous_friction_come_near_the_curve_of_the_further_terms(t
     truth = {
         parameter.name: value for parameter, value in zip(plain.parameters, truth_vector(three_joint), strict=True)
     }
-    terms = replace(
-        no_terms(3), exponent=(0.5, 1.0, 1.0), stribeck=(False, True, False), stribeck_velocity=(0.1, 0.2, 0.1)
-    )
+    terms = no_terms(3).with_shape("exponent", 0, 0.5)
+    terms = terms.with_kinds(1, ["stribeck"]).with_shape("stribeck_velocity", 1, 0.2)
     model = replace(plain, terms=terms, presliding=(("Fs3", 1e-3),))
     values = np.array([truth.get(parameter.name, 1.5) for parameter in model.parameters])
     simple, kept, lacking = without_further_friction(model, values)
     found = {parameter.name: value for parameter, value in zip(simple.parameters, kept, strict=True)}
-    assert simple.terms is None
+    assert simple.terms.plain
     assert not simple.presliding
     unchanged = truth.keys() - {"Fs1", "Fv1", "Fs2", "Fv2"}
     assert all(found[name] == truth[name] for name in unchanged)

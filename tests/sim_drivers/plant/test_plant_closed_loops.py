@@ -36,7 +36,6 @@ def test_forward_dynamics_undo_inverse_dynamics_and_agree_with_the_regressor(mak
     robot_file = make()
     model, truth = build_model(robot_file), truth_vector(robot_file)
     transmission = model.transmission
-    assert transmission is not None
     rotors = np.array([robot_file.robot.truth.joints[name].motor_inertia for name in model.joint_names])
     arm = rigid_arm(model, truth[:50], rotors)
     without_friction = [i for i, p in enumerate(model.parameters) if p.kind in ("inertial", "motor_inertia")]

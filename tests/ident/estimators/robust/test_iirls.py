@@ -62,9 +62,9 @@ def test_the_truth_lies_within_the_error_bars_in_spite_of_contacts(arm, faulty, 
     assert np.mean(np.abs(deviations(arm, full)) < 1.96) > 0.85
     for motor, truth in enumerate(EXPONENTS):
         sigma = full.shape_std["exponent", motor]
-        assert abs(full.model.terms.exponent[motor] - truth) < 3.0 * sigma < 0.15
+        assert abs(full.model.terms.shape("exponent", motor) - truth) < 3.0 * sigma < 0.15
     before = identified(faulty, "irls")  # its shapes are those of all equations
-    error = [np.abs(np.array(found.model.terms.exponent) - EXPONENTS).max() for found in (before, full)]
+    error = [np.abs(np.array(found.model.terms.shapes["exponent"]) - EXPONENTS).max() for found in (before, full)]
     assert error[1] < error[0]
 
 
@@ -73,7 +73,7 @@ def test_in_turn_comes_to_the_same(arm, faulty, full):
     assert turned.solution.settled
     difference = (turned.solution.parameters - full.solution.parameters) / full.std
     assert np.max(np.abs(difference)) < 0.5  # steps shorter than 0.01 σ, and many of them
-    assert turned.model.terms.exponent == pytest.approx(full.model.terms.exponent, abs=5e-3)
+    assert turned.model.terms.shapes["exponent"] == pytest.approx(full.model.terms.shapes["exponent"], abs=5e-3)
     assert turned.estimation.passes > full.estimation.passes
 
 
@@ -87,7 +87,7 @@ def test_every_loop_is_in_the_result_and_on_the_page(faulty, full):
     assert names[-1].startswith("load torque")
     shapes = [loop for loop in result.convergence.loops if loop.name == "exponent α"]
     assert [loop.joint for loop in shapes] == ["j1", "j2", "j3"]
-    assert [loop.values[-1] for loop in shapes] == pytest.approx(full.model.terms.exponent)
+    assert [loop.values[-1] for loop in shapes] == pytest.approx(full.model.terms.shapes["exponent"])
     assert all(loop.settled for loop in result.convergence.loops)
     shown = section(ReportData(result, full.fit_series, full.validation_series))
     assert shown is not None
@@ -113,7 +113,7 @@ def test_sensitivities_are_derivatives_by_the_shapes(full):
     assert np.array_equal(rows[:, :base], regressor(kernel.model, *states, kernel.columns))
     assert isinstance(shapes.kernel, RegressorKernel)
     speed = np.abs(states[1][2])
-    expected = np.sign(states[1][2]) * speed ** kernel.model.terms.exponent[2] * np.log(speed)
+    expected = np.sign(states[1][2]) * speed ** kernel.model.terms.shape("exponent", 2) * np.log(speed)
     assert np.allclose(rows[2, base + 1], expected, rtol=1e-6, atol=1e-8)
 
 

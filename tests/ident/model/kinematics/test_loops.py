@@ -201,7 +201,6 @@ def test_rows_are_those_of_the_tree_taken_to_the_motors(random_tree: Callable[..
 def test_motors_give_the_power_that_the_tree_s_joints_take(random_tree: Callable[..., DynamicModel], seed: int) -> None:
     tree = random_tree(seed, 6)
     model = random_transmission(tree, seed)
-    assert model.transmission is not None
     motion = random_states(model, 600, seed)
     parameters = np.random.default_rng(seed).standard_normal(60)
     at_motors = model_torque(model, range(60), parameters, *motion)

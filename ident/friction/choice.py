@@ -1,7 +1,7 @@
 """The text of `--friction`: a base model, and terms joined with plus signs.
 
     none | viscous | coulomb | coulomb-viscous, then +power, +stribeck, +load or +load-linear, +temperature or
-    +temperature-linear; or auto
+    +temperature-linear, and the others of `ident.friction.table`; or auto
 
 Shapes that the robot file states (exponent, Stribeck velocity) are kept, others are estimated.
 """
@@ -13,18 +13,13 @@ from typing import Any
 from daq.robot.schema import Friction
 from drivers.core.errors import UsageError
 from drivers.core.text import did_you_mean
+from ident.friction.table import OPTIONS
 
 AUTO = "auto"
 BASES = ("none", "viscous", "coulomb", "coulomb-viscous")
-TERMS: dict[str, tuple[str, Any]] = {
-    "power": ("exponent", "estimated"),
-    "stribeck": ("stribeck", True),
-    "load": ("load", "quadratic"),
-    "load-linear": ("load", "linear"),
-    "temperature": ("temperature", "full"),
-    "temperature-linear": ("temperature", "linear"),
-}
-"""Key of the robot file's `friction` that a term sets, and the value."""
+GROUPS = list(dict.fromkeys(option.group for option in OPTIONS))
+WORDS = {one.word: one for one in sorted(OPTIONS, key=lambda one: (GROUPS.index(one.group), one.word))}
+"""What each word asks for."""
 
 
 def check_friction(text: str) -> None:
@@ -40,13 +35,13 @@ def check_friction(text: str) -> None:
         hint = did_you_mean(base, BASES) or f"{', '.join(BASES)} or {AUTO}"
         raise UsageError(f"no friction model is called '{base}'", where="--friction", hint=hint)
     for term in terms:
-        if term not in TERMS:
-            hint = did_you_mean(term, tuple(TERMS)) or f"terms are {', '.join(TERMS)}"
+        if term not in WORDS:
+            hint = did_you_mean(term, tuple(WORDS)) or f"terms are {', '.join(WORDS)}"
             raise UsageError(f"no friction term is called '{term}'", where="--friction", hint=hint)
-    keys = [TERMS[term][0] for term in terms]
+    keys = [WORDS[term].group for term in terms]
     if len(set(keys)) < len(keys):
         raise UsageError(f"'{text}' names a term twice", where="--friction", hint="load or load-linear, not both")
-    if "exponent" in keys and "viscous" not in base.split("-"):
+    if any(WORDS[term].bends for term in terms) and "viscous" not in base.split("-"):
         raise UsageError("+power is the exponent of viscous friction", where="--friction", hint="coulomb-viscous+power")
 
 
@@ -57,15 +52,15 @@ def friction_columns(text: str) -> tuple[str, ...]:
 
 def chosen_friction(friction: Friction, text: str) -> Friction:
     """The robot file's `friction` with the terms of a text for every joint; its shapes are kept."""
-    terms = [] if text == AUTO else text.split("+")[1:]
-    update: dict[str, Any] = {"exponent": 1.0, "stribeck": False, "load": "none", "temperature": "none"}
-    for term in terms:
-        key, value = TERMS[term]
-        update[key] = value if key != "exponent" or friction.exponent == 1.0 else friction.exponent
+    words = [] if text == AUTO else text.split("+")[1:]
+    options = {WORDS[word].group: WORDS[word] for word in words}
+    nothing: dict[str, Any] = {"exponent": 1.0, "stribeck": False, "load": "none", "temperature": "none"}
+    update: dict[str, Any] = dict(nothing)
+    for key in nothing.keys() & options.keys():
+        update[key] = options[key].value if key != "exponent" or friction.exponent == 1.0 else friction.exponent
+    update["terms"] = tuple(option.word for group, option in options.items() if group not in nothing)
     joints = {}
     for name, joint in friction.joints.items():
-        exponent = joint.exponent if "power" in terms and joint.exponent != 1.0 else None
-        joints[name] = joint.model_copy(
-            update={"exponent": exponent, "stribeck": None, "load": None, "temperature": None}
-        )
+        kept = joint.exponent if "exponent" in options and joint.exponent != 1.0 else None
+        joints[name] = joint.model_copy(update={**dict.fromkeys((*nothing, "terms")), "exponent": kept})
     return friction.model_copy(update={**update, "joints": joints})
