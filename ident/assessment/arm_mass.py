@@ -12,8 +12,8 @@ deviation of a factor of 2.2; the arms lie between 0.17 (WidowX 250) and 4.0 (TX
     M-2000iA/1200 8600/3.734 · Doosan M1013 33/1.3 · Techman TM5-900 22.6/0.9 · AUBO i5 24/0.886 · xArm 6 12.2/0.7 ·
     Yaskawa GP7 34/0.927 · GP25 250/1.73 · GP180 970/2.702 · Meca500 4.5/0.33 · WidowX 250 2.3/0.65 · SO-101 0.9/0.4
 
-(kg/m, manufacturers' data sheets, base included.) Over the payload that their data sheets allow they weigh between 2.1
-(Kinova Gen3 8.2/4, UR16e 33.1/16, iiwa 14 29.9/14) and 42 (IRB 1600-6 250/6): KR 500 4.8, UR5e 4.1, FR3 5.9, KR 6 8.7,
+(kg/m, manufacturers' data sheets, base included.) Over their nominal payload, mostly the type's number, they weigh 2.1
+(Kinova Gen3 8.2/4, UR16e 33.1/16, iiwa 14 29.9/14) to 42 (IRB 1600-6 250/6): KR 500 4.8, UR5e 4.1, FR3 5.9, KR 6 8.7,
 TX2-60 15, M-10iD 12, YuMi 19. The joints' frames of an arm are 1.4 reaches long, base to wrist.
 """
 
