@@ -40,7 +40,7 @@ def main() -> None:
             continue
         found = 1e3 * max(consistent.simulation.position_rmse)
         error = 100.0 * (consistent.validation.relative_error or np.nan)
-        print(f"| {name} | {error:.2f} | {found:.2f} | {1e3 * truth.position_rmse.max():.2f} |")
+        print(f"| {name} | {error:.2f} | {found:.2f} | {1e3 * max(truth.position_rmse):.2f} |")
 
 
 if __name__ == "__main__":

@@ -348,7 +348,7 @@ def test_a_gap_and_a_rest_are_no_trouble(three_joint, method):
 def test_the_example_runs(capsys):
     """On little data: each of its tables in small; and what it is there to show."""
     example = importlib.import_module("studies.papers.energy_vs_dynamic")
-    arm = sampled(load_robot("sr400"), 125.0)
+    arm = sampled(load_robot("sr400"), 200.0)
     models = example.compare_parameters(arm, moves=8)
     assert [found.solution.method for found in models] == ["wls", *METHODS]
     assert all(len(found.solution.active) == 17 for found in models)

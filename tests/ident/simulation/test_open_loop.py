@@ -21,7 +21,7 @@ def test_the_true_arm_is_far_better_than_constant_velocity(segment):
     assert found.windows <= WINDOWS
     assert found.window == WINDOW
     assert not found.diverged
-    assert np.all(found.position_rmse < 0.1 * found.reference_rmse)
+    assert np.all(np.array(found.position_rmse) < 0.1 * np.array(found.reference_rmse))
 
 
 def test_the_reference_is_the_motion_at_constant_velocity(segment):
@@ -51,7 +51,7 @@ def test_a_motion_that_diverges_says_when(segment):
     found = open_loop(inverse_of("ur5e"), [pushed])
     assert "diverges" in found.diverged
     assert " s of the recording" in found.diverged
-    assert np.all(np.isnan(found.position_rmse))
+    assert found.position_rmse == [None] * 6
     assert np.all(np.isfinite(found.reference_rmse))
 
 
