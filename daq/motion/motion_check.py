@@ -111,4 +111,4 @@ def load_motion_check(robot_file: RobotFile, prior: Path | None = None) -> Motio
             f"a motion is played only where exactly one check of motions is installed; found: {found}",
             hint="install dynid again",
         )
-    return cast(MakeMotionCheck, entries[0].load())(robot_file, prior)
+    return cast("MakeMotionCheck", entries[0].load())(robot_file, prior)

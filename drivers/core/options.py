@@ -81,7 +81,7 @@ def option(default: _Value, help: str = "", **more: Any) -> _Value:
     """A field with a default; `more` are fields of `Option`."""
     metadata = {_METADATA: Option(help, **more)}
     if isinstance(default, dict):  # each instance has its own
-        return cast(_Value, field(default_factory=default.copy, metadata=metadata))
+        return cast("_Value", field(default_factory=default.copy, metadata=metadata))
     return field(default=default, metadata=metadata)
 
 
@@ -110,14 +110,14 @@ class Options:
         Raises:
             UsageError: a value is not allowed.
         """
-        for of in fields(cast(Any, self)):
+        for of in fields(cast("Any", self)):
             if (stated := declared(of)) is not None:
                 stated.check(flag_of(of).partition("/")[0], getattr(self, of.name))
 
 
 def same_named(options: object, dataclass_type: type[_Options], **others: Any) -> _Options:
     """An instance of a dataclass with the values that `options` has under its fields' names, and with the others."""
-    names = [of.name for of in fields(cast(Any, dataclass_type)) if hasattr(options, of.name)]
+    names = [of.name for of in fields(cast("Any", dataclass_type)) if hasattr(options, of.name)]
     return dataclass_type(**{name: getattr(options, name) for name in names} | others)
 
 

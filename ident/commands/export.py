@@ -56,7 +56,7 @@ def export(
     exports = []
     with progress_line(quiet=as_json) as progress, written_together():
         progress("model")
-        identified = load_model(model, cast(Parameters | None, parameters))
+        identified = load_model(model, cast("Parameters | None", parameters))
         if urdf is not None:
             progress("URDF")
             exports.append(identified.export_urdf(urdf, into=into, force=force))

@@ -18,7 +18,8 @@ from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.result.model import result_path
-from ident.result.schema import Result, read_result
+from ident.result.result_file import read_result
+from ident.result.schema import Result
 from ident.signals.cutoffs import filtered_rate
 
 ASSUMED_NOISE_SHARE = 0.01

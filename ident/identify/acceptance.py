@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from ident.assessment.validation import Fit
-from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
-from ident.result.schema import HeldOutErrors, Result
+from ident.result.delivered import DELIVERED_WORDS, HeldOutErrors, delivered_parameters
+from ident.result.schema import Result
 from ident.verdict.acceptance import ModelFigures
 from ident.verdict.evidence import known
 from ident.verdict.verdict import Verdict

@@ -18,8 +18,8 @@ from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
-from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
-from ident.result.schema import Delivered, HeldOutErrors, Result
+from ident.result.delivered import DELIVERED_WORDS, Delivered, HeldOutErrors, delivered_parameters
+from ident.result.schema import Result
 from ident.signals.prepared import Prepared
 from ident.simulation.open_loop import OpenLoop, open_loop
 from ident.simulation.tracking import TrackingError, track_longest

@@ -13,15 +13,10 @@ from ident.identify.held_friction import HeldFriction, HeldJoint, parameter_of
 from ident.identify.identification import Identification
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.observability import experiment_base
-from ident.result.schema import (
-    BaseParameterResult,
-    ConsistentModel,
-    EstimateResult,
-    JointFrictionResult,
-    ModelOptions,
-    Result,
-    StandardParameterResult,
-)
+from ident.result.consistent_model import ConsistentModel, StandardParameterResult
+from ident.result.estimate import EstimateResult
+from ident.result.friction import JointFrictionResult
+from ident.result.schema import BaseParameterResult, ModelOptions, Result
 from ident.result.units import parameter_unit
 
 ORIGIN = "friction experiment"

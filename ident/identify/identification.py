@@ -30,15 +30,11 @@ from ident.regression.jackknife import CorrectedCovariance
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import Experiment
 from ident.regression.observation_matrix import Reduction
-from ident.regression.options import (
-    REVERSAL_SHARE,
-    EssentialOptions,
-    ExperimentChoices,
-    ReversalOptions,
-)
+from ident.regression.options import REVERSAL_SHARE, EssentialOptions, ExperimentChoices, ReversalOptions
 from ident.regression.pruning import Pruned
+from ident.result.friction import FrictionStep
 from ident.result.friction_experiment import FrictionExperimentResult
-from ident.result.schema import FrictionStep, Presliding, PreslidingTravel
+from ident.result.schema import Presliding, PreslidingTravel
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime
 from hashlib import sha256
@@ -18,8 +18,6 @@ from drivers.core.text import percent_text
 from drivers.core.units import common_unit
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.validation import LOW_SPEED, Fit
-from ident.friction.table import SHAPED, TEMPERATURE_KINDS, TERM, TERMS, temperature_coefficients
-from ident.friction.terms import FrictionTerms
 from ident.identify.convergence import convergence_result
 from ident.identify.data_split import RunWindow
 from ident.identify.held_out import delivered_model, model_verdict
@@ -27,28 +25,25 @@ from ident.identify.held_result import with_held_friction
 from ident.identify.identification import Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.regression.estimate import Estimate
 from ident.regression.gain_uncertainty import gain_deviations, gain_sensitivity, relative_gain_std
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.least_squares import LeastSquares
-from ident.regression.observability import Experiment, describe
+from ident.regression.observability import describe
 from ident.regression.pruning import Pruned, partial_f, relative_std
 from ident.result.consistent_model import consistent_model, link_results
+from ident.result.estimate import EstimateResult, ExperimentResult
+from ident.result.friction import friction_note, friction_results
+from ident.result.result_file import file_sha256
 from ident.result.schema import (
     BaseParameterResult,
     DelayFigures,
     DriveGainResult,
     Essential,
-    EstimateResult,
     Excitation,
-    ExperimentResult,
-    FurtherFriction,
-    JointFrictionResult,
     ModelOptions,
     RecordingUse,
     Residuals,
     Result,
-    file_sha256,
 )
 from ident.result.units import parameter_unit
 from ident.signals.prepared import Step
@@ -163,8 +158,8 @@ def summarise(
         ],
         versions=software_versions(),
         verdict=Verdict("not judged yet"),
-        experiments=[experiment_result(model, identification.experiment)],
-        estimate=estimate_result(identification.estimate, base.names),
+        experiments=[ExperimentResult.of(model, identification.experiment)],
+        estimate=EstimateResult.of(identification.estimate, base.names),
         convergence=convergence_result(identification),
         presliding=identification.presliding,
     )
@@ -199,34 +194,6 @@ def delay_figures(used: float, search: DelaySearch | None) -> DelayFigures:
 def model_options(model: DynamicModel) -> ModelOptions:
     """Which columns the model has."""
     return ModelOptions.model_validate(model, from_attributes=True)
-
-
-def experiment_result(model: DynamicModel, experiment: Experiment) -> ExperimentResult:
-    """An experiment by the names of the joints."""
-    return ExperimentResult(
-        locked={
-            model.joint_names[joint]: [pose[index] for pose in experiment.poses]
-            for index, joint in enumerate(experiment.locked)
-        },
-        torques_of=[model.joint_names[motor] for motor in experiment.torques],
-    )
-
-
-def estimate_result(estimate: Estimate, names: Sequence[str]) -> EstimateResult:
-    """An estimate by the names of the base parameters."""
-    others = [column for column in range(len(names)) if column not in estimate.active]
-    return EstimateResult(
-        parameters=[names[column] for column in estimate.active],
-        root=estimate.root.tolist(),
-        covariance=estimate.covariance.tolist(),
-        within=None if estimate.within is None else estimate.within.tolist(),
-        taken_up={
-            names[column]: shares.tolist()
-            for column, shares in zip(others, estimate.taken_up.T, strict=True)
-            if np.any(shares)
-        },
-        blocks=estimate.blocks,
-    )
 
 
 def _torque_step(identification: Identification) -> Step:
@@ -356,133 +323,6 @@ def parameter_results(
         )
 
     return [entry(i) for i in range(base.count)]
-
-
-REPEATED_KINDS: tuple[str, ...] = ("viscous", "coulomb", "offset")
-"""Those whose σ between runs it has, too."""
-
-
-def friction_note(runs: int, repeatability: FloatArray | None) -> str:
-    """What the intervals of friction hold of changes between runs.
-
-    Args:
-        runs: how many were identified together.
-        repeatability: (b,) σ between them; None where it is unknown.
-    """
-    if repeatability is not None:
-        return (
-            f"Intervals of friction hold for its mean over the {runs} runs and count how much it changed between them; "
-            "repeatability is σ of that change, by which a single run differs from the mean."
-        )
-    known = "one run" if runs == 1 else f"{runs} runs, whose changes this method does not estimate"
-    return (
-        f"Intervals of friction come from {known}: they do not cover how much friction changes from run to run "
-        "(temperature, load and rest before). Identify several recordings together to have that in them."
-    )
-
-
-NAMED_KINDS = tuple(kind for kind in TERM if kind in JointFrictionResult.model_fields and kind != "temperature")
-"""Kinds whose values and deviations `JointFrictionResult` has by name; the temperature's are β there."""
-
-
-def friction_fields(
-    terms: FrictionTerms,
-    motor: int,
-    kinds: Collection[str],
-    value: Callable[[str], float | None],
-    std: Callable[[str], float | None],
-) -> dict[str, Any]:
-    """Fields of a joint's friction but those of the temperature.
-
-    Args:
-        terms: of the arm.
-        motor: of the joint.
-        kinds: of its columns.
-        value: of the coefficient of a kind; None where it was not estimated.
-        std: σ of it, or of the estimated shape of a name.
-    """
-    found: dict[str, Any] = {"further": []}
-    for term in TERMS:
-        if term.needs == "temperature":
-            continue
-        shape, own = term.shape, dict[str, float | None]()
-        if shape is not None and term.kind in kinds and terms.shape(shape.name, motor) != shape.plain:
-            own = {shape.name: terms.shape(shape.name, motor), f"{shape.name}_std": std(shape.name)}
-        if term.kind in NAMED_KINDS:
-            found |= {term.kind: value(term.kind), f"{term.kind}_std": std(term.kind), **own}
-        elif term.kind in kinds:
-            shape_value, shape_std = own.values() or (None, None)
-            found["further"].append(
-                FurtherFriction(
-                    kind=term.kind,
-                    value=value(term.kind),
-                    std=std(term.kind),
-                    shape=shape_value,
-                    shape_std=shape_std,
-                )
-            )
-    return found
-
-
-def friction_results(
-    model: DynamicModel,
-    base: BaseParameters,
-    solution: LeastSquares,
-    std: FloatArray,
-    covariance: FloatArray,
-    shape_std: Mapping[tuple[str, int], float],
-    repeatability: FloatArray | None = None,
-) -> list[JointFrictionResult]:
-    """Friction of each joint with a motor.
-
-    Args:
-        model: the arm.
-        base: its base parameters (b).
-        solution: of the full model.
-        std: (b,) corrected standard deviations.
-        covariance: (a, a) corrected, of the active parameters.
-        shape_std: σ of the estimated shapes, by kind of their sensitivity and motor.
-        repeatability: (b,) σ between runs; None where it is unknown.
-    """
-    position = {(kind, joint): i for i, (kind, joint) in enumerate(zip(base.kinds, base.joints, strict=True))}
-
-    def value(kind: str, joint: int, values: FloatArray) -> float | None:
-        i = position.get((kind, joint))
-        return float(values[i]) if i is not None and i in solution.active else None
-
-    def of_motor(motor: int, joint: int) -> dict[str, Any]:
-        kinds = [kind for kind in TERM if model.has(kind)[motor]]
-        found = friction_fields(
-            model.terms,
-            motor,
-            kinds,
-            lambda kind: value(kind, joint, solution.parameters),
-            lambda kind: shape_std.get((kind, motor)) if kind in SHAPED else value(kind, joint, std),
-        )
-        if repeatability is not None:
-            found |= {f"{kind}_repeatability": value(kind, joint, repeatability) for kind in REPEATED_KINDS}
-        places = [position.get((kind, joint)) for kind in TEMPERATURE_KINDS]
-        if any(place in solution.active for place in places):
-            # β is linear in Ft, Fts and Ftc.
-            to_beta = np.array([temperature_coefficients(*unit) for unit in np.eye(3)]).T
-            rows = [solution.active.index(place) if place in solution.active else None for place in places]
-            values = [0.0 if place not in solution.active else solution.parameters[place] for place in places]
-            shares = np.zeros((3, len(solution.active)))
-            for column, row in enumerate(rows):
-                if row is not None:
-                    shares[:, row] = to_beta[:, column]
-            found["temperature"] = (to_beta @ np.array(values)).tolist()
-            found["temperature_std"] = np.sqrt(np.einsum("ij,jk,ik->i", shares, covariance, shares)).tolist()
-        return found
-
-    return [
-        JointFrictionResult(
-            joint=name,
-            sliding=model.sliding[motor],
-            **of_motor(motor, joint),
-        )
-        for motor, (joint, name) in enumerate(zip(model.active, model.joint_names, strict=True))
-    ]
 
 
 def gain_results(robot: Robot, used: Collection[str]) -> list[DriveGainResult]:

@@ -25,7 +25,7 @@ from ident.report.sections import (
     torques_validation,
     truth,
 )
-from ident.result.schema import result_file_text
+from ident.result.result_file import result_file_text
 
 SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     summary.section,

@@ -5,21 +5,65 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from pydantic import Field
 
 from daq.robot.loader import RobotFile
 from ident.assessment.validation import Fit
+from ident.estimators.feasible.armature import Armature
 from ident.estimators.feasible.consistent import ConsistentParameters
 from ident.estimators.feasible.pseudo_inertia import body_of
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import INERTIAL
-from ident.result.schema import (
-    ConsistentModel,
-    HeldOutErrors,
-    LinkResult,
-    StandardParameterResult,
-)
+from ident.result.delivered import HeldOutErrors
 from ident.result.units import parameter_unit
+from ident.simulation.tracking import TrackingError
+from ident.stored import Number, Stored, Value
+
+
+class LinkResult(Stored):
+    """A link of the physically consistent model, in the frame of its joint."""
+
+    link: str = Field(description="name of the joint that moves it")
+    mass: Value = Field(description="[kg]")
+    com: list[Value] = Field(description="centre of mass [m]", min_length=3, max_length=3)
+    inertia: dict[str, Value] = Field(description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]")
+    prior: str = Field(description="where the body comes from that fills in what the data leave open")
+    identified: float = Field(description="share of its ten parameters that the data determine")
+
+
+class StandardParameterResult(Stored):
+    """One standard parameter of the physically consistent model."""
+
+    name: str
+    unit: str
+    value: Value
+    std: Number = Field(description="null where the data do not determine it")
+    determined: float = Field(description="share that the data determine; the rest comes from the prior")
+    known: bool = Field(description="named in the robot file")
+
+
+class ConsistentModel(Stored):
+    """The model whose links, inertias and friction can exist, and what this costs."""
+
+    parameters: list[StandardParameterResult]
+    base_values: dict[str, Value] = Field(description="base parameters of these standard parameters, by name")
+    prior_distance: str
+    prior_weight: float = Field(description="in equations of unit variance per link")
+    misfit: float = Field(description="rise of the sum of squared residuals, each of unit variance")
+    p_value: Number = Field(description="probability of a greater rise if the truth is consistent (F-test)")
+    boundary: list[str] = Field(description="links that the conditions hold near the boundary")
+    limits_hit: list[str] = Field(description="ranges of the robot file that hold a parameter")
+    fit: Fit | None
+    validation: Fit | None
+    simulation: TrackingError | None = None
+    not_simulated: str = Field(default="", description="why `simulation` is null; empty in results of earlier versions")
+    armature: list[Armature] = Field(
+        default_factory=list, description="of the joints whose drive says `inertia: false`"
+    )
+    apparent_mass: Number = Field(
+        default=None, description="of all links, were they all heavier than their prior by one factor [kg]"
+    )
 
 
 def link_results(model: DynamicModel, consistent: ConsistentParameters) -> list[LinkResult]:

@@ -9,9 +9,10 @@ from ident.export.arm import ExportedArm, refuse_unidentified_friction
 from ident.friction.table import FRICTION_KINDS
 from ident.model.base_parameters import base_parameters
 from ident.model.inverse_dynamics import InverseDynamics
+from ident.result.estimate import AGAIN
 from ident.result.further_friction import without_further_friction
 from ident.result.schema import Result
-from ident.result.stored_model import AGAIN, StoredModel
+from ident.result.stored_model import StoredModel
 
 FRICTION = (*(kind for kind in FRICTION_KINDS if kind != "offset"), "coupling")
 """Kinds of parameters that an export takes from the recording or not at all."""

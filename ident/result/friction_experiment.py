@@ -14,7 +14,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
 from ident.friction.table import SHAPED, SHAPES, TEMPERATURE_KINDS
-from ident.result.schema import FrictionStep, JointFrictionResult, ParameterKind
+from ident.result.friction import FrictionStep, JointFrictionResult, ParameterKind
 from ident.stored import Number, Value
 
 FRICTION_FILE = "friction.json"

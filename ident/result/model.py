@@ -22,7 +22,7 @@ from ident.result.arrays import outward, samples
 from ident.result.delivered import Parameters
 from ident.result.exported_model import ExportedModel
 from ident.result.model_parameters import ROUNDING
-from ident.result.schema import read_result
+from ident.result.result_file import read_result
 from ident.result.simulated_motion import STEP, Controller, SimulatedMotion, simulated_motion
 
 TorquePart = Literal["inertial", "coriolis", "gravity", "friction"]

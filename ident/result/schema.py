@@ -2,74 +2,31 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import re
-import warnings
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-import numpy as np
-from pydantic import (
-    AfterValidator,
-    BeforeValidator,
-    Field,
-    ValidationError,
-    ValidationInfo,
-    computed_field,
-    field_validator,
-    model_validator,
-)
+from pydantic import AfterValidator, BeforeValidator, Field, computed_field, model_validator
 
-from daq.output_files import replace_files, strange_files
 from daq.robot.section import within
-from drivers.core.errors import DynidWarning, ResultFileError
-from drivers.core.files import RESULT_FILE, read_text
-from drivers.core.units import common_unit, joint_unit
+from drivers.core.units import common_unit
 from ident.assessment.delay.delay import JointDelay
 from ident.assessment.residual_tests import ResidualTests
 from ident.assessment.validation import Fit
 from ident.estimators.estimator import Loop
-from ident.estimators.feasible.armature import Armature
-from ident.friction.table import FURTHER_KINDS, SHAPES, TERM, TERMS
+from ident.friction.table import FURTHER_KINDS, SHAPES
 from ident.friction.terms import NO_TERMS, FrictionTerms
-from ident.model.parameters import KINDS
 from ident.ranges import PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING
-from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.result.delivered import DeliveredParameters
+from ident.result.consistent_model import ConsistentModel, LinkResult
+from ident.result.delivered import Delivered
+from ident.result.estimate import EstimateResult, ExperimentResult, Merge
+from ident.result.friction import FrictionStep, JointFrictionResult, ParameterKind
 from ident.signals.prepared import Step
-from ident.simulation.open_loop import OpenLoop
-from ident.simulation.tracking import TrackingError
-from ident.stored import Number, Real, Stored, Value
+from ident.stored import Number, Real, Stored
 from ident.verdict.acceptance import Acceptance
-from ident.verdict.check import PURPOSES, Check, texts
+from ident.verdict.check import PURPOSES, texts
 from ident.verdict.verdict import Verdict
 
 RESULT_SCHEMA = 1
-UNITS: dict[str, str] = {
-    **dict.fromkeys(("XX", "XY", "XZ", "YY", "YZ", "ZZ", "Ia", "Iac"), "kg·m²"),
-    **dict.fromkeys(("MX", "MY", "MZ"), "kg·m"),
-    "M": "kg",
-    **{term.symbol: term.unit(1.0) for term in TERMS},
-    "Fvm": "N·m·s/rad",
-    "Fsm": "N·m",
-}
-"""Units by symbol, for revolute joints; of friction with a shape where that is 1."""
-
-
-_NUMBERS = re.compile(r"\[\n[-+.0-9eEnul,\s]+\]")
-"""A list of nothing but numbers, which stands in one line."""
-
-
-def _known_kind(value: str) -> str:
-    if value not in KINDS:
-        raise ValueError(f"no parameter is of the kind '{value}'")
-    return value
-
-
-ParameterKind = Annotated[str, AfterValidator(_known_kind)]
-"""Kind of a standard parameter, as `ident.model.parameters` names them."""
 
 
 class BaseParameterResult(Stored):
@@ -102,118 +59,6 @@ class BaseParameterResult(Stored):
         description="σ of friction between runs, which std counts for the mean over them; null with one run",
     )
     origin: str = Field(default="", description="of a value that was held; empty where the recordings give it")
-
-
-class FurtherFriction(Stored):
-    """One friction term of a joint that has no fields of its own in `JointFrictionResult`."""
-
-    kind: ParameterKind
-    value: Number
-    std: Number
-    shape: Number = Field(default=None, description="null where the term has none")
-    shape_std: Number = Field(default=None, description="null where it was not estimated")
-
-
-class JointFrictionResult(Stored):
-    """Friction of one joint; null where the model has no such column.
-
-    F = sign(q̇)·(coulomb + viscous·|q̇|^exponent + stribeck·exp(−(q̇/stribeck_velocity)²) + load·|τ_L|^load_power
-    + √|q̇|·(β1 + β2·T + β3·T⁻³)) + offset, T in kelvin, τ_L the load torque (`model_options.terms`).
-    """
-
-    joint: str
-    sliding: bool = Field(default=False, description="whether the joint slides: N and m for N·m and rad")
-    viscous: Number
-    viscous_std: Number
-    coulomb: Number
-    coulomb_std: Number
-    offset: Number = Field(description="of a joint that slides along gravity with its weight [N·m or N]")
-    offset_std: Number
-    exponent: Number = Field(default=None, description="α; null where friction is linear in the velocity")
-    exponent_std: Number = Field(default=None, description="null where it was not estimated")
-    stribeck: Number = Field(default=None, description="[N·m]")
-    stribeck_std: Number = None
-    stribeck_velocity: Number = Field(default=None, description="v_s [rad/s or m/s]")
-    stribeck_velocity_std: Number = Field(default=None, description="null where it was not estimated")
-    load: Number = Field(default=None, description="[(N·m)^(1 − load_power)]")
-    load_std: Number = None
-    load_power: Number = Field(default=None, description="1 (linear) or 2 (quadratic)")
-    temperature: list[Value] | None = Field(default=None, description="β1, β2, β3 of AUBO eq. 5, T in kelvin")
-    temperature_std: list[Number] | None = None
-    further: list[FurtherFriction] = Field(default=[], description="terms beside those above")
-    temperature_origin: str = Field(default="", description="of values that were held; empty otherwise")
-    viscous_repeatability: Number = Field(default=None, description="σ between runs, as of the base parameter")
-    coulomb_repeatability: Number = None
-    offset_repeatability: Number = None
-
-    def coefficient(self, kind: str) -> float | None:
-        """Value of a term that depends on the velocity alone, or on the load; None where the joint has none."""
-        named: float | None = getattr(self, kind, None)
-        return next((one.value for one in self.further if one.kind == kind), named)
-
-    def shape_value(self, name: str) -> float | None:
-        """The shape of this name; None where the joint has none but the plain one."""
-        named: float | None = getattr(self, name, None)
-        kinds = [term.kind for term in TERMS if term.shape is not None and term.shape.name == name]
-        return next((one.shape for one in self.further if one.kind in kinds), named)
-
-    @property
-    def repeatability_text(self) -> str:
-        """σ between runs in print; empty where it is not known."""
-        values = (self.viscous_repeatability, self.coulomb_repeatability, self.offset_repeatability)
-        return (
-            ", ".join("–" if value is None else f"{value:.2g}" for value in values)
-            if any(value is not None for value in values)
-            else ""
-        )
-
-    @property
-    def terms_text(self) -> str:
-        """The further terms in print; empty where there are none."""
-        parts = []
-        if self.exponent is not None:
-            parts.append(f"α {_with_interval(self.exponent, self.exponent_std)}")
-        if self.stribeck is not None:
-            torque, speed = (joint_unit(unit, sliding=self.sliding) for unit in ("N·m", "rad/s"))
-            velocity = _with_interval(self.stribeck_velocity, self.stribeck_velocity_std)
-            parts.append(
-                f"Stribeck {_with_interval(self.stribeck, self.stribeck_std)} {torque}, v_s {velocity} {speed}"
-            )
-        if self.load is not None:
-            power = "²" if self.load_power == 2.0 else ""
-            parts.append(f"load {_with_interval(self.load, self.load_std)} ·|τ_L|{power}")
-        if self.temperature is not None:
-            held = f" (held, {self.temperature_origin})" if self.temperature_origin else ""
-            deviations = self.temperature_std or [None] * len(self.temperature)
-            beta = (_with_interval(*pair) for pair in zip(self.temperature, deviations, strict=True))
-            parts.append(f"β {', '.join(beta)}{held}")
-        for one in self.further:
-            shape = "" if one.shape is None else f", shape {_with_interval(one.shape, one.shape_std)}"
-            unit = joint_unit(TERM[one.kind].unit(one.shape or 1.0), sliding=self.sliding)
-            parts.append(f"{TERM[one.kind].words} {_with_interval(one.value, one.std)} {unit}{shape}")
-        return "; ".join(parts)
-
-
-def _with_interval(value: float | None, std: float | None) -> str:
-    """A value, and half of its 95 % interval where it is known."""
-    text = "–" if value is None else f"{value:.3g}"
-    return text if std is None else f"{text} ± {WITHIN_95_PERCENT * std:.2g}"
-
-
-class FrictionStep(Stored):
-    """One step of complexity that `--friction auto` tried for a joint: the best one at that point."""
-
-    joint: str
-    term: str
-    shape: Number = Field(description="α or v_s on the grid where the term has one")
-    f_value: float = Field(description="partial F statistic, for the number of independent equations")
-    freedom: int
-    p_value: float
-    error_before: float = Field(
-        description="held-out error on blocks of the identification data, in the residuals' standard deviations"
-    )
-    error_after: Number
-    accepted: bool
 
 
 class DriveGainResult(Stored):
@@ -258,167 +103,6 @@ class Excitation(Stored):
     scaled_condition: Number = Field(description="of W, column-normalised")
     singular_values: list[float] = Field(description="of the column-normalised W, falling")
     unexcited: list[str] = Field(description="base parameters that the recording does not excite")
-
-
-class ExperimentResult(Stored):
-    """What the recordings make identifiable: joints that were locked, motors whose torques were used."""
-
-    locked: dict[str, list[Value]] = Field(description="positions of a joint at rest, one per pose [rad or m]")
-    torques_of: list[str]
-
-
-class LinkResult(Stored):
-    """A link of the physically consistent model, in the frame of its joint."""
-
-    link: str = Field(description="name of the joint that moves it")
-    mass: Value = Field(description="[kg]")
-    com: list[Value] = Field(description="centre of mass [m]", min_length=3, max_length=3)
-    inertia: dict[str, Value] = Field(description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]")
-    prior: str = Field(description="where the body comes from that fills in what the data leave open")
-    identified: float = Field(description="share of its ten parameters that the data determine")
-
-
-class StandardParameterResult(Stored):
-    """One standard parameter of the physically consistent model."""
-
-    name: str
-    unit: str
-    value: Value
-    std: Number = Field(description="null where the data do not determine it")
-    determined: float = Field(description="share that the data determine; the rest comes from the prior")
-    known: bool = Field(description="named in the robot file")
-
-
-class ConsistentModel(Stored):
-    """The model whose links, inertias and friction can exist, and what this costs."""
-
-    parameters: list[StandardParameterResult]
-    base_values: dict[str, Value] = Field(description="base parameters of these standard parameters, by name")
-    prior_distance: str
-    prior_weight: float = Field(description="in equations of unit variance per link")
-    misfit: float = Field(description="rise of the sum of squared residuals, each of unit variance")
-    p_value: Number = Field(description="probability of a greater rise if the truth is consistent (F-test)")
-    boundary: list[str] = Field(description="links that the conditions hold near the boundary")
-    limits_hit: list[str] = Field(description="ranges of the robot file that hold a parameter")
-    fit: Fit | None
-    validation: Fit | None
-    simulation: TrackingError | None = None
-    not_simulated: str = Field(default="", description="why `simulation` is null; empty in results of earlier versions")
-    armature: list[Armature] = Field(
-        default_factory=list, description="of the joints whose drive says `inertia: false`"
-    )
-    apparent_mass: Number = Field(
-        default=None, description="of all links, were they all heavier than their prior by one factor [kg]"
-    )
-
-
-class HeldOutErrors(Stored):
-    """The delivered model on one held-out recording."""
-
-    recording: str
-    overlap: float = Field(description="share of its samples that are the identification's own; 0: it is held out")
-    at_rest: Number = Field(description="share of its torques that are of motors at rest")
-    in_motion: Fit = Field(description="motors at rest left out, as in the fit")
-    all_samples: Fit = Field(description="rest included: what a user of the model meets")
-    graded_joint_error: list[Number] = Field(
-        description="joint_relative_error of all samples, over at least a share of the joint's rated torque"
-    )
-    full_in_motion: Fit | None = Field(description="of the full model; null where that is the delivered one")
-    full_all_samples: Fit | None = None
-    simulation: TrackingError | None = Field(default=None, description="with a soft controller")
-    open_loop: OpenLoop | None = Field(default=None, description="without one")
-    not_simulated: str = Field(default="", description="why there is no simulation")
-    checks: list[Check] = Field(default=[], description="that this recording raises, among the verdict's")
-
-    @property
-    def held_out(self) -> bool:
-        """Whether none of its samples was used in the identification."""
-        return self.overlap == 0.0
-
-
-class Delivered(Stored):
-    """The model that `load_model`, `predict` and the exports hand out by default, which the verdict grades."""
-
-    parameters: DeliveredParameters
-    fit: Fit | None = Field(description="on the identification data; null for merged models")
-    validation: Fit | None = Field(description="in motion, over all held-out recordings")
-    validation_all_samples: Fit | None = Field(description="the same with samples at rest")
-    runs: list[HeldOutErrors] = Field(default=[], description="each held-out recording apart")
-
-
-class EstimateResult(Stored):
-    """The estimated values with their whole covariance, for merging; see ident.regression.estimate."""
-
-    parameters: list[str] = Field(description="names of the estimated base parameters, a of them")
-    root: list[list[Value]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")
-    covariance: list[list[Number]] = Field(description="(a, a) corrected for autocorrelated residuals")
-    within: list[list[Number]] | None = Field(
-        default=None, description="(a, a) the same without what changes between runs; null where that is all of it"
-    )
-    taken_up: dict[str, list[Value]] = Field(description="how an unexcited parameter is absorbed by each estimated one")
-    blocks: int = Field(description="of the jackknife behind the covariance")
-
-    @field_validator("root", "covariance", "within")
-    @classmethod
-    def _sound(cls, rows: list[list[float | None]] | None, info: ValidationInfo) -> list[list[float | None]] | None:
-        """Refuse what is no triangular factor, or no covariance, of the parameters."""
-        size = len(info.data.get("parameters", rows or ()))
-        if rows is None:
-            return None
-        if len(rows) != size or any(len(row) != size for row in rows):
-            raise ValueError(f"is not {size} by {size}")
-        if not size:
-            return rows
-        matrix = np.array([[np.inf if value is None else value for value in row] for row in rows], dtype=np.float64)
-        if info.field_name == "root":
-            if not np.all(np.isfinite(matrix)) or not np.all(np.diag(matrix)) or np.any(np.tril(matrix, -1)):
-                raise ValueError("is no triangular factor")
-            return rows
-        finite = np.isfinite(np.diag(matrix))
-        inner = matrix[np.ix_(finite, finite)]
-        if not np.all(np.isfinite(inner)) or np.any(np.diag(inner) < 0) or not np.allclose(inner, inner.T, rtol=1e-6):
-            raise ValueError("is no covariance")
-        return rows
-
-
-class MergedModel(Stored):
-    """One of the models that were merged."""
-
-    file: str
-    method: str
-    experiments: list[ExperimentResult]
-    parameters: int = Field(description="number of estimated base parameters")
-    variance_ratio: float = Field(
-        description="mean variance corrected for autocorrelated residuals, over that for white ones"
-    )
-
-
-class Contradiction(Stored):
-    """A value that differs significantly from the merged one."""
-
-    file: str
-    parameter: str
-    value: float = Field(description="of that model")
-    merged: float = Field(description="the same combination of standard parameters, of the merged model")
-    deviations: float = Field(description="difference in its own standard deviations")
-
-
-class Consistency(Stored):
-    """Whether the merged models agree on what they share, as a chi-square test."""
-
-    statistic: float
-    freedom: int = Field(description="number of combinations that more than one model identifies")
-    p_value: float = Field(description="probability of a larger statistic if the models agree")
-    agree: bool
-    text: str
-    contradictions: list[Contradiction]
-
-
-class Merge(Stored):
-    """Where a merged model comes from."""
-
-    models: list[MergedModel]
-    consistency: Consistency | None = Field(description="null where the models share nothing, or too little is known")
 
 
 class RecordingUse(Stored):
@@ -648,63 +332,3 @@ class Result(Stored):
             for text in (given if isinstance(given, list) else [])
         ]
         return {**content, "verdict": {"headline": content["verdict"], "checks": checks}}
-
-
-def write_result(path: Path, result: Result) -> None:
-    """Write result.json.
-
-    Raises:
-        UsageError, DiskError: it cannot be written.
-    """
-    replace_files({path: result_file_text(result)})
-
-
-def result_file_text(result: Result) -> str:
-    """The text of result.json."""
-    return result_json(result) + "\n"
-
-
-def result_json(result: Result) -> str:
-    """The JSON text, strict: null stands for what is not a number."""
-    text = json.dumps(json.loads(result.model_dump_json()), ensure_ascii=False, indent=1, allow_nan=False)
-    return _NUMBERS.sub(lambda match: re.sub(r"\s+", " ", match[0]), text)
-
-
-def read_result(path: Path) -> Result:
-    """Read a result.json.
-
-    Raises:
-        ResultFileError: no such file, no JSON, another kind of file, a newer schema, a missing key.
-    """
-    where = str(path)
-    try:
-        content = json.loads(read_text(path, RESULT_FILE, ResultFileError))
-    except (ValueError, RecursionError) as error:  # also a number of more than 4,300 digits
-        raise ResultFileError(f"is not JSON: {error}", where=where) from error
-    if not isinstance(content, dict) or content.get("kind") != "result":
-        raise ResultFileError("is not a result of dynid identify (no key 'kind': 'result')", where=where)
-    schema = content.get("dynid_schema")
-    if not isinstance(schema, int) or schema > RESULT_SCHEMA:
-        raise ResultFileError(
-            f"has schema version {schema}, this dynid reads up to {RESULT_SCHEMA}", where=where, hint="update dynid"
-        )
-    for strange in strange_files(path, content):
-        warnings.warn(
-            f"{strange} was not written with {path.name}, or was changed: a command that wrote both may have been "
-            f"killed; run it again with --force",
-            DynidWarning,
-            stacklevel=2,
-        )
-    try:
-        return Result.model_validate(content)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(key) for key in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        raise ResultFileError(message, where=f"{where}: {key}" if key else where, hint="identify again") from error
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, as hexadecimal digits."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -3,10 +3,19 @@
 from __future__ import annotations
 
 from drivers.core.units import joint_unit
-from ident.friction.table import TERM
+from ident.friction.table import TERM, TERMS
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import joint_column
-from ident.result.schema import UNITS
+
+UNITS: dict[str, str] = {
+    **dict.fromkeys(("XX", "XY", "XZ", "YY", "YZ", "ZZ", "Ia", "Iac"), "kg·m²"),
+    **dict.fromkeys(("MX", "MY", "MZ"), "kg·m"),
+    "M": "kg",
+    **{term.symbol: term.unit(1.0) for term in TERMS},
+    "Fvm": "N·m·s/rad",
+    "Fsm": "N·m",
+}
+"""Units by symbol, for revolute joints; of friction with a shape where that is 1."""
 
 
 def parameter_unit(model: DynamicModel, column: int) -> str:

@@ -17,9 +17,11 @@ from ident.identify.summary import summarise
 from ident.regression.comparison import TorqueSeries
 from ident.regression.options import ExperimentChoices
 from ident.report import RecordedRuns, ReportData, recorded_runs, write_result_folder
+from ident.result.delivered import Delivered
 from ident.result.friction_experiment import read_friction_experiment
 from ident.result.model import Model, result_path
-from ident.result.schema import Delivered, Result, read_result, result_json
+from ident.result.result_file import read_result, result_json
+from ident.result.schema import Result
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.pipeline import PreprocessChoices
 from ident.tasks.arguments import limits_of, recordings_of

@@ -12,8 +12,10 @@ from ident.experiments.merge.merged_result import merge_results
 from ident.identify.acceptance import acceptance_figures
 from ident.identify.held_out import delivered_model, model_checks, model_verdict
 from ident.identify.revalidate import revalidate
+from ident.result.delivered import Delivered, HeldOutErrors
 from ident.result.model import Model, result_path
-from ident.result.schema import Delivered, HeldOutErrors, Result, read_result
+from ident.result.result_file import read_result
+from ident.result.schema import Result
 from ident.result.tables import Table
 from ident.tasks.arguments import limits_of, recording_of, recordings_of
 from ident.tasks.identification import IdentificationResult, error_table

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from ident.result.schema import Merge, Result
+from ident.result.estimate import Merge
+from ident.result.schema import Result
 from ident.result.tables import Column, Table, table_of, table_of_rows
 
 

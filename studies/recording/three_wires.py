@@ -29,7 +29,8 @@ from daq.session.realtime import may_have_realtime
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from ident.result.schema import BaseParameterResult, read_result
+from ident.result.result_file import read_result
+from ident.result.schema import BaseParameterResult
 
 WIRES = ("rtde", "canopen", "can")
 SYNC_RATE = 250

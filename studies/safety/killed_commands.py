@@ -28,7 +28,7 @@ import dynid
 from daq.output_files import unfinished_files
 from daq.recording.reader import read_recording
 from dynid import command
-from ident.result.schema import read_result
+from ident.result.result_file import read_result
 
 BAD = ("LOST", "HALF", "MIXED", "STRANGE")
 HALF_WRITTEN = """

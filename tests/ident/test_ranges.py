@@ -23,7 +23,8 @@ from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.identify.identification import IdentifyChoices
 from ident.model.load import KnownLoad
-from ident.result.schema import EstimateResult, LinkResult
+from ident.result.consistent_model import LinkResult
+from ident.result.estimate import EstimateResult
 from ident.signals.options import PreprocessChoices
 from ident.signals.resampling import check_stamps, measure_irregularity
 from ident.tasks.options import InfoOptions

@@ -24,7 +24,7 @@ from ident.excite.search.search import SearchChoices
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.result.schema import read_result
+from ident.result.result_file import read_result
 from sim_drivers.demo import ATTEMPTS, _recorded, print_demo, run_demo
 from sim_drivers.simulated_arm import Recorded, over_rtde, simulated_arm
 

@@ -12,15 +12,8 @@ from ident.identify.summary import gain_results, model_options
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from ident.result.schema import (
-    BaseParameterResult,
-    DelayFigures,
-    Essential,
-    EstimateResult,
-    Excitation,
-    Residuals,
-    Result,
-)
+from ident.result.estimate import EstimateResult
+from ident.result.schema import BaseParameterResult, DelayFigures, Essential, Excitation, Residuals, Result
 from ident.result.units import parameter_unit
 from ident.verdict.verdict import Verdict
 

@@ -41,7 +41,7 @@ from ident.regression.autocorrelation import independent_share
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import BlockSums, block_length, jackknife_covariance, tolerant_moves
 from ident.regression.least_squares import LEAST_TORQUE
-from ident.result.schema import FrictionStep
+from ident.result.friction import FrictionStep
 
 LEAST_LOAD_SHARE = 0.5
 """The load torque must vary by this times the Coulomb friction: gears lose some per cent of the torque that they carry,

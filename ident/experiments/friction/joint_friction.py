@@ -11,7 +11,7 @@ from ident.friction.table import TERM
 from ident.friction.terms import FrictionConditions, FrictionTerms
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal
-from ident.result.schema import FrictionStep
+from ident.result.friction import FrictionStep
 
 ALONE = ((0, 1.0),)
 """Motion and row of the column of a joint by itself."""

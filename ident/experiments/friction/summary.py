@@ -9,7 +9,7 @@ from drivers.core.units import ZERO_CELSIUS
 from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_friction import JointFriction
 from ident.friction.table import LEAST_TEMPERATURE_SPAN, TEMPERATURE_KINDS, temperature_coefficients
-from ident.identify.summary import friction_fields
+from ident.result.friction import friction_fields
 from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment, ValueRange
 
 

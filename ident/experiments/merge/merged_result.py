@@ -21,14 +21,7 @@ from ident.identify.checks import consistency_checks
 from ident.identify.data_split import labelled
 from ident.identify.held_out import HeldOutRun, delivered_model, model_verdict
 from ident.identify.revalidate import Revalidation, revalidate
-from ident.identify.summary import (
-    estimate_result,
-    experiment_result,
-    friction_note,
-    friction_results,
-    gain_results,
-    parameter_results,
-)
+from ident.identify.summary import gain_results, parameter_results
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.estimate import Estimate
@@ -36,17 +29,9 @@ from ident.regression.options import SIGNIFICANT_RSD, EssentialOptions, Essentia
 from ident.regression.pruning import Pruned, prune
 from ident.regression.repeatability import RunDeviations, friction_columns, friction_sizes, repeatability
 from ident.result.consistent_model import consistent_model, link_results
-from ident.result.schema import (
-    Consistency,
-    Contradiction,
-    DelayFigures,
-    Essential,
-    Excitation,
-    Merge,
-    MergedModel,
-    Residuals,
-    Result,
-)
+from ident.result.estimate import Consistency, Contradiction, EstimateResult, ExperimentResult, Merge, MergedModel
+from ident.result.friction import friction_note, friction_results
+from ident.result.schema import DelayFigures, Essential, Excitation, Residuals, Result
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 from ident.verdict.verdict import Verdict
@@ -228,14 +213,14 @@ def _result(
         versions=software_versions(),
         verdict=Verdict("not judged yet", checks=tuple(checks)),
         experiments=[
-            experiment_result(model, experiment) for source in inputs for experiment in source.stored.experiments
+            ExperimentResult.of(model, experiment) for source in inputs for experiment in source.stored.experiments
         ],
         merge=Merge(
             models=[
                 MergedModel(
                     file=source.label,
                     method=source.result.method,
-                    experiments=[experiment_result(model, experiment) for experiment in source.stored.experiments],
+                    experiments=[ExperimentResult.of(model, experiment) for experiment in source.stored.experiments],
                     parameters=len(source.names),
                     variance_ratio=source.ratio,
                 )
@@ -243,7 +228,7 @@ def _result(
             ],
             consistency=consistency,
         ),
-        estimate=estimate_result(estimate, base.names),
+        estimate=EstimateResult.of(estimate, base.names),
     )
     return result, consistent
 

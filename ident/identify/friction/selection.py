@@ -19,7 +19,7 @@ from ident.friction.table import OPTIONS, TERM
 from ident.friction.terms import FrictionTerms
 from ident.identify.friction.candidates import CandidateGrams, solve_columns, squared_error
 from ident.regression.least_squares import LEAST_TORQUE, RESIDUAL_FLOOR
-from ident.result.schema import FrictionStep
+from ident.result.friction import FrictionStep
 
 LEVEL = 0.05
 """Significance level of the F-test, that of AUBO Table II."""

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.report.figures.figures import BOTTOM, TOP, Figure, base_layout, narrow_layout, plain
 from ident.report.section import ReportData, ReportSection
-from ident.result.schema import EstimateResult
+from ident.result.estimate import EstimateResult
 
 STRONG = 0.7
 """Absolute correlation from which a pair is listed."""

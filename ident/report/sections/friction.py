@@ -15,7 +15,8 @@ from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, sho
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.traces import packed
 from ident.report.section import ReportData, ReportSection
-from ident.result.schema import JointFrictionResult, Result
+from ident.result.friction import JointFrictionResult
+from ident.result.schema import Result
 from ident.views.number_text import whole
 from ident.views.result_tables import friction_step_table, joint_friction_table
 

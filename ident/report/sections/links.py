@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ident.assessment.validation import Fit
 from ident.report.section import ReportData, ReportSection, Tile
-from ident.result.schema import ConsistentModel
+from ident.result.consistent_model import ConsistentModel
 from ident.views.number_text import number, percent
 
 

@@ -15,7 +15,7 @@ import dynid
 from daq.robot.loader import load_robot
 from drivers.core.errors import ModelError
 from drivers.core.text import percent_text
-from ident.result.schema import write_result
+from ident.result.result_file import write_result
 
 
 @pytest.fixture(scope="module")

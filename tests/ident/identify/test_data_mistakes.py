@@ -92,7 +92,7 @@ def test_contacts_are_named_by_their_times(sound: Recording) -> None:
 def test_what_is_interpolated_where_several_rows_are_missing_is_no_burst() -> None:
     time = np.delete(np.arange(200) / 50.0, [50, 51, 120])
     signals = SimpleNamespace(time=time, stale=object())
-    run = cast(PreparedRun, SimpleNamespace(signals=signals, prepared=SimpleNamespace(segments=[None])))
+    run = cast("PreparedRun", SimpleNamespace(signals=signals, prepared=SimpleNamespace(segments=[None])))
     grid = np.arange(200) / 50.0
     zeros = np.zeros((1, 200))
     (part,) = _away_from_gaps([run], [TorqueSeries(grid, zeros, zeros, zeros, np.ones(200, dtype=np.bool_))])

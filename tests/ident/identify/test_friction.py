@@ -25,7 +25,8 @@ from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import FilteredRun
 from ident.regression.systematic_errors import with_systematic_errors
 from ident.result.model import Model
-from ident.result.schema import Result, result_json
+from ident.result.result_file import result_json
+from ident.result.schema import Result
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 

@@ -20,7 +20,8 @@ from ident.model.dynamic_model import build_model
 from ident.model.presliding import dry_friction
 from ident.model.true_parameters import truth_vector
 from ident.result.model import Model
-from ident.result.schema import Result, result_json
+from ident.result.result_file import result_json
+from ident.result.schema import Result
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 

@@ -14,7 +14,7 @@ from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
-from ident.result.schema import read_result, result_json
+from ident.result.result_file import read_result, result_json
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion

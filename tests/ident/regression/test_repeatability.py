@@ -9,10 +9,11 @@ import yaml
 from daq.robot.loader import RobotFile, parse_robot
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.summary import friction_note, summarise
+from ident.identify.summary import summarise
 from ident.model.true_parameters import true_model, truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.repeatability import RunDeviations, repeatability
+from ident.result.friction import friction_note
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 from tests.ident.identify.test_friction import ARM

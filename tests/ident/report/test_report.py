@@ -19,14 +19,14 @@ from ident.regression.comparison import TorqueSeries
 from ident.report import TruthTable, render_report, write_result_folder
 from ident.report.figures.traces import POINTS_PER_TRACE
 from ident.report.section import ReportData
+from ident.result.delivered import Delivered
+from ident.result.friction import JointFrictionResult
 from ident.result.schema import (
     BaseParameterResult,
     DelayFigures,
-    Delivered,
     DriveGainResult,
     Essential,
     Excitation,
-    JointFrictionResult,
     ModelOptions,
     RecordingUse,
     Residuals,

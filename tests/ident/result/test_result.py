@@ -19,7 +19,9 @@ from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
-from ident.result.schema import UNITS, Result, file_sha256, read_result, result_json, write_result
+from ident.result.result_file import file_sha256, read_result, result_json, write_result
+from ident.result.schema import Result
+from ident.result.units import UNITS
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 

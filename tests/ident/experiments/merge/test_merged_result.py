@@ -23,7 +23,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.options import ExperimentChoices
 from ident.report.page import render_report
 from ident.report.section import ReportData
-from ident.result.schema import read_result, result_json, write_result
+from ident.result.result_file import read_result, result_json, write_result
 from ident.result.stored_model import stored_estimate, stored_model
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording

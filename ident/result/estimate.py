@@ -1,0 +1,185 @@
+"""The estimate of a result with its covariance, the experiments behind it, and what was merged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Self
+
+import numpy as np
+from pydantic import Field, ValidationInfo, field_validator
+
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ResultFileError
+from ident.model.base_parameters import BaseParameters
+from ident.model.dynamic_model import DynamicModel
+from ident.regression.estimate import Estimate
+from ident.regression.observability import Experiment
+from ident.stored import Number, Stored, Value
+
+AGAIN = "identify again"
+
+
+class ExperimentResult(Stored):
+    """What the recordings make identifiable: joints that were locked, motors whose torques were used."""
+
+    locked: dict[str, list[Value]] = Field(description="positions of a joint at rest, one per pose [rad or m]")
+    torques_of: list[str]
+
+    @classmethod
+    def of(cls, model: DynamicModel, experiment: Experiment) -> Self:
+        """The experiment by the names of the joints."""
+        names = model.joint_names
+        return cls(
+            locked={
+                names[joint]: [pose[index] for pose in experiment.poses]
+                for index, joint in enumerate(experiment.locked)
+            },
+            torques_of=[names[motor] for motor in experiment.torques],
+        )
+
+    def restored(self, model: DynamicModel, where: str) -> Experiment:
+        """The experiment by the indices of a model's joints.
+
+        Raises:
+            ResultFileError: it is not one of this arm.
+        """
+        names = model.joint_names
+        unknown = [name for name in (*self.locked, *self.torques_of) if name not in names]
+        if unknown:
+            raise ResultFileError(f"names joints that the robot has not: {', '.join(unknown)}", where=where, hint=AGAIN)
+        if len({len(positions) for positions in self.locked.values()}) > 1:
+            raise ResultFileError("holds different numbers of positions", where=f"{where}.locked", hint=AGAIN)
+        if not self.torques_of or not all(np.all(np.isfinite(positions)) for positions in self.locked.values()):
+            raise ResultFileError("lacks torques or positions", where=where, hint=AGAIN)
+        locked = sorted(self.locked, key=names.index)
+        poses = tuple(zip(*(self.locked[name] for name in locked), strict=True)) if locked else ((),)
+        torques = tuple(sorted(names.index(name) for name in self.torques_of))
+        return Experiment(tuple(names.index(name) for name in locked), poses, torques)
+
+
+class EstimateResult(Stored):
+    """The estimated values with their whole covariance, for merging; see ident.regression.estimate."""
+
+    parameters: list[str] = Field(description="names of the estimated base parameters, a of them")
+    root: list[list[Value]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")
+    covariance: list[list[Number]] = Field(description="(a, a) corrected for autocorrelated residuals")
+    within: list[list[Number]] | None = Field(
+        default=None, description="(a, a) the same without what changes between runs; null where that is all of it"
+    )
+    taken_up: dict[str, list[Value]] = Field(description="how an unexcited parameter is absorbed by each estimated one")
+    blocks: int = Field(description="of the jackknife behind the covariance")
+
+    @field_validator("root", "covariance", "within")
+    @classmethod
+    def _sound(cls, rows: list[list[float | None]] | None, info: ValidationInfo) -> list[list[float | None]] | None:
+        """Refuse what is no triangular factor, or no covariance, of the parameters."""
+        size = len(info.data.get("parameters", rows or ()))
+        if rows is None:
+            return None
+        if len(rows) != size or any(len(row) != size for row in rows):
+            raise ValueError(f"is not {size} by {size}")
+        if not size:
+            return rows
+        matrix = _matrix(rows)
+        if info.field_name == "root":
+            if not np.all(np.isfinite(matrix)) or not np.all(np.diag(matrix)) or np.any(np.tril(matrix, -1)):
+                raise ValueError("is no triangular factor")
+            return rows
+        finite = np.isfinite(np.diag(matrix))
+        inner = matrix[np.ix_(finite, finite)]
+        if not np.all(np.isfinite(inner)) or np.any(np.diag(inner) < 0) or not np.allclose(inner, inner.T, rtol=1e-6):
+            raise ValueError("is no covariance")
+        return rows
+
+    @classmethod
+    def of(cls, estimate: Estimate, names: Sequence[str]) -> Self:
+        """The estimate by the names (b,) of the base parameters."""
+        others = [column for column in range(len(names)) if column not in estimate.active]
+        return cls(
+            parameters=[names[column] for column in estimate.active],
+            root=estimate.root.tolist(),
+            covariance=estimate.covariance.tolist(),
+            within=None if estimate.within is None else estimate.within.tolist(),
+            taken_up={
+                names[column]: shares.tolist()
+                for column, shares in zip(others, estimate.taken_up.T, strict=True)
+                if np.any(shares)
+            },
+            blocks=estimate.blocks,
+        )
+
+    def restored(self, values: Mapping[str, float | None], base: BaseParameters) -> Estimate:
+        """The estimate by the indices of base parameters.
+
+        Args:
+            values: of the base parameters by name; None where one was not estimated.
+            base: of the experiment.
+
+        Raises:
+            ResultFileError: its parts do not belong together.
+        """
+        count = len(self.parameters)
+        if len(set(self.parameters)) != count or any(values.get(name) is None for name in self.parameters):
+            raise ResultFileError("names parameters that have no value", where="estimate.parameters", hint=AGAIN)
+        active = tuple(base.names.index(name) for name in self.parameters)
+        others = [base.names[column] for column in range(base.count) if column not in active]
+        taken_up = np.zeros((count, len(others)))
+        for name, shares in self.taken_up.items():
+            if name not in others or len(shares) != count or not np.all(np.isfinite(shares)):
+                raise ResultFileError("does not fit the parameters", where=f"estimate.taken_up.{name}", hint=AGAIN)
+            taken_up[:, others.index(name)] = shares
+        return Estimate(
+            active=active,
+            values=np.array([values[name] for name in self.parameters], dtype=np.float64),
+            root=_matrix(self.root),
+            covariance=_matrix(self.covariance),
+            taken_up=taken_up,
+            blocks=self.blocks,
+            within=None if self.within is None else _matrix(self.within),
+        )
+
+
+def _matrix(rows: Sequence[Sequence[float | None]]) -> FloatArray:
+    """A square of numbers; a variance that is not known is null in JSON."""
+    values = [[np.inf if value is None else value for value in row] for row in rows]
+    return np.array(values, dtype=np.float64).reshape(len(rows), len(rows))
+
+
+class MergedModel(Stored):
+    """One of the models that were merged."""
+
+    file: str
+    method: str
+    experiments: list[ExperimentResult]
+    parameters: int = Field(description="number of estimated base parameters")
+    variance_ratio: float = Field(
+        description="mean variance corrected for autocorrelated residuals, over that for white ones"
+    )
+
+
+class Contradiction(Stored):
+    """A value that differs significantly from the merged one."""
+
+    file: str
+    parameter: str
+    value: float = Field(description="of that model")
+    merged: float = Field(description="the same combination of standard parameters, of the merged model")
+    deviations: float = Field(description="difference in its own standard deviations")
+
+
+class Consistency(Stored):
+    """Whether the merged models agree on what they share, as a chi-square test."""
+
+    statistic: float
+    freedom: int = Field(description="number of combinations that more than one model identifies")
+    p_value: float = Field(description="probability of a larger statistic if the models agree")
+    agree: bool
+    text: str
+    contradictions: list[Contradiction]
+
+
+class Merge(Stored):
+    """Where a merged model comes from."""
+
+    models: list[MergedModel]
+    consistency: Consistency | None = Field(description="null where the models share nothing, or too little is known")
