@@ -20,8 +20,13 @@ UNITS: Mapping[str, str] = {
     "target_acceleration": "rad/s^2",
     "target_current": "A",
     "target_torque": "N*m",
+    "gain_p": "N*m/rad",
+    "gain_d": "N*m*s/rad",
 }
 """Unit of each quantity that dynid knows; another quantity brings its own."""
+
+COMMANDS = ("target_position", "target_velocity", "target_torque", "gain_p", "gain_d")
+"""Quantities that a controller was told: set points, feed-forward torque, gains of its loop."""
 
 
 @dataclass(frozen=True)
@@ -33,12 +38,14 @@ class ChannelLayout:
         columns: names of its n columns; joint names wherever it has one a joint.
         unit: unit of every value; taken from `UNITS` where empty.
         description: where the values come from, in words.
+        magnitude: whether the values have lost their sign.
     """
 
     quantity: str
     columns: tuple[str, ...]
     unit: str = ""
     description: str = ""
+    magnitude: bool = False
 
     def __post_init__(self) -> None:
         if not self.unit:

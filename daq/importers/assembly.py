@@ -8,38 +8,45 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
-from daq.importers.matching import match_joints
+from daq.importers.matching import match_joints, with_own_names
+from daq.importers.stamps import sample_times
 from daq.importers.table import ForeignTable, Note, QuantityColumns, listed, printable
 from daq.importers.units import allowed_units, to_si
+from daq.recording.recording import MOTOR_SIGNALS, Level
 from daq.robot.loader import RobotFile
+from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError
 from drivers.core.units import normalised
-
-EPOCH = 1e8
-"""[s]; stamps beyond it count from 1970, not from the start of a measurement (it is March 1973)."""
+from drivers.streams import COMMANDS
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """One quantity in SI: `values` (N, n), a column for each of `joints`, with the file's `labels`."""
+    """One quantity in SI: `values` (N, n), a column for each of `joints`, with the file's `labels`.
+
+    `magnitude` says whether the values have lost their sign.
+    """
 
     values: FloatArray
     joints: tuple[str, ...]
     labels: tuple[str, ...]
+    magnitude: bool = False
 
 
 @dataclass(frozen=True)
 class ImportedSamples:
     """A file's content in SI and in the robot's order; `time` (N,) [s]; `notes` to be recorded as events.
 
-    Every array has N rows; `lines` (N,) are line numbers of a text file or None.
+    Every array has N rows; `lines` (N,) are line numbers of a text file or None. `commands` are those with stamps of
+    their own.
     """
 
     time: FloatArray
     quantities: dict[str, Quantity]
     notes: tuple[Note, ...]
     lines: tuple[int, ...] | None
+    commands: ImportedSamples | None = None
 
 
 def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, where: str) -> ImportedSamples:
@@ -63,8 +70,10 @@ def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, wher
             where=where,
             hint="map them: --column q1=NAME (or q=NAME for a whole array)",
         )
-    sliding = robot.prismatic_joints
-    _check_lengths(table, foreign, where)
+    apart = _commands_apart(table, foreign, where)
+    measured = {name: given for name, given in foreign.items() if name not in apart}
+    _check_lengths({"time": table.time}, measured, where)
+    _check_lengths({"target_time": table.target_time}, apart, where)
     names = robot.robot.joint_names
     quantities = {}
     unnamed = sorted(quantity for quantity, given in foreign.items() if given.joints is None)
@@ -72,15 +81,47 @@ def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, wher
         order = ", ".join(names)
         notes.append(Note("info", f"joints matched by order (the file has no names) for {listed(unnamed)}: {order}"))
     for quantity, given in foreign.items():
-        ordered, match_notes = _in_robot_order(quantity, given, names, choices, where)
+        ordered, match_notes = _in_robot_order(quantity, given, robot.robot, choices, where)
         notes.extend(note for note in match_notes if note not in notes)
-        quantities[quantity] = _in_si(quantity, ordered, sliding, choices, where, notes)
+        in_si = _in_si(quantity, ordered, robot, choices, where, notes)
+        quantities[quantity] = replace(in_si, magnitude=_is_magnitude(quantity, given, in_si, robot.robot, notes))
     if "torque" not in quantities and "current" not in quantities:
-        notes.append(Note("warning", "neither torque nor current in the file; nothing can be identified from it"))
-    count = len(quantities["position"].values)
-    time = _time(table, count, choices, where, notes)
+        commanded = "target_position" in quantities
+        use = "it serves a servo model" if commanded else "nothing can be identified from it"
+        beside = "" if commanded else ", nor commanded positions"
+        level: Level = "info" if commanded else "warning"
+        notes.append(Note(level, f"neither torque nor current{beside} in the file: {use}"))
+    time, target_time = sample_times(table, len(quantities["position"].values), choices, where, notes)
     lines = tuple(int(line) for line in table.lines) if table.lines is not None else None
-    return ImportedSamples(time, quantities, tuple(notes), lines)
+    samples = ImportedSamples(time, quantities, (), lines)
+    if apart:
+        assert target_time is not None
+        commands = ImportedSamples(target_time, {name: quantities.pop(name) for name in apart}, (), lines)
+        samples = replace(_without_padding(samples), commands=_without_padding(commands))
+    return replace(samples, notes=tuple(notes))
+
+
+def _commands_apart(
+    table: ForeignTable, quantities: dict[str, QuantityColumns], where: str
+) -> dict[str, QuantityColumns]:
+    """The commands whose stamps are not those of the samples."""
+    commands = {name: given for name, given in quantities.items() if name in COMMANDS}
+    if table.target_time is None:
+        count = len(quantities["position"].values)
+        for name, given in commands.items():
+            if len(given.values) != count:
+                raise ImportFileError(
+                    f"has {len(given.values)} samples of {name} beside {count} of the position, and no stamps of them",
+                    where=where,
+                    hint="name their time column: --column target_time=NAME",
+                )
+        return {}
+    same = (
+        table.time is not None
+        and np.array_equal(table.target_time, table.time)
+        and table.target_time_unit == table.time_unit
+    )
+    return {} if same else commands
 
 
 def _decide_effort(
@@ -108,10 +149,43 @@ def _decide_effort(
     return {**quantities, choices.effort: effort}
 
 
-def _check_lengths(table: ForeignTable, quantities: dict[str, QuantityColumns], where: str) -> None:
-    lengths = {quantity: len(given.values) for quantity, given in quantities.items()}
-    if table.time is not None:
-        lengths = {"time": len(table.time), **lengths}
+def _count_in_amperes(values: FloatArray, robot: Robot, notes: list[Note]) -> None:
+    """Convert currents (N, n) that are counts of the drives, which whole numbers without a unit are."""
+    counts = [robot.drive(name).count for name in robot.joint_names]
+    if None in counts or not np.array_equal(values, np.round(values)):
+        return
+    values *= np.array(counts, dtype=np.float64)
+    sizes = ", ".join(f"{1e3 * count:g} mA" for count in dict.fromkeys(counts) if count is not None)
+    notes.append(Note("info", f"current converted from counts of {sizes} (the robot file's drives)"))
+
+
+def _without_padding(samples: ImportedSamples) -> ImportedSamples:
+    """The samples up to the last row that holds a number: a text file pads the shorter of two streams."""
+    filled = np.isfinite(samples.time)
+    for entry in samples.quantities.values():
+        filled |= np.isfinite(entry.values).any(axis=1)
+    count = int(np.flatnonzero(filled)[-1]) + 1 if filled.any() else 0
+    return rows(samples, np.arange(count)) if 2 <= count < len(filled) else samples
+
+
+def _is_magnitude(quantity: str, given: QuantityColumns, in_si: Quantity, robot: Robot, notes: list[Note]) -> bool:
+    """Whether the values of a motor signal have lost their sign, as the file's names or the robot file say."""
+    unsigned = [name for name in in_si.joints if robot.drive(name).signal == "magnitude"]
+    if quantity not in MOTOR_SIGNALS or not (given.magnitude or unsigned):
+        return False
+    if np.any(in_si.values < 0):
+        says = "its name" if given.magnitude else "the robot file (signal: magnitude)"
+        notes.append(Note("warning", f"{quantity} has negative values, so it is no magnitude as {says} says"))
+        return False
+    notes.append(Note("info", f"{quantity} is a magnitude: it has lost its sign"))
+    return True
+
+
+def _check_lengths(stamps: dict[str, FloatArray | None], quantities: dict[str, QuantityColumns], where: str) -> None:
+    if not quantities:
+        return
+    lengths = {name: len(time) for name, time in stamps.items() if time is not None}
+    lengths |= {quantity: len(given.values) for quantity, given in quantities.items()}
     if len(set(lengths.values())) > 1:
         raise ImportFileError(
             f"arrays differ in length: {', '.join(f'{name} {length}' for name, length in lengths.items())}", where=where
@@ -121,31 +195,35 @@ def _check_lengths(table: ForeignTable, quantities: dict[str, QuantityColumns], 
 
 
 def _in_robot_order(
-    quantity: str, given: QuantityColumns, names: tuple[str, ...], choices: ImportChoices, where: str
+    quantity: str, given: QuantityColumns, robot: Robot, choices: ImportChoices, where: str
 ) -> tuple[QuantityColumns, tuple[Note, ...]]:
+    names = robot.joint_names
     if given.joints is None:
         return replace(given, joints=names), ()
     if quantity == "temperature" and set(given.joints) <= set(names):
         return given, ()
-    match = match_joints(given.joints, names, by_order=choices.by_order, where=f"{where}: {quantity}")
+    called, notes = with_own_names(given.joints, robot)
+    match = match_joints(called, names, by_order=choices.by_order, where=f"{where}: {quantity}")
     columns = list(match.columns)
-    ordered = QuantityColumns(
-        given.values[:, columns],
-        tuple(given.labels[column] for column in columns),
-        tuple(given.units[column] for column in columns),
-        names,
+    ordered = replace(
+        given,
+        values=given.values[:, columns],
+        labels=tuple(given.labels[column] for column in columns),
+        units=tuple(given.units[column] for column in columns),
+        joints=names,
     )
-    return ordered, match.notes
+    return ordered, (*notes, *match.notes)
 
 
 def _in_si(
     quantity: str,
     given: QuantityColumns,
-    sliding: frozenset[str],
+    robot: RobotFile,
     choices: ImportChoices,
     where: str,
     notes: list[Note],
 ) -> Quantity:
+    sliding = robot.prismatic_joints
     joints = given.joints or ()
     stated = [label for label, unit in zip(given.labels, given.units, strict=True) if unit]
     silent = [label for label, unit in zip(given.labels, given.units, strict=True) if not unit]
@@ -155,13 +233,14 @@ def _in_si(
             where=where,
             hint="state the unit of all of them or of none",
         )
-    angular = quantity in ("position", "velocity")
+    kind = quantity.removeprefix("target_")
+    angular = kind in ("position", "velocity")
     values = given.values.copy()
     used: dict[str, list[str]] = {}
     for column, (label, unit, joint) in enumerate(zip(given.labels, given.units, joints, strict=True)):
         prismatic = joint in sliding
         if angular and choices.degrees and not prismatic:
-            degrees = "deg" if quantity == "position" else "deg/s"
+            degrees = "deg" if kind == "position" else "deg/s"
             if unit and not normalised(unit).startswith("deg"):
                 raise ImportFileError(
                     f"states the unit {printable(unit)}, but --degrees was given",
@@ -181,6 +260,8 @@ def _in_si(
         if factor != 1.0 or offset != 0.0:
             values[:, column] = factor * values[:, column] + offset
             used.setdefault(unit, []).append(joint)
+    if quantity == "current" and not stated:
+        _count_in_amperes(values, robot.robot, notes)
     for unit, converted in used.items():
         whose = "all joints" if len(converted) == len(joints) else listed(converted)
         notes.append(Note("info", f"{quantity} converted from {printable(unit)}: {whose}"))
@@ -190,45 +271,8 @@ def _in_si(
     return Quantity(values, joints, given.labels)
 
 
-def _time(table: ForeignTable, count: int, choices: ImportChoices, where: str, notes: list[Note]) -> FloatArray:
-    if table.time is None:
-        if choices.rate is None:
-            raise ImportFileError(
-                "has no time", where=where, hint="give the sampling rate: --rate HZ, or map a column: --column t=NAME"
-            )
-        notes.append(Note("info", f"the file has no time; uniform stamps at {choices.rate:g} Hz were assumed"))
-        return np.arange(count) / choices.rate
-    if choices.rate is not None:
-        raise ImportFileError(
-            f"has time stamps; --rate {choices.rate:g} would throw them away", where=where, hint="leave --rate out"
-        )
-    if choices.time_unit is not None and table.time_unit and normalised(table.time_unit) != choices.time_unit:
-        raise ImportFileError(
-            f"states the time in {printable(table.time_unit)}, but --time-unit {choices.time_unit} was given",
-            where=where,
-            hint="leave --time-unit out",
-        )
-    unit = choices.time_unit or table.time_unit or "s"
-    conversion = to_si("time", unit, prismatic=False)
-    if conversion is None:
-        allowed = allowed_units("time", prismatic=False)
-        raise ImportFileError(f"unit '{printable(unit)}' is none of time: {allowed}", where=where)
-    factor = conversion[0]
-    time = table.time
-    if factor != 1.0:
-        notes.append(Note("info", f"time converted from {printable(unit)}"))
-    finite = time[np.isfinite(time)]
-    start = float(finite.min()) if len(finite) else 0.0
-    if start * factor > EPOCH:
-        # Subtracted before the conversion, where integer stamps are still exact.
-        time = time - start
-        notes.append(Note("info", f"time is counted from the first sample, stamped {start * factor:.6f} s after 1970"))
-    converted: FloatArray = time * factor
-    return converted
-
-
 def rows(samples: ImportedSamples, index: npt.NDArray[np.intp]) -> ImportedSamples:
     """The samples at the given indices, in their order."""
     quantities = {name: replace(entry, values=entry.values[index]) for name, entry in samples.quantities.items()}
     lines = tuple(samples.lines[k] for k in index) if samples.lines is not None else None
-    return ImportedSamples(samples.time[index], quantities, samples.notes, lines)
+    return replace(samples, time=samples.time[index], quantities=quantities, lines=lines)

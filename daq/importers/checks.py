@@ -40,7 +40,28 @@ def check_samples(samples: ImportedSamples, choices: ImportChoices, where: str) 
     samples = _finite(samples, choices, where)
     samples = _rising(samples, choices, where)
     _plausible_rate(samples, choices, where)
-    return _opposite(_fresh(samples, choices, where), choices)
+    samples = _opposite(_fresh(samples, choices, where), choices)
+    if samples.commands is None:
+        return samples
+    commands = _checked_commands(samples.commands, samples.time, choices, where)
+    notes = (replace(note, message=f"commands: {note.message}") for note in commands.notes)
+    return replace(samples, commands=commands, notes=(*samples.notes, *notes))
+
+
+def _checked_commands(
+    commands: ImportedSamples, time: FloatArray, choices: ImportChoices, where: str
+) -> ImportedSamples:
+    """Commands with rising stamps and finite values, at any rate; some of them during the motion."""
+    where = f"{where}: commands"
+    commands = _rising(_finite(commands, choices, where), choices, where)
+    if commands.time[-1] < time[0] or commands.time[0] > time[-1]:
+        raise ImportFileError(
+            f"the stamps, {commands.time[0]:.6g} to {commands.time[-1]:.6g} s, are all outside those of the samples, "
+            f"{time[0]:.6g} to {time[-1]:.6g} s",
+            where=where,
+            hint="commands and samples need stamps of one clock; see their units, too",
+        )
+    return commands
 
 
 def sample_place(samples: ImportedSamples, index: int, where: str) -> str:

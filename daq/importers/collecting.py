@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from daq.importers.naming import Role
+from daq.importers.naming import TIMES, Role
 from daq.importers.table import ForeignTable, Note, QuantityColumns, listed, printable
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError
 from drivers.core.terminal import hidden_character
+from drivers.streams import COMMANDS
 
 _FLOAT_INTEGERS = 2**53
 """Integers up to here are exact in float64."""
@@ -21,7 +22,7 @@ _FLOAT_INTEGERS = 2**53
 MOST_UNUSED = 1000
 """Most names that one message lists of what was not imported; realistic files have fewer."""
 
-ARM_WIDE = frozenset({"current", "temperature"})
+ARM_WIDE = frozenset({"current", "temperature", *COMMANDS})
 """Quantities that a file may have once for the whole arm; such a column is not imported."""
 
 
@@ -64,18 +65,18 @@ def collect(
     units = units or {}
     notes = list(notes)
     unused = list(unused)
-    time: FloatArray | None = None
-    time_unit = ""
+    stamps: dict[str, tuple[FloatArray, str]] = {}
     groups: dict[str, list[tuple[Role, FloatArray]]] = {}
     width = len(array_joints) if array_joints is not None else len(joints)
+    origin = next((_origin(arrays[role.name], notes) for role in roles if role.quantity == "time"), None)
     for role in roles:
         raw = arrays[role.name]
-        if role.quantity == "time":
-            raw = _exact_stamps(raw, notes)
+        if role.quantity in TIMES:
+            raw = _since(raw, origin)
         values = _numbers(raw, role.name, where)
         unit = role.unit or units.get(role.name, "")
-        if role.quantity == "time":
-            time, time_unit = _vector(values, role.name, where), unit
+        if role.quantity in TIMES:
+            stamps[role.quantity] = _vector(values, role.name, where), unit
             continue
         single = values.size == max(values.shape, default=0)
         if role.number is None and role.joint is None and width > 1 and single and role.quantity in ARM_WIDE:
@@ -98,18 +99,27 @@ def collect(
             quantities[quantity] = _from_columns(quantity, members, joints, where, notes)
     if unused:
         notes.append(Note("info", f"not imported: {listed(unused, limit=MOST_UNUSED)}"))
-    return ForeignTable(source, time, time_unit, quantities, tuple(notes), lines)
+    time, time_unit = stamps.get("time", (None, ""))
+    target_time, target_time_unit = stamps.get("target_time", (None, ""))
+    return ForeignTable(source, time, time_unit, quantities, tuple(notes), lines, target_time, target_time_unit)
 
 
-def _exact_stamps(stamps: npt.NDArray[Any], notes: list[Note]) -> npt.NDArray[Any]:
-    """Integer stamps that float64 can't hold (nanoseconds since 1970) are counted from the first one."""
+def _origin(stamps: npt.NDArray[Any], notes: list[Note]) -> int | None:
+    """The first of integer stamps that float64 can't hold (nanoseconds since 1970); None where it can."""
     if stamps.dtype.kind not in "iu" or stamps.size == 0 or int(stamps.flat[0]) <= _FLOAT_INTEGERS:
-        return stamps
+        return None
     first = int(stamps.flat[0])
     notes.append(Note("info", f"time is counted from the first sample, stamped {first}"))
-    if int(stamps.min()) < first:  # unsigned differences would wrap around; checked and reported later
-        return stamps.astype(np.int64) - first
-    rising: npt.NDArray[Any] = stamps - stamps.dtype.type(first)
+    return first
+
+
+def _since(stamps: npt.NDArray[Any], origin: int | None) -> npt.NDArray[Any]:
+    """Integer stamps counted from another one; others as they are."""
+    if origin is None or stamps.dtype.kind not in "iu" or stamps.size == 0:
+        return stamps
+    if int(stamps.min()) < origin:  # unsigned differences would wrap around; checked and reported later
+        return stamps.astype(np.int64) - origin
+    rising: npt.NDArray[Any] = stamps - stamps.dtype.type(origin)
     return rising
 
 
@@ -152,7 +162,7 @@ def _from_array(
     elif values.shape[0] == width and width > 1:
         raise ImportFileError(f"has shape {values.shape}: samples and joints cannot be distinguished", where=place)
     labels = tuple(f"{role.name}[:, {column}]" for column in range(width))
-    return QuantityColumns(np.ascontiguousarray(values), labels, (role.unit,) * width, array_joints)
+    return QuantityColumns(np.ascontiguousarray(values), labels, (role.unit,) * width, array_joints, role.magnitude)
 
 
 def _from_columns(
@@ -211,4 +221,5 @@ def _from_columns(
         labels=tuple(role.name for role in roles),
         units=tuple(role.unit for role in roles),
         joints=tuple(present) if named or missing else None,
+        magnitude=all(role.magnitude for role in roles),
     )

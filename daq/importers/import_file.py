@@ -27,14 +27,22 @@ from daq.importers.npz import read_npz
 from daq.importers.plausibility import check_units
 from daq.importers.rosbag import bag_files, read_rosbag
 from daq.importers.table import ForeignTable, parsing, printable
-from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
+from daq.recording.recording import (
+    COMMANDS_STREAM,
+    JOINTS_STREAM,
+    Channel,
+    Event,
+    Recording,
+    Stream,
+    software_versions,
+)
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
 from drivers.core.errors import ImportFileError
 from drivers.core.files import ARRAY_FILE, open_input
 from drivers.core.options import argument, keywords_of
 from drivers.core.reading_process import TIME_LIMIT, Progress, read_apart
-from drivers.streams import UNITS
+from drivers.streams import COMMANDS, UNITS
 
 Reader = Callable[[Path, Sequence[str], ImportChoices], ForeignTable]
 
@@ -57,7 +65,7 @@ _LIBRARIES = {".mat": "scipy.io", ".db3": "rosbags.rosbag2", ".mcap": "rosbags.r
 BAG_SPEED = 2e6
 """Bytes of a bag [B/s] that are surely read in so much processor time: messages are read one by one, 20 µs each."""
 
-_ORDER = ("position", "velocity", "current", "torque", "temperature")
+_ORDER = ("position", "velocity", "current", "torque", "temperature", *COMMANDS)
 _MAGIC = (
     (b"SQLite format 3\0", ".db3"),
     (b"\x89MCAP0\r\n", ".mcap"),
@@ -70,7 +78,7 @@ _MAGIC = (
 def import_file(
     path: Path, robot: RobotFile, choices: ImportChoices, progress: Progress = lambda step: None
 ) -> Recording:
-    """Import a foreign file as a recording in memory, with one stream `joints`.
+    """Import a foreign file as a recording in memory: a stream `joints`, and `commands` where they have own stamps.
 
     Current stays current: it becomes torque at identification, with the drive gains.
 
@@ -119,7 +127,7 @@ def _import(reader: Reader, path: Path, robot: RobotFile, choices: ImportChoices
     return Recording(
         robot_text=robot.text,
         urdf_text=robot.urdf_text or "",
-        streams={JOINTS_STREAM: _stream(samples, table.source, robot.robot)},
+        streams=_streams(samples, table.source, robot.robot),
         events=_events(samples),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         versions=software_versions(),
@@ -150,7 +158,14 @@ def _reader(path: Path) -> Reader:
     )
 
 
-def _stream(samples: ImportedSamples, source: str, robot: Robot) -> Stream:
+def _streams(samples: ImportedSamples, source: str, robot: Robot) -> dict[str, Stream]:
+    streams = {JOINTS_STREAM: _stream(JOINTS_STREAM, samples, source, robot)}
+    if samples.commands is not None:
+        streams[COMMANDS_STREAM] = _stream(COMMANDS_STREAM, samples.commands, source, robot)
+    return streams
+
+
+def _stream(name: str, samples: ImportedSamples, source: str, robot: Robot) -> Stream:
     channels = {
         quantity: Channel(
             quantity=quantity,
@@ -158,11 +173,12 @@ def _stream(samples: ImportedSamples, source: str, robot: Robot) -> Stream:
             unit=robot.column_unit(UNITS[quantity], entry.joints),
             columns=entry.joints,
             description=f"imported ({source}): {', '.join(dict.fromkeys(map(printable, entry.labels)))}",
+            magnitude=entry.magnitude,
         )
         for quantity in _ORDER
         if (entry := samples.quantities.get(quantity)) is not None
     }
-    return Stream(name=JOINTS_STREAM, time=samples.time, host_time=samples.time, channels=channels)
+    return Stream(name=name, time=samples.time, host_time=samples.time, channels=channels)
 
 
 def _events(samples: ImportedSamples) -> tuple[Event, ...]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from daq.importers.table import Note, listed, printable
+from daq.robot.schema import Robot
 from drivers.core.errors import ImportFileError
 from drivers.core.text import did_you_mean
 
@@ -25,6 +26,16 @@ class JointMatch:
     columns: tuple[int, ...]
     notes: tuple[Note, ...] = ()
     by_order: bool = False
+
+
+def with_own_names(names: Sequence[str], robot: Robot) -> tuple[tuple[str, ...], tuple[Note, ...]]:
+    """A file's joint names, those in the robot file's `aliases` replaced by the robot's own; and what was replaced."""
+    own = {alias: joint.name for joint in robot.joints for alias in joint.aliases}
+    called = tuple(own.get(name, name) for name in names)
+    if called == tuple(names) or set(robot.joint_names) <= set(names):
+        return tuple(names), ()
+    pairs = ", ".join(f"{printable(name)} → {own[name]}" for name in names if name in own)
+    return called, (Note("info", f"joints matched by the robot file's aliases: {pairs}"),)
 
 
 def match_joints(names: Sequence[str], joints: Sequence[str], *, by_order: bool, where: str) -> JointMatch:

@@ -57,10 +57,60 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
         "joint_temperatures",
         "motor_temperature",
     ),
+    "target_time": ("target_time", "target_times", "command_time", "command_times", "cmd_time"),
+    "target_position": (
+        "target_position",
+        "target_positions",
+        "target_q",
+        "q_target",
+        "q_des",
+        "q_cmd",
+        "command",
+        "commands",
+        "commanded_position",
+        "commanded_positions",
+        "position_command",
+        "position_commands",
+        "goal_position",
+        "goal_positions",
+        "desired_position",
+        "desired_positions",
+    ),
+    "target_velocity": (
+        "target_velocity",
+        "target_velocities",
+        "target_qd",
+        "qd_target",
+        "qd_des",
+        "qd_cmd",
+        "commanded_velocity",
+        "commanded_velocities",
+        "velocity_command",
+        "velocity_commands",
+        "goal_velocity",
+        "goal_velocities",
+    ),
+    "target_torque": (
+        "target_torque",
+        "target_torques",
+        "commanded_torque",
+        "commanded_torques",
+        "torque_command",
+        "torque_commands",
+        "tau_cmd",
+        "tau_ff",
+    ),
+    "gain_p": ("gain_p",),
+    "gain_d": ("gain_d",),
 }
 """Quantity → what files call it; the case is ignored but for single letters."""
 
+TIMES = frozenset({"time", "target_time"})
+"""Quantities of the whole arm: the stamps of the samples, and those of the commands."""
+
 _QUANTITY = {alias: quantity for quantity, aliases in ALIASES.items() for alias in aliases} | {"I": "current"}
+_MAGNITUDE = {f"{quantity}_magnitude": quantity for quantity in ("current", "torque", "effort")}
+"""What files call a signal that has lost its sign."""
 _NUMBERED = re.compile(r"^(.*?[^\d_\s\-])[_\s\-]?(?:(\d{1,3})|\[(\d{1,3})\]|\((\d{1,3})\))$")
 BRACKETED = re.compile(r"^(.*?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
 """A name with its unit: `q1 [deg]`, `I1 (A)`."""
@@ -80,11 +130,12 @@ class Role:
 
     Attributes:
         name: the file's name, as written there.
-        quantity: `time`, `position`, `velocity`, `torque`, `current`, `effort` or `temperature`.
+        quantity: one of `ALIASES`.
         number: as written, for `q3`; None otherwise.
         joint: the robot's joint, where the name carries it; None otherwise.
         unit: as the name states it; empty otherwise.
         exact: whether the whole name was understood, or only its last component (`data.q`).
+        magnitude: whether the name says that the values have lost their sign.
     """
 
     name: str
@@ -93,6 +144,7 @@ class Role:
     joint: str | None = None
     unit: str = ""
     exact: bool = True
+    magnitude: bool = False
 
 
 def parse_name(name: str, joints: Sequence[str]) -> Role | None:
@@ -127,18 +179,24 @@ def _parse_bare(name: str, joints: Sequence[str]) -> Role | None:
 
 
 def _quantity(alias: str) -> str | None:
-    return _QUANTITY.get(alias) or (_QUANTITY.get(alias.casefold()) if len(alias) > 1 else None)
+    if len(alias) > 1:
+        alias = alias.casefold()
+    return _QUANTITY.get(alias) or _MAGNITUDE.get(alias)
+
+
+def _role(name: str, alias: str, quantity: str, *, number: int | None = None, joint: str | None = None) -> Role:
+    return Role(name, quantity, number, joint, magnitude=alias.casefold() in _MAGNITUDE)
 
 
 def _whole_or_numbered(name: str) -> Role | None:
     quantity = _quantity(name)
     if quantity is not None:
-        return Role(name, quantity)
+        return _role(name, name, quantity)
     match = _NUMBERED.match(name)
     quantity = _quantity(match[1]) if match is not None else None
-    if match is None or quantity is None or quantity == "time":
+    if match is None or quantity is None or quantity in TIMES:
         return None
-    return Role(name, quantity, number=int(match[2] or match[3] or match[4]))
+    return _role(name, match[1], quantity, number=int(match[2] or match[3] or match[4]))
 
 
 def _in_words(name: str) -> Role | None:
@@ -153,7 +211,7 @@ def _in_words(name: str) -> Role | None:
     if len(digits) > 1 or len(quantities) != 1:
         return None
     quantity = _quantity(quantities[0])
-    if quantity in (None, "time") or ("motor" in spelled and quantity not in _MOTOR_QUANTITIES):
+    if quantity is None or quantity in TIMES or ("motor" in spelled and quantity not in _MOTOR_QUANTITIES):
         return None
     return Role(name, quantity, number=int(digits[0]) if digits else None)
 
@@ -174,6 +232,6 @@ def _named(name: str, joints: Sequence[str]) -> Role | None:
             candidates.append(components[2])
         for candidate in candidates:
             quantity = _quantity(candidate)
-            if quantity is not None and quantity != "time":
-                return Role(name, quantity, joint=joint)
+            if quantity is not None and quantity not in TIMES:
+                return _role(name, candidate, quantity, joint=joint)
     return None

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from daq.importers.naming import BRACKETED, Role, parse_name
+from daq.importers.naming import BRACKETED, TIMES, Role, parse_name
 from daq.importers.table import listed, printable
 from daq.importers.units import REVOLUTE
 from drivers.core.errors import ImportFileError, UsageError
@@ -66,7 +66,8 @@ def _meant(key: str, joints: Sequence[str]) -> Role:
         raise UsageError(
             f"'{printable(key)}' is none of our column names",
             where="--column",
-            hint="they are t, q1, qd1, torque1, current1, effort1, temperature1 and so on; q alone is a whole array",
+            hint="they are t, q1, qd1, torque1, current1, effort1, temperature1, target_position1, target_time and so "
+            "on; q alone is a whole array",
         )
     return role
 
@@ -75,7 +76,7 @@ def _chosen_roles(
     role: Role, key: str, given: str, names: Sequence[str], joints: Sequence[str], where: str, numbered: bool
 ) -> Iterator[Role]:
     """Columns of `--column KEY=GIVEN`: one name, those that a pattern fits, or column numbers."""
-    whole = role.number is None and role.joint is None and role.quantity != "time"
+    whole = role.number is None and role.joint is None and role.quantity not in TIMES
     matches = _called(given, names)
     if len(matches) > 1:
         raise ImportFileError(f"has {len(matches)} columns called '{printable(given)}'", where=where)

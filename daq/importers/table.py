@@ -34,12 +34,14 @@ class QuantityColumns:
         labels: (n) the file's names of the columns.
         units: (n) the units that the file states; empty texts where it states none.
         joints: (n) names of the joints; None where the file has only an order.
+        magnitude: whether the file says that the values have lost their sign.
     """
 
     values: FloatArray
     labels: tuple[str, ...]
     units: tuple[str, ...]
     joints: tuple[str, ...] | None
+    magnitude: bool = False
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,11 @@ class ForeignTable:
         source: kind of the file, in words.
         time: (N,) stamps in `time_unit`; None where the file has none.
         time_unit: as the file states it; empty where it doesn't.
-        quantities: `position`, `velocity`, `torque`, `current`, `effort` or `temperature` → its columns.
+        quantities: one of `ALIASES` of `daq.importers.naming` → its columns.
         notes: assumptions of the reader.
         lines: (N,) line number of each sample in a text file; None otherwise.
+        target_time: (M,) stamps of the commands in `target_time_unit`; None where they have those of the samples.
+        target_time_unit: as the file states it; empty where it doesn't.
     """
 
     source: str
@@ -61,6 +65,8 @@ class ForeignTable:
     quantities: Mapping[str, QuantityColumns]
     notes: tuple[Note, ...] = ()
     lines: npt.NDArray[np.int64] | None = None
+    target_time: FloatArray | None = None
+    target_time_unit: str = ""
 
 
 def printable(name: object, limit: int = 80) -> str:

@@ -36,18 +36,44 @@ def joint_arrays(robot_file: RobotFile, time: npt.ArrayLike, given: Mapping[str,
     Raises:
         DataError: names the array, the sample and the joint, and what to do.
     """
-    names = robot_file.robot.joint_names
-    stamps = _numbers("time", time)
+    arrays = _arrays("time", time, given, robot_file.robot.joint_names)
+    rate = 1.0 / float(np.median(np.diff(arrays.time)))
+    if not SAMPLING_RATE.holds(rate):
+        units = {unit: rate * factor for unit, factor in (("ms", 1e3), ("µs", 1e6), ("ns", 1e9))}
+        fitting = next((unit for unit, there in units.items() if SAMPLING_RATE.holds(there)), None)
+        hint = f"the stamps look like {fitting}; give seconds" if fitting else "give seconds"
+        raise _refusal("time", f"{rate:.4g} samples per second is no plausible rate of a robot arm", hint)
+    _check_units(robot_file, arrays.time, arrays.values)
+    return arrays
+
+
+def command_arrays(
+    robot_file: RobotFile, target_time: npt.ArrayLike, given: Mapping[str, npt.ArrayLike | None]
+) -> JointArrays:
+    """Check arrays of commands (M, n) with stamps (M,) [s] of their own.
+
+    Raises:
+        DataError: names the array, the sample and the joint, and what to do; there are stamps, but no commands.
+    """
+    if all(array is None for array in given.values()):
+        raise _refusal("target_time", "is given without commands", "give target_position")
+    return _arrays("target_time", target_time, given, robot_file.robot.joint_names)
+
+
+def _arrays(
+    clock: str, time: npt.ArrayLike, given: Mapping[str, npt.ArrayLike | None], joints: tuple[str, ...]
+) -> JointArrays:
+    """Arrays of one clock: stamps that rise, and a finite row for each."""
+    stamps = _numbers(clock, time)
     if stamps.ndim != 1:
-        raise _refusal("time", f"has shape {stamps.shape}; (N,) is needed")
+        raise _refusal(clock, f"has shape {stamps.shape}; (N,) is needed")
     if len(stamps) < 2:
-        raise _refusal("time", f"holds {len(stamps)} sample(s); at least 2 are needed")
+        raise _refusal(clock, f"holds {len(stamps)} sample(s); at least 2 are needed")
     values = {}
     for quantity, array in given.items():
         if array is not None:
-            values[quantity] = _checked(quantity, _numbers(quantity, array), len(stamps), names)
-    _check_time(stamps)
-    _check_units(robot_file, stamps, values)
+            values[quantity] = _checked(quantity, _numbers(quantity, array), len(stamps), joints)
+    _check_time(clock, stamps)
     return JointArrays(stamps, values)
 
 
@@ -84,27 +110,21 @@ def _checked(name: str, values: FloatArray, count: int, joints: tuple[str, ...])
     return values
 
 
-def _check_time(time: FloatArray) -> None:
+def _check_time(clock: str, time: FloatArray) -> None:
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
-        raise _refusal("time", f"is not finite at sample {bad[0]}")
+        raise _refusal(clock, f"is not finite at sample {bad[0]}")
     steps = np.diff(time)
     wrong = np.flatnonzero(steps <= 0)
     if len(wrong):
         first = int(wrong[0]) + 1
         repeats = steps[wrong[0]] == 0
         raise _refusal(
-            "time",
+            clock,
             f"{'repeats the stamp before' if repeats else 'goes backward'} at sample {first} ({time[first]:.9g} s), "
             f"{len(wrong)} times in all",
             "keep the first of each" if repeats else "sort all arrays by time, or give each run as its own recording",
         )
-    rate = 1.0 / float(np.median(steps))
-    if not SAMPLING_RATE.holds(rate):
-        units = {unit: rate * factor for unit, factor in (("ms", 1e3), ("µs", 1e6), ("ns", 1e9))}
-        fitting = next((unit for unit, there in units.items() if SAMPLING_RATE.holds(there)), None)
-        hint = f"the stamps look like {fitting}; give seconds" if fitting else "give seconds"
-        raise _refusal("time", f"{rate:.4g} samples per second is no plausible rate of a robot arm", hint)
 
 
 def _check_units(robot_file: RobotFile, time: FloatArray, values: Mapping[str, FloatArray]) -> None:

@@ -194,6 +194,7 @@ def _read_stream(group: Any, where: str) -> Stream:  # noqa: C901, PLR0912 — a
             unit=str(dataset.attrs.get("unit", "")),
             columns=columns,
             description=str(dataset.attrs.get("description", "")),
+            magnitude=bool(dataset.attrs.get("magnitude", False)),
         )
     return Stream(name=group.name.rsplit("/", 1)[-1], time=time, host_time=host_time, channels=channels)
 

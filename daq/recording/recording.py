@@ -2,7 +2,7 @@
 
     /            attrs: dynid_schema, robot, urdf, created, versions, trajectory, speed_scale, host, comment, complete
     /streams/<name>/time, host_time      (N,) float64 [s]
-    /streams/<name>/<quantity>           (N, n), attrs unit, description, joints
+    /streams/<name>/<quantity>           (N, n), attrs unit, description, joints; magnitude (where the sign is lost)
     /events      compound (N,): time, level, source, message
 
 Everything is created before the first append and nothing is resized but along N, as HDF5's single-writer
@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Literal, Self
 
 import numpy.typing as npt
 
-from daq.recording.joint_arrays import joint_arrays
+from daq.recording.joint_arrays import JointArrays, command_arrays, joint_arrays
 from daq.robot.loader import RobotFile, load_robot, parse_robot
+from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, RecordingError, RobotFileError, UsageError
 from drivers.streams import UNITS
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION = 1
 JOINTS_STREAM = "joints"
+COMMANDS_STREAM = "commands"
+"""Of the commands where their stamps are not those of the joints."""
 MOTOR_SIGNALS = ("torque", "current", "voltage")
 """Quantities of a stream that are or become the joints' torques."""
 
@@ -41,13 +44,17 @@ Level = Literal["info", "warning", "error"]
 
 @dataclass(frozen=True)
 class Channel:
-    """One dataset of a stream: `values` (N, n) in `unit`, a column for each name in `columns`."""
+    """One dataset of a stream: `values` (N, n) in `unit`, a column for each name in `columns`.
+
+    `magnitude` says whether they have lost their sign.
+    """
 
     quantity: str
     values: FloatArray
     unit: str
     columns: tuple[str, ...]
     description: str = ""
+    magnitude: bool = False
 
 
 @dataclass(frozen=True)
@@ -129,6 +136,8 @@ class Recording:
         voltage: npt.ArrayLike | None = None,
         velocity: npt.ArrayLike | None = None,
         temperature: npt.ArrayLike | None = None,
+        target_position: npt.ArrayLike | None = None,
+        target_time: npt.ArrayLike | None = None,
         comment: str = "",
     ) -> Self:
         """A recording from arrays (N, n): one row per sample, one column per joint in the robot's order.
@@ -144,6 +153,8 @@ class Recording:
             voltage: (N, n) of the motors' references [V], in place of the current.
             velocity: (N, n) [rad/s or m/s]; differentiated from the position where absent.
             temperature: (N, n) of the joints [°C].
+            target_position: (N, n) commanded, or (M, n) at stamps of their own [rad or m].
+            target_time: (M,) these stamps, of the same clock [s].
             comment: your own words.
 
         Raises:
@@ -159,8 +170,10 @@ class Recording:
             'A'
         """
         robot_file = load_robot(robot)
-        if current is None and torque is None and voltage is None:
-            raise DataError("neither current, voltage nor torque is given", where="Recording.from_arrays")
+        if all(given is None for given in (current, torque, voltage, target_position)):
+            raise DataError(
+                "neither current, voltage nor torque is given, and no target_position", where="Recording.from_arrays"
+            )
         given = {
             "position": position,
             "velocity": velocity,
@@ -169,16 +182,18 @@ class Recording:
             "torque": torque,
             "temperature": temperature,
         }
-        checked = joint_arrays(robot_file, time, given)
-        arm, names = robot_file.robot, robot_file.robot.joint_names
-        channels = {
-            quantity: Channel(quantity, values, arm.column_unit(UNITS[quantity], names), names, "from an array")
-            for quantity, values in checked.values.items()
-        }
+        commands = {"target_position": target_position}
+        if target_time is None:
+            checked, told = joint_arrays(robot_file, time, given | commands), None
+        else:
+            checked, told = joint_arrays(robot_file, time, given), command_arrays(robot_file, target_time, commands)
+        streams = {JOINTS_STREAM: _stream_of_arrays(JOINTS_STREAM, checked, robot_file.robot)}
+        if told is not None:
+            streams[COMMANDS_STREAM] = _stream_of_arrays(COMMANDS_STREAM, told, robot_file.robot)
         return cls(
             robot_text=robot_file.text,
             urdf_text=robot_file.urdf_text or "",
-            streams={JOINTS_STREAM: Stream(JOINTS_STREAM, checked.time, checked.time, channels)},
+            streams=streams,
             created=datetime.now(UTC).isoformat(timespec="seconds"),
             versions=software_versions(),
             host=platform.node(),
@@ -249,6 +264,16 @@ class Recording:
             raise RecordingError(
                 str(error), where=self.label, hint="name another robot file: --robot, in Python robot="
             ) from error
+
+
+def _stream_of_arrays(name: str, arrays: JointArrays, arm: Robot) -> Stream:
+    names = arm.joint_names
+    unsigned = any(arm.drive(joint).signal == "magnitude" for joint in names)
+    channels = {}
+    for quantity, values in arrays.values.items():
+        unit, magnitude = arm.column_unit(UNITS[quantity], names), unsigned and quantity in MOTOR_SIGNALS
+        channels[quantity] = Channel(quantity, values, unit, names, "from an array", magnitude)
+    return Stream(name, arrays.time, arrays.time, channels)
 
 
 def software_versions() -> dict[str, str]:

@@ -11,7 +11,7 @@ import numpy as np
 from daq.output_files import check_outputs, unfinished_files
 from daq.recording.hdf5_reason import hdf5_reason
 from daq.recording.reader import read_open_recording
-from daq.recording.recording import Channel, Event, Recording, Stream
+from daq.recording.recording import Event, Recording, Stream
 from daq.recording.writer import write_recording
 from drivers.core.errors import RecordingError, UsageError
 from drivers.core.files import RECORDING_FILE, check_input
@@ -101,8 +101,5 @@ def _without_unwritten_rows(stream: Stream) -> tuple[Stream, int]:
             missing |= empty & (np.arange(len(empty)) > np.flatnonzero(~empty)[-1])
     unwritten = np.flatnonzero(missing)
     count = int(unwritten[0]) if len(unwritten) else len(stream.time)
-    channels = {
-        name: Channel(name, channel.values[:count], channel.unit, channel.columns, channel.description)
-        for name, channel in stream.channels.items()
-    }
+    channels = {name: replace(channel, values=channel.values[:count]) for name, channel in stream.channels.items()}
     return Stream(stream.name, stream.time[:count], stream.host_time[:count], channels), len(stream.time) - count

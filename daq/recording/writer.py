@@ -146,6 +146,8 @@ class RecordingWriter:
             dataset.attrs["unit"] = robot.column_unit(channel.unit, channel.columns) if known else channel.unit
             dataset.attrs["description"] = channel.description
             dataset.attrs["joints"] = list(channel.columns)
+            if channel.magnitude:
+                dataset.attrs["magnitude"] = True
             dataset.dims[0].attach_scale(group["time"])
             dataset.dims[0].label = "time"
             dataset.dims[1].label = "joint"
@@ -367,7 +369,7 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
         StreamLayout(
             name=stream.name,
             channels=tuple(
-                ChannelLayout(channel.quantity, channel.columns, channel.unit, channel.description)
+                ChannelLayout(channel.quantity, channel.columns, channel.unit, channel.description, channel.magnitude)
                 for channel in stream.channels.values()
             ),
             rate=_nominal_rate(stream.time),

@@ -19,6 +19,8 @@ from drivers.core.text import did_you_mean
 from drivers.core.validation import read_mapping
 
 URDF_SUFFIXES = frozenset({".urdf", ".xml"})
+BUILTIN_URDF = "builtin:"
+"""Prefix of the name of a URDF that ships with dynid."""
 
 
 class RobotFile(BaseModel):
@@ -154,6 +156,13 @@ def _robot(text: str, where: str) -> Robot:
 
 
 def _read_urdf(urdf: str, folder: Path | None, where: str) -> str:
+    if urdf.startswith(BUILTIN_URDF):
+        shipped = {path.name: path for path in files("daq.robot.builtin").iterdir() if path.name.endswith(".urdf")}
+        name = urdf.removeprefix(BUILTIN_URDF)
+        if name not in shipped:
+            hint = f"built-in URDFs: {', '.join(sorted(shipped))}"
+            raise RobotFileError(f"no built-in URDF is called '{name}'", where=f"{where}: model.urdf", hint=hint)
+        return shipped[name].read_text(encoding="utf-8")
     path = Path(urdf)
     if not path.is_absolute() and not urdf.startswith("~"):
         if folder is None:

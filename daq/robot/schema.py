@@ -67,7 +67,9 @@ _UPWARD = {"table": (_INCLINED, 1.0), "wall": (-0.87, 0.87), "ceiling": (-1.0, -
 class ModelSection(Section):
     """Kinematics: exactly one of `urdf` and `mdh`."""
 
-    urdf: str | None = Field(default=None, description="path of the URDF, relative to the robot file")
+    urdf: str | None = Field(
+        default=None, description="path of the URDF, relative to the robot file; builtin:NAME for one that ships"
+    )
     mdh: tuple[MdhRow, ...] | None = Field(default=None, max_length=int(JOINTS.most))
     lengths: dict[str, Length] = Field(
         default_factory=dict, description="name → length [m]; `b`, `d` and `r` may then be written `d3` or `-d3`"
@@ -136,6 +138,7 @@ class JointLimits(Section):
     acceleration: Positive = Field(default=ASSUMED_ACCELERATION, description="[rad/s² or m/s²]")
     torque: Positive | None = Field(default=None, description="[N·m or N]")
     temperature: Finite | None = Field(default=None, description="[°C]")
+    aliases: tuple[str, ...] = Field(default=(), description="other names that files give the joint")
     _sliding: bool = PrivateAttr(default=False)
 
     @model_validator(mode="after")
@@ -168,7 +171,10 @@ class Drive(Section):
         default=None, description="[N·m/A] or [N·m/V], joint side, sign included; unknown if absent"
     )
     gain_std: NonNegative | None = Field(default=None, description="standard deviation of the gain, in its unit")
-    signal: Literal["current", "voltage", "torque"] = "current"
+    signal: Literal["current", "voltage", "torque", "magnitude"] = Field(
+        default="current", description="'magnitude': current or torque without its sign, which is no torque"
+    )
+    count: Positive | None = Field(default=None, description="current of one count, in recordings of whole counts [A]")
     inertia: bool = Field(default=True, description="whether the measured torque carries the motor's inertia")
     pair_inertia: bool = Field(default=False, description="of coupled motors: Iac, which turns with the joint")
     armature: NonNegative | None = Field(

@@ -34,6 +34,7 @@ FACTORS: Mapping[str, float] = (
     | {"a": 1.0, "ma": 1e-3, "v": 1.0, "mv": 1e-3}
     | {"nm": 1.0, "mnm": 1e-3, "cnm": 1e-2, "knm": 1e3, "n": 1.0, "kn": 1e3}
     | {"degc": 1.0, "c": 1.0, "k": 1.0, "degf": _FAHRENHEIT, "f": _FAHRENHEIT}
+    | {"nm/rad": 1.0, "nm/deg": 1.0 / _DEGREE, "nms/rad": 1.0, "nms/deg": 1.0 / _DEGREE, "n/m": 1.0, "ns/m": 1.0}
     | {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
     | {"1": 1.0, "": 1.0}
 )

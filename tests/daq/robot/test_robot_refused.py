@@ -174,7 +174,7 @@ REFUSED: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "unknown signal": (
         replaced("gain: -10.5", "signal: watt"),
         ": drives[0].signal",
-        ("found 'watt'", "'current', 'voltage' or 'torque'"),
+        ("found 'watt'", "'voltage', 'torque' or 'magnitude'"),
     ),
     "drive of no joint": (
         replaced("{joint: j1, gain", "{joint: j7, gain"),

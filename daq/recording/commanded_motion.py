@@ -1,0 +1,111 @@
+"""Commanded and measured positions of a recording: what a servo was told, and what its encoder showed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Channel, Recording, Stream
+from daq.robot.schema import Robot
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
+from drivers.streams import COMMANDS
+
+TARGET = "target_position"
+
+
+@dataclass(frozen=True, eq=False)
+class CommandedMotion:
+    """A recording's measured and commanded positions, in the robot's joint order; raw, each at its own stamps.
+
+    Attributes:
+        joint_names: (n,).
+        time: (N,) stamps of the measured positions [s].
+        position: (N, n) measured [rad or m].
+        command_time: (M,) stamps of the commands [s], of the same clock.
+        commands: quantity of `drivers.streams.COMMANDS` → (M, n), in its unit; `target_position` is there.
+    """
+
+    joint_names: tuple[str, ...]
+    time: FloatArray
+    position: FloatArray
+    command_time: FloatArray
+    commands: dict[str, FloatArray]
+
+    def held(self, times: npt.ArrayLike, quantity: str = TARGET) -> FloatArray:
+        """The command (K, n) in force at times (K,) [s]: the latest one sent; before the first, the first.
+
+        Raises:
+            KeyError: the quantity was not recorded.
+        """
+        latest = np.searchsorted(self.command_time, np.asarray(times, dtype=np.float64), side="right") - 1
+        held: FloatArray = self.commands[quantity][np.maximum(latest, 0)]
+        return held
+
+
+def commanded_motion(recording: Recording, robot: Robot) -> CommandedMotion:
+    """Measured and commanded positions of a recording.
+
+    Raises:
+        DataError: there are no measured or no commanded positions, a joint is missing, a value is not a number, or
+            stamps do not rise; names the stream and the first such sample.
+    """
+    names = robot.joint_names
+    joints = recording.streams.get(JOINTS_STREAM)
+    if joints is None or "position" not in joints.channels:
+        raise DataError("records no position", where=f"{recording.label}: {JOINTS_STREAM}")
+    told = command_stream(recording)
+    if told is None:
+        quantities = ", ".join(sorted({name for stream in recording.streams.values() for name in stream.channels}))
+        raise DataError(
+            f"records no commanded position; it has {quantities}",
+            where=recording.label,
+            hint="import it with --column target_position=NAME, and target_time=NAME where its stamps differ",
+        )
+    commands = {
+        name: _ordered(told, channel, names, recording.label)
+        for name, channel in told.channels.items()
+        if name in COMMANDS and (name == TARGET or set(names) <= set(channel.columns))
+    }
+    position = _ordered(joints, joints.channels["position"], names, recording.label)
+    for stream in (joints, told):
+        backward = np.flatnonzero(~(np.diff(stream.time) > 0))
+        if len(backward):
+            raise DataError(
+                f"{len(backward)} stamps do not rise, the first at sample {backward[0] + 1}",
+                where=f"{recording.label}: {stream.name}",
+                hint="import the source again with the repair sort or drop-duplicates (--repair, in Python repair=)",
+            )
+    return CommandedMotion(names, joints.time, position, told.time, commands)
+
+
+def command_stream(recording: Recording) -> Stream | None:
+    """The stream that holds the commanded positions: that of the commands, else that of the joints; None without."""
+    for name in (COMMANDS_STREAM, JOINTS_STREAM):
+        stream = recording.streams.get(name)
+        if stream is not None and TARGET in stream.channels:
+            return stream
+    return None
+
+
+def _ordered(stream: Stream, channel: Channel, names: tuple[str, ...], label: str) -> FloatArray:
+    """(N, n) finite values in the order of the names."""
+    where = f"{label}: {stream.name}/{channel.quantity}"
+    missing = [name for name in names if name not in channel.columns]
+    if missing:
+        raise DataError(
+            f"has no column for joint(s) {', '.join(missing)}; it has {', '.join(channel.columns)}",
+            where=where,
+            hint="is this the robot that was recorded? name another: --robot, in Python robot=",
+        )
+    values = channel.values[:, [channel.columns.index(name) for name in names]]
+    bad = np.argwhere(~np.isfinite(values))
+    if len(bad):
+        raise DataError(
+            f"{len(bad)} value(s) are not numbers, the first at sample {bad[0, 0]}, joint {names[bad[0, 1]]}",
+            where=where,
+            hint="import the source again with the repair drop-nan (--repair, in Python repair=)",
+        )
+    return values
