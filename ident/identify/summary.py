@@ -18,7 +18,6 @@ from drivers.core.text import percent_text
 from drivers.core.units import common_unit
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.validation import LOW_SPEED, Fit
-from ident.identify.convergence import convergence_result
 from ident.identify.data_split import RunWindow
 from ident.identify.held_out import delivered_model, model_verdict
 from ident.identify.held_result import with_held_friction
@@ -36,10 +35,12 @@ from ident.result.friction import friction_note, friction_results
 from ident.result.result_file import file_sha256
 from ident.result.schema import (
     BaseParameterResult,
+    Convergence,
     DelayFigures,
     DriveGainResult,
     Essential,
     Excitation,
+    JointEquations,
     ModelOptions,
     RecordingUse,
     Residuals,
@@ -366,4 +367,33 @@ def _use(
         events=[f"{event.level}: {event.message}" for event in recording.events],
         torques_of=torques_of,
         sample_hashes=kept_hashes(RunWindow(run.signals, run.choices.start, run.choices.stop).hashes),
+    )
+
+
+def convergence_result(identification: Identification) -> Convergence | None:
+    """Loops, passes and weights; None for a method that solves in one step."""
+    estimation = identification.estimation
+    if not estimation.loops:
+        return None
+    names = identification.model.joint_names
+    equations = []
+    if estimation.weights:
+        weights = np.concatenate(estimation.weights, axis=1)
+        for name, of_joint in zip(names, weights, strict=True):
+            known = of_joint[~np.isnan(of_joint)]
+            equations.append(
+                JointEquations(
+                    joint=name,
+                    equations=len(known),
+                    rejected=int(np.sum(known == 0.0)),
+                    mean_weight=float(known.mean()) if len(known) else None,
+                )
+            )
+    covariance = estimation.joint_covariance
+    deviations = np.sqrt(np.diag(covariance)) if covariance.size else np.empty(0)
+    return Convergence(
+        passes=estimation.passes,
+        loops=list(estimation.loops),
+        equations=equations,
+        joint_correlation=(covariance / np.outer(deviations, deviations)).tolist() if covariance.size else [],
     )

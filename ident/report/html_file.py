@@ -2,14 +2,96 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
+from math import isfinite
 from typing import TYPE_CHECKING
 
-from ident.report.table_html import table_html
+from markupsafe import Markup
+
+from ident.result.tables import Cell, Column, Table, cell_text, numeric
 from ident.views import number_text
+from ident.views.number_text import half_interval, number, percentage, with_error
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+
+
+def table_html(table: Table, name: str, muted: Sequence[bool] = (), style: str = "") -> Markup:
+    """The table as HTML.
+
+    Args:
+        table: what it shows; it can be sorted by every column.
+        name: of the file that it can be saved to.
+        muted: (rows,) whether a row is in pale print; none where empty.
+        style: further classes.
+    """
+    groups = _groups(table.columns)
+    head = Markup("").join(_heading(group) for group in groups)
+    rows = Markup("").join(
+        Markup("<tr{}>{}</tr>\n").format(
+            Markup(' class="muted"') if any(muted[row : row + 1]) else "",
+            Markup("").join(_cell(group, row, first=place == 0) for place, group in enumerate(groups)),
+        )
+        for row in range(len(table))
+    )
+    note = Markup("<p>{}</p>\n").format(table.note) if table.note else ""
+    return Markup(
+        '<div class="scroll">\n<table class="{}" data-name="{}">\n<thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody>\n'
+        "</table>\n</div>\n{}"
+    ).format(f"sortable {style}".strip(), name, head, rows, note)
+
+
+def _groups(columns: Sequence[Column]) -> list[list[Column]]:
+    """Columns, each with its σ or its detail."""
+    groups: list[list[Column]] = []
+    for column in columns:
+        if column.kind in ("std", "detail"):
+            groups[-1].append(column)
+        else:
+            groups.append([column])
+    return groups
+
+
+def _heading(group: Sequence[Column]) -> Markup:
+    column, *others = group
+    label, unit = column.heading.removesuffix(f" [{column.unit}]"), f" [{column.unit}]" if column.unit else ""
+    label = label[:1].upper() + label[1:] if label[:1].isascii() else label
+    added = "".join(" ± 95 %" if other.kind == "std" else f", {other.heading}" for other in others)
+    csv = "|".join([column.heading, *("± 95 %" if other.kind == "std" else other.heading for other in others)])
+    return Markup('<th scope="col"{} data-csv="{}">{}</th>').format(_class(column), csv, f"{label}{added}{unit}")
+
+
+def _cell(group: Sequence[Column], row: int, *, first: bool) -> Markup:
+    column, *others = group
+    value, beside = column.cells[row], {other.kind: other.cells[row] for other in others}
+    detail = beside.get("detail")
+    small = Markup("<small>{}</small>").format(detail) if detail not in (None, "", value) else ""
+    if first:
+        return Markup('<th scope="row" data-sort="{}">{}{}</th>').format(row + 1, cell_text(value), small)
+    if not numeric(column.cells):
+        return Markup("<td{}>{}{}</td>").format(_class(column), cell_text(value), small)
+    std = _float(beside.get("std"))
+    half = Markup(' data-half="{}"').format(half_interval(std)) if "std" in beside else ""
+    sort = "" if value is None or (isinstance(value, float) and not isfinite(value)) else value
+    return Markup('<td{} data-sort="{}"{}>{}</td>').format(
+        _class(column), sort, half, with_error(_float(value), std) if half else _number(column, value)
+    )
+
+
+def _class(column: Column) -> Markup:
+    names = ["number"] * numeric(column.cells) + ["secondary"] * (column.kind == "minor")
+    return Markup(' class="{}"').format(" ".join(names)) if names else Markup("")
+
+
+def _number(column: Column, value: Cell) -> str:
+    if isinstance(value, int):
+        return str(value)
+    return percentage(_float(value)) if column.unit == "%" else number(_float(value), column.digits)
+
+
+def _float(value: Cell) -> float | None:
+    return float(value) if isinstance(value, int | float) else None
 
 
 @cache

@@ -21,8 +21,7 @@ from ident.report.sections import (
     provenance,
     residuals,
     summary,
-    torques_fit,
-    torques_validation,
+    torques,
     truth,
 )
 from ident.result.result_file import result_file_text
@@ -30,8 +29,8 @@ from ident.result.result_file import result_file_text
 SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     summary.section,
     merge.section,
-    torques_validation.section,
-    torques_fit.section,
+    torques.validation_section,
+    torques.fit_section,
     residuals.section,
     convergence.section,
     friction.section,

@@ -24,10 +24,9 @@ from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
 from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.identifiability import identifiability
 from ident.estimators.swarm.minimisation import Minimum, Optimiser, SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm
-from ident.estimators.swarm.physical import PhysicalCost, PhysicalParameters, physical_values
+from ident.estimators.swarm.physical import PhysicalCost, PhysicalParameters, identifiability, physical_values
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design

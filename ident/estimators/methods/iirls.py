@@ -1,18 +1,224 @@
-"""Iteratively reweighted least squares with nonlinear friction and load torque estimated along."""
+"""I-IRLS: robust least squares with nonlinear friction and load torque estimated along (AUBO Algorithm 1).
+
+The two inner loops are those of `reweighting`; the third one changes the shapes of the friction, the fourth one the
+load torque, by the gravity parameters just estimated (eq. 18): steps of `ident.friction.solver`. ID-IRLS (eq. 19)
+estimates inertial and friction parameters in turn, each with the others as they are.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache, partial
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
+from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from ident.estimators.estimator import Estimator, Setup
+from drivers.core.text import percent_text
+from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, within
-from ident.estimators.robust.iirls import FullFrictionEstimator
+from ident.estimators.robust.friction_bounds import FrictionBounds, friction_bounds
+from ident.estimators.robust.irls import RobustEstimator, estimation, reweighting
+from ident.estimators.robust.reweighting import PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
+from ident.estimators.robust.sensitivities import ShapeSystem
 from ident.estimators.robust.weight_functions import WeightName
+from ident.friction.solver import SHAPE_TOLERANCE, Value, moved_shapes, settle_nested, shape_change, shape_step
+from ident.friction.table import FRICTION_KINDS
+from ident.friction.terms import FrictionTerms
+from ident.model.own_columns import gravity_of, load_change, own_column
+from ident.model.regressor import RegressorKernel
 from ident.ranges import FRICTION_SHARE
+from ident.regression.least_squares import LeastSquares
+from ident.regression.observation_matrix import Reduction
+from ident.signals.prepared import Prepared, Step
+
+MOST_SHAPE_ROUNDS = 15
+MOST_DECOUPLED_ROUNDS = 40
+MOST_LOAD_ROUNDS = 10
+
+EVERY_LENGTH = 40
+"""Lengths of a step that are tried: until the change of the shapes is below their tolerance."""
+
+
+@dataclass(frozen=True)
+class FullFrictionEstimator(RobustEstimator):
+    """I-IRLS on the joints' torque equations.
+
+    Attributes:
+        decoupled: whether inertial and friction parameters are estimated in turn.
+        largest_friction: a term's largest share of the joint's torque limit (eq. 16; `friction_bounds`); None for no
+            upper bounds. Without them friction with a shape or a load term, which could trade signs with the plain
+            terms, is not negative, and plain friction is free, so that a wrong sign of the data shows.
+    """
+
+    decoupled: bool
+    largest_friction: float | None = None
+
+    def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
+        """Iterate all four loops from weighted least squares."""
+        loops = reweighting(self.setup, self.weights, runs, plain, active, self.solver(active))
+        outer = _OuterLoops(self, loops)
+        settled = settle_nested(outer, loops.started(self.setup.kernel, plain), outer.settled_shapes, MOST_LOAD_ROUNDS)
+        fit = settled.fit
+        inner = estimation(fit, loops, "iirls")
+        if self.bounded:
+            inner = replace(inner, steps=(*inner.steps, self._bounds_step(fit)))
+        converged = fit.settled and outer.shapes_settled and settled.converged
+        solution = replace(inner.solution, parameters=fit.solution.parameters, settled=converged)
+        return replace(inner, solution=solution, loops=(*inner.loops, *outer.loops_of(fit, settled.converged)))
+
+    def solver(self, active: Sequence[int]) -> Solve:
+        """As for IRLS, within the bounds; decoupled, the parameters that are no friction, friction as it was."""
+        together = super().solver(active)
+        if self.bounded and not self.decoupled:
+            # The bounds follow the shapes and the load torque, which are those of the kernel.
+            bounds = lru_cache(maxsize=1)(partial(friction_bounds, self.setup, share=self.largest_friction))
+            return lambda kernel, reduction, before: bounds(kernel).solution(reduction, active)
+        if not self.decoupled:
+            return together
+        others = [column for column in active if column not in friction_columns(self.setup)]
+
+        def solve(kernel: RegressorKernel, reduction: Reduction, before: FloatArray) -> LeastSquares:
+            solution = together(kernel, reduction, before)
+            factor = reduction.joints[0].factor
+            parameters = before.copy()
+            parameters[others] = 0.0
+            target = factor[:, -1] - factor[:, :-1] @ parameters
+            lengths = np.linalg.norm(factor[:, others], axis=0)
+            parameters[others] = np.linalg.lstsq(factor[:, others] / lengths, target, rcond=None)[0] / lengths
+            return replace(solution, parameters=parameters)
+
+        return solve
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the parameters are estimated within bounds."""
+        terms = self.setup.kernel.model.terms
+        further = terms.shaped or terms.loaded
+        return self.largest_friction is not None or (further and not self.consistent and not self.decoupled)
+
+    def _bounds_step(self, fit: RobustFit) -> Step:
+        largest = self.largest_friction
+        reached = friction_bounds(self.setup, fit.kernel, largest).reached(fit.solution.parameters)
+        names = ", ".join(self.setup.base.names[place] for place in reached) or "none"
+        text = f"no term negative but the offset (AUBO eq. 16); at a bound: {names}"
+        if largest is None:
+            return Step("friction bounds", {}, text)
+        text = f"each term at most {percent_text(largest)} of the joint's torque limit, {text}"
+        return Step("friction bounds", {"largest_friction": largest}, text)
+
+
+@dataclass
+class _OuterLoops:
+    """The third and the fourth loop as a `FrictionProblem`, and what they record.
+
+    Attributes:
+        estimator: whose loops.
+        inner: the two inner ones.
+        spreads: geometric mean of the joints' residual standard deviations after each round of the third loop [N·m].
+        shapes: after each, the friction's terms.
+        loads: largest relative change of the load torque in each round of the fourth loop.
+        shapes_settled: whether the third loop converged the last time.
+    """
+
+    estimator: FullFrictionEstimator
+    inner: Reweighting
+    spreads: list[float] = field(default_factory=list)
+    shapes: list[FrictionTerms] = field(default_factory=list)
+    loads: list[float] = field(default_factory=list)
+    shapes_settled: bool = True
+
+    def terms(self, fit: RobustFit) -> FrictionTerms:
+        return fit.kernel.model.terms
+
+    def value(self, fit: RobustFit) -> Value:
+        def value(kind: str, motor: int) -> float | None:
+            column = own_column(fit.kernel.model, fit.kernel.columns, kind, motor)
+            return None if column is None else float(fit.solution.parameters[column])
+
+        return value
+
+    def linearised(self, fit: RobustFit) -> Value:
+        system, held = ShapeSystem.at(self.inner, fit), set[int]()
+        if self.estimator.bounded:
+            held = set(self._bounds(fit).reached(fit.solution.parameters))
+        parameters = system.together([column for column in self.inner.active if column not in held])
+        return partial(system.value, parameters)
+
+    def fitted(self, fit: RobustFit, terms: FrictionTerms) -> RobustFit:
+        return self._iterated(fit, terms, fit.solution.parameters)
+
+    def no_worse(self, fit: RobustFit, before: RobustFit) -> bool:
+        return fit.spread <= before.spread * (1.0 + 1e-9)
+
+    def reloaded(self, fit: RobustFit) -> tuple[Callable[[], RobustFit], float]:
+        gravity = gravity_of(self.estimator.setup.base, fit.solution.parameters)
+        terms = replace(self.terms(fit), load_torque=gravity)
+        self.loads.append(load_change(fit.kernel.model, self.inner.runs, self.terms(fit), terms))
+        return lambda: self.fitted(fit, terms), self.loads[-1]
+
+    def settled_shapes(self, fit: RobustFit) -> RobustFit:
+        """Shapes, and decoupled all friction, until they settle."""
+        shaped, decoupled = self.terms(fit).shaped, self.estimator.decoupled
+        if not shaped and not decoupled:
+            return fit
+        for _ in range(MOST_DECOUPLED_ROUNDS if decoupled else MOST_SHAPE_ROUNDS):
+            before = fit
+            fit, change = self._decoupled_round(fit) if decoupled else shape_step(self, fit, EVERY_LENGTH)
+            self.spreads.append(fit.spread)
+            if shaped:
+                self.shapes.append(self.terms(fit))
+            step = np.abs(fit.solution.parameters - before.solution.parameters)[list(self.inner.active)]
+            relative = float(np.max(step / np.sqrt(np.diag(fit.solution.covariance)), initial=0.0))
+            self.shapes_settled = change < SHAPE_TOLERANCE and (not decoupled or relative < PARAMETER_TOLERANCE)
+            if self.shapes_settled:
+                break
+        return fit
+
+    def _decoupled_round(self, fit: RobustFit) -> tuple[RobustFit, float]:
+        """All friction by the torque that the other parameters leave (eq. 15 and 16), then these."""
+        friction = [column for column in self.inner.active if column in friction_columns(self.estimator.setup)]
+        system = ShapeSystem.at(self.inner, fit)
+        bounds = None if self.estimator.largest_friction is None else self._bounds(fit)
+        parameters = system.friction_alone(friction, fit.solution.parameters, bounds)
+        moved = moved_shapes(self.terms(fit), partial(system.value, parameters), 1.0)
+        start = parameters[: len(fit.kernel.columns)]
+        return self._iterated(fit, moved, start), shape_change(self.terms(fit), moved)
+
+    def _bounds(self, fit: RobustFit) -> FrictionBounds:
+        return friction_bounds(self.estimator.setup, fit.kernel, self.estimator.largest_friction)
+
+    def _iterated(self, fit: RobustFit, terms: FrictionTerms, start: FloatArray) -> RobustFit:
+        kernel = RegressorKernel(replace(fit.kernel.model, terms=terms), fit.kernel.columns)
+        return self.inner.iterated(kernel, start, fit.covariance)
+
+    def loops_of(self, fit: RobustFit, load_settled: bool) -> tuple[Loop, ...]:
+        """Third and fourth loop, and the shapes by joint (AUBO Figs. 10 and 11)."""
+        found = []
+        if self.spreads:
+            name = "friction, residual σ (mean over the joints)"
+            found.append(Loop(name, "N·m", tuple(self.spreads), self.shapes_settled))
+        for shape, motor in self.terms(fit).free_shapes() if self.shapes else ():
+            values = tuple(terms.shape(shape.name, motor) for terms in self.shapes)
+            joint = fit.kernel.model.joint_names[motor]
+            found.append(Loop(shape.text, shape.unit, values, self.shapes_settled, joint))
+        if self.loads:
+            found.append(Loop("load torque, relative change", "", tuple(self.loads), load_settled))
+        return tuple(found)
+
+
+def friction_columns(setup: Setup) -> frozenset[int]:
+    """Base columns of friction."""
+    standard = setup.kernel.model.parameters
+    return frozenset(
+        place
+        for place, column in enumerate(setup.kernel.columns)
+        if standard[column].kind in FRICTION_KINDS
+        or (standard[column].kind == "coupling" and standard[column].symbol != "Iac")
+    )
 
 
 @dataclass(frozen=True)

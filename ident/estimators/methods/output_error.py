@@ -6,7 +6,7 @@ and a soft PD controller holds it near the recorded motion (`ident.simulation.tr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,16 +15,94 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, ModelError
 from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, NoOptions
-from ident.estimators.output_rows import OutputRows, output_rows
 from ident.estimators.simulated_arm import check_whole_arm, simulable_arm
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.regressor import regressor
+from ident.regression.comparison import TorqueSeries
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun
 from ident.regression.least_squares import LeastSquares, weighted_least_squares
-from ident.regression.moment_equations import moment_jackknife
+from ident.regression.moment_equations import MomentRows, moment_jackknife
 from ident.regression.observation_matrix import Reduction
-from ident.signals.prepared import Prepared
+from ident.signals.prepared import Prepared, Segment
+from ident.simulation.output_sensitivity import output_sensitivities
+from ident.simulation.tracking import STEP, Tracking, tracked
+
+SMOOTH = ("motor_inertia", "viscous", "inertial")
+"""Kinds of parameters whose torque has a derivative by the motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class OutputRows:
+    """Equations of one segment; a joint's position in place of its torque.
+
+    Attributes:
+        inverse: the simulated model.
+        segment: recorded motion and torque.
+        tracking: what the simulated arm made of it.
+        every: steps of the simulation per equation.
+    """
+
+    inverse: InverseDynamics
+    segment: Segment
+    tracking: Tracking
+    every: int
+
+    def series(self) -> TorqueSeries:
+        """Recorded and simulated positions [rad or m] at the equations' times."""
+        every = slice(None, None, self.every)
+        time = self.tracking.motion.time[every]
+        nearest = np.searchsorted(self.segment.time - self.segment.time[0], time - 1e-9)
+        used = self.segment.used[np.minimum(nearest, len(self.segment.used) - 1)]
+        return TorqueSeries(
+            time=time,
+            measured=self.tracking.position[every].T,
+            predicted=self.tracking.motion.position[every].T,
+            velocity=self.tracking.velocity[every].T,
+            used=used,
+        )
+
+    def __iter__(self) -> Iterator[MomentRows]:
+        """Stream them, joint by joint within a chunk."""
+        inverse, motion = self.inverse, self.tracking.motion
+        model, base, parameters = inverse.model, inverse.base, inverse.parameters
+        smooth = np.where([kind in SMOOTH for kind in base.kinds], parameters, 0.0)
+        along = InverseDynamics(model, base, smooth)
+        step = float(motion.time[1] - motion.time[0])
+        acceleration = np.gradient(motion.velocity, step, axis=0, edge_order=2)
+        states = tuple(np.ascontiguousarray(signal.T) for signal in (motion.position, motion.velocity, acceleration))
+        chunks = output_sensitivities(
+            along.torque,
+            lambda q, rate, change: regressor(model, q, rate, change, base.columns),
+            (states[0], states[1], states[2]),
+            (self.tracking.stiffness, self.tracking.damping),
+            step,
+        )
+        series, begin = self.series(), 0
+        for chunk in chunks:
+            steps = begin + np.arange(len(chunk))
+            begin += len(chunk)
+            chosen = steps % self.every == 0
+            samples = steps[chosen] // self.every
+            used = series.used[samples]
+            samples, sensitivity = samples[used], chunk[chosen][used]
+            for motor in range(model.dof):
+                rows = np.ascontiguousarray(sensitivity[:, motor].T)
+                right = series.residual[motor, samples] + parameters @ rows
+                yield MomentRows(motor, samples, tuple(range(base.count)), rows, rows, right)
+
+
+def output_rows(inverse: InverseDynamics, run: Prepared) -> list[OutputRows]:
+    """Simulate a run's segments.
+
+    Raises:
+        ModelError: the model cannot be simulated, or the motion diverges.
+    """
+    every = max(1, round(1.0 / (STEP * run.filtered_rate)))
+    return [OutputRows(inverse, segment, tracked(inverse, segment), every) for segment in run.segments]
+
 
 ITERATIONS = 15
 SETTLED = 0.5

@@ -1,12 +1,72 @@
-"""The power model."""
+"""The power model: the energy model's differential form (SR400 eq. 10, divided by ever shorter windows).
+
+    d/dt h(q, q̇)·π + friction powers = q̇mᵀτ
+
+h is differentiated as a whole by central differences, so that no acceleration is formed, and both sides pass the
+parallel filter.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.core.arrays import FloatArray
+from ident.estimators.energy.equations import EnergyRows
 from ident.estimators.energy.estimator import EnergyEstimator
-from ident.estimators.energy.power import PowerSamples
+from ident.estimators.energy.windows import friction_motion, motor_power
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, NoOptions
-from ident.model.energy import EnergyKernel
+from ident.model.energy import CHUNK, EnergyKernel
+from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
+from ident.signals.prepared import Segment
+from ident.signals.segments import central_difference
+
+
+@dataclass(frozen=True)
+class PowerSamples:
+    """Equations of power, one a filtered sample.
+
+    Attributes:
+        kernel: for the base columns.
+    """
+
+    kernel: EnergyKernel
+
+    @property
+    def overlap(self) -> int:
+        """Rows share data only through the filter."""
+        return 1
+
+    def rows(self, segment: Segment, parallel_filter: ZeroPhaseFilter) -> Iterator[EnergyRows]:
+        """The equations of one segment."""
+        streamed = StreamedFilter(parallel_filter, len(self.kernel.columns) + 1)
+        used = segment.used[:: parallel_filter.factor]
+        position = 0
+        for unfiltered in self._chunks(segment):
+            filtered = streamed.finish() if unfiltered is None else streamed.push(unfiltered)
+            here = used[position : position + filtered.shape[1]]
+            sample = position + np.flatnonzero(here)
+            position += filtered.shape[1]
+            if len(sample):
+                yield EnergyRows(filtered[:-1, here], filtered[-1, here], sample)
+
+    def _chunks(self, segment: Segment) -> Iterator[FloatArray | None]:
+        """Powers (b + 1, m) chunk by chunk, the motors' last; None behind the end."""
+        count = segment.position.shape[1]
+        work = motor_power(self.kernel.model, segment)
+        for start in range(0, count, CHUNK):
+            stop = min(start + CHUNK, count)
+            # Neighbours on both sides, so that differences within the segment are central ones.
+            around = slice(max(0, start - 2), min(stop + 1, count))
+            inside = slice(start - around.start, stop - around.start)
+            stored = self.kernel.energy(segment.position[:, around], segment.velocity[:, around])
+            power = central_difference(stored, segment.rate)[:, inside]
+            power[self.kernel.friction_rows] = self.kernel.friction_power(*friction_motion(segment, slice(start, stop)))
+            yield np.vstack([power, work[start:stop]])
+        yield None
 
 
 def _estimator(options: NoOptions, setup: Setup) -> Estimator:

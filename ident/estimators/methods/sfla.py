@@ -2,20 +2,167 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field
 
+from drivers.core.arrays import FloatArray
 from drivers.core.ranges import Range
 from ident.estimators.estimator import Estimator, Setup
+from ident.estimators.feasible.prior import link_priors
 from ident.estimators.method import Method, within
-from ident.estimators.physical_space import physical_space
-from ident.estimators.search_estimator import SearchEstimator
+from ident.estimators.search_estimator import SearchEstimator, Space, no_penalty
+from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.minimisation import SearchBudget
+from ident.estimators.swarm.physical import (
+    SIZE,
+    FeasibilityPenalty,
+    Identified,
+    PhysicalCost,
+    PhysicalParameters,
+    identifiability,
+    physical_names,
+    physical_values,
+)
+from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.ranges import BOX_SHARE, GENERATIONS, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
-from ident.regression.least_squares import weighted_least_squares
+from ident.regression.least_squares import LeastSquares, weighted_least_squares
+from ident.signals.prepared import Step
+
+MASSES = (0.05, 3.0)
+"""Of the prior's mass and moments of inertia: the box. A link may always weigh three times the arm's mean link."""
+
+REACH = 2.0
+"""Radii of gyration by which a centre of mass may be off; half of the arm's longest link where that is more."""
+
+PRODUCTS = 0.5
+"""Of the geometric mean of two moments of inertia: their product of inertia at most."""
+
+IMPOSSIBLE = 1.0
+"""Penalty, over the cost of no model, of a link whose pseudo-inertia is as negative as its prior's is positive."""
+
+LEAST = 1e-3
+"""Of the prior's mass and moments of inertia, whatever the factor of the box."""
+
+POSITIVE = (0, 4, 7, 9)
+"""Places of mass and moments of inertia among a body's physical parameters."""
+
+JOINTS = 2.0
+"""Of the least-squares estimate's size: a joint's own parameter at most."""
+
+
+def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable[[LeastSquares, QuadraticCost], Space]:
+    """Mass, centre of mass and inertia of each link, and joint parameters, as far as they act on the torque.
+
+    Links have a box about their prior (robot file, URDF, or a bar of the density that fits best); joint parameters from
+    0, or from the negative where they have a sign, to twice the size of their least-squares estimate.
+
+    Args:
+        setup: the data.
+        feasible: add to the cost what makes a link impossible, `IMPOSSIBLE` times its violation.
+        share: factor of every range about the prior; masses and moments of inertia stay above `LEAST` of the prior's.
+    """
+    model, projection = setup.kernel.model, setup.base.projection
+    parameters, links = model.parameters, len(model.joints)
+
+    def space(exact: LeastSquares, cost: QuadraticCost) -> Space:
+        of_active = projection[list(exact.active)]
+        priors = link_priors(model, setup.robot_file, cost.root @ of_active, cost.target)
+        standard = np.concatenate([priors.links.ravel(), np.zeros(len(parameters) - SIZE * links)])
+        reference = physical_values(model, standard)
+        lower, upper = reference.copy(), reference.copy()
+        mean_mass = float(np.mean(reference[: SIZE * links : SIZE]))
+        longest = max(float(np.linalg.norm(joint.translation)) for joint in model.joints)
+        for link in range(links):
+            part = slice(SIZE * link, SIZE * (link + 1))
+            lower[part], upper[part] = _body_box(reference[part], mean_mass, longest)
+        values = exact.parameters[list(exact.active)]
+        for place in range(SIZE * links, len(parameters)):
+            seen = np.abs(of_active[:, place]) > 0.0
+            size = JOINTS * float(np.max(np.abs(values[seen]), initial=0.0))
+            upper[place] = size
+            lower[place] = -size if parameters[place].kind == "offset" else 0.0
+        lower, upper = _scaled(reference, lower, upper, share, SIZE * links)
+        names = physical_names(model)
+        chosen = [place for place in _acting(of_active, reference, links) if lower[place] < upper[place]]
+        physical = PhysicalCost(PhysicalParameters.of(model, reference, [names[c] for c in chosen]), cost, of_active)
+        box = SearchBox(lower[chosen], upper[chosen], [names[c] for c in chosen])
+
+        def steps(point: FloatArray, deviation: float) -> tuple[Step, ...]:
+            return (identified_step(identifiability(physical.derivative(point), deviation, box.names), point),)
+
+        penalty = FeasibilityPenalty.of(priors.links)
+
+        def impossible(points: FloatArray) -> FloatArray:
+            bodies = physical.parameters.standard(points)[:, : SIZE * links].reshape(len(points), links, SIZE)
+            return IMPOSSIBLE * float(np.linalg.norm(cost.target)) * penalty(bodies)
+
+        return Space(box, physical.base, impossible if feasible else no_penalty, steps)
+
+    return space
+
+
+def _acting(projection: FloatArray, reference: FloatArray, links: int) -> list[int]:
+    """Physical parameters that act on some base parameter, for the reference bodies or others."""
+    acts = np.any(np.abs(projection) > 0.0, axis=0)
+    for link in range(links):
+        part = slice(SIZE * link, SIZE * (link + 1))
+        xx, xy, xz, yy, yz, zz, *firsts, mass = acts[part]
+        moments = xx or xy or xz or yy or yz or zz
+        # A mass and its centre enter first and second moments; the inertia about it only the second ones.
+        acts[part] = [mass or moments or any(firsts), *(bool(first or moments) for first in firsts)] + [
+            bool(entry) for entry in (xx, xy, xz, yy, yz, zz)
+        ]
+    return [int(place) for place in np.flatnonzero(acts)]
+
+
+def _body_box(body: FloatArray, mean_mass: float, longest: float) -> tuple[FloatArray, FloatArray]:
+    """Bounds (10,) about a body's physical parameters."""
+    mass, com, moments = body[0], body[1:4], body[[4, 7, 9]]
+    heaviest = MASSES[1] * max(mass, mean_mass)
+    largest = np.maximum(MASSES[1] * moments, heaviest * (0.5 * longest) ** 2)
+    reach = max(REACH * float(np.sqrt(moments.max() / mass)), 0.5 * longest)
+    products = PRODUCTS * np.sqrt(np.array([largest[0] * largest[1], largest[0] * largest[2], largest[1] * largest[2]]))
+    lower, upper = np.empty(SIZE), np.empty(SIZE)
+    lower[0], upper[0] = MASSES[0] * mass, heaviest
+    lower[1:4], upper[1:4] = com - reach, com + reach
+    lower[[4, 7, 9]], upper[[4, 7, 9]] = MASSES[0] * moments, largest
+    lower[[5, 6, 8]], upper[[5, 6, 8]] = -products, products
+    return lower, upper
+
+
+def _scaled(
+    reference: FloatArray, lower: FloatArray, upper: FloatArray, share: float, of_links: int
+) -> tuple[FloatArray, FloatArray]:
+    """Ranges (p,) times a factor about the reference; the first `of_links` are bodies' parameters."""
+    least, most = reference + share * (lower - reference), reference + share * (upper - reference)
+    for entry in POSITIVE:
+        place = slice(entry, of_links, SIZE)
+        least[place] = np.maximum(least[place], LEAST * reference[place])
+    return least, most
+
+
+def identified_step(parameters: tuple[Identified, ...], point: FloatArray) -> Step:
+    """Physical parameters of a best point (d,) with what the torque shows of each."""
+    settings: dict[str, float | int | str] = {}
+    for parameter, value in zip(parameters, point, strict=True):
+        settings[parameter.name] = float(value)
+        settings[f"{parameter.name} determined"] = round(parameter.determined, 4)
+        if parameter.identifiable:
+            settings[f"{parameter.name} std"] = parameter.std
+    shown = [p.name for p in parameters if p.identifiable]
+    hidden = [p.name for p in parameters if not p.identifiable]
+    text = f"{len(shown)} of {len(parameters)} identifiable one by one: {', '.join(shown) or 'none'}"
+    if hidden:
+        text += (
+            f"; confounded with others, so that their values are arbitrary: {', '.join(hidden)} (result.json has the "
+            "share of each that the torque shows)"
+        )
+    return Step("physical parameters", settings, text)
 
 
 @dataclass(frozen=True)

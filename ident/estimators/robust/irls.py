@@ -7,16 +7,72 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation, Loop, Setup
-from ident.estimators.robust.consistency import consistent_or_free
-from ident.estimators.robust.jackknife import whitened_jackknife
+from ident.estimators.feasible.consistent import found_consistent
 from ident.estimators.robust.reweighting import COVARIANCE_TOLERANCE, PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
 from ident.estimators.robust.weight_functions import WeightName, weight_function
+from ident.estimators.robust.whitened_equations import Whitening, sample_equations, whitened
 from ident.estimators.torque_estimator import reduce_torques
-from ident.regression.jackknife import CorrectedCovariance, FilteredRun
+from ident.model.regressor import RegressorKernel
+from ident.regression.autocorrelation import independent_share
+from ident.regression.estimate import estimate_of
+from ident.regression.jackknife import CorrectedCovariance, FilteredRun, motion_blocks, tolerant_moves
 from ident.regression.least_squares import LeastSquares, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared, Step
+
+
+def whitened_jackknife(
+    estimation: Estimation, runs: Sequence[FilteredRun], torques: Sequence[int], steepness: float
+) -> CorrectedCovariance:
+    """Corrected covariance of the active parameters of a whitened and weighted system.
+
+    Args:
+        estimation: with its weights and Ω.
+        runs: the data.
+        torques: motors whose torques are used.
+        steepness: E[w]/E[ψ′], since the weights move with the data.
+    """
+    kernel, solution, active = estimation.kernel, estimation.solution, list(estimation.solution.active)
+    whitening = Whitening(estimation.joint_covariance)
+    blocks = motion_blocks([torques_of for run in runs for torques_of in run.series])
+    sums, of_segments, weights = blocks.sums(len(active)), iter(blocks.of_segments), iter(estimation.weights)
+    for run in runs:
+        for segment in run.segments:
+            of_segment, weight = next(of_segments), next(weights)
+            for part in sample_equations(kernel, segment, run.parallel_filter, torques):
+                _, unroot = whitening.roots(part.motors)
+                root_weight = np.sqrt(weight[np.ix_(np.array(part.motors), part.samples)])
+                of_sample = of_segment[part.samples]
+                regressor, residual = part.regressor[:, active], part.residual(solution.parameters)
+                for block in np.unique(of_sample).tolist():
+                    inside = of_sample == block
+                    rows = whitened(regressor[:, :, inside], residual[:, inside], unroot, root_weight[:, inside])
+                    sums.gram[block] += rows[:-1] @ rows[:-1].T
+                    sums.score[block] += rows[:-1] @ rows[-1]
+    moves = steepness * tolerant_moves(sums, sums.gram.sum(axis=0))
+    share = independent_share(blocks.autocorrelation[list(torques)])
+    return blocks.corrected(moves, solution.rows, share)
+
+
+def consistent_or_free(setup: Setup, active: Sequence[int]) -> Solve:
+    """Least squares whose parameters are replaced by the consistent ones that fit the same system best.
+
+    Where no consistent ones are found, those of least squares stay; the identification reports that at its end.
+    """
+
+    def solve(kernel: RegressorKernel, reduction: Reduction, before: FloatArray) -> LeastSquares:
+        free = ordinary_least_squares(reduction, active)
+        estimate = estimate_of(reduction, free, free.covariance, 0)
+        found = found_consistent(kernel.model, setup.base, estimate, setup.robot_file)
+        if found is None:
+            return free
+        parameters = free.parameters.copy()
+        parameters[list(active)] = found.base[list(active)]
+        return replace(free, parameters=parameters)
+
+    return solve
 
 
 @dataclass(frozen=True)

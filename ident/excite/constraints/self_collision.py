@@ -11,9 +11,8 @@ import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
 from ident.excite.constraints.collision_geometry import DISTANCE_SCALE, ArmGeometry, link_name
-from ident.excite.constraints.hull_distance import HullDistances
+from ident.excite.constraints.hull_distance import HullDistances, Nearest, nearest_points
 from ident.excite.constraints.placements import Placements, moved_by, place_arm, wrench
-from ident.excite.constraints.segment_distance import Nearest, nearest_points
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.constraints.workspace import SAMPLES_AT_ONCE
 from ident.excite.path import JointPath

@@ -303,3 +303,33 @@ def _odd(kind: Kind, value: Expression, of_number: Callable[[float], float]) -> 
     if value.constant is not None:
         return value.graph.constant(of_number(value.constant))
     return Expression(value.graph, value.graph.operation(kind, value.node), value.negative)
+
+
+def solved(matrix: Sequence[Sequence[Expression]], right: Sequence[Expression]) -> tuple[Expression, ...]:
+    """X (n,) of M·x = b; not a number where M is not positive definite."""
+    count = len(right)
+    pivots: list[Expression] = []
+    lower: list[list[Expression]] = []  # of L without its diagonal
+    for row in range(count):
+        scaled: list[Expression] = []  # of L·D
+        for column in range(row):
+            entry = matrix[row][column]
+            for k in range(column):
+                entry = entry - scaled[k] * lower[column][k]
+            scaled.append(entry)
+        lower.append([entry * pivot for entry, pivot in zip(scaled, pivots, strict=True)])
+        left = matrix[row][row]
+        for entry, share in zip(scaled, lower[row], strict=True):
+            left = left - entry * share
+        pivots.append(inverse(left))
+    forward: list[Expression] = []
+    for row in range(count):
+        value = right[row]
+        for k in range(row):
+            value = value - lower[row][k] * forward[k]
+        forward.append(value)
+    solution = [value * pivot for value, pivot in zip(forward, pivots, strict=True)]
+    for row in range(count - 1, -1, -1):
+        for k in range(row + 1, count):
+            solution[row] = solution[row] - lower[k][row] * solution[k]
+    return tuple(solution)

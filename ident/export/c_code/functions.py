@@ -9,18 +9,48 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
-from ident.export.c_code.axes import inertial_column, link_axes
-from ident.export.c_code.composite import tree_inertia
-from ident.export.c_code.expressions import Expression, Graph
+from ident.export.c_code.axes import Axes, inertial_column, link_axes
+from ident.export.c_code.expressions import Expression, Graph, solved
 from ident.export.c_code.frames import combination, joint_frames
 from ident.export.c_code.joint_terms import friction, joint_parameter_column, joint_terms
-from ident.export.c_code.payload import payload_torque
-from ident.export.c_code.positive_system import solved
-from ident.export.c_code.recursion import link_motions, link_wrench, tree_torques
+from ident.export.c_code.recursion import LinkMotion, link_motions, link_wrench, tree_inertia, tree_torques
 from ident.model.base_parameters import random_states
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.kinematics.transmission import LinearTransmission
 from ident.model.parameters import INERTIAL
+
+
+def payload_torque(graph: Graph, motion: LinkMotion, axes: Axes, follow: FloatArray) -> tuple[Expression, ...]:
+    """Torques (n,) at the joints with a motor, linear in the payload's standard parameters (SR400 .4.4).
+
+    The symbols are `payload0` to `payload9`: mass, centre of mass x y z in the link's frame, inertia xx xy xz yy yz zz
+    about the centre of mass.
+
+    Args:
+        graph: of all expressions.
+        motion: of the link that carries it.
+        axes: of the joints, in the link's frame.
+        follow: (joints, n) G = ∂q_tree/∂q_active.
+    """
+    mass, x, y, z, xx, xy, xz, yy, yz, zz = (graph.symbol(f"payload{number}") for number in range(10))
+    standard = (
+        xx + mass * (y * y + z * z),
+        xy - mass * (x * y),
+        xz - mass * (x * z),
+        yy + mass * (x * x + z * z),
+        yz - mass * (y * z),
+        zz + mass * (x * x + y * y),
+        mass * x,
+        mass * y,
+        mass * z,
+        mass,
+    )
+    totals = [graph.constant(0.0)] * follow.shape[1]
+    for kind, value in enumerate(standard):
+        column = inertial_column(graph, motion, axes, kind, follow)
+        totals = [total + entry * value for total, entry in zip(totals, column, strict=True)]
+    return tuple(totals)
+
 
 SIZE = len(INERTIAL)
 

@@ -3,16 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
+from drivers.core.errors import DynidError
+from ident.model.true_parameters import truth_vector
 from ident.report.figures.figures import KIND_STYLES, Figure
 from ident.report.figures.interval_panel import IntervalSeries, interval_panel
 from ident.report.figures.panels import Panel, panel_figure
-from ident.report.reference_values import ReferenceValues, reference_values
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import BaseParameterResult, Result
+from ident.result.stored_model import stored_model
 from ident.result.tables import Column, Table
 from ident.views.result_tables import parameter_table
+
+
+@dataclass(frozen=True)
+class ReferenceValues:
+    """Base parameters known from elsewhere.
+
+    Attributes:
+        label: what they are, as a heading.
+        values: name → value in the unit of the Result.
+    """
+
+    label: str
+    values: Mapping[str, float]
+
+
+def reference_values(data: ReportData) -> ReferenceValues | None:
+    """The truth of a simulated arm, else the links' inertias of the robot file; None where neither is known.
+
+    The robot file's friction is left out: it describes a simulated arm, its inertias may be those of a data sheet.
+    """
+    if data.truth is not None:
+        return ReferenceValues("True value", dict(zip(data.truth.names, map(float, data.truth.values), strict=True)))
+    try:
+        stored = stored_model(data.result)
+        values = stored.base.projection @ truth_vector(stored.robot_file, stored.model)
+    except DynidError:  # the robot file names no links, or not these base parameters
+        return None
+    inertial = {
+        name: float(value)
+        for name, value, kind in zip(stored.base.names, values, stored.base.kinds, strict=True)
+        if kind == "inertial"
+    }
+    return ReferenceValues("Robot file", inertial) if inertial else None
+
 
 REFERENCE_MARKER = "#7C828A"
 

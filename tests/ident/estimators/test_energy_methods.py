@@ -18,7 +18,6 @@ from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import DataError, UsageError
 from ident.assessment.plausibility import CLEARLY_SMALLER, critical_variance_ratio
 from ident.estimators.energy.equations import energy_jackknife, reduce_energy
-from ident.estimators.energy.power import PowerSamples
 from ident.estimators.energy.windows import (
     OVERLAP,
     EnergyWindows,
@@ -28,6 +27,7 @@ from ident.estimators.energy.windows import (
     moving_spans,
     window_borders,
 )
+from ident.estimators.methods.power import PowerSamples
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate

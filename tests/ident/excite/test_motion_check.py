@@ -11,7 +11,7 @@ from daq.motion.motion_check import MotionCheck
 from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest, slow_move
 from daq.robot.loader import builtin_robots, load_robot, parse_robot
 from drivers.core.errors import MotionRefusedError
-from ident.excite.constraints.obstacle_distances import box_distances
+from ident.excite.constraints.workspace import box_distances
 from ident.excite.motion_check import ArmMotionCheck
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.excite.constraints.segment_distance import nearest_points
+from ident.excite.constraints.hull_distance import nearest_points
 
 
 def ends(*points):

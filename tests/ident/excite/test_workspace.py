@@ -11,8 +11,7 @@ from daq.robot.obstacles import obstacles_of
 from daq.robot.workspace import Box, Workspace
 from drivers.core.errors import RobotFileError
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, tube_capsules
-from ident.excite.constraints.obstacle_distances import box_distances
-from ident.excite.constraints.workspace import WorkspaceLimits
+from ident.excite.constraints.workspace import WorkspaceLimits, box_distances
 from ident.excite.path import JointPath
 from ident.model.dynamic_model import build_model
 

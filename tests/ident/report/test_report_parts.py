@@ -16,7 +16,7 @@ from ident.model.parameters import JOINT_SYMBOLS
 from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import KIND_STYLES
 from ident.report.figures.traces import LONGEST_PAUSE, envelope_indices, lay_out
-from ident.report.residual_statistics import joint_residual
+from ident.report.sections.residuals import joint_residual
 from ident.views.number_text import number, with_error
 
 

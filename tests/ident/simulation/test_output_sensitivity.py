@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.estimators.output_rows import OutputRows
+from ident.estimators.methods.output_error import OutputRows
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.inverse_dynamics import InverseDynamics

@@ -6,11 +6,11 @@ import pytest
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
 from ident.estimators.swarm.box import SearchBox
-from ident.estimators.swarm.identifiability import identifiability
 from ident.estimators.swarm.physical import (
     FeasibilityPenalty,
     PhysicalCost,
     PhysicalParameters,
+    identifiability,
     physical_names,
     physical_values,
 )

@@ -1,4 +1,4 @@
-"""Torques of data that the estimator never saw."""
+"""Torques of the data that the parameters were fitted to, and of data that the estimator never saw."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ident.report.figures.torque_figure import torque_figure
 from ident.report.section import ReportData, ReportSection
 
 
-def section(data: ReportData) -> ReportSection:
+def validation_section(data: ReportData) -> ReportSection:
     """Measured against predicted torque of the held-out data."""
     result = data.result
     source = result.validation_source or "held-out data"
@@ -22,3 +22,13 @@ def section(data: ReportData) -> ReportSection:
         "Record a second motion and name it with --validate.",
     }
     return ReportSection("Torques: validation", "torques-validation", "torques.html.j2", context)
+
+
+def fit_section(data: ReportData) -> ReportSection:
+    """Measured against predicted torque of the identification data."""
+    context = {
+        "intro": "The data that the parameters were fitted to: a small error here is necessary, not sufficient.",
+        "figure": torque_figure("torques-fit-plot", data.result, data.worst_first, data.fit, data.result.fit),
+        "empty": "No torques of the identification data were handed to this report.",
+    }
+    return ReportSection("Torques: fit", "torques-fit", "torques.html.j2", context)

@@ -7,10 +7,10 @@ import pytest
 from scipy.linalg import cholesky, toeplitz
 from scipy.signal import lfilter
 
+from ident.estimators.methods.ml import WhitenedRows, whitening_filters
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
-from ident.regression.autoregression import WhitenedRows, whitening_filters
 from ident.signals.filters import no_filter
 
 TRUE = np.array([1.0, -1.2, 0.5])
