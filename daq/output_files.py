@@ -11,11 +11,12 @@ import re
 import secrets
 import shutil
 import stat
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from drivers.core.errors import DiskError, DynidError, UsageError
+from drivers.core.errors import DiskError, DynidError, DynidWarning, UsageError
 from drivers.core.files import held_lock
 
 RESULT_FILE = "result.json"
@@ -127,6 +128,7 @@ def check_output_folder(
     Raises:
         UsageError: the folder is a file, or as `check_outputs` does of the files.
     """
+    _claim([folder])
     if folder.is_dir():
         check_outputs([folder / name for name in names], inputs, overwrite=overwrite)
         return
@@ -232,13 +234,16 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
 
     Args:
         folder: to be written.
-        texts: name → content; the first one takes its place last.
+        texts: name → content; the first one, a JSON object, takes its place last, with the hashes of the others.
 
     Raises:
         UsageError: it is a file, cannot be written, or another program writes it.
         DiskError: the disk is full or fails.
     """
-    with only_writer(folder / name for name in texts):
+    first, *others = texts
+    if others:
+        texts = {**texts, first: with_hashes(texts[first], {name: texts[name] for name in others})}
+    with only_writer([folder, *(folder / name for name in texts)]):
         if folder.is_dir():
             replace_files({folder / name: text for name, text in texts.items()})
         else:
@@ -249,6 +254,17 @@ def with_hashes(text: str, others: Mapping[str, str]) -> str:
     """The text of a JSON object with the SHA-256 of the files that are written with it, for `strange_files`."""
     hashes = {name: _hash(content.encode()) for name, content in others.items()}
     return text.replace("{", f"{{\n {json.dumps({GENERATION_KEY: hashes})[1:-1]},", 1)
+
+
+def warn_of_strange_files(path: Path, content: Mapping[str, object]) -> None:
+    """Warn (`DynidWarning`) of the files that `strange_files` finds."""
+    for strange in strange_files(path, content):
+        warnings.warn(
+            f"{strange} was not written with {path.name}, or was changed: a command that wrote both may have been "
+            f"killed; run it again with --force",
+            DynidWarning,
+            stacklevel=3,
+        )
 
 
 def strange_files(path: Path, content: Mapping[str, object]) -> list[str]:

@@ -17,7 +17,6 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
-from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING
@@ -29,6 +28,7 @@ from daq.recording.recording import JOINTS_STREAM
 from daq.session.realtime import give_realtime_back
 from daq.session.supervisor import Limits
 from drivers.core.arrays import FloatArray
+from drivers.core.child_process import started_without_interrupt
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.terminal import styled, visible
 from drivers.core.text import percent_text
@@ -193,17 +193,12 @@ def live_view(
     context = multiprocessing.get_context("spawn")
     reader, writer = context.Pipe(duplex=False)
     process = context.Process(target=draw, args=(reader,), name="dynid live view", daemon=True)
-    # Blocked, not ignored: the display inherits the mask from its first instruction on, and this process gets a
-    # Ctrl-C of this moment a little later. The tracker, where it starts, would lift the mask: it must run before.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        process.start()
+        with started_without_interrupt():
+            process.start()
         started = True
     except OSError:  # no room for another process: a recording goes on without a display
         started = False
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     reader.close()
     try:
         yield Publisher(writer.fileno(), limits, recorder, clock) if started else None

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from daq.robot.schema import Robot
 from daq.session.sources import Sources
+from daq.session.supervisor import TRACKING_ERROR
 from drivers.base import Cautioning, DeviceLimits, Driver, Limiting
 from drivers.core.arrays import FloatArray
 
@@ -42,10 +43,11 @@ def looser_limits(robot: Robot, own: DeviceLimits) -> list[str]:
         ("velocity", "rad/s", np.array([joint.velocity for joint in joints]), own.velocity),
         ("acceleration", "rad/s²", acceleration, own.acceleration),
         ("torque", "N·m", torque, own.torque),
+        ("following error", "rad", np.full(len(joints), TRACKING_ERROR), own.following_error),
     ):
         if theirs is not None and (looser := mine > theirs * (1.0 + AGREEMENT)).any():
             listed = _listed(robot, looser, mine, theirs, unit)
-            lines.append(f"{name} limits above the controller's own ({own.sources[name]}): {listed}")
+            lines.append(f"{name} limits above the controller's own ({own.sources[name.replace(' ', '_')]}): {listed}")
     if own.stopping is not None and (slow := own.stopping < acceleration * (1.0 - AGREEMENT)).any():
         listed = _listed(robot, slow, acceleration, own.stopping, "rad/s²")
         lines.append(f"a stop slows down less than the acceleration limits allow ({own.sources['stopping']}): {listed}")

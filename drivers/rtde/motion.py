@@ -23,6 +23,7 @@ from typing import Protocol
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from drivers.core.child_process import started_without_interrupt
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 
 JOINTS = 6
@@ -124,7 +125,8 @@ def start_process(factory: ControlFactory, host: str, rate: float, timeout: floa
     context = multiprocessing.get_context("spawn")
     pipe, far_end = context.Pipe()
     process = context.Process(target=_run, args=(far_end, factory, host, rate, timeout), name=f"motion {host}")
-    process.start()
+    with started_without_interrupt():
+        process.start()
     far_end.close()
     return pipe, process
 

@@ -19,7 +19,7 @@ from drivers.core.errors import InputError
 from ident.checks.tool_pose import ToolPose, tool_poses
 from ident.estimators.feasible.centre_bounds import CentreBound, centre_bounds
 from ident.excite.constraints.collision_geometry import arm_geometry
-from ident.excite.constraints.constraints import unchecked_pairs
+from ident.excite.constraints.constraints import pairs_by_hull, unchecked_pairs
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 
@@ -78,6 +78,11 @@ def check_robot(robot_file: RobotFile) -> RobotCheck:
             ]
             if unchecked := unchecked_pairs(robot_file, model):
                 assumed.append(f"{UNCHECKED}: {'; '.join(unchecked)}")
+            if by_hull := pairs_by_hull(robot_file, model):
+                assumed.append(
+                    f"a design (excite) does not keep apart {'; '.join(by_hull)}, whose capsules always touch: the "
+                    "check of a motion does, by the convex hulls of their meshes, and may refuse what was designed"
+                )
             warnings += _bound_warnings(centre_bounds(model, robot_file))
         except InputError as error:
             problems.append(error)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from daq.output_files import REPORT_FILE, RESULT_FILE, with_hashes, write_folder
+from daq.output_files import REPORT_FILE, RESULT_FILE, write_folder
 from ident.report.html_file import page_templates
 from ident.report.section import ReportData, ReportSection
 from ident.report.sections import (
@@ -53,8 +53,7 @@ def write_result_folder(folder: Path, data: ReportData) -> None:
         UsageError: it is a file, or cannot be written.
         DiskError: the disk is full or fails.
     """
-    report = {REPORT_FILE: render_report(data)}
-    write_folder(folder, {RESULT_FILE: with_hashes(result_file_text(data.result), report), **report})
+    write_folder(folder, {RESULT_FILE: result_file_text(data.result), REPORT_FILE: render_report(data)})
 
 
 def render_report(data: ReportData) -> str:

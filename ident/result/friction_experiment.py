@@ -10,6 +10,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from daq.output_files import warn_of_strange_files
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
@@ -128,6 +129,7 @@ def read_friction_experiment(path: str | PathLike[str]) -> FrictionExperimentRes
         raise ResultFileError(f"is not JSON: {error}", where=where) from error
     if not isinstance(content, dict) or content.get("kind") != "friction":
         raise ResultFileError("is not a result of dynid friction (no key 'kind': 'friction')", where=where)
+    warn_of_strange_files(file, content)
     try:
         return FrictionExperimentResult.model_validate(content)
     except ValidationError as error:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import warnings
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from daq.output_files import replace_files, strange_files
-from drivers.core.errors import DynidWarning, ResultFileError
+from daq.output_files import replace_files, warn_of_strange_files
+from drivers.core.errors import ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
 from ident.result.schema import RESULT_SCHEMA, Result
 
@@ -57,13 +56,7 @@ def read_result(path: Path) -> Result:
         raise ResultFileError(
             f"has schema version {schema}, this dynid reads up to {RESULT_SCHEMA}", where=where, hint="update dynid"
         )
-    for strange in strange_files(path, content):
-        warnings.warn(
-            f"{strange} was not written with {path.name}, or was changed: a command that wrote both may have been "
-            f"killed; run it again with --force",
-            DynidWarning,
-            stacklevel=2,
-        )
+    warn_of_strange_files(path, content)
     try:
         return Result.model_validate(content)
     except ValidationError as error:

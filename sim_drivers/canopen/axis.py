@@ -14,6 +14,7 @@ from drivers.canopen402.protocol.objects import (
     HOME_OFFSET,
     LOWEST_POSITION,
     MAX_PROFILE_VELOCITY,
+    MAX_TORQUE,
     MODE,
     MODE_CYCLIC_POSITION,
     MODE_DISPLAY,
@@ -31,7 +32,8 @@ from drivers.canopen402.protocol.objects import (
     DriveObject,
 )
 from drivers.canopen402.protocol.state_machine import INTERNAL_LIMIT_BIT
-from drivers.canopen402.setup.drive_limits import NO_WINDOW
+from drivers.canopen402.samples.alignment import PER_MILLE
+from drivers.canopen402.setup.drive_limits import NO_TORQUE_LIMIT, NO_WINDOW
 from sim_drivers.canopen.motion import AxisReference, CyclicPosition, Profile, ReferenceMotion, Standstill
 from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError
 from sim_drivers.canopen.setup import DriveSetup, Feedback
@@ -89,6 +91,12 @@ class Axis:
     def enabled(self) -> bool:
         """Whether the motor moves the joint; else the brake holds it."""
         return self.machine.state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+
+    @property
+    def largest_torque(self) -> float:
+        """Max torque (0x6072) of the motor, joint side [N·m]; infinite where it limits nothing."""
+        share = self.objects.number(MAX_TORQUE.index)
+        return math.inf if share == NO_TORQUE_LIMIT else PER_MILLE * share * self.setup.rated_torque
 
     def position_of(self, counts: int) -> float:
         """Joint position [rad] of position counts."""

@@ -56,6 +56,9 @@ class DrivenArm(Protocol):
     ) -> None:
         """Reference of the joint controllers from now on."""
 
+    def limit_torque(self, limit: FloatArray) -> None:
+        """Let the motors give no more than this [N·m] from now on."""
+
     def advance(self, duration: float) -> None:
         """Advance virtual time [s]."""
 
@@ -166,6 +169,7 @@ class DriveNetwork:
         self._by_request = {SDO_REQUEST + drive.node: drive for drive in self.drives}
         self._by_heartbeat = {HEARTBEAT + drive.node: drive for drive in self.drives}
         self.own_identifiers = self._identifiers()
+        self._torque_limits: list[float] = []
         self._sync_clock = SyncClock()
         self._now = self._tick_time = start
         self._ticks, self._clock_shift = 0, start
@@ -267,6 +271,10 @@ class DriveNetwork:
         position, velocity, acceleration = (
             motion if self._coupling is None else np.linalg.solve(self._coupling, motion)
         ).T
+        torque_limits = [drive.axis.largest_torque for drive in self.drives]
+        if torque_limits != self._torque_limits:
+            self._torque_limits = torque_limits
+            self._arm.limit_torque(np.array(torque_limits))
         self._arm.set_target(position, velocity, acceleration)
         self._arm.advance(LOOP_PERIOD)
         if self._ticks % TICKS_PER_CHORE == 0:

@@ -64,6 +64,9 @@ class JointController(Protocol):
     def torque(self, target: Reference, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """Torque (n,) [N·m] that the drives shall give until the next call."""
 
+    def limit_torque(self, limit: FloatArray) -> None:
+        """Keep the torque within (n,) [N·m] from now on."""
+
 
 class ErrorIntegral:
     """Integral of the position error, stopped for the joints whose drive saturates.
@@ -71,22 +74,25 @@ class ErrorIntegral:
     Args:
         period: between two calls [s].
         torque_limit: (n,) [N·m].
+
+    Attributes:
+        limit: (n,) of the torque, which may change [N·m].
     """
 
     def __init__(self, period: float, torque_limit: FloatArray) -> None:
-        self._period, self._limit = period, torque_limit
+        self._period, self.limit = period, torque_limit
         self.value = np.zeros(len(torque_limit))
         self._last = np.zeros(len(torque_limit))
 
     def add(self, error: FloatArray) -> FloatArray:
         """The integral with this error included."""
-        self.value = self.value + self._period * np.where(np.abs(self._last) < self._limit, error, 0.0)
+        self.value = self.value + self._period * np.where(np.abs(self._last) < self.limit, error, 0.0)
         return self.value
 
     def limited(self, torque: FloatArray) -> FloatArray:
         """The torque within the limits; remembered for the next call of `add`."""
         self._last = torque
-        return np.minimum(np.maximum(torque, -self._limit), self._limit)
+        return np.minimum(np.maximum(torque, -self.limit), self.limit)
 
 
 class Pid:
@@ -126,6 +132,10 @@ class Pid:
             + self._arm.inverse(target.position, target.velocity, target.acceleration)
         )
 
+    def limit_torque(self, limit: FloatArray) -> None:
+        """Keep the torque within (n,) [N·m] from now on."""
+        self._integral.limit = limit
+
 
 class ComputedTorque:
     """Inverse dynamics of the target's acceleration corrected by PID, plus the friction of the target's motion.
@@ -163,6 +173,10 @@ class ComputedTorque:
             + self._friction.offset
         )
         return self._integral.limited(self._arm.inverse(position, velocity, acceleration) + friction)
+
+    def limit_torque(self, limit: FloatArray) -> None:
+        """Keep the torque within (n,) [N·m] from now on."""
+        self._integral.limit = limit
 
 
 class Braking:

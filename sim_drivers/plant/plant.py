@@ -135,16 +135,16 @@ class Plant:
         self._copper_loss = copper_losses(robot)
 
         period = settings.control_steps * settings.step
-        limits = np.array([joint.torque or np.inf for joint in robot.joints])
+        self._torque_limit = np.array([joint.torque or np.inf for joint in robot.joints])
         share = settings.nominal_share
         nominal = rigid_arm(model, share * inertial, share * self._motor_inertia, share * pair_inertia)
         self._controller: JointController | None = None
         if settings.controller == "pid":
             tuned, largest = independent_inertia(inertia, inverse), np.max(inertia, axis=0)
-            self._controller = Pid(nominal, tuned, largest, settings.bandwidth, period, limits)
+            self._controller = Pid(nominal, tuned, largest, settings.bandwidth, period, self._torque_limit)
         elif settings.controller == "computed-torque":
             believed = friction_parameters(robot, settings.nominal_share)
-            self._controller = ComputedTorque(nominal, believed, settings.bandwidth, period, limits)
+            self._controller = ComputedTorque(nominal, believed, settings.bandwidth, period, self._torque_limit)
         self._target = Reference.at_rest(self.position)
         self._braking: tuple[Braking, int] | None = None
 
@@ -193,6 +193,11 @@ class Plant:
             raise ValueError(f"a deceleration must be positive, not {deceleration}")
         start = Reference(self.position, self.velocity, np.zeros(self.robot.dof))
         self._braking = Braking(start, rates), self._steps
+
+    def limit_torque(self, limit: FloatArray) -> None:
+        """Let the motors give no more than (n,) [N·m], and no more than the robot file allows, from now on."""
+        if self._controller is not None:
+            self._controller.limit_torque(np.minimum(limit, self._torque_limit))
 
     def advance(self, duration: float) -> None:
         """Simulate this many seconds more, as fast as it runs; fractions of a step add up over calls.

@@ -19,14 +19,12 @@ from daq.output_files import (
     check_outputs,
     intended_name,
     left_to_others,
-    only_writer,
     outputs_of_a_command,
     replace_files,
     strange_files,
     take_place,
     unfinished_files,
     unfinished_name,
-    with_hashes,
     write_folder,
     written_together,
 )
@@ -250,10 +248,7 @@ def test_a_death_leaves_whole_files_and_others_that_say_what_they_are(tmp_path: 
 
 def test_files_of_two_generations_are_told_and_the_next_writer_heals_them(tmp_path: Path):
     folder = tmp_path / "model"
-    old, new = (
-        {"result.json": with_hashes(f'{{"of": "{age}"}}', {"report.html": age}), "report.html": age}
-        for age in ("old", "new")
-    )
+    old, new = ({"result.json": f'{{"of": "{age}"}}', "report.html": age} for age in ("old", "new"))
 
     def strange() -> list[str]:
         path = folder / "result.json"
@@ -280,12 +275,14 @@ def test_an_output_that_another_program_writes_is_refused_until_that_is_dead(tmp
     held, held_end = os.pipe()
     process = os.fork()
     if process == 0:
-        with only_writer([path]):
+        with outputs_of_a_command():
+            check_output_folder(path.parent, [path.name], overwrite=True)
             os.write(held_end, b"x")
             signal.pause()
     os.read(held, 1)
     for write in (
         lambda: check_output_folder(path.parent, [path.name], overwrite=True),
+        lambda: check_output_folder(path.parent, ["friction.json"], overwrite=True),
         lambda: write_folder(path.parent, {path.name: "{}"}),
     ):
         with pytest.raises(UsageError, match="is being written by another dynid command"), outputs_of_a_command():

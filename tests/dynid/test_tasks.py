@@ -8,6 +8,7 @@ import json
 
 import numpy as np
 import pytest
+from command_line import stored
 from loaded_arm import LOAD, runs
 from typer.main import get_command
 
@@ -25,9 +26,9 @@ def test_a_result_is_saved_and_read_back(result, tmp_path):
     assert again.verdict == result.verdict
     q = np.linspace(-1, 1, 6)
     for kind in ("full", "essential"):
-        stored = dynid.load_model(folder, parameters=kind)
-        assert stored.kind == kind
-        np.testing.assert_array_equal(stored.gravity(q), dynid.Model(result.result, kind).gravity(q))
+        model = dynid.load_model(folder, parameters=kind)
+        assert model.kind == kind
+        np.testing.assert_array_equal(model.gravity(q), dynid.Model(result.result, kind).gravity(q))
 
 
 def test_parameters_that_a_result_lacks_are_refused_in_one_sentence(result, tmp_path):
@@ -177,7 +178,7 @@ def test_the_quality_of_a_recording_is_shown_and_saved(run, tmp_path):
     for text in (quality.streams.title, quality.verdict.headline):
         assert text in str(quality)
     quality.save(tmp_path / "info")
-    assert json.loads((tmp_path / "info" / "info.json").read_text(encoding="utf-8")) == json.loads(quality.to_json())
+    assert stored(tmp_path / "info" / "info.json") == json.loads(quality.to_json())
     assert quality.verdict.headline in html.unescape((tmp_path / "info" / "info.html").read_text(encoding="utf-8"))
     with pytest.raises(dynid.UsageError, match=r"is not within 0\.001 to 100 %"):
         dynid.info(run, wanted_rsd=-1.0)
@@ -223,7 +224,7 @@ def test_a_payload_and_the_gains_that_hide_behind_it(tmp_path):
     gains = dynid.drive_gains(free, loaded, mass=LOAD.mass, com=LOAD.com, inertia=np.array(LOAD.inertia))
     assert json.loads(gains.to_json())["kind"] == "gains"
     load.save(tmp_path)
-    assert (tmp_path / "payload.json").read_text(encoding="utf-8") == f"{load.to_json()}\n"
+    assert stored(tmp_path / "payload.json") == json.loads(load.to_json())
     gains.save(tmp_path)
     assert "drive gains" in (tmp_path / "report.html").read_text(encoding="utf-8")
     np.testing.assert_allclose(gains.values, gains.gains["file_gain"], rtol=0.2)

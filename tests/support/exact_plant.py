@@ -34,6 +34,9 @@ class ExactPlant:
         self.acceleration = np.zeros_like(self.position)
         self.halted = True
 
+    def limit_torque(self, limit: FloatArray) -> None:
+        self.torque_limit = limit.copy()
+
     def advance(self, duration: float) -> None:
         self.time += duration
 

@@ -70,7 +70,7 @@ def read_drive_limits(drive: RemoteDrive) -> DriveLimits:
         lowest=lowest - home if limited and lowest is not None else None,
         highest=highest - home if limited and highest is not None else None,
         velocity=drive.read_optional(objects.MAX_PROFILE_VELOCITY) or None,
-        torque=None if torque in (0, NO_TORQUE_LIMIT) else torque,
+        torque=None if torque == NO_TORQUE_LIMIT else torque,
         following_error=None if window == NO_WINDOW else window,
         quick_stop=option,
         deceleration=None if ramp is None else drive.read_optional(ramp),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError, UsageError
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, link_name
 from ident.excite.constraints.joint_limits import JointMotionLimits
-from ident.excite.constraints.self_collision import LinkPairs, SelfCollision, link_pairs
+from ident.excite.constraints.self_collision import LinkPairs, Pair, SelfCollision, link_pairs
 from ident.excite.constraints.torque_limits import TorqueLimits
 from ident.excite.constraints.workspace import WorkspaceLimits
 from ident.excite.path import Constraint
@@ -82,6 +83,17 @@ def unchecked_pairs(robot_file: RobotFile, model: DynamicModel) -> tuple[str, ..
         RobotFileError: as `checked_pairs`.
     """
     pairs = checked_pairs(robot_file, model, arm_geometry(robot_file, model))
-    return tuple(
-        f"{link_name(model, one)} and {link_name(model, other)}" for one, other in (*pairs.close, *pairs.ignored)
-    )
+    return _named(model, (*pairs.close, *pairs.ignored))
+
+
+def pairs_by_hull(robot_file: RobotFile, model: DynamicModel) -> tuple[str, ...]:
+    """The pairs of links that the check of a motion keeps apart by their convex hulls, and a design does not at all.
+
+    Raises:
+        RobotFileError: as `checked_pairs`.
+    """
+    return _named(model, checked_pairs(robot_file, model, arm_geometry(robot_file, model)).by_hull)
+
+
+def _named(model: DynamicModel, pairs: Iterable[Pair]) -> tuple[str, ...]:
+    return tuple(f"{link_name(model, one)} and {link_name(model, other)}" for one, other in pairs)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import multiprocessing
-import queue
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
 from types import TracebackType
-from typing import Any
 
+from drivers.core.child_process import started_without_interrupt
 from drivers.core.clock import SYSTEM_CLOCK
 from drivers.core.errors import DynidError
 from ident.excite.choices import Solver
@@ -17,6 +18,8 @@ from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.problem import DesignProblem
 from ident.excite.search.start import Report, random_start, run_start
 
+_AHEAD = 2
+"""Starts that each process has been given: the one that it runs, and the next."""
 _JOINING = 1.0
 """Seconds after which a process that does not end on SIGTERM is killed."""
 
@@ -27,6 +30,8 @@ class TimeIsUpError(Exception):
 
 class SearchProcesses:
     """Processes that run one start after another and report the results; a context manager.
+
+    They hang on pipes only. Semaphores in shared memory outlive a process that SIGTERM ends, and Python tells so.
 
     Args:
         count: how many; 0 for none.
@@ -51,29 +56,27 @@ class SearchProcesses:
     ) -> None:
         """Start them."""
         self.died = 0
+        self._starts = starts
+        self._next = 1  # start 0 belongs to this process
+        end = None if seconds is None else SYSTEM_CLOCK.now() + seconds
         # spawn: a forked child would inherit the threads' locks of whatever this process has been doing.
         context = multiprocessing.get_context("spawn")
-        self._starts = starts
-        self._next = 1
-        self._counter: Any = None
-        self._results: Any = None
-        self._processes: list[Any] = []
-        if not count:
-            return
-        # Start 0 belongs to this process.
-        self._counter = context.Value("q", 1)
-        self._results = context.Queue()
-        end = None if seconds is None else SYSTEM_CLOCK.now() + seconds
-        self._processes = [
-            context.Process(
-                target=_work, args=(make, seed, solver, starts, end, self._counter, self._results), daemon=True
-            )
-            for _ in range(count)
-        ]
-        self._running = set(self._processes)
-        with _no_interrupt():
-            for process in self._processes:
+        self._processes: list[BaseProcess] = []
+        self._pipes: list[Connection] = []
+        with started_without_interrupt():
+            for _ in range(count):
+                pipe, far_end = context.Pipe()
+                process = context.Process(target=_work, args=(far_end, seed, solver, end), daemon=True)
                 process.start()
+                far_end.close()
+                self._processes.append(process)
+                self._pipes.append(pipe)
+        for pipe in self._pipes:
+            with suppress(OSError):  # it has died already
+                pipe.send(make)
+        for _ in range(_AHEAD):
+            for pipe in self._pipes:
+                self._give_start(pipe)
 
     def __enter__(self) -> SearchProcesses:
         return self
@@ -89,15 +92,16 @@ class SearchProcesses:
             if process.is_alive():
                 process.kill()
                 process.join()
+        for pipe in self._pipes:
+            pipe.close()
 
     def next_start(self) -> int | None:
         """The next start that has not begun; None where all have."""
-        if self._counter is None:
-            start = self._next
-            self._next += 1
-        else:
-            start = _taken(self._counter)
-        return start if self._starts is None or start < self._starts else None
+        start = self._next
+        if self._starts is not None and start >= self._starts:
+            return None
+        self._next += 1
+        return start
 
     @property
     def running(self) -> int:
@@ -110,50 +114,31 @@ class SearchProcesses:
         Raises:
             DynidError: from building the problem in one of them.
         """
-        if self._results is None:
-            return
-        while True:
-            try:
-                # Other processes run by the computer's clock, whatever ours is.
-                report = self._results.get(timeout=timeout) if timeout else self._results.get_nowait()
-            except queue.Empty:
-                break
+        # Other processes run by the computer's clock, whatever ours is.
+        while ready := wait(self._pipes, timeout):
             timeout = 0.0
-            if isinstance(report, DynidError):
-                raise report
-            yield report
+            for pipe in [pipe for pipe in self._pipes if pipe in ready]:
+                try:
+                    report = pipe.recv()
+                except (EOFError, OSError):
+                    self._pipes.remove(pipe)
+                    pipe.close()
+                    continue
+                if report is None:
+                    self._give_start(pipe)
+                elif isinstance(report, DynidError):
+                    raise report
+                else:
+                    yield report
         self.died = sum(process.exitcode not in (None, 0) for process in self._processes)
 
-
-@contextmanager
-def _no_interrupt() -> Iterator[None]:
-    """Hold Ctrl-C back: a child inherits it blocked, so that only the parent is interrupted."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    def _give_start(self, pipe: Connection) -> None:
+        """Give a process its next start; None where there is none."""
+        with suppress(OSError):  # it has died
+            pipe.send(self.next_start())
 
 
-def _taken(counter: Any) -> int:
-    with counter.get_lock():
-        start = int(counter.value)
-        counter.value += 1
-    return start
-
-
-def _work(
-    make: Callable[[], DesignProblem],
-    seed: int,
-    solver: Solver,
-    starts: int | None,
-    end: float | None,
-    counter: Any,
-    results: Any,
-) -> None:
+def _work(pipe: Connection, seed: int, solver: Solver, end: float | None) -> None:
     # Ctrl-C reaches the whole process group; the parent decides.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -164,19 +149,13 @@ def _work(
         if parent is not None and not parent.is_alive():
             raise TimeIsUpError
 
-    try:
-        problem = make()
-        while True:
-            start = _taken(counter)
-            if starts is not None and start >= starts:
-                return
-            try:
-                begin = random_start(problem, [seed, start], tick=tick)
-                run_start(problem, start, begin, [seed, start], solver, results.put, tick)
-            except NoFeasiblePoseError:
-                continue
-    except TimeIsUpError:
-        # No process reads it any more: do not wait for it.
-        results.cancel_join_thread()
-    except DynidError as error:
-        results.put(error)
+    with suppress(TimeIsUpError, EOFError, ConnectionError):  # of the pipe: the parent is gone
+        try:
+            problem = pipe.recv()()
+            while (start := pipe.recv()) is not None:
+                with suppress(NoFeasiblePoseError):
+                    begin = random_start(problem, [seed, start], tick=tick)
+                    run_start(problem, start, begin, [seed, start], solver, pipe.send, tick)
+                pipe.send(None)
+        except DynidError as error:
+            pipe.send(error)

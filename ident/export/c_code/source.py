@@ -70,6 +70,10 @@ class Description:
     tool: str
 
 
+GENERATION = "@generation@"
+"""Stands in both texts for what the files of one export have in common, and others have not."""
+
+
 def header(description: Description, functions: Sequence[Function], dialect: Dialect) -> str:
     """Text of the .h file."""
     prefix, macro = description.prefix, description.prefix.upper()
@@ -102,6 +106,8 @@ def header(description: Description, functions: Sequence[Function], dialect: Dia
 extern "C" {{
 #endif
 
+/* Of this pair of files: the source does not compile with the header of another one. */
+#define {macro}_GENERATION 0x{GENERATION}
 #define {macro}_JOINTS {len(description.joints)}
 #define {macro}_PARAMETERS {len(description.parameters)}
 
@@ -139,6 +145,8 @@ def source(
         f" * Test: cc -std=c99 -D{macro}_SELF_TEST {header_name[:-2]}.c -lm && ./a.out (deviations up to "
         f"{TOLERANCES[dialect.real]:g} of the largest value pass). */",
         f'#include "{header_name}"\n\n#include <math.h>',
+        f"#if {macro}_GENERATION != 0x{GENERATION}\n"
+        f'#error "{header_name} and {header_name[:-2]}.c were not written together: export them again"\n#endif',
         _parameter_table(description, dialect),
         _deviation_table(description, dialect),
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
@@ -11,7 +12,7 @@ from ident.export.c_code.expressions import Graph
 from ident.export.c_code.functions import arm_functions, left_out
 from ident.export.c_code.names import identifier, source_paths
 from ident.export.c_code.reference import check_expressions, reference
-from ident.export.c_code.source import Description, Parameter, header, source
+from ident.export.c_code.source import GENERATION, Description, Parameter, header, source
 from ident.export.c_code.statements import Dialect, Real
 from ident.export.export import Export
 from ident.model.inverse_dynamics import InverseDynamics
@@ -71,11 +72,11 @@ def write_c(
         left_out=lacking,
         tool=model.joints[model.tool_link].name,
     )
-    texts = {
-        header_path: header(description, functions, dialect),
-        source_path: source(graph, description, functions, dialect, reference(dynamics, real), header_path.name),
-    }
-    replace_files(texts)
+    declared = header(description, functions, dialect)
+    defined = source(graph, description, functions, dialect, reference(dynamics, real), header_path.name)
+    texts = {header_path: declared, source_path: defined}
+    generation = hashlib.sha256("".join(texts.values()).encode()).hexdigest()[:15]  # a signed number
+    replace_files({path: text.replace(GENERATION, generation) for path, text in texts.items()})
     torque = functions[0]
     return Export(
         path=source_path,

@@ -12,6 +12,7 @@ from drivers.base import DeviceLimits
 ROBOT = ROBOT_FILE.robot
 NAN = np.full(2, np.nan)
 SOURCES = {"position": "0x607D", "velocity": "0x607F", "torque": "0x6072", "stopping": "0x6085", "acceleration": "here"}
+SOURCES["following_error"] = "0x6065"
 
 
 def own(**changed: list[float]) -> DeviceLimits:
@@ -35,6 +36,8 @@ def test_looser_limits_are_named_by_quantity_joint_and_object() -> None:
         "velocity limits above the controller's own (0x607F): elbow 2 rad/s, own 1.5",
         "torque limits above the controller's own (0x6072): shoulder 50 N·m, own 20",
     ]
+    (line,) = looser_limits(ROBOT, own(following_error=[0.05, 0.3]))
+    assert line == "following error limits above the controller's own (0x6065): shoulder 0.2 rad, own 0.05"
     (line,) = looser_limits(ROBOT, own(stopping=[0.5, 100]))
     assert line.startswith("a stop slows down less than the acceleration limits allow (0x6085): shoulder ")
 

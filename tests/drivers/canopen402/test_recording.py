@@ -388,6 +388,18 @@ def test_limits_looser_than_the_drives_own_are_named_before_a_motion() -> None:
         assert before_a_motion(robot, bench.driver)[3].startswith("a stop slows down less than")
 
 
+def test_a_max_torque_that_does_not_carry_the_arm_stops_the_motion(tmp_path: Path) -> None:
+    with arm_on_bus() as bench:
+        shoulder, torques = bench.server.network.drives[1], []
+        bench.at(FAULT, lambda: shoulder.objects.set(0x6072, 0, 100))
+        for later in np.arange(0.01, 0.1, 0.01):
+            bench.at(FAULT + later, lambda: torques.append(abs(bench.plant.drive_torque[1])))
+        run = bench.record(tmp_path, motion=swing())
+        assert run.report.stopped_by is not None
+        assert run.report.stopped_by.startswith("tracking error of shoulder_lift_joint: ")
+        assert max(torques) == pytest.approx(0.1 * shoulder.axis.setup.rated_torque)
+
+
 def test_swapped_node_ids_are_found_before_anything_moves() -> None:
     with arm_on_bus(swapped=(0, 1), serials=True, opened=False) as bench:
         with pytest.raises(ConnectionFailedError, match="has serial number 2, but the robot file expects 1") as caught:

@@ -157,6 +157,17 @@ def test_same_model_same_text(ur5e, tmp_path):
     assert [(tmp_path / name).read_text() for name in ("arm.h", "arm.c")] == first
 
 
+def test_a_source_does_not_compile_with_the_header_of_another_export(three_joint, tmp_path):
+    dynamics = dynamics_of(build_model(three_joint))
+    write_c(dynamics, tmp_path / "arm")
+    header = (tmp_path / "arm.h").read_text()
+    other = InverseDynamics(dynamics.model, dynamics.base, 2.0 * dynamics.parameters)
+    source = write_c(other, tmp_path / "arm", force=True).path
+    (tmp_path / "arm.h").write_text(header)
+    with pytest.raises(AssertionError, match=r"arm\.h and arm\.c were not written together: export them again"):
+        compile_c(source, tmp_path / "arm.o", "-c")
+
+
 def test_existing_files_stay(ur5e, tmp_path):
     (tmp_path / "arm.c").write_text("mine")
     with pytest.raises(UsageError, match="exists"):
