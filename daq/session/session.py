@@ -264,7 +264,7 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
         recorder.put(batch)  # first of all, so that the recording shows what stopped it
         course.add(batch)
         if batch.lost:
-            when = float(batch.time[0]) if len(batch.time) else float("nan")
+            when = course.joints_time(float(batch.time[0]), batch.stream) if len(batch.time) else float("nan")
             recorder.event(when, "warning", batch.stream, f"{batch.lost} samples lost")
     for breakdown in course.clock.breakdowns():
         raise WorkError(str(breakdown))
@@ -275,8 +275,9 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
         if exceeded is not None and breach is None:
             breach = replace(exceeded, time=course.joints_time(exceeded.time, batch.stream))
         for stuck in supervisor.stuck(batch) if len(batch.time) else ():
+            stuck = replace(stuck, time=course.joints_time(stuck.time, batch.stream))
             if course.moves and stuck.supervised and breach is None:
-                breach = replace(stuck, time=course.joints_time(stuck.time, batch.stream))
+                breach = stuck
             if (stuck.what, stuck.joint) not in course.stuck:
                 course.stuck.add((stuck.what, stuck.joint))
                 recorder.event(stuck.time, "warning", batch.stream, str(stuck))

@@ -235,7 +235,7 @@ class Supervisor:
                 name, joint = self._limits.joints[joints[column]], int(joints[column])
                 shown, unit = (
                     joint_unit(unit, sliding=self._limits.sliding[joint])
-                    for unit in (UNITS[quantity], "s" if quantity == "temperature" else "rad")
+                    for unit in (UNITS[quantity].replace("degC", "°C"), "s" if quantity == "temperature" else "rad")
                 )
                 said = f"{values[-1, column]:.6g} {shown} repeats bit for bit {cause}"
                 supervised = self._depends_on(batch, quantity, joint)

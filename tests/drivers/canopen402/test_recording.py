@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 from canopen_recording import RADIANS, Bench, Run, arm_on_bus, swing
 
+from daq.motion.trajectories import PointToPoint
 from daq.session.device_limits import before_a_motion
 from daq.session.session import READ_TIMEOUT
+from daq.session.stuck_channels import WATCHED
 from daq.session.supervisor import STALE_FLOOR
 from drivers.can.receiver import POLL, Receiver
 from drivers.canopen402.monitor.presence import HEARTBEATS_MISSED
@@ -398,6 +400,24 @@ def test_a_max_torque_that_does_not_carry_the_arm_stops_the_motion(tmp_path: Pat
         assert run.report.stopped_by is not None
         assert run.report.stopped_by.startswith("tracking error of shoulder_lift_joint: ")
         assert max(torques) == pytest.approx(0.1 * shoulder.axis.setup.rated_torque)
+
+
+def test_a_drives_thermometer_that_hangs_stops_the_motion(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(temperature, "RATE", 20.0)  # a motion of ten seconds else
+    monkeypatch.setitem(WATCHED, "temperature", 0.5)
+    motion = PointToPoint(0.1 * np.array([[0.0], [1.0], [0.0]]) * np.ones(6), np.array([2.0, 2.0]))
+    with arm_on_bus() as bench:
+        robot = bench.robot_file.robot
+        hot = {"joints": [joint.model_copy(update={"temperature": 70.0}) for joint in robot.joints]}
+        bench.robot_file.robot = robot.model_copy(update=hot)
+        for tick, change in enumerate(np.diff(np.random.default_rng(0).normal(size=40))):  # it is never quite still
+            bench.at(0.05 * tick, functools.partial(bench.plant.heat, 2, change))
+        bench.at(FAULT, "stick temperature elbow_joint")
+        run = bench.record(tmp_path, motion=motion)
+        stopped = assert_stopped(bench, run, "stuck temperature of elbow_joint: ")
+        assert FAULT + WATCHED["temperature"] < stopped < FAULT + 1.5
+        (event,) = [event for event in run.recording.events if event.message.startswith("stuck ")]
+        assert event.source == "thermal"
 
 
 def test_swapped_node_ids_are_found_before_anything_moves() -> None:

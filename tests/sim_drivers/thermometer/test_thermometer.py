@@ -19,9 +19,10 @@ from daq.motion.trajectories import PointToPoint
 from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
 from daq.recording.recording import Recording
-from daq.robot.schema import Connection
+from daq.robot.schema import Connection, Robot
 from daq.session.session import SessionReport, record
 from daq.session.sources import Sources
+from daq.session.stuck_channels import WATCHED
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import DriverSettings, Notice
 from drivers.core.clock import SYSTEM_CLOCK, Clock
@@ -341,15 +342,21 @@ def recorded(
     duration: float | None = None,
     fault: tuple[float, str] | None = None,
     hot_from: float = np.inf,
+    *,
+    motion: PointToPoint = MOTION,
+    robot: Robot = ARM.robot,
+    noise: float = 0.0,
     **keys: object,
 ) -> tuple[KinematicArm, SessionReport, Recording]:
     """A motion, or a while [s], of an arm at 31 °C that becomes hot, recorded with a thermometer that has a fault.
 
+    `noise` [°C] is that of the thermometer, `robot` has the limits.
+
     Times count from the beginning of the recording [s].
     """
-    arm = KinematicArm(clock=clock)
+    arm, draw = KinematicArm(clock=clock), np.random.default_rng(0)
     server = ThermometerServer(
-        lambda: [30.0, 75.0 if clock.now() - arm.begun > hot_from else 31.0],
+        lambda: [30.0, 75.0 if clock.now() - arm.begun > hot_from else 31.0] + noise * draw.standard_normal(2),
         simulated_thermometer({**KEYS, **keys}, JOINTS),
         line_end=line,
         clock=clock,
@@ -359,8 +366,8 @@ def recorded(
         try:
             sources.open()
             layouts = sources.streams()
-            supervisor = Supervisor(Limits.of_robot(ARM.robot, tracking_error=0.05), layouts)
-            play = unchecked_play(MOTION, ARM.robot) if duration is None else None
+            supervisor = Supervisor(Limits.of_robot(robot, tracking_error=0.05), layouts)
+            play = unchecked_play(motion, robot) if duration is None else None
             recorder = Recorder(path, ARM, layouts, clock=clock)
             if fault is not None:
                 clock.call_at(clock.now() + fault[0], lambda: server.obey(fault[1]))
@@ -486,3 +493,23 @@ def test_on_a_pseudo_terminal(tmp_path: Path) -> None:
             driver.close()
     for block in blocks:
         np.testing.assert_allclose(block.values["temperature"], [[30.0, -5.25]] * len(block.time), rtol=0, atol=0.006)
+
+
+@pytest.mark.parametrize("limited", [True, False])
+def test_a_thermometer_that_hangs_ends_a_motion_that_is_supervised_by_it_and_is_an_event_in_any(
+    tmp_path: Path, clock: SimulatedClock, line: SerialLine, limited: bool
+) -> None:
+    limit = {"temperature": 70.0 if limited else None}
+    robot = ARM.robot.model_copy(update={"joints": [joint.model_copy(update=limit) for joint in ARM.robot.joints]})
+    slow = PointToPoint(MOTION.points, np.array([6.0, 6.0]))
+    path, fault = tmp_path / "run.h5", (3.0, "stick")
+    arm, report, recording = recorded(path, clock, line, fault=fault, motion=slow, robot=robot, noise=0.3, rate=10)
+    hung = [event for event in recording.events if event.message.startswith("stuck temperature of ")]
+    assert {event.message.partition(":")[0] for event in hung} >= {"stuck temperature of shoulder"}
+    assert 3.0 + WATCHED["temperature"] < hung[0].time - arm.stamp(arm.begun) < 10.0
+    assert recording.complete is not limited
+    if limited:
+        assert str(report.stopped_by).startswith("stuck temperature of shoulder: ")
+        assert arm.commands_after_stop == 0
+    else:
+        assert report.stopped_by is None
