@@ -409,13 +409,13 @@ def test_a_drives_thermometer_that_hangs_stops_the_motion(tmp_path: Path, monkey
     with arm_on_bus() as bench:
         robot = bench.robot_file.robot
         hot = {"joints": [joint.model_copy(update={"temperature": 70.0}) for joint in robot.joints]}
-        bench.robot_file.robot = robot.model_copy(update=hot)
+        bench.robot_file = bench.robot_file.model_copy(update={"robot": robot.model_copy(update=hot)})
         for tick, change in enumerate(np.diff(np.random.default_rng(0).normal(size=40))):  # it is never quite still
             bench.at(0.05 * tick, functools.partial(bench.plant.heat, 2, change))
         bench.at(FAULT, "stick temperature elbow_joint")
         run = bench.record(tmp_path, motion=motion)
         stopped = assert_stopped(bench, run, "stuck temperature of elbow_joint: ")
-        assert FAULT + WATCHED["temperature"] < stopped < FAULT + 1.5
+        assert FAULT + WATCHED["temperature"] < stopped < FAULT + 2.5
         (event,) = [event for event in run.recording.events if event.message.startswith("stuck ")]
         assert event.source == "thermal"
 
