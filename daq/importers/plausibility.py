@@ -11,6 +11,8 @@ from daq.importers.assembly import ImportedSamples, Quantity
 from daq.importers.checks import sample_place
 from daq.importers.choices import ImportChoices
 from daq.importers.table import Note, listed
+from daq.recording.command_quality import command_quality
+from daq.recording.commanded_motion import TARGET, CommandedMotion
 from daq.recording.unit_plausibility import DEGREES, beyond_reach, displacement_ratios, near, other_unit
 from daq.robot.schema import Robot
 from drivers.core.errors import ImportFileError
@@ -42,6 +44,7 @@ def check_units(
     notes.extend(_check_positions(samples, position, robot, sliding, choices, where))
     if "velocity" in samples.quantities:
         notes.extend(_check_velocity(samples, position, samples.quantities["velocity"], sliding, where))
+    _check_commands(samples, where)
     current = samples.quantities.get("current")
     if current is not None and np.abs(current.values).max() > _MILLIAMPERE:
         notes.append(Note("warning", f"current reaches {np.abs(current.values).max():.4g} A; is it in mA?"))
@@ -105,6 +108,28 @@ def _check_positions(
         text = f"before the conversion from degrees the positions of {listed(small)} stayed below 2π"
         notes.append(Note("warning", f"{text}; were they in radians already?"))
     return notes
+
+
+def _check_commands(samples: ImportedSamples, where: str) -> None:
+    """Compare the changes of positions and commands.
+
+    Raises:
+        ImportFileError: one of them is in degrees, the other in radians.
+    """
+    told = samples if samples.commands is None else samples.commands
+    if TARGET not in told.quantities:
+        return
+    position, target = samples.quantities["position"], told.quantities[TARGET]
+    motion = CommandedMotion(position.joints, samples.time, position.values, told.time, {TARGET: target.values})
+    for joint, ratio in command_quality(motion).ratios.items():
+        for expected, degrees, radians in ((DEGREES, "q", TARGET), (1 / DEGREES, TARGET, "q")):
+            if near(ratio, expected):
+                raise ImportFileError(
+                    f"mixed units: by its change the {'position' if degrees == 'q' else 'command'} looks like degrees, "
+                    f"the {'command' if degrees == 'q' else 'position'} like radians",
+                    where=f"{where}: joint {joint}",
+                    hint=f"state them in the header: {degrees}1 [deg], {radians}1 [rad]",
+                )
 
 
 def _check_velocity(

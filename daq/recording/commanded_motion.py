@@ -40,9 +40,14 @@ class CommandedMotion:
         Raises:
             KeyError: the quantity was not recorded.
         """
-        latest = np.searchsorted(self.command_time, np.asarray(times, dtype=np.float64), side="right") - 1
-        held: FloatArray = self.commands[quantity][np.maximum(latest, 0)]
-        return held
+        return held(self.command_time, self.commands[quantity], np.asarray(times, dtype=np.float64))
+
+
+def held(stamps: FloatArray, values: FloatArray, times: FloatArray) -> FloatArray:
+    """Values (M, n), stamped (M,) [s], as they stand at times (K,): (K, n); before the first, the first."""
+    latest = np.searchsorted(stamps, times, side="right") - 1
+    standing: FloatArray = values[np.maximum(latest, 0)]
+    return standing
 
 
 def commanded_motion(recording: Recording, robot: Robot) -> CommandedMotion:

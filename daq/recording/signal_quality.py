@@ -34,7 +34,8 @@ class ColumnQuality:
         smallest, largest: of its values.
         noise: standard deviation of its white noise: from second differences, robust against the motion.
         step: of quantisation; nan where the values lie on no grid.
-        clipped_percent: samples that stay at the smallest or largest value for `CLIPPED_RUN` samples or more [%].
+        clipped_percent: samples that stay at the smallest or largest value for `CLIPPED_RUN` samples or more [%]; of a
+            magnitude at the largest only.
         filled_percent: samples that are exactly 0 between values far from it: drop-outs that were filled [%].
         outliers: samples far from what their neighbours say (`daq.recording.outliers`).
         outliers_stay: whether they are too many for exceptions, and are left in the signal.
@@ -56,7 +57,7 @@ def channel_quality(channel: Channel, time: FloatArray) -> tuple[ColumnQuality, 
     clean = without_outliers(time, channel.values)
     return tuple(
         replace(
-            _column_quality(name, channel.values[:, k]),
+            _column_quality(name, channel.values[:, k], magnitude=channel.magnitude),
             outliers=int(clean.replaced[k] + clean.left[k]),
             outliers_stay=bool(clean.left[k]),
         )
@@ -64,7 +65,7 @@ def channel_quality(channel: Channel, time: FloatArray) -> tuple[ColumnQuality, 
     )
 
 
-def _column_quality(name: str, column: FloatArray) -> ColumnQuality:
+def _column_quality(name: str, column: FloatArray, *, magnitude: bool) -> ColumnQuality:
     values = column[np.isfinite(column)]
     if len(values) == 0:
         nan = float("nan")
@@ -75,8 +76,8 @@ def _column_quality(name: str, column: FloatArray) -> ColumnQuality:
         largest=float(values.max()),
         noise=white_noise(values),
         step=quantisation_step(values),
-        clipped_percent=100.0 * float(np.mean(_clipped(values))),
-        filled_percent=100.0 * float(np.mean(_zero_filled(values))),
+        clipped_percent=100.0 * float(np.mean(_clipped(values, magnitude=magnitude))),
+        filled_percent=0.0 if magnitude else 100.0 * float(np.mean(_zero_filled(values))),
     )
 
 
@@ -90,8 +91,11 @@ def white_noise(values: FloatArray) -> float:
     return float(np.median(np.abs(np.diff(values, n=2))) / (0.6745 * np.sqrt(6.0)))
 
 
-def _clipped(values: FloatArray) -> npt.NDArray[np.bool_]:
+def _clipped(values: FloatArray, *, magnitude: bool) -> npt.NDArray[np.bool_]:
+    # A magnitude rests at 0; one of negative values, at its largest one.
     extreme = (values == values.min()) | (values == values.max())
+    if magnitude:
+        extreme &= values != 0.0
     if values.min() == values.max():
         return np.zeros(len(values), dtype=bool)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], extreme, [False]]).astype(np.int8)))

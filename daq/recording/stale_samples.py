@@ -15,8 +15,9 @@ from typing import Literal
 
 import numpy as np
 
+from daq.recording.commanded_motion import TARGET, command_stream, held
 from daq.recording.quantisation import resolution
-from daq.recording.recording import JOINTS_STREAM, Recording, Stream
+from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.signal_quality import white_noise
 from drivers.core.arrays import BoolArray, FloatArray
 
@@ -146,26 +147,27 @@ def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[s
     return StaleSamples(found[0], found[1], stuck, tuple(encoders))
 
 
-def stale_rows(stream: Stream) -> StaleSamples:
-    """The stale samples of a stream that holds positions, of the joints that they are of."""
-    joints = stream.channels["position"].columns
-    measured = {}
-    for name in (*MEASURED, "target_position"):
-        channel = stream.channels.get(name)
-        if channel is not None and all(joint in channel.columns for joint in joints):
-            measured[name] = channel.values[:, [channel.columns.index(joint) for joint in joints]]
+def stale_rows(recording: Recording) -> StaleSamples | None:
+    """The stale samples of a recording's joint stream; None where it holds no positions."""
+    stream = recording.streams.get(JOINTS_STREAM)
+    if stream is None or "position" not in stream.channels:
+        return None
+    joints, measured = stream.channels["position"].columns, {}
+    told = command_stream(recording)
+    for name, source in (*((name, stream) for name in MEASURED), (TARGET, told)):
+        channel = None if source is None else source.channels.get(name)
+        if source is not None and channel is not None and all(joint in channel.columns for joint in joints):
+            values = channel.values[:, [channel.columns.index(joint) for joint in joints]]
+            measured[name] = values if source is stream else held(source.time, values, stream.time)
     return stale_samples(stream.time, joints, measured)
 
 
 def fresh_recording(recording: Recording) -> tuple[Recording, StaleSamples | None]:
     """The recording without the stale rows of its joint stream, and which they are; None where there are none."""
-    stream = recording.streams.get(JOINTS_STREAM)
-    if stream is None or "position" not in stream.channels:
+    stale = stale_rows(recording)
+    if stale is None or not stale.left_out.any():
         return recording, None
-    stale = stale_rows(stream)
-    rows = ~stale.left_out
-    if rows.all():
-        return recording, None
+    stream, rows = recording.streams[JOINTS_STREAM], ~stale.left_out
     channels = {name: replace(channel, values=channel.values[rows]) for name, channel in stream.channels.items()}
     fresh = replace(stream, time=stream.time[rows], host_time=stream.host_time[rows], channels=channels)
     return replace(recording, streams={**recording.streams, JOINTS_STREAM: fresh}), stale

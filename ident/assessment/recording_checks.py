@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, MOTOR_SIGNALS, Recording
 from daq.recording.repairs import DROP_REPEATS
 from daq.recording.signal_quality import ColumnQuality, channel_quality
 from daq.recording.stale_samples import fresh_recording, stale_rows
 from daq.recording.stream_quality import StreamQuality, stream_quality
 from daq.recording.unit_plausibility import other_unit
+from daq.recording.unsigned_signal import unsigned_joints
 from drivers.core.text import percent_text, percentage_text
 from ident.assessment.time_axis import time_axis_checks
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
-
-MOTOR_SIGNALS = ("current", "voltage", "torque")
 
 JITTER_SHARE = 0.2
 """Jitter beyond this share of the period makes the velocity of a steadily moving joint wrong by as much."""
@@ -48,12 +48,30 @@ def column_qualities(
 ) -> dict[tuple[str, str], tuple[ColumnQuality, ...]]:
     """Figures of all columns without stale rows, by stream and quantity; of some quantities where they are named."""
     recording, _ = fresh_recording(recording)
+    unsigned = unsigned_signals(recording)
     return {
-        (name, quantity): channel_quality(channel, stream.time)
+        (name, quantity): channel_quality(
+            replace(channel, magnitude=channel.magnitude or quantity in unsigned), stream.time
+        )
         for name, stream in recording.streams.items()
         for quantity, channel in stream.channels.items()
         if quantities is None or quantity in quantities
     }
+
+
+def unsigned_signals(recording: Recording) -> dict[str, tuple[str, ...]]:
+    """Motor signals of the joint stream that have lost their sign, though nothing says so; by which joints it shows."""
+    stream = recording.streams.get(JOINTS_STREAM)
+    position = None if stream is None else stream.channels.get("position")
+    if stream is None or position is None:
+        return {}
+    found: dict[str, tuple[str, ...]] = {}
+    for quantity in MOTOR_SIGNALS:
+        channel = stream.channels.get(quantity)
+        if channel is not None and not channel.magnitude and channel.columns == position.columns:
+            joints = tuple(channel.columns[joint] for joint in unsigned_joints(channel.values, position.values))
+            found |= {quantity: joints} if joints else {}
+    return found
 
 
 def closing_checks(recording: Recording) -> list[Check]:
@@ -85,18 +103,25 @@ def recording_checks(
         if event.source == IMPORT and event.level == "warning":
             checks.append(raised("import-warning", f"{of}import: {event.message}"))
     for name, quality in streams.items():
-        if quality.lost:
+        if quality.lost and name != COMMANDS_STREAM:  # a command holds until the next one
             share = quality.lost / (quality.samples + quality.lost)
             text = f"{of}{name}: {quality.lost} samples lost ({percent_text(share, 2)}) in {len(quality.gaps)} gaps"
             checks.append(raised("samples-lost", text))
         if quality.duplicates:
             checks.append(raised("repeated-stamps", f"{of}{name}: {quality.duplicates} stamps do not increase"))
-        if quality.jitter_ms * quality.rate_hz > JITTER_SHARE * 1e3:
+        if quality.jitter_ms * quality.rate_hz > JITTER_SHARE * 1e3 and name != COMMANDS_STREAM:
             period = 1e3 / quality.rate_hz
             text = f"{of}{name}: stamps jitter by {quality.jitter_ms:.2g} ms at a period of {period:.2g} ms"
             checks.append(raised("jittering-stamps", text))
     checks += time_axis_checks(recording, of)
     checks += stale_checks(recording, of) + unit_checks(recording, of)
+    for quantity, joints in unsigned_signals(recording).items():
+        text = (
+            f"{of}{quantity} never changes its sign though it comes back to 0 and the joints turn round "
+            f"({', '.join(joints)}): it is a magnitude; say so in the robot file (drives: signal: magnitude) and "
+            "identify a servo model from commands and encoder (--method servo), or record it with its sign"
+        )
+        checks.append(raised("unsigned-signal", text, joints))
     for (stream, quantity), qualities in columns.items():
         clipped = [column for column in qualities if column.clipped_percent > CLIPPED_PERCENT]
         if quantity in MOTOR_SIGNALS and clipped:
@@ -111,10 +136,9 @@ def recording_checks(
 
 def stale_checks(recording: Recording, of: str = "") -> list[Check]:
     """Rows of the joint stream that were not measured anew; `of` begins their sentences."""
-    stream = recording.streams.get(JOINTS_STREAM)
-    if stream is None or "position" not in stream.channels:
+    stale, checks = stale_rows(recording), []
+    if stale is None:
         return []
-    stale, checks = stale_rows(stream), []
     repeats = stale.repeated | stale.held
     if repeats.any():
         counts = ((stale.repeated, "rows repeat the one before"), (stale.held, "repeat only its positions"))
@@ -125,7 +149,7 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
         )
         checks.append(raised("rows-repeated", text))
     if stale.encoders:
-        first = stream.time[0]
+        first = recording.streams[JOINTS_STREAM].time[0]
         shown = [
             f"{one.joint} from {one.start - first:.2f} to {one.stop - first:.2f} s while its {MOVING[one.evidence]}"
             for one in stale.encoders

@@ -6,18 +6,25 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.commanded_motion import CommandedMotion, commanded_motion
+from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Recording
 from daq.recording.signal_quality import ColumnQuality
 from daq.recording.stream_quality import StreamQuality
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
-from drivers.core.errors import DynidError
+from drivers.core.errors import DataError, DynidError
 from drivers.core.reading_process import Progress
 from drivers.core.units import common_unit
+from ident.assessment.command_checks import command_checks
 from ident.assessment.delay.delay import DelaySearch, delay_checks, search_delay
 from ident.assessment.excitation import ExcitationReached, excitation_reached
 from ident.assessment.recorded_motion import RecordedMotion, recorded_motion
-from ident.assessment.recording_checks import column_qualities, recording_checks, stream_qualities
+from ident.assessment.recording_checks import (
+    column_qualities,
+    recording_checks,
+    stream_qualities,
+    unsigned_signals,
+)
 from ident.assessment.torque_level import torque_level_checks
 from ident.excite.sufficiency import (
     Sufficiency,
@@ -101,24 +108,54 @@ def recording_info(
     progress("motion")
     excitation = delay = sufficiency = times = None
     motion = recorded_motion(recording, robot_file)
+    signed, told = _signed_signals(recording), _commanded(recording, robot_file.robot)
     if motion is not None:
         excitation = excitation_reached(motion)
         progress("delay")
         delay = _delay(motion)
-        progress("expected error bars")
-        sufficiency = motion_sufficiency(motion, _delays(motion, delay))
+        if signed or told is None:
+            progress("expected error bars")
+            sufficiency = motion_sufficiency(motion, _delays(motion, delay))
     if sufficiency is not None and wanted_rsd_percent is not None:
         times = times_needed(sufficiency, wanted_rsd_percent)
     progress("checks")
     checks = recording_checks(recording, streams, columns) + delay_checks(delay)
-    checks += _excitation_checks(recording, excitation)
-    checks += _precision_checks(sufficiency)
+    if signed or told is None:
+        checks += _excitation_checks(recording, excitation) + _precision_checks(sufficiency)
+    if not signed:
+        checks += _without_torque_checks(recording, told)
     if motion is not None and motion.measured is not None:
         checks += torque_level_checks(robot_file.robot, motion.model, motion.measured.torque)
     verdict = judge(checks, None)
     return RecordingInfo(
         recording, robot_file.robot, streams, columns, excitation, delay, sufficiency, times, verdict, motion
     )
+
+
+def _signed_signals(recording: Recording) -> list[str]:
+    """Motor signals of the joint stream that have a sign, as far as it is known."""
+    stream = recording.streams.get(JOINTS_STREAM)
+    channels = {} if stream is None else stream.channels
+    lost = unsigned_signals(recording)
+    return [name for name in MOTOR_SIGNALS if name in channels and not channels[name].magnitude and name not in lost]
+
+
+def _commanded(recording: Recording, robot: Robot) -> CommandedMotion | None:
+    try:
+        return commanded_motion(recording, robot)
+    except DataError:  # `identify` says why
+        return None
+
+
+def _without_torque_checks(recording: Recording, told: CommandedMotion | None) -> list[Check]:
+    """What a recording without a signed torque is good for, and whether its commands are sound."""
+    stream = recording.streams.get(JOINTS_STREAM)
+    magnitudes = [name for name in MOTOR_SIGNALS if stream is not None and name in stream.channels]
+    what = f"the {' and '.join(magnitudes)} has no sign" if magnitudes else "neither torque nor current is recorded"
+    if told is None:
+        return [raised("positions-alone", f"{what}, and no commanded position: nothing can be identified")]
+    text = f"{what}: commands and encoder give a servo model (dynid identify --method servo), torques are not known"
+    return [raised("no-torque", text), *command_checks(told)]
 
 
 def _delay(motion: RecordedMotion) -> DelaySearch | None:

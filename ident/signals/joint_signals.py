@@ -8,9 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from daq.recording.commanded_motion import command_stream
 from daq.recording.outliers import without_outliers
 from daq.recording.quantisation import encoder_step
-from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
+from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Channel, Recording, Stream
 from daq.recording.stale_samples import StaleSamples, fresh_recording
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
@@ -19,6 +20,8 @@ from drivers.core.errors import DataError
 from drivers.gains import DriveGain, joint_torque
 from ident.ranges import RECORDED_POSITION, RECORDED_TORQUE, RECORDED_VELOCITY
 from ident.signals.joint_temperature import joint_temperature
+
+SERVO_HINT = "identify a servo model from commands and encoder: --method servo"
 
 JOINT_QUANTITIES = ("position", "velocity", "current", "voltage", "torque")
 
@@ -217,9 +220,10 @@ def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[F
     drives = [robot.drive(name) for name in robot.joint_names]
     signals = {drive.signal for drive in drives}
     signal = signals.pop() if len(signals) == 1 else "current"
-    recorded = _joint_values(stream, "torque", robot, recording)
+    unsigned = {name for name in MOTOR_SIGNALS if name in stream.channels and stream.channels[name].magnitude}
+    recorded = None if "torque" in unsigned else _joint_values(stream, "torque", robot, recording)
     if signal != "torque" and len(signals) == 0:
-        raw = _joint_values(stream, signal, robot, recording)
+        raw = None if signal in unsigned else _joint_values(stream, signal, robot, recording)
         unknown = [drive.joint for drive in drives if drive.gain is None]
         if raw is not None and not unknown:
             drive_gains = [DriveGain(drive.gain, drive.gain_std, drive.signal) for drive in drives]
@@ -232,11 +236,18 @@ def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[F
                 hint=f"give it in a robot file (drives: - {{joint: {unknown[0]}, gain: …}}), name that: --robot, in "
                 "Python robot=",
             )
+    if recorded is None and (unsigned or any(drive.signal == "magnitude" for drive in drives)):
+        raise DataError(
+            f"its {' and '.join(sorted(unsigned)) or 'current'} is a magnitude: without its sign it is no torque",
+            where=recording.label,
+            hint=SERVO_HINT,
+        )
     if recorded is None:
         quantities = ", ".join(sorted(stream.channels)) or "nothing"
         raise DataError(
             f"records neither torque nor {signal if signal != 'torque' else 'current'}; it has {quantities}",
             where=recording.label,
+            hint="" if command_stream(recording) is None else SERVO_HINT,
         )
     used = tuple(drive.joint for drive in drives if drive.signal == "torque" and drive.gain)
     gains = np.array([drive.gain if drive.joint in used else 1.0 for drive in drives], dtype=np.float64)

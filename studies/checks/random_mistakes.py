@@ -58,9 +58,9 @@ SCALE = ("implausible-load", "implausible-mass", "torque-beyond-limits", "torque
 BLAMING = (
     *SCALE[:-1], "gravity-opposite", "gravity-direction", "torques-opposite", "positions-opposite", "torque-sign",
     "position-sign", "joint-sign", "torques-exchanged", "positions-exchanged", "joints-exchanged", "sign-or-column",
-    "unsigned-torque", "inconsistent-gain", "inconsistent-length", "joint-zero", "encoder-stuck", "rows-repeated",
-    "filled-with-zeros", "residual-bursts", "positions-jitter", "many-outliers", "wrong-time-axis", "clocks-drift",
-    "position-unit",
+    "unsigned-signal", "unsigned-torque", "inconsistent-gain", "inconsistent-length", "joint-zero", "encoder-stuck",
+    "rows-repeated", "filled-with-zeros", "residual-bursts", "positions-jitter", "many-outliers", "wrong-time-axis",
+    "clocks-drift", "position-unit",
 )  # fmt: skip
 """Checks that say what is wrong with a recording."""
 
@@ -308,7 +308,7 @@ def all_mistakes(count: int, sliding: Sequence[bool], generator: np.random.Gener
         Mistake("all torques × 10", SCALE, (), torque_times(10.0)),
         Mistake("current in mA (× 1000)", SCALE, (), torque_times(1000.0)),
         Mistake("zero off by 5°", ("joint-zero",), (angle,), shifted),
-        Mistake("torques without sign", ("unsigned-torque",), (), unsigned),
+        Mistake("torques without sign", ("unsigned-signal", "unsigned-torque"), (), unsigned),
         Mistake("positions in degrees", ("position-unit",), (), position_times(degrees), SCALE),
         Mistake("contacts in 5 % of the time", contact, (), lambda run: mistakes.contact(run, 0.05, 1.0, seed)),
         Mistake(

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from exported_arms import exported_arm
 
-from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording
+from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Channel, Event, Recording, Stream
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import ModelError
 from ident.assessment.recording_checks import recording_checks
@@ -233,6 +233,37 @@ class Bench:
         return np.gradient(stream.channels["position"].values, stream.time, axis=0)
 
 
+def servo(
+    recording: Recording,
+    told: Callable[[np.ndarray], np.ndarray] = lambda values: values,
+    late: float = 0.0,
+    last: float = np.inf,
+) -> Recording:
+    """Without its current, but with commands at 50 Hz that the positions follow after 60 ms.
+
+    Args:
+        recording: of the motion.
+        told: changes the commands (M, n).
+        late: by which their stamps are wrong [s].
+        last: of their stamps [s].
+    """
+    joints = recording.streams[JOINTS_STREAM]
+    position = joints.channels["position"]
+    stamps = np.arange(0.0, min(joints.time[-1], last), 0.02)
+    values = np.column_stack([np.interp(stamps + 0.06, joints.time, column) for column in position.values.T])
+    channels = {"target_position": Channel("target_position", told(values), "rad", position.columns)}
+    streams = {
+        JOINTS_STREAM: replace(joints, channels={"position": position}),
+        COMMANDS_STREAM: Stream(COMMANDS_STREAM, stamps + late, stamps + late, channels),
+    }
+    return replace(recording, streams=streams)
+
+
+def at_rest(recording: Recording, joint: int) -> Recording:
+    """One joint stands still."""
+    return changed(recording, lambda q: np.where(np.arange(3) == joint, q[0], q), "position")
+
+
 def glitches(share: float) -> Callable[[np.ndarray], np.ndarray]:
     """Encoder glitches of 0.05 rad, spread over some of the samples."""
 
@@ -364,6 +395,26 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.names(stamped(b.recorded(), lambda t: t + 4e-3 * np.random.default_rng(1).random(len(t)))),
         lambda b: b.names(stamped(b.recorded(), lambda t: t + 2e-4 * np.random.default_rng(1).random(len(t)))),
     ),
+    "unsigned-signal": (lambda b: b.names(changed(b.recorded(), np.abs)), lambda b: b.names(b.recorded())),
+    "no-torque": (lambda b: b.info(servo(b.recorded())), lambda b: b.clean_info()),
+    "positions-alone": (
+        lambda b: b.info(replace(servo(b.recorded()), streams={JOINTS_STREAM: servo(b.recorded()).streams["joints"]})),
+        lambda b: b.info(servo(b.recorded())),
+    ),
+    "commands-short": (lambda b: b.info(servo(b.recorded(), last=25.0)), lambda b: b.info(servo(b.recorded()))),
+    "command-clock": (
+        lambda b: b.info(servo(b.recorded(), late=0.3)),
+        lambda b: b.info(servo(b.recorded(), late=-0.1)),
+    ),
+    "command-order": (
+        lambda b: b.info(servo(b.recorded(), lambda q: q[:, [0, 2, 1]])) & b.info(servo(b.recorded(), np.negative)),
+        lambda b: b.info(servo(b.recorded())),
+    ),
+    "command-unit": (lambda b: b.info(servo(b.recorded(), np.rad2deg)), lambda b: b.info(servo(b.recorded()))),
+    "joint-at-rest": (
+        lambda b: b.info(servo(at_rest(b.recorded(), 1))),
+        lambda b: b.info(servo(b.recorded())),
+    ),
     "signal-clipped": (
         lambda b: b.names(changed(b.recorded(), lambda i: np.clip(i, -0.5 * i.max(axis=0), 0.5 * i.max(axis=0)))),
         lambda b: b.names(b.recorded()),
@@ -381,7 +432,11 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.names(b.recorded()),
     ),
     "encoder-stuck": (
-        lambda b: b.names(stuck_encoder(with_velocity(b.recorded()), 1, 3.0, 1.0)),
+        lambda b: (
+            b.names(stuck_encoder(with_velocity(b.recorded()), 1, 3.0, 1.0))
+            & b.names(stuck_encoder(servo(b.recorded()), 1, 3.0, 1.0))
+            & b.info(stuck_encoder(servo(b.recorded()), 1, -1.0, 40.0))
+        ),
         lambda b: b.names(with_velocity(b.recorded())),
     ),
     "filled-with-zeros": (
@@ -476,7 +531,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     ),
     "sign-or-column": (lambda b: b.opposite(), lambda b: b.clean()),
     "unsigned-torque": (
-        lambda b: b.found(changed(b.recorded(), lambda i: np.abs(i) * [1, -1, 1])),
+        lambda b: b.found(changed(b.recorded(), lambda i: np.where([0, 1, 0], -np.abs(i), i))),
         lambda b: b.clean(),
     ),
     "position-unit": (

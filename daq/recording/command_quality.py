@@ -1,0 +1,170 @@
+"""Do measured positions follow the recorded commands? Their overlap, clocks, order, units and signs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from daq.recording.commanded_motion import TARGET, CommandedMotion
+from daq.recording.quantisation import resolution
+from drivers.core.arrays import FloatArray, IndexArray
+
+GRID = 0.01
+"""Interval [s] at which commands and positions are compared."""
+
+FARTHEST = 100
+"""Shifts either way that are tried, in intervals of the grid."""
+
+LONGEST = 30_000
+"""Intervals of the grid that are compared: those where the commands move most."""
+
+LARGEST = 1e6
+"""Positions and commands beyond it [rad or m] are damaged, and compared with nothing."""
+
+SPAN = 20
+"""Intervals over which changes are taken for the delay: they show it better than positions, which friction drags."""
+
+EARLIEST, SLOWEST = -0.025, 0.27
+"""Delays [s] of a position behind its command between which a servo can be the reason."""
+
+LEAST_MOTION = 5e-3
+"""Range of a command [rad or m] from which on its joint is to move."""
+
+LEAST_STEPS = 5.0
+"""The same in steps of the encoder."""
+
+FOLLOWS = 0.8
+"""Correlation of a position with a command from which on it follows it."""
+
+CLOSELY = 0.9
+"""Correlation of the changes from which on they tell the delay."""
+
+MISTAKEN = 0.3
+"""Variance that another joint's command leaves, or the opposite one, over what the own one leaves, to be believed."""
+
+CLEARER = 0.8
+"""Variance that the best shift leaves, over that of the best one a servo can have, below which it is believed."""
+
+
+@dataclass(frozen=True)
+class CommandQuality:
+    """How commands and measured positions go together.
+
+    Attributes:
+        before: time with samples before the first command [s].
+        after: time with samples after the last command, less a period of the commands [s].
+        delay: shift [s] by which the joint that follows its command most closely does so; nan where none tells.
+        apart: whether no delay that a servo can have explains its motion nearly as well.
+        ratios: change of position over change of command, by joint; of joints that follow their command.
+        swapped: joint → the joint whose command it follows instead of its own.
+        opposite: joints that move against their command.
+        still: joints whose position does not change although they are commanded to move.
+        resting: joints that neither are commanded to move nor do.
+    """
+
+    before: float
+    after: float
+    delay: float
+    apart: bool
+    ratios: dict[str, float]
+    swapped: dict[str, str]
+    opposite: tuple[str, ...]
+    still: tuple[str, ...]
+    resting: tuple[str, ...]
+
+
+def command_quality(motion: CommandedMotion) -> CommandQuality:
+    """Compare the measured with the commanded positions."""
+    names, command = motion.joint_names, motion.commands[TARGET]
+    period = float(np.median(np.diff(motion.command_time)))
+    told, moves = np.ptp(command, axis=0), np.ptp(motion.position, axis=0)
+    steps = np.array([resolution(column) for column in motion.position.T])
+    steps[~np.isfinite(steps)] = 0.0
+    commanded = told > np.maximum(LEAST_MOTION, LEAST_STEPS * steps)
+    moving = moves > LEAST_STEPS * steps
+    sound = np.maximum(np.abs(command).max(axis=0), np.abs(motion.position).max(axis=0)) < LARGEST
+    used = np.flatnonzero(commanded & (moves > 0.0) & sound)
+    position, told_then = _on_one_grid(motion, used)
+    delay, apart = _delay(position, told_then)
+    ratios, swapped, opposite = _followed(position, told_then)
+    return CommandQuality(
+        before=max(0.0, float(motion.command_time[0] - motion.time[0])),
+        after=max(0.0, float(motion.time[-1] - motion.command_time[-1]) - period),
+        delay=delay,
+        apart=apart,
+        ratios={names[used[place]]: ratio for place, ratio in ratios.items()},
+        swapped={names[used[place]]: names[used[other]] for place, other in swapped.items()},
+        opposite=tuple(names[used[place]] for place in opposite),
+        still=tuple(np.array(names)[commanded & (moves == 0.0)].tolist()),
+        resting=tuple(np.array(names)[~commanded & ~moving].tolist()),
+    )
+
+
+def _on_one_grid(motion: CommandedMotion, joints: IndexArray) -> tuple[FloatArray, FloatArray]:
+    """Positions (K, m) at even times, and the commands (K + 2·FARTHEST, m) in force then, before and after."""
+    start, stop = motion.time[0], motion.time[-1]
+    if stop - start > LONGEST * GRID:
+        way = np.abs(np.diff(motion.commands[TARGET][:, joints], axis=0)).sum(axis=1)
+        passed = np.concatenate([[0.0], np.cumsum(way)])
+        starts = np.clip(motion.command_time, start, stop - LONGEST * GRID)
+        ends = np.interp(starts + LONGEST * GRID, motion.command_time, passed)
+        start = float(starts[int(np.argmax(ends - np.interp(starts, motion.command_time, passed)))])
+        stop = start + LONGEST * GRID
+    count = int((stop - start) / GRID) + 1
+    grid = start + GRID * np.arange(-FARTHEST, count + FARTHEST)
+    inner = grid[FARTHEST : FARTHEST + count]
+    position = np.empty((count, len(joints)))
+    for place, joint in enumerate(joints):
+        position[:, place] = np.interp(inner, motion.time, motion.position[:, joint])
+    return position, motion.held(grid)[:, joints]
+
+
+def _correlations(position: FloatArray, command: FloatArray) -> FloatArray:
+    """(2·FARTHEST + 1, m, m) of each position with each command, by the shift of the commands."""
+    position = position - position.mean(axis=0)
+    size, shifts = np.linalg.norm(position, axis=0), 2 * FARTHEST + 1
+    found = np.zeros((shifts, position.shape[1], position.shape[1]))
+    for place in range(shifts):
+        start = shifts - 1 - place
+        told = command[start : start + len(position)]
+        told = told - told.mean(axis=0)
+        norms = np.outer(size, np.linalg.norm(told, axis=0))
+        np.divide(position.T @ told, norms, out=found[place], where=norms > 0.0)
+    return found
+
+
+def _delay(position: FloatArray, command: FloatArray) -> tuple[float, bool]:
+    """The shift [s] of the joint whose changes follow its command's most closely, and whether no servo has it."""
+    if len(position) <= SPAN or not position.size:
+        return float("nan"), False
+    changes = _correlations(position[SPAN:] - position[:-SPAN], command[SPAN:] - command[:-SPAN])
+    own = np.diagonal(changes, axis1=1, axis2=2)
+    closest = own[:, int(np.argmax(own.max(axis=0)))]
+    if closest.max() < CLOSELY:
+        return float("nan"), False
+    left, shifts = 1.0 - np.maximum(closest, 0.0) ** 2, GRID * np.arange(-FARTHEST, FARTHEST + 1)
+    delay = float(shifts[int(np.argmin(left))])
+    possible = (shifts >= EARLIEST) & (shifts <= SLOWEST)
+    return delay, not EARLIEST <= delay <= SLOWEST and bool(left.min() < CLEARER * left[possible].min())
+
+
+def _followed(position: FloatArray, command: FloatArray) -> tuple[dict[int, float], dict[int, int], list[int]]:
+    """Slopes of the joints that follow their commands, those that follow another's, those that move against theirs."""
+    ratios: dict[int, float] = {}
+    swapped: dict[int, int] = {}
+    opposite: list[int] = []
+    correlations = _correlations(position, command) if position.size else np.zeros((0, 0, 0))
+    for place in range(correlations.shape[1]):
+        own, best = correlations[:, place, place], correlations[:, place, :].max(axis=0)
+        other = int(np.argmax(best))
+        believed = np.sqrt(max(FOLLOWS**2, 1.0 - MISTAKEN * (1.0 - max(best[place], 0.0) ** 2)))
+        if best[other] > believed:
+            swapped[place] = other
+        elif -own.min() > believed:
+            opposite.append(place)
+        elif best[place] > FOLLOWS:
+            start = 2 * FARTHEST - int(np.argmax(own))
+            told = command[start : start + len(position), place]
+            ratios[place] = float(best[place] * np.std(position[:, place]) / np.std(told))
+    return ratios, swapped, opposite
