@@ -61,7 +61,7 @@ if TYPE_CHECKING:
     from ident.tasks.validation import Validation as Validation
     from ident.tasks.validation import merge as merge
     from ident.tasks.validation import validate as validate
-    from sim_drivers.synthetic.simulated_run import simulate as simulate
+    from sim_drivers.synthetic.measurement import simulate as simulate
 
 _HOMES = {
     "daq.importers.import_file": ("import_recording",),
@@ -94,7 +94,7 @@ _HOMES = {
     "ident.tasks.prediction": ("Prediction", "predict"),
     "ident.tasks.recording_quality": ("RecordingQuality", "info"),
     "ident.tasks.validation": ("Validation", "merge", "validate"),
-    "sim_drivers.synthetic.simulated_run": ("simulate",),
+    "sim_drivers.synthetic.measurement": ("simulate",),
 }
 """Module → its public names. Type checkers read the imports above, which a test holds against this table."""
 

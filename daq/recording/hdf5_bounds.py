@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -151,3 +152,15 @@ def text_length(level: str, source: str, message: str) -> int:
 
 def _count(values: int) -> str:
     return f"{values / 1e6:.3g} million"
+
+
+_SYSTEM_REASON = re.compile(r"error message = '([^']+)'")  # how HDF5 wraps what the system said
+
+
+def hdf5_reason(error: BaseException) -> str:
+    """The first sentence of an HDF5 or system error."""
+    text = str(getattr(error, "strerror", None) or error).strip().strip("'\"")
+    system = _SYSTEM_REASON.search(text)
+    if system is not None:
+        return system[1]
+    return text.splitlines()[0] if text else type(error).__name__

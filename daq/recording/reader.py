@@ -10,8 +10,7 @@ import h5py
 import numpy as np
 
 from daq.output_files import unfinished_files
-from daq.recording.hdf5_bounds import Hdf5Bounds
-from daq.recording.hdf5_reason import hdf5_reason
+from daq.recording.hdf5_bounds import Hdf5Bounds, hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Channel, Event, Recording, Stream
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RecordingError

@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from daq.output_files import check_outputs, unfinished_files
-from daq.recording.hdf5_reason import hdf5_reason
+from daq.recording.hdf5_bounds import hdf5_reason
 from daq.recording.reader import read_open_recording
 from daq.recording.recording import Event, Recording, Stream
 from daq.recording.writer import write_recording

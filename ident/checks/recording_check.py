@@ -235,7 +235,7 @@ def info_object(info: RecordingInfo, file: str) -> dict[str, Any]:
             for name, quality in info.streams.items()
         },
         "excitation": asdict(info.excitation) if info.excitation is not None else None,
-        "delay": asdict(info.delay) if info.delay is not None else None,
+        "delay": info.delay.model_dump() if info.delay is not None else None,
         "sufficiency": _sufficiency_object(info),
         "verdict": asdict(info.verdict),
         "events": [asdict(event) for event in recording.events],

@@ -86,7 +86,7 @@ def identify_drive_gains(*, options: GainsOptions, out: Path = OUT, force: bool 
 def _print_load(result: PayloadResult) -> None:
     """The load as a person reads it at the terminal."""
     from ident.commands.print_result import print_tables
-    from ident.experiments.consistent_load_summary import consistent_load_sentences
+    from ident.experiments.payload_summary import consistent_load_sentences
     from ident.views.load_tables import payload_tables
 
     body = result.consistent_load
@@ -107,7 +107,8 @@ def _print_gains(result: GainsResult | SlowGainsResult) -> None:
         print(f"delay: {result.delay.note}")
         condition = f"condition {result.condition:.3g}, "
     print_tables(gains_tables(result))
-    print(f"\nsingular values: {condition}null vector {result.gap:.3g} times below the next")
+    if result.gap is not None:  # one gain, or each separately: no null vector
+        print(f"\nsingular values: {condition}null vector {result.gap:.3g} times below the next")
     print(f"\nfor the robot file:\n{result.robot_file_text}")
     for warning in result.warnings:
         print(f"warning: {warning}")

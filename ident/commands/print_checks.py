@@ -128,7 +128,7 @@ def print_info(info: RecordingInfo, file: str) -> None:
                 strict=False,
             ),
         )
-    if info.delay is not None and np.isfinite(info.delay.best):
+    if info.delay is not None and info.delay.best is not None:
         print(f"\ndelay: {info.delay.note}")
     if info.sufficiency is not None:
         _print_sufficiency(info.sufficiency, info.times)

@@ -8,19 +8,25 @@ import numpy as np
 
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
+from drivers.core.text import percent_text
 from drivers.core.units import common_unit
-from ident.experiments.consistent_load_summary import consistent_load_result
+from ident.estimators.feasible.pseudo_inertia import INERTIA_ELEMENTS, body_of
 from ident.experiments.gains.drive_gains import DriveGains
 from ident.experiments.gains.up_and_down import SlowGains
+from ident.experiments.load.consistent_load import ConsistentLoad
 from ident.experiments.load.load_estimate import LoadEstimate
 from ident.experiments.load.payload import Payload
+from ident.experiments.run_pair import RunPair
 from ident.experiments.schema import (
     CentreOfMass,
+    ConsistentLoadResult,
     DelayUsed,
     EstimatedValue,
     GainsResult,
+    LinkBody,
     LoadParameter,
     PayloadResult,
+    RunError,
     SlowGainsResult,
 )
 from ident.model.load import FIRST_MOMENTS, KnownLoad, LoadColumns
@@ -224,3 +230,43 @@ def _regrouped(columns: LoadColumns) -> list[str]:
     """Parameters without their own column: without effect, or regrouped with others."""
     alone = {columns.kept[i] for i in range(len(columns.kept)) if np.count_nonzero(columns.projection[i]) == 1}
     return [f"{symbol}_L" for index, symbol in enumerate(INERTIAL) if index not in alone]
+
+
+def consistent_load_result(pair: RunPair, load: ConsistentLoad) -> ConsistentLoadResult:
+    """The load that can exist, and the arm with it."""
+    names = pair.model.link_names
+    links = load.loaded_arm.reshape(len(names), len(INERTIAL))
+    errors = zip(pair.runs, load.errors, load.consistent_errors, strict=True)
+    return ConsistentLoadResult(
+        **load.body.figures,
+        mass_std=load.mass_std,
+        com_std=load.com_std.tolist(),
+        inertia_std=dict(zip(INERTIA_ELEMENTS, load.inertia_std.tolist(), strict=True)),
+        determined={f"{symbol}_L": float(share) for symbol, share in zip(INERTIAL, load.determined, strict=True)},
+        held=[f"{symbol}_L" for symbol, known in zip(INERTIAL, load.known, strict=True) if known],
+        on_boundary=load.on_boundary,
+        boundary_links=[names[link] for link in load.boundary],
+        cost=load.test,
+        errors=[RunError(run=run.label, unconstrained=error, consistent=own) for run, error, own in errors],
+        links=[LinkBody(link=name, **body_of(link).figures) for name, link in zip(names, links, strict=True)],
+    )
+
+
+def consistent_load_sentences(load: ConsistentLoadResult) -> list[str]:
+    """What it costs that load and links can exist."""
+    errors = "; ".join(
+        f"{error.run}: {percent_text(error.unconstrained)} unconstrained, {percent_text(error.consistent)} consistent"
+        for error in load.errors
+    )
+    sentences = [f"relative error of the torque: {errors}"]
+    if load.cost is not None:
+        cost = load.cost
+        verdict = "explains the runs as well" if cost.passed else "does not explain the runs as well"
+        sentences.append(
+            f"a load that can exist, on links that can exist, {verdict} as the unconstrained estimate (χ² = "
+            f"{cost.statistic:.1f} with {cost.freedom} degrees of freedom, {cost.p_text})"
+        )
+    held = ["the load"] * load.on_boundary + load.boundary_links
+    if held:
+        sentences.append(f"at the boundary of what can exist: {', '.join(held)}")
+    return sentences

@@ -219,11 +219,11 @@ def _weights(reduction: Reduction, solution: LeastSquares) -> FloatArray:
 
 def _remaining_delay(prepared: PreparedData) -> float:
     """Root mean square of the delay that was found and not taken out [s]; 0 where none was searched or found."""
-    found = prepared.delay
-    if found is None or not np.isfinite(found.best) or not np.isfinite(found.std):
+    search = prepared.delay
+    if search is None or search.best is None or search.std is None:
         return 0.0
-    rest = 0.0 if found.used or found.joint_delays is not None else found.best
-    return float(np.hypot(rest, found.std))
+    rest = 0.0 if search.used or search.joint_delays is not None else search.best
+    return float(np.hypot(rest, search.std))
 
 
 def _consistent_fit(

@@ -36,7 +36,6 @@ from ident.result.result_file import file_sha256
 from ident.result.schema import (
     BaseParameterResult,
     Convergence,
-    DelayFigures,
     DriveGainResult,
     Essential,
     Excitation,
@@ -81,7 +80,7 @@ def summarise(
             *_friction_step(identification),
             *_presliding_step(identification),
         ],
-        delay=delay_figures(identification.choices.preprocess.delay, identification.delay),
+        delay=identification.delay or DelaySearch(used=identification.choices.preprocess.delay),
         base_parameters=parameter_results(
             model,
             base,
@@ -175,21 +174,6 @@ def _validation(identification: Identification, figures: Fit) -> Fit:
     """Errors of a validation, marked as held out or not."""
     held_out = all(run.errors.held_out for run in identification.held_out)
     return figures.model_copy(update={"held_out": held_out})
-
-
-def delay_figures(used: float, search: DelaySearch | None) -> DelayFigures:
-    """The delay that was used [s] and, where it was searched, what was found."""
-    if search is None:
-        return DelayFigures(used=used, best=None, note="as given, not searched")
-    return DelayFigures(
-        used=used,
-        best=search.best,
-        note=search.note,
-        interval=search.interval,
-        gain=search.gain,
-        leads=search.leads,
-        joints=list(search.joints),
-    )
 
 
 def model_options(model: DynamicModel) -> ModelOptions:

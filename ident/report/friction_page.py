@@ -34,11 +34,11 @@ SPEED_WINDOW = 0.15
 """Points of a speed are within this share of it."""
 
 
-def friction_page(result: FrictionExperimentResult, experiment: FrictionExperiment) -> str:
+def friction_page(experiment: FrictionExperiment) -> str:
     """The page: coefficients, curves with the data, terms that were tried."""
-    joints, model = experiment.joints, experiment.periods.model
-    heated = [joint for joint in joints if joint.temperature is not None]
-    loaded = [joint for joint in joints if joint.load.greatest > 0.0]
+    result, joints, model = experiment.result, experiment.joints, experiment.periods.model
+    heated = [joint for joint in joints if joint.stored.temperature_range is not None]
+    loaded = [joint for joint in joints if joint.stored.load_range.greatest > 0.0]
     table = friction_table(result)
     return (
         page_templates()
@@ -107,25 +107,27 @@ def _sample(joint: JointFriction) -> FloatArray:
 
 
 def _heading(joint: JointFriction) -> str:
-    return f"<b>{plain(shortened(joint.joint, 36))}</b>"
+    return f"<b>{plain(shortened(joint.stored.joint, 36))}</b>"
 
 
 def _speed_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
     velocity, heat, load, torque = _sample(joint)
     unit, speed = _joint_units(model, joint)
-    known = joint.temperature is not None
+    span = joint.stored.temperature_range
+    known = span is not None
     scale = {"color": packed(heat - ZERO_CELSIUS), "colorscale": "Portland"} if known else {"color": MEASURED}
     traces: list[dict[str, Any]] = [_points("data", velocity, torque, {**scale, "size": 3}, first)]
     level = np.sqrt(np.mean(np.square(load)))
-    span = joint.temperature
     ends = [("model", np.nan)] if span is None else [("coldest", span.least), ("warmest", span.greatest)]
-    for (name, kelvin), colour in zip(ends, (MEASURED, PREDICTED), strict=False):
-        fast = joint.speed.greatest * np.linspace(0.0, 1.0, CURVE_POINTS + 1)[1:] ** 2
+    for (name, celsius), colour in zip(ends, (MEASURED, PREDICTED), strict=False):
+        fast = joint.stored.speed_range.greatest * np.linspace(0.0, 1.0, CURVE_POINTS + 1)[1:] ** 2
         curve = np.concatenate([-fast[::-1], [np.nan], fast])
-        torque = friction_torque(model, joint, curve, np.full_like(curve, kelvin), np.full_like(curve, level))
+        torque = friction_torque(
+            model, joint, curve, np.full_like(curve, celsius + ZERO_CELSIUS), np.full_like(curve, level)
+        )
         traces.append(_line(name, curve, torque, colour, first))
     return Panel(
-        joint.joint,
+        joint.stored.joint,
         _heading(joint),
         traces,
         x={"title": {"text": f"velocity [{speed}]"}},
@@ -136,13 +138,14 @@ def _speed_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Pane
 
 def _joint_units(model: DynamicModel, joint: JointFriction) -> tuple[str, str]:
     """Units of a joint's torque and velocity."""
-    sliding = model.sliding[model.joint_names.index(joint.joint)]
+    sliding = model.sliding[model.joint_names.index(joint.stored.joint)]
     return joint_unit("N·m", sliding=sliding), joint_unit("rad/s", sliding=sliding)
 
 
 def _temperature_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
-    assert joint.temperature is not None
-    axis = np.linspace(joint.temperature.least, joint.temperature.greatest, CURVE_POINTS)
+    span = joint.stored.temperature_range
+    assert span is not None
+    axis = ZERO_CELSIUS + np.linspace(span.least, span.greatest, CURVE_POINTS)
     level = np.full_like(axis, np.sqrt(np.mean(np.square(joint.points[2]))))
 
     def at(speed: float) -> tuple[FloatArray, FloatArray]:
@@ -153,7 +156,7 @@ def _temperature_panel(model: DynamicModel, joint: JointFriction, first: bool) -
 
 
 def _load_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
-    axis = np.linspace(joint.load.least, joint.load.greatest, CURVE_POINTS)
+    axis = np.linspace(joint.stored.load_range.least, joint.stored.load_range.greatest, CURVE_POINTS)
     heat = np.full_like(axis, np.mean(joint.points[1]))
 
     def at(speed: float) -> tuple[FloatArray, FloatArray]:
@@ -173,11 +176,11 @@ def _speeds_panel(
 ) -> Panel:
     """Points and curves at some speeds; friction without the offset, in the direction of motion."""
     velocity, torque = joint.points[0], joint.points[3]
-    offset = joint.values[joint.kinds.index("offset")] if "offset" in joint.kinds else 0.0
+    offset = joint.stored.offset or 0.0
     dissipated = np.sign(velocity) * (torque - offset)
     traces: list[dict[str, Any]] = []
     for share, colour in zip(SPEED_SHARES, SERIES_COLOURS, strict=False):
-        speed = share * joint.speed.greatest
+        speed = share * joint.stored.speed_range.greatest
         near = np.flatnonzero(np.abs(np.abs(velocity) - speed) < SPEED_WINDOW * speed)
         if len(near) > POINTS // 3:
             near = np.sort(np.random.default_rng(0).choice(near, POINTS // 3, replace=False))
@@ -186,7 +189,12 @@ def _speeds_panel(
         traces.append(_points(name, abscissa[near], dissipated[near], {"color": colour, "size": 3}, False))
         traces.append(_line(name, x, model - offset, colour, first))
     return Panel(
-        joint.joint, _heading(joint), traces, x={"title": {"text": title}}, y={"title": {"text": unit}}, height=PANEL
+        joint.stored.joint,
+        _heading(joint),
+        traces,
+        x={"title": {"text": title}},
+        y={"title": {"text": unit}},
+        height=PANEL,
     )
 
 

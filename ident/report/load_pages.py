@@ -6,15 +6,10 @@ from collections.abc import Sequence
 from math import isfinite
 from typing import Any
 
-from ident.experiments.consistent_load_summary import consistent_load_sentences
 from ident.experiments.gains.drive_gains import JointGain
 from ident.experiments.load.payload import BaseParameterChange
-from ident.experiments.schema import (
-    GainsResult,
-    LoadParameter,
-    PayloadResult,
-    SlowGainsResult,
-)
+from ident.experiments.payload_summary import consistent_load_sentences
+from ident.experiments.schema import GainsResult, LoadParameter, PayloadResult, SlowGainsResult
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure
 from ident.report.figures.interval_panel import IntervalSeries, interval_panel

@@ -69,23 +69,16 @@ class ConsistentModel(Stored):
 def link_results(model: DynamicModel, consistent: ConsistentParameters) -> list[LinkResult]:
     """The bodies of the links."""
     size = len(INERTIAL)
-    links = []
-    for index, name in enumerate(model.link_names):
-        own = slice(size * index, size * (index + 1))
-        body = body_of(consistent.values[own])
-        links.append(
-            LinkResult(
-                link=name,
-                mass=body.mass,
-                com=body.com.tolist(),
-                inertia=dict(
-                    zip(("xx", "xy", "xz", "yy", "yz", "zz"), body.inertia[np.triu_indices(3)].tolist(), strict=True)
-                ),
-                prior=consistent.sources[index],
-                identified=float(np.mean(consistent.determined[own])),
-            )
+    own = [slice(size * index, size * (index + 1)) for index in range(len(model.link_names))]
+    return [
+        LinkResult(
+            link=name,
+            **body_of(consistent.values[place]).figures,
+            prior=source,
+            identified=float(np.mean(consistent.determined[place])),
         )
-    return links
+        for name, place, source in zip(model.link_names, own, consistent.sources, strict=True)
+    ]
 
 
 def consistent_model(

@@ -2,17 +2,107 @@
 
 from __future__ import annotations
 
+import math
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any, Literal
 
-from drivers.core.errors import ModelError
+import numpy as np
+
+from daq.recording.recording import software_versions
+from drivers.core.errors import ModelError, ResultFileError, UsageError
+from drivers.core.text import percent_text
+from ident.assessment.validation import Fit
+from ident.export.arm import ExportedArm, refuse_unidentified_friction
+from ident.friction.table import FRICTION_KINDS
+from ident.model.base_parameters import base_parameters
+from ident.model.inverse_dynamics import InverseDynamics
 from ident.result.delivered import Parameters
+from ident.result.estimate import AGAIN
+from ident.result.further_friction import without_further_friction
 from ident.result.model_parameters import ModelParameters
+from ident.result.schema import Result
+from ident.result.stored_model import StoredModel
 
 if TYPE_CHECKING:
     from ident.export.arm import ExportedArm
     from ident.export.export import Export
+
+
+def origin_lines(result: Result, kind: Parameters) -> tuple[str, ...]:
+    """Versions, date of the identification, recordings with their SHA-256, held-out error, verdict.
+
+    The date is that of the identification, and nothing tells when the export was written: the same model gives the
+    same files.
+    """
+    identified, own = result.versions.get("dynid", "unknown"), software_versions()["dynid"]
+    writer = "" if own == identified else f", written by dynid {own}"
+    recordings = [f"  {use.role}: {use.file}, {use.samples} samples, SHA-256 {use.sha256}" for use in result.recordings]
+    return (
+        f"Identified {result.created} by dynid {identified}, method {result.method}{writer}.",
+        *(["Recordings:", *recordings] if recordings else []),
+        _error(held_out(result, kind)),
+        f"Verdict: {result.verdict.headline}",
+    )
+
+
+def held_out(result: Result, kind: Parameters) -> Fit | None:
+    """The error on held-out data of these parameters."""
+    if kind == "consistent":
+        return None if result.consistent is None else result.consistent.validation
+    return result.validation if kind == "full" else result.essential.validation
+
+
+def _error(fit: Fit | None) -> str:
+    if fit is None or not math.isfinite(fit.relative_error):
+        return "Held-out error: not known, no recording was held out."
+    joints = ", ".join(percent_text(error) for error in fit.joint_relative_error)
+    return f"Held-out error of the torque: {percent_text(fit.relative_error)}; joint by joint {joints}."
+
+
+FRICTION = (*(kind for kind in FRICTION_KINDS if kind != "offset"), "coupling")
+"""Kinds of parameters that an export takes from the recording or not at all."""
+
+
+def exported_arm(result: Result, kind: str, stored: StoredModel, dynamics: InverseDynamics) -> ExportedArm:
+    """The arm of a result's consistent parameters.
+
+    Args:
+        result: that holds them.
+        kind: parameters of the model that is to be exported.
+        stored: the result's robot file and model.
+        dynamics: of the model.
+
+    Raises:
+        UsageError: the model's parameters are no bodies.
+        ResultFileError: parts of the result do not belong together.
+        ModelError: some friction has neither a value nor an entry in the robot file's `known`.
+    """
+    consistent = result.consistent
+    if kind != "consistent" or consistent is None:
+        raise UsageError(
+            f"the {kind} parameters are no bodies, which an export needs",
+            where=result.robot,
+            hint='load_model(…, parameters="consistent")',
+        )
+    values = {parameter.name: parameter.value for parameter in consistent.parameters}
+    names = [parameter.name for parameter in stored.model.parameters]
+    if set(names) != set(values):
+        raise ResultFileError("the consistent parameters do not belong to the robot file beside them", hint=AGAIN)
+    known = {parameter.name for parameter in consistent.parameters if parameter.known}
+    unidentified = [
+        f"{entry.name} of {entry.joint}"
+        for entry in result.base_parameters
+        if entry.value is None and entry.kind in FRICTION and entry.name not in known
+    ]
+    refuse_unidentified_friction(unidentified, result.robot)
+    standard = np.array([values[name] for name in names])
+    model, kept, lacking = without_further_friction(stored.model, standard)
+    if lacking:
+        base = base_parameters(model)
+        dynamics = InverseDynamics(model, base, base.projection @ kept, kept)
+    return ExportedArm(stored.robot_file, model, kept, dynamics, lacking)
+
 
 KINDS: dict[Parameters, str] = {
     "consistent": "the base parameters of bodies that can exist",
@@ -112,7 +202,6 @@ class ExportedModel(ModelParameters):
         """
         from ident.export.c_code.source import Parameter
         from ident.export.c_code.write import write_c
-        from ident.result.origin import origin_lines
 
         if self._missing:
             raise ModelError(
@@ -140,6 +229,5 @@ class ExportedModel(ModelParameters):
 
     @cached_property
     def _exported(self) -> ExportedArm:
-        from ident.result.exported import exported_arm
 
         return exported_arm(self.result, self.kind, self._stored, self._dynamics)

@@ -27,10 +27,15 @@ TemperatureTerm = Literal["none", "linear", "full"]
 class ValueRange(BaseModel):
     """From the least to the greatest value of what the recordings cover."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", from_attributes=True)
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
     least: Value
     greatest: Value
+
+    @property
+    def width(self) -> float:
+        """Their difference."""
+        return self.greatest - self.least
 
 
 class JointFrictionExperiment(JointFrictionResult):

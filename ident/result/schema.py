@@ -9,7 +9,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, computed_field, mod
 
 from daq.robot.section import within
 from drivers.core.units import common_unit
-from ident.assessment.delay.delay import JointDelay
+from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.residual_tests import ResidualTests
 from ident.assessment.validation import Fit
 from ident.estimators.estimator import Loop
@@ -119,18 +119,6 @@ class RecordingUse(Stored):
     sample_hashes: list[int] = Field(
         default=[], description="the smallest hashes of the window's samples (ident.signals.sample_hashes)"
     )
-
-
-class DelayFigures(Stored):
-    """Torque against position [s]; positive where the torque lags."""
-
-    used: float = Field(description="of all joints that have none of their own")
-    best: Number = Field(description="the delay that fits best for all joints together; null where it was not searched")
-    note: str
-    interval: Number = Field(default=None, description="half of the 95 % interval of `best`")
-    gain: Number = Field(default=None, description="share by which `best` lowers the error on blocks held out")
-    leads: bool = Field(default=False, description="the torque is ahead of its motion beyond the interval")
-    joints: list[JointDelay] = Field(default=[], description="empty where it was not searched")
 
 
 def _check_shapes(shapes: Mapping[str, Sequence[float]]) -> None:
@@ -252,7 +240,7 @@ class Result(Stored):
     options: dict[str, float | int | str | bool | list[float] | None]
     model_options: ModelOptions
     preprocessing: list[Step]
-    delay: DelayFigures
+    delay: DelaySearch
     base_parameters: list[BaseParameterResult]
     friction: list[JointFrictionResult]
     friction_note: str = Field(default="", description="what the intervals of friction hold of changes between runs")

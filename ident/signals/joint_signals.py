@@ -17,9 +17,9 @@ from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
+from drivers.core.units import ZERO_CELSIUS
 from drivers.gains import DriveGain, joint_torque
 from ident.ranges import RECORDED_POSITION, RECORDED_TORQUE, RECORDED_VELOCITY
-from ident.signals.joint_temperature import joint_temperature
 
 SERVO_HINT = "identify a servo model from commands and encoder: --method servo"
 
@@ -299,3 +299,28 @@ def joint_target(joints: Stream, joint_names: tuple[str, ...], position: FloatAr
         return None
     with np.errstate(invalid="ignore"):
         return np.where(np.abs(values) <= RECORDED_POSITION.most, values, np.nan)
+
+
+TEMPERATURE = "temperature"
+
+
+def joint_temperature(recording: Recording, joint_names: tuple[str, ...]) -> FloatArray | None:
+    """Temperatures (N, n) [K] of the joints, interpolated between readings; None where none was recorded.
+
+    Thermometers have clocks of their own, so that streams are compared by the host's. Where several streams tell the
+    temperature of a joint, the joint stream counts, then the first in the file. A joint without a reading is nan.
+    """
+    joints = recording.streams[JOINTS_STREAM]
+    others = [stream for name, stream in recording.streams.items() if name != JOINTS_STREAM]
+    values = np.full((len(joints.time), len(joint_names)), np.nan)
+    for stream in (joints, *others):
+        channel = stream.channels.get(TEMPERATURE)
+        for column, name in enumerate(channel.columns if channel is not None else ()):
+            if channel is None or name not in joint_names or not np.all(np.isnan(values[:, joint_names.index(name)])):
+                continue
+            read = np.isfinite(channel.values[:, column])
+            if np.any(read):
+                values[:, joint_names.index(name)] = np.interp(
+                    joints.host_time, stream.host_time[read], channel.values[read, column]
+                )
+    return None if np.all(np.isnan(values)) else values + ZERO_CELSIUS

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from os import PathLike
 from pathlib import Path
 
@@ -12,7 +11,6 @@ from daq.robot.loader import load_robot
 from drivers.core.options import keywords_of
 from drivers.core.text import json_text
 from ident.experiments.friction.experiment import FrictionExperiment, analyse_friction
-from ident.experiments.friction.summary import friction_result
 from ident.report.friction_page import friction_page
 from ident.result.friction_experiment import FRICTION_FILE, FrictionExperimentResult
 from ident.result.tables import Table
@@ -36,10 +34,10 @@ class IdentifiedFriction:
 
     experiment: FrictionExperiment
 
-    @cached_property
+    @property
     def result(self) -> FrictionExperimentResult:
         """What `friction.json` holds."""
-        return friction_result(self.experiment)
+        return self.experiment.result
 
     @property
     def table(self) -> Table:
@@ -62,7 +60,7 @@ class IdentifiedFriction:
             UsageError: it is a file, or cannot be written.
             DiskError: the disk is full or fails.
         """
-        page = friction_page(self.result, self.experiment)
+        page = friction_page(self.experiment)
         write_folder(Path(folder), {FRICTION_FILE: self.to_json() + "\n", REPORT_FILE: page})
 
     def __str__(self) -> str:

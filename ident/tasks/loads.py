@@ -19,14 +19,9 @@ from drivers.core.options import keywords_of
 from drivers.core.text import json_text
 from ident.experiments.gains.drive_gains import DriveGains, identify_gains
 from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains
-from ident.experiments.load.consistent_load import ConsistentLoad
 from ident.experiments.load.payload import Payload, identify_payload
-from ident.experiments.payload_summary import (
-    gains_result,
-    payload_result,
-    slow_gains_result,
-)
-from ident.experiments.schema import GainsResult, PayloadResult, SlowGainsResult
+from ident.experiments.payload_summary import gains_result, payload_result, slow_gains_result
+from ident.experiments.schema import ConsistentLoadResult, GainsResult, PayloadResult, SlowGainsResult
 from ident.model.load import KnownLoad
 from ident.model.parameters import MASS
 from ident.report.load_pages import gains_page, payload_page
@@ -88,12 +83,12 @@ class IdentifiedPayload:
         return None if centre is None else centre[1]
 
     @property
-    def body(self) -> ConsistentLoad | None:
-        """The load as a body that can exist: `.body.mass` [kg], `.body.com` (3,) [m], `.body.inertia` (3, 3) [kg·m²].
+    def body(self) -> ConsistentLoadResult | None:
+        """The load as a body that can exist: `.body.mass` [kg], `.body.com` [m], `.body.inertia` by element [kg·m²].
 
-        With `.mass_std`, `.com_std`, `.inertia_std` (6,) and what it costs; None where none was found.
+        With `.mass_std`, `.com_std`, `.inertia_std` and what it costs, as in `payload.json`; None where none was found.
         """
-        return self.estimate.consistent
+        return self.result.consistent_load
 
     @property
     def parameters(self) -> Table:

@@ -7,14 +7,8 @@ from dataclasses import replace
 
 from drivers.core.text import percent_text
 from drivers.core.units import common_unit
-from ident.experiments.consistent_load_summary import INERTIA
-from ident.experiments.schema import (
-    ConsistentLoadResult,
-    GainsResult,
-    LoadParameter,
-    PayloadResult,
-    SlowGainsResult,
-)
+from ident.estimators.feasible.pseudo_inertia import INERTIA_ELEMENTS
+from ident.experiments.schema import ConsistentLoadResult, GainsResult, LoadParameter, PayloadResult, SlowGainsResult
 from ident.linear_algebra.row_space import DETERMINED
 from ident.result.tables import Column, Table, table_of, table_of_rows
 from ident.views.number_text import with_error
@@ -53,7 +47,7 @@ def body_table(load: ConsistentLoadResult) -> Table:
         *((axis, value, std, "m", _origin(load, f"M{axis.upper()}_L")) for axis, value, std in axes),
         *(
             (f"I{name}", load.inertia[name], load.inertia_std[name], "kg·m²", _origin(load, f"{name.upper()}_L"))
-            for name in INERTIA
+            for name in INERTIA_ELEMENTS
         ),
     ]
     title = "Load as a body that can exist: centre of mass, and inertia about it"

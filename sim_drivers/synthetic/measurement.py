@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 
 from daq.motion.trajectories import Motion
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream, software_versions
-from daq.robot.loader import RobotFile
+from daq.robot.loader import RobotFile, load_robot
 from daq.robot.loops import coupling_matrix
 from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 from drivers.core.units import ZERO_CELSIUS
 from drivers.streams import UNITS
+from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import true_model, truth_vector
+from sim_drivers.synthetic.motion import random_fourier_motion
 
 
 def simulate_recording(
@@ -81,3 +85,34 @@ def _drive_channels(robot_file: RobotFile, torque: FloatArray) -> dict[str, Chan
         torque = coupling_matrix(robot.model.coupling, robot.joint_names).T @ torque
     unit = robot.column_unit(UNITS["torque"], robot.joint_names)
     return {"torque": Channel("torque", torque.T, unit, robot.joint_names, "simulated joint torque")}
+
+
+def simulate(
+    robot: str | Path | RobotFile, duration: float = 20.0, seed: int = 0, rate: float | None = None
+) -> Recording:
+    """Record a simulated arm on a random excitation trajectory, with the noise that its robot file states.
+
+    Seeds give other motions and other noise of the same arm, so that one recording can validate another.
+
+    Args:
+        robot: built-in name, robot file with a `truth`, or the result of `load_robot`.
+        duration: of the recording and of the motion's period [s].
+        seed: of the motion and the noise.
+        rate: of the recording [Hz]; the robot file's where absent.
+
+    Raises:
+        RobotFileError: no such robot, or its file has no true parameters.
+        UsageError: a duration or a rate that is not positive.
+
+    Example:
+        >>> import dynid
+        >>> run = dynid.simulate("ur5e", duration=2.0, seed=1, rate=100.0)
+        >>> run.streams["joints"].channels["position"].values.shape
+        (200, 6)
+    """
+    for name, value in (("duration", duration), ("rate", rate)):
+        if value is not None and not 0 < value < float("inf"):
+            raise UsageError(f"{name} {value:g} is not a positive number")
+    robot_file = load_robot(robot)
+    motion = random_fourier_motion(build_model(robot_file), duration, seed)
+    return simulate_recording(robot_file, motion, duration, seed, rate)

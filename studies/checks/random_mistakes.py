@@ -437,7 +437,8 @@ def delays(count: int) -> None:
                 moved = mistakes.jittering_position(mistakes.sampled(moved, fine), jitter, seed)
                 found = identify([moved], [], replace(CHOICES, search_delay=True))
                 search = found.delay
-                said = "–" if search is None else f"{1e3 * search.best:.2f} ± {1e3 * search.interval:.2f}"
+                measured = search is not None and search.best is not None
+                said = f"{1e3 * search.best:.2f} ± {1e3 * search.interval:.2f}" if measured else "–"
                 used = "–" if search is None else f"{1e3 * search.used:.2f}"
                 raised = ", ".join(c.name for c in found.checks if c.name in (*BLAMING, "torque-ahead")) or "none"
                 error = 100 * found.validation.relative_error

@@ -37,9 +37,8 @@ from daq.motion.trajectories import FourierSeries, Motion, Pieces, PointToPoint,
 from daq.recording.recorder import Recorder
 from daq.robot.loader import load_robot
 from daq.robot.schema import JointLimits, Robot
-from daq.session.clock_rates import ClockRates
 from daq.session.command_gate import MARGIN, CommandGate, GateLimits
-from daq.session.course import REST_TIME
+from daq.session.course import REST_TIME, ClockRates
 from daq.session.play import Play
 from daq.session.session import record
 from daq.session.supervisor import Limits, Supervisor

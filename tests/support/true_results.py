@@ -8,12 +8,13 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
+from ident.assessment.delay.delay import DelaySearch
 from ident.identify.summary import gain_results, model_options
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.result.estimate import EstimateResult
-from ident.result.schema import BaseParameterResult, DelayFigures, Essential, Excitation, Residuals, Result
+from ident.result.schema import BaseParameterResult, Essential, Excitation, Residuals, Result
 from ident.result.units import parameter_unit
 from ident.verdict.verdict import Verdict
 
@@ -49,7 +50,7 @@ def true_result(
         options={},
         model_options=model_options(model),
         preprocessing=[],
-        delay=DelayFigures(used=0.0, best=None, note=""),
+        delay=DelaySearch(used=0.0, note=""),
         base_parameters=[
             BaseParameterResult(
                 name=name,

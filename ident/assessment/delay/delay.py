@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 from pydantic.dataclasses import dataclass as stored
 
 from drivers.core.arrays import FloatArray, IntArray
@@ -31,7 +32,7 @@ from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import deviation_without
 from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
-from ident.stored import Number
+from ident.stored import Number, Stored
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -72,35 +73,20 @@ class JointDelay:
     interval: Number
 
 
-@dataclass(frozen=True)
-class DelaySearch:
-    """Outcome of the search.
+class DelaySearch(Stored):
+    """The delay of the torque behind the position, positive where the torque lags: given, or as the search left it."""
 
-    Attributes:
-        best: delay [s] that all joints share, positive where the torque lags; nan where none was found.
-        std: its standard deviation [s], by delete-block jackknife; nan where none was found.
-        interval: half of its 95 % interval [s]; nan where none was found.
-        gain: share by which the best delay lowers the error over all equations of held-out blocks.
-        used: the delay to use [s]: `best` where it helps, else 0.
-        joints: of each joint; `used` differs from that of all joints where a joint has its own delay.
-        leads: whether the torque is ahead of its motion beyond the interval, which no drive can bring about.
-        drift: growth of the delay with time [s/s]; nan where none was found.
-        drift_interval: half of its 95 % interval [s/s].
-        drifts: whether the drift is significant and matters.
-        note: the outcome in words.
-    """
-
-    best: float
-    std: float
-    interval: float
-    gain: float
-    used: float
-    joints: tuple[JointDelay, ...]
-    leads: bool
-    drift: float
-    drift_interval: float
-    drifts: bool
-    note: str
+    used: float = Field(description="[s], by all joints that have none of their own: `best` where it helps, else 0")
+    note: str = Field(default="as given, not searched", description="the outcome in words")
+    best: Number = Field(default=None, description="[s] that fits best for all joints; null where none was found")
+    std: Number = Field(default=None, description="of `best` [s], by delete-block jackknife")
+    interval: Number = Field(default=None, description="half of its 95 % interval [s]")
+    gain: Number = Field(default=None, description="share by which `best` lowers the error on blocks held out")
+    joints: list[JointDelay] = Field(default=[], description="each joint's own; empty where it was not searched")
+    leads: bool = Field(default=False, description="the torque is ahead of its motion beyond the interval")
+    drift: Number = Field(default=None, description="growth of the delay with time [s/s]")
+    drift_interval: Number = Field(default=None, description="half of its 95 % interval [s/s]")
+    drifts: bool = Field(default=False, description="whether the drift is significant and matters")
 
     @property
     def joint_delays(self) -> tuple[float, ...] | None:
@@ -138,7 +124,7 @@ def search_delay(
 
 def delay_checks(search: DelaySearch | None) -> list[Check]:
     """A torque that is ahead of its motion where that matters, and a delay that drifts."""
-    if search is None:
+    if search is None or search.best is None or search.interval is None or search.gain is None:
         return []
     checks = []
     if search.leads and search.gain >= WORTHWHILE_GAIN:
@@ -149,7 +135,7 @@ def delay_checks(search: DelaySearch | None) -> list[Check]:
             f"{percent_text(search.gain, 2)})"
         )
         checks.append(raised("torque-ahead", text))
-    if search.drifts:
+    if search.drifts and search.drift is not None and search.drift_interval is not None:
         text = (
             f"the delay of the torque changes by {search.drift * 1e3:.3g} ± {search.drift_interval * 1e3:.2g} ms per "
             f"second: the clocks of torque and position differ by the factor {1.0 + search.drift:.6g}; check how "
@@ -245,10 +231,10 @@ def _judged(data: _Data, common: _Candidate) -> DelaySearch:
     drift, drift_interval = _drift(common, quantile)
     seconds = float(data.segments[-1].time[-1] - data.segments[0].time[0])
     values = np.where(torque_slopes(common.equations) > 0.0, alone.fit.delays, np.nan)
-    joints = tuple(
+    joints = [
         JointDelay(name, float(delay), float(value), float(quantile * deviation))
         for name, value, deviation, delay in zip(data.kernel.model.joint_names, values, alone.std, delays, strict=True)
-    )
+    ]
     return DelaySearch(
         best=best,
         std=std,
@@ -345,6 +331,5 @@ def _in_words(best: float, interval: float, gain: float, helps: bool, used: floa
 
 
 def _none_found(kernel: RegressorKernel, note: str) -> DelaySearch:
-    nan = float("nan")
-    joints = tuple(JointDelay(name, 0.0, None, None) for name in kernel.model.joint_names)
-    return DelaySearch(nan, nan, nan, 0.0, 0.0, joints, False, nan, nan, False, note)
+    joints = [JointDelay(name, 0.0, None, None) for name in kernel.model.joint_names]
+    return DelaySearch(used=0.0, note=note, gain=0.0, joints=joints)

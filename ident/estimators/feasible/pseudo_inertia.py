@@ -12,11 +12,15 @@ the principal moments are contained in it.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.model.parameters import INERTIAL
+
+INERTIA_ELEMENTS = ("xx", "xy", "xz", "yy", "yz", "zz")
+"""Elements of an inertia, in the order of the ten standard parameters."""
 
 SIZE = 4
 """A pseudo-inertia has so many rows."""
@@ -67,6 +71,12 @@ class Body:
     mass: float
     com: FloatArray
     inertia: FloatArray
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """The fields of a body in a result: mass, centre of mass as a list, inertia by element."""
+        inertia = dict(zip(INERTIA_ELEMENTS, self.inertia[np.triu_indices(3)].tolist(), strict=True))
+        return {"mass": self.mass, "com": self.com.tolist(), "inertia": inertia}
 
 
 def body_of(link: FloatArray) -> Body:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from daq.recording.recording import Recording
+from daq.recording.recording import Recording, software_versions
 from daq.robot.loader import RobotFile
 from drivers.core.errors import UsageError
 from drivers.core.reading_process import Progress
@@ -19,6 +19,7 @@ from ident.experiments.friction.single_joint import JointPeriods, joint_periods
 from ident.experiments.run_pair import check_same_robot
 from ident.friction.choice import AUTO, check_friction
 from ident.identify.identification import IdentifyChoices
+from ident.result.friction_experiment import FrictionExperimentResult
 from ident.signals.options import PreprocessChoices
 
 
@@ -27,16 +28,12 @@ class FrictionExperiment:
     """Friction of all joints that move alone.
 
     Attributes:
-        robot_file: the arm.
-        recordings: names in messages.
-        asked: text of the friction terms.
+        result: what friction.json holds.
         periods: the data.
         joints: in the robot's order.
     """
 
-    robot_file: RobotFile
-    recordings: tuple[str, ...]
-    asked: str
+    result: FrictionExperimentResult
     periods: JointPeriods
     joints: tuple[JointFriction, ...]
 
@@ -76,5 +73,24 @@ def analyse_friction(
         if own:
             progress(f"friction of {name}")
             joints.append(fit_joint(periods.model, name, own, friction, section))
-    labels = tuple(one.label for one in recordings)
-    return FrictionExperiment(robot_file, labels, friction, periods, tuple(joints))
+    labels = [recording.label for recording in recordings]
+    result = _result(robot_file.robot.name, labels, friction, periods, joints)
+    return FrictionExperiment(result, periods, tuple(joints))
+
+
+def _result(
+    robot: str, recordings: list[str], asked: str, periods: JointPeriods, joints: Sequence[JointFriction]
+) -> FrictionExperimentResult:
+    search, moved = periods.data.delay, {joint.stored.joint for joint in joints}
+    return FrictionExperimentResult(
+        robot=robot,
+        recordings=recordings,
+        torque_origin=periods.data.runs[0].signals.torque_origin,
+        asked=asked,
+        delay=periods.data.choices.delay,
+        delay_note="as given, not searched" if search is None else search.note,
+        joints=[joint.stored for joint in joints],
+        friction_steps=[step for joint in joints for step in joint.steps],
+        not_moved=[name for name in periods.model.joint_names if name not in moved],
+        versions=software_versions(),
+    )

@@ -19,8 +19,9 @@ import numpy.typing as npt
 from daq.robot.schema import Friction
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
+from drivers.core.units import ZERO_CELSIUS
 from ident.experiments.friction.joint_data import JointData
-from ident.experiments.friction.joint_friction import JointFriction, Span
+from ident.experiments.friction.joint_friction import JointFriction
 from ident.experiments.friction.single_joint import JointPeriod
 from ident.friction.choice import AUTO, chosen_friction, friction_columns
 from ident.friction.solver import Value, settle
@@ -32,6 +33,7 @@ from ident.friction.table import (
     OPTIONS,
     SHAPED,
     TEMPERATURE_KINDS,
+    temperature_coefficients,
 )
 from ident.friction.terms import FrictionTerms, friction_terms, no_terms
 from ident.identify.friction.candidates import CANDIDATE_KINDS, FOLDS, Candidate, CandidateGrams, term_candidates
@@ -41,7 +43,8 @@ from ident.regression.autocorrelation import independent_share
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import BlockSums, block_length, jackknife_covariance, tolerant_moves
 from ident.regression.least_squares import LEAST_TORQUE
-from ident.result.friction import FrictionStep
+from ident.result.friction import FrictionStep, friction_fields
+from ident.result.friction_experiment import JointFrictionExperiment, ValueRange
 
 LEAST_LOAD_SHARE = 0.5
 """The load torque must vary by this times the Coulomb friction: gears lose some per cent of the torque that they carry,
@@ -97,7 +100,7 @@ class _JointFit:
             kind for kind in ("coulomb", "viscous") if kind in friction_columns(friction)
         )
         sliding = model.joints[model.joint_names.index(name)].prismatic
-        self._unit = "N" if sliding else "N·m"
+        self._sliding, self._unit = sliding, "N" if sliding else "N·m"
         if not sliding:  # else confounded with the weight
             self._base += ("offset",)
         self._load = [np.zeros_like(one.velocity) for one in periods]
@@ -135,7 +138,7 @@ class _JointFit:
             )
 
     @property
-    def load_span(self) -> Span:
+    def load_span(self) -> ValueRange:
         """Of |τ_L| over all equations."""
         return _span(np.abs(self._data.sampled(self._load)))
 
@@ -302,31 +305,39 @@ class _JointFit:
             np.full_like(one.velocity, np.nan) if one.temperature is None else one.temperature
             for one in self._data.periods
         ]
-        return JointFriction(
+        value = dict(zip(kinds, values.tolist(), strict=True))
+        std = dict(zip(kinds, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+        fields = friction_fields(solved.terms, 0, value, value.get, std.get)
+        places = [kinds.index(kind) for kind in TEMPERATURE_KINDS if kind in value]
+        if places:
+            to_beta = np.array([temperature_coefficients(*unit) for unit in np.eye(3)])[: len(places)].T
+            of_beta = to_beta @ covariance[np.ix_(places, places)] @ to_beta.T
+            fields["temperature"] = (to_beta @ values[places]).tolist()
+            fields["temperature_std"] = np.sqrt(np.diag(of_beta)).tolist()
+        kelvin, velocity = self.temperature, self._data.sampled([one.velocity for one in self._data.periods])
+        stored = JointFrictionExperiment(
             joint=self._name,
-            terms=solved.terms,
-            kinds=kinds,
-            values=values,
-            covariance=covariance,
-            speed=_span(np.abs(self._data.sampled([one.velocity for one in self._data.periods]))),
-            temperature=self.temperature,
-            load=self.load_span,
+            **fields,
+            temperature_term="full" if len(places) == 3 else "linear" if places else "none",
+            kinds=list(kinds),
+            values=values.tolist(),
+            covariance=np.where(np.isfinite(covariance), covariance, np.inf).tolist(),
+            sliding=self._sliding,
+            speed_range=_span(np.abs(velocity)),
+            temperature_range=None
+            if kelvin is None
+            else ValueRange(least=kelvin.least - ZERO_CELSIUS, greatest=kelvin.greatest - ZERO_CELSIUS),
+            load_range=self.load_span,
+            least_temperature_span=LEAST_TEMPERATURE_SPAN,
             least_load_span=self.least_load_span,
             rmse=float(np.sqrt(np.mean(solved.residual**2))),
             samples=len(solved.residual),
             periods=len(self._data.periods),
-            steps=steps,
             settled=settled,
-            notes=tuple(self._notes.values()),
-            points=np.array(
-                [
-                    self._data.sampled([one.velocity for one in self._data.periods]),
-                    self._data.sampled(heat),
-                    self._data.sampled(self._load),
-                    self._data.torque - own,
-                ]
-            ),
+            notes=list(self._notes.values()),
         )
+        points = [velocity, self._data.sampled(heat), self._data.sampled(self._load), self._data.torque - own]
+        return JointFriction(stored, solved.terms, steps, np.array(points))
 
 
 def _jackknife(columns: FloatArray, residual: FloatArray, block: npt.NDArray[np.int64]) -> FloatArray:
@@ -336,5 +347,5 @@ def _jackknife(columns: FloatArray, residual: FloatArray, block: npt.NDArray[np.
     return jackknife_covariance(tolerant_moves(sums, sums.gram.sum(axis=0)))
 
 
-def _span(values: FloatArray) -> Span:
-    return Span(float(values.min()), float(values.max()))
+def _span(values: FloatArray) -> ValueRange:
+    return ValueRange(least=float(values.min()), greatest=float(values.max()))

@@ -12,62 +12,26 @@ from ident.friction.terms import FrictionConditions, FrictionTerms
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal
 from ident.result.friction import FrictionStep
+from ident.result.friction_experiment import JointFrictionExperiment
 
 ALONE = ((0, 1.0),)
 """Motion and row of the column of a joint by itself."""
 
 
-@dataclass(frozen=True)
-class Span:
-    """From the least to the greatest value."""
-
-    least: float
-    greatest: float
-
-    @property
-    def width(self) -> float:
-        """Their difference."""
-        return self.greatest - self.least
-
-
 @dataclass(frozen=True, eq=False)
 class JointFriction:
-    """Friction of one joint, k coefficients and shapes; P points for plots.
+    """Friction of one joint, and what its page shows beside.
 
     Attributes:
-        joint: name.
+        stored: what friction.json holds of it.
         terms: of this one motor, shapes as estimated.
-        kinds: (k,) what the values are: kinds of friction columns, and of shapes that were estimated.
-        values: (k,).
-        covariance: (k, k) corrected for autocorrelated residuals.
-        speed: [rad/s or m/s].
-        temperature: [K]; None where it was not recorded.
-        load: of the gravity torque's absolute value [N·m or N].
-        least_load_span: of it, for a load term [N·m or N].
-        rmse: of the filtered torque's residual [N·m or N].
-        samples: equations.
-        periods: number of them.
         steps: terms that were tried.
-        settled: whether shapes and load torque converged.
-        notes: what the recordings do not tell, in words.
         points: (4, P) velocity, temperature [K] (nan where unknown), load torque, measured friction.
     """
 
-    joint: str
+    stored: JointFrictionExperiment
     terms: FrictionTerms
-    kinds: tuple[str, ...]
-    values: FloatArray
-    covariance: FloatArray
-    speed: Span
-    temperature: Span | None
-    load: Span
-    least_load_span: float
-    rmse: float
-    samples: int
-    periods: int
     steps: tuple[FrictionStep, ...]
-    settled: bool
-    notes: tuple[str, ...]
     points: FloatArray
 
 
@@ -94,7 +58,7 @@ def friction_torque(
     """Friction torque (N,) of a joint at velocities, temperatures [K] and load torques (N,)."""
     conditions = FrictionConditions(load[None], kelvin[None])
     total = np.zeros_like(velocity)
-    for kind, value in zip(joint.kinds, joint.values.tolist(), strict=True):
+    for kind, value in zip(joint.stored.kinds, joint.stored.values, strict=True):
         if kind in TERM:
             signal = friction_signal(model, kind, joint.terms.shape_of(kind, 0), velocity, conditions)
             total = total + value * signal

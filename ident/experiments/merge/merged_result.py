@@ -11,6 +11,7 @@ import numpy as np
 from daq.recording.recording import Recording, software_versions
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
+from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.plausibility import indefinite_share, sign_checks
 from ident.assessment.validation import Fit
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
@@ -31,7 +32,7 @@ from ident.regression.repeatability import RunDeviations, friction_columns, fric
 from ident.result.consistent_model import consistent_model, link_results
 from ident.result.estimate import Consistency, Contradiction, EstimateResult, ExperimentResult, Merge, MergedModel
 from ident.result.friction import friction_note, friction_results
-from ident.result.schema import DelayFigures, Essential, Excitation, Residuals, Result
+from ident.result.schema import Essential, Excitation, Residuals, Result
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 from ident.verdict.verdict import Verdict
@@ -174,7 +175,7 @@ def _result(
             for source in inputs
             for step in source.result.preprocessing
         ],
-        delay=DelayFigures(used=first.delay.used, best=first.delay.best, note=f"of {inputs[0].label}"),
+        delay=DelaySearch(used=first.delay.used, best=first.delay.best, note=f"of {inputs[0].label}"),
         base_parameters=parameter_results(model, base, solution, std, pruned, threshold, repeatability=between),
         friction=friction_results(model, base, solution, std, merged.covariance, {}, between),
         friction_note=friction_note(len(inputs), between),

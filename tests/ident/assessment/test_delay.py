@@ -130,7 +130,7 @@ def test_a_constant_torque_shows_no_delay(three_joint, smooth_segment, level):
     segment = replace(segment, torque=np.full_like(segment.torque, level))
     found = search_delay(kernel, [segment], butterworth(10.0, 100.0))
     assert found.used == 0.0
-    assert np.isnan(found.best)
+    assert found.best is None
     assert "does not change" in found.note
 
 

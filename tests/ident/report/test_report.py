@@ -13,7 +13,7 @@ import pytest
 from html_page import Page
 
 from drivers.core.errors import UsageError
-from ident.assessment.delay.delay import JointDelay
+from ident.assessment.delay.delay import DelaySearch, JointDelay
 from ident.assessment.validation import Fit
 from ident.regression.comparison import TorqueSeries
 from ident.report import TruthTable, render_report, write_result_folder
@@ -23,7 +23,6 @@ from ident.result.delivered import Delivered
 from ident.result.friction import JointFrictionResult
 from ident.result.schema import (
     BaseParameterResult,
-    DelayFigures,
     DriveGainResult,
     Essential,
     Excitation,
@@ -111,7 +110,7 @@ def result(**changes: Any) -> Result:
             smoothing=0.0,
         ),
         preprocessing=[Step(name="filter", settings={"cutoff": 12.5}, text="low-passed at 12.5 Hz")],
-        delay=DelayFigures(
+        delay=DelaySearch(
             used=0.004,
             best=0.004,
             note="torque lags the motion by 4.00 ± 0.30 ms",

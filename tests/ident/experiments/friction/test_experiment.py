@@ -15,11 +15,9 @@ from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
 from ident.experiments.friction.experiment import analyse_friction
 from ident.experiments.friction.joint_friction import friction_torque
-from ident.experiments.friction.summary import friction_result
 from ident.result.friction_experiment import read_friction_experiment
 from ident.tasks.friction import friction
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.simulated_run import simulate
+from sim_drivers.synthetic.measurement import simulate, simulate_recording
 
 FIELDS = ("coulomb", "viscous", "offset", "load")
 
@@ -93,7 +91,7 @@ def test_the_curve_is_the_torque_of_the_coefficients(given):
 def test_the_result_is_written_read_and_shown(given, tmp_path):
     given.save(tmp_path)
     again = read_friction_experiment(tmp_path)
-    assert again.model_dump() == friction_result(given.experiment).model_dump() == json.loads(given.to_json())
+    assert again.model_dump() == given.result.model_dump() == json.loads(given.to_json())
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     for plot in ("speed-plot", "temperature-plot", "load-plot"):
         assert plot in page

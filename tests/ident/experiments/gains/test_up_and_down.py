@@ -248,8 +248,13 @@ def test_the_command(folder, capsys, monkeypatch):
     assert (status, err) == (0, "")
     for expected in ("half sums", "friction free", "Centre of mass of the load [m]", "for the robot file:\ndrives:"):
         assert expected in out
-    status, out, _ = run(monkeypatch, capsys, *arguments, "--com", "0.08,0.03,0.05", "--json", "--force")
+    known = (*arguments, "--com", "0.08,0.03,0.05", "--force")
+    status, out, err = run(monkeypatch, capsys, *known)
+    assert (status, err) == (0, "")
+    assert "null vector" not in out  # each gain is identified by itself
+    status, out, _ = run(monkeypatch, capsys, *known, "--json")
     content = json.loads(out)
+    assert content["gap"] is None
     assert content["kind"] == "gains-up-and-down"
     assert content["gains"][0]["gain"] is None
     assert content["gains"][2]["gain"] == pytest.approx(4.2, rel=0.01)
