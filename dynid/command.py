@@ -17,6 +17,7 @@ from typing import Any
 
 import typer
 
+from daq.commands.help_text import CONTEXT, GroupedCommands
 from daq.output_files import DISK_ERRORS, outputs_of_a_command
 from drivers.core.errors import (
     INTERRUPTED_STATUS,
@@ -41,9 +42,9 @@ def build_app() -> typer.Typer:
     """The application with the commands of every installed package; one that cannot be imported is named on stderr."""
     app = typer.Typer(
         name="dynid",
-        help="Record a robot arm and identify its dynamic model.",
-        no_args_is_help=True,
-        add_completion=False,
+        cls=GroupedCommands,
+        context_settings=CONTEXT,
+        invoke_without_command=True,
         pretty_exceptions_enable=False,
         rich_markup_mode=None,  # or units in brackets are taken for markup and vanish from the help
     )
@@ -58,20 +59,43 @@ def build_app() -> typer.Typer:
     return app
 
 
-def _show_version(value: bool) -> None:
-    if value:
-        from importlib.metadata import version
-
-        print(f"dynid {version('dynid')}")
-        raise typer.Exit
-
-
 def _root(
-    version: bool = typer.Option(
-        False, "--version", help="Print the version and leave.", is_eager=True, callback=_show_version
-    ),
+    context: typer.Context,
+    version: bool = typer.Option(False, "--version", help="Print the version; --verbose: all for a bug report."),
+    verbose: bool = typer.Option(False, "--verbose", "-v", hidden=True),
 ) -> None:
-    """Record a robot arm and identify its dynamic model."""
+    """Record a robot arm and identify its dynamic model.
+
+    Every command has --help with an example. First steps: dynid demo.
+    """
+    if version:
+        print("\n".join(_versions() if verbose else _versions()[:1]))
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+    elif verbose:
+        raise UsageError("--verbose belongs behind a command", hint=f"dynid {context.invoked_subcommand} … --verbose")
+
+
+def _versions() -> list[str]:
+    """Versions of dynid, Python, the system, and of what dynid requires, a line each."""
+    import platform
+    import re
+    from importlib.metadata import PackageNotFoundError, requires, version
+
+    lines = [
+        f"dynid {version('dynid')}",
+        f"Python {platform.python_version()} at {sys.executable}",
+        f"{platform.platform()}, {os.cpu_count()} cores",
+        f"dynid at {os.path.dirname(__file__)}",
+    ]
+    names = [re.match(r"[\w.-]+", text) for text in requires("dynid") or () if "extra ==" not in text]
+    for name in sorted(match.group() for match in names if match):
+        try:
+            lines.append(f"{name} {version(name)}")
+        except PackageNotFoundError:
+            lines.append(f"{name} not installed")
+    return lines
 
 
 def report_error(error: DynidError, as_json: bool) -> None:
@@ -112,7 +136,7 @@ def _status(as_json: bool) -> int:
         with warnings.catch_warnings(), outputs_of_a_command():
             warnings.simplefilter("always", DynidWarning)
             warnings.showwarning = partial(_show_warning, warnings.showwarning)
-            status = build_app()(standalone_mode=False)
+            status = build_app()(prog_name="dynid", standalone_mode=False)
     except DynidError as error:
         report_error(error, as_json)
         return error.exit_status
@@ -144,7 +168,8 @@ def _told(error: Exception) -> DynidError | None:
     if hasattr(error, "format_message"):  # Click's own wording
         context = getattr(error, "ctx", None)
         command = context.command_path if context is not None else "dynid"
-        return UsageError(error.format_message(), where=command, hint=f"see {command} --help")
+        where = command.removeprefix("dynid").strip()
+        return UsageError(error.format_message().rstrip("."), where=where, hint=f"see {command} --help")
     return None
 
 

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.completion import COMPLETIONS
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON
 
-app = typer.Typer()
+app = CommandApp("Simulate")
 
 
 @app.command("demo")
@@ -20,7 +22,7 @@ def demo(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Excite and record a simulated UR arm over RTDE, identify, validate, compare with the truth, write the report.
+    """Record and identify a simulated UR arm; show truth beside estimate.
 
     Example: dynid demo --out demo
     """
@@ -34,7 +36,9 @@ def demo(
 
 @app.command("sim")
 def sim(
-    robot: str = typer.Argument(help="Built-in robot or robot file with a truth section."),
+    robot: str = typer.Argument(
+        help="Built-in robot or robot file with a truth section.", autocompletion=COMPLETIONS["robot"]
+    ),
     wire: str = typer.Option("rtde", "--wire", help="rtde, canopen, slcan (CANopen), can, thermometer."),
     host: str = typer.Option("127.0.0.1", "--host", help="Address to listen on; several arms: 127.0.0.2, 127.0.0.3."),
     version: str = typer.Option("5.22", "--version", help="Of the controller: 3.15 (125 Hz), 5.22, 5.23, 10.10."),
@@ -52,7 +56,9 @@ def sim(
     no_ui: bool = typer.Option(False, "--no-ui", help="No status line on standard error."),
     as_json: bool = typer.Option(False, "--json", help="As --no-ui; ports and pid are printed as JSON in any case."),
 ) -> None:
-    """Serve a simulated arm until Ctrl-C; type a fault, such as: drop 10, freeze 3, cut, block 2, power-cycle 3.
+    """Serve a simulated arm over RTDE or CAN until Ctrl-C.
+
+    Type a fault while it runs, such as: drop 10, freeze 3, cut, block 2, power-cycle 3.
 
     Example: dynid sim ur5e --wire canopen
     """

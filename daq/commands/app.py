@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import typer
 
-from daq.commands import import_file, record, recover, robots
+from daq.commands import import_file, record, recover
 
 app = typer.Typer()
-for command in (robots, import_file, record, recover):
+for command in (record, import_file, recover):
     app.add_typer(command.app)

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
 from daq.importers.choices import ImportChoices
 
-app = typer.Typer()
+app = CommandApp("Record")
 
 
 @app.command("import")
@@ -24,7 +25,7 @@ def import_recording(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Take over a recording made by something else.
+    """Turn a CSV, npz, mat, ROS 2 bag or MCAP file into a recording.
 
     Example: dynid import run.csv --robot ur5e --degrees -o run.h5
     """

@@ -10,13 +10,15 @@ from typing import Any, TypeVar
 
 import typer
 
-from drivers.core.options import Option, declared, flag_of
+from daq.commands.completion import COMPLETIONS
+from drivers.core.options import Option, declared, flag_of, panel_of
 
 Given = TypeVar("Given")
 
 FORCE = typer.Option(False, "--force", help="Overwrite files that exist.")
 JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
-ROBOT = typer.Argument(help="Built-in robot or robot file.")
+ROBOT = typer.Argument(help="Built-in robot or robot file.", autocompletion=COMPLETIONS["robot"])
+VERBOSE = typer.Option(False, "--verbose", "-v", help="Everything that was computed, not the outcome alone.")
 
 _TYPES = {"bool": bool, "int": int, "float": float, "Path": Path}
 """Types of values that Typer reads; everything else is text."""
@@ -36,7 +38,10 @@ def takes(options: type[Given], **more: dict[str, Any]) -> Callable[[Callable[..
         shown: list[inspect.Parameter] = []
         for name, parameter in own.items():
             if name == "options":
-                shown += [_parameter(of, told, more.get(of.name, {})) for of, told in stated]
+                shown += [
+                    _parameter(of, told, {"rich_help_panel": panel_of(options, of)} | more.get(of.name, {}))
+                    for of, told in stated
+                ]
             else:
                 shown.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
@@ -65,8 +70,9 @@ def _parameter(of: Field[Any], told: Option, more: dict[str, Any]) -> inspect.Pa
     required = of.default is MISSING and of.default_factory is MISSING
     default = ... if required else told.shown if told.read is not None else of.default
     flags = () if told.argument else (flag_of(of),)
+    completion = COMPLETIONS.get(told.argument or of.name)
     place = (typer.Argument if told.argument else typer.Option)(
-        default, *flags, help=told.help, metavar=told.metavar, **more
+        default, *flags, help=told.help, metavar=told.metavar, autocompletion=completion, **more
     )
     return inspect.Parameter(
         told.argument or of.name, inspect.Parameter.KEYWORD_ONLY, default=place, annotation=value_type

@@ -8,22 +8,29 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from daq.commands.options import FORCE, JSON
+from daq.commands.completion import COMPLETIONS
+from daq.commands.help_text import CommandApp
+from daq.commands.options import FORCE, JSON, ROBOT
 from drivers.core.text import percent_text
 
 if TYPE_CHECKING:
     from daq.motion.motion_check import MotionFigures
     from daq.session.session import SessionReport
 
-app = typer.Typer()
+app = CommandApp("Record")
 
 
 @app.command("record")
 def record_command(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
-    robot: str = typer.Argument(help="Built-in robot or robot file."),
+    robot: str = ROBOT,
     wire: str = typer.Option(None, "--wire", help="Connection of the robot file; its first one if absent."),
     host: str = typer.Option(None, "--host", help="Address in place of the connection's own."),
-    trajectory: Path = typer.Option(None, "--trajectory", help="Trajectory file to play; the arm will move."),
+    trajectory: Path = typer.Option(
+        None,
+        "--trajectory",
+        help="Trajectory file to play; the arm will move.",
+        autocompletion=COMPLETIONS["trajectory"],
+    ),
     speed_scale: float = typer.Option(
         1.0, "--speed-scale", help="Share of the trajectory's speed, such as 0.2 for a first run; at most 1."
     ),

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON
 
-app = typer.Typer()
+app = CommandApp("Record")
 
 
 @app.command("recover")
@@ -21,7 +22,7 @@ def recover_command(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Rescue what was flushed of a recording that was never closed.
+    """Rescue a recording that was never closed.
 
     Example: dynid recover run.h5
     """

@@ -44,6 +44,7 @@ class Option:
         shown: default of the command line's text where `read` turns it into the field's default.
         command_type: type on the command line where it is not that of the field, such as `Path` or `list[Path]`.
         argument: name of a positional argument of the command; empty for an option.
+        panel: of the command's help; its dataclass's `PANEL` where None, the common options first where empty.
     """
 
     help: str = ""
@@ -57,6 +58,7 @@ class Option:
     shown: str | None = None
     command_type: Any = None
     argument: str = ""
+    panel: str | None = None
 
     def check(self, flag: str, value: Any) -> None:
         """Refuse a value that is not allowed; None always is.
@@ -93,6 +95,15 @@ def argument(name: str, help: str, **more: Any) -> dict[str, Option]:
 def declared(of: Field[Any]) -> Option | None:
     """What a field declares; None of a field that is no option."""
     return of.metadata.get(_METADATA)
+
+
+def panel_of(options: type, of: Field[Any]) -> str | None:
+    """The panel of the command's help that a field of a dataclass stands in; None among the common options."""
+    stated = declared(of)
+    if stated is not None and stated.panel is not None:
+        return stated.panel or None
+    home = next(base for base in options.__mro__ if of.name in inspect.get_annotations(base))
+    return vars(home).get("PANEL")
 
 
 def flag_of(of: Field[Any]) -> str:

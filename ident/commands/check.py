@@ -7,10 +7,11 @@ from typing import NoReturn
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import JSON, ROBOT
 from drivers.core.errors import InputError
 
-app = typer.Typer()
+app = CommandApp("Robot")
 
 
 @app.command("check")
@@ -22,7 +23,7 @@ def check(
     reset_faults: bool = typer.Option(False, "--reset-faults", help="Reset faults of CiA 402 drives; enables nothing."),
     as_json: bool = JSON,
 ) -> None:
-    """Check a robot file: its keys, kinematics, base parameters, connections and the load of their CAN buses.
+    """Check a robot file: kinematics, connections, load of the buses.
 
     All problems are reported at once; what was assumed is listed, and where the tool is at named poses.
 

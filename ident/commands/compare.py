@@ -6,10 +6,11 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import CompareOptions
 
-app = typer.Typer()
+app = CommandApp("Identify")
 
 
 @app.command("compare")
@@ -21,7 +22,7 @@ def compare_methods(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Identify with several methods and compare their errors on the same held-out recordings.
+    """Compare methods and friction models on held-out recordings.
 
     Example: dynid compare run.h5 --methods ols,wls --validate val-1.h5 --validate val-2.h5 -o comparison
     """

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import JSON
 
-app = typer.Typer()
+app = CommandApp("Use")
 
 
 @app.command("diff")
@@ -17,7 +18,7 @@ def compare_models(
     second: Path = typer.Argument(help="The same of another identification of this arm."),
     as_json: bool = JSON,
 ) -> None:
-    """Set two models of one arm side by side: parameters with z-scores, held-out errors, checks.
+    """Compare two models of one arm: parameters, errors, checks.
 
     Example: dynid diff model-may model-june
     """

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import ExciteOptions
 
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from ident.excite.search.search import SearchResult
     from ident.tasks.excitation import ExcitationTrajectory
 
-app = typer.Typer()
+app = CommandApp("Record")
 
 
 @app.command("excite")
@@ -27,9 +28,11 @@ def excite(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Design an excitation trajectory within the arm's limits; Ctrl-C ends the search with the best so far.
+    """Design an excitation trajectory within the arm's limits.
 
-    Example: dynid excite ur5e -o traj.yaml --periods 3 --page traj.html
+    Ctrl-C ends the search with the best motion so far.
+
+    Example: dynid excite ur5e -o traj.yaml --page traj.html
     """
     from daq.commands.console import print_json, progress_line
     from daq.output_files import check_outputs, written_together

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON
 
-app = typer.Typer()
+app = CommandApp("Use")
 
 
 @app.command("export")
@@ -30,7 +31,7 @@ def export(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Write the physically consistent model for simulators and controllers; each file is read again and simulated.
+    """Write the model as URDF, MJCF or C, read again and verified.
 
     Example: dynid export model --urdf arm.urdf --mjcf arm.xml --c arm
     """

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import FrictionOptions
 
-app = typer.Typer()
+app = CommandApp("Identify")
 
 
 @app.command("friction")
@@ -21,7 +22,7 @@ def find_friction(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Identify the friction of single joints: over speed, temperature and load.
+    """Identify joint friction over speed, temperature and load.
 
     Example: dynid friction cold.h5 warm.h5 warmer.h5 -o friction
     """

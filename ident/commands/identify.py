@@ -6,11 +6,12 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
 from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, METHOD
 from ident.tasks.options import IdentifyOptions
 
-app = typer.Typer()
+app = CommandApp("Identify")
 
 
 @app.command("identify")
@@ -26,7 +27,7 @@ def identify_recordings(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Identify the dynamic model, validate it on held-out data, write result.json and report.html.
+    """Identify the model, validate it on held-out data, report.
 
     Example: dynid identify run.h5 --validate val.h5 -o model
     """

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import InfoOptions
 
-app = typer.Typer()
+app = CommandApp("Look")
 
 
 @app.command("info")
@@ -21,7 +22,7 @@ def show_info(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Show a recording's streams, clock and signal quality, and how well its motion excites the arm.
+    """Judge a recording: clocks, signals, excitation of the arm.
 
     Example: dynid info run.h5 --wanted-rsd 5 --page run-info
     """

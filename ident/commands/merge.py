@@ -6,10 +6,11 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import MergeOptions
 
-app = typer.Typer()
+app = CommandApp("Identify")
 
 
 @app.command("merge")
@@ -21,7 +22,7 @@ def merge_models(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Merge models of one arm from several experiments, each weighted by its covariance, and test whether they agree.
+    """Merge models of one arm, each weighted by its covariance.
 
     Example: dynid merge arm-model wrist-model --validate val.h5 -o merged
     """

@@ -21,10 +21,21 @@ def _list_methods(text: str) -> str:
 METHOD = {"callback": _list_methods, "is_eager": True}
 """What `--method` does beside: 'help' lists the methods."""
 
-ACCEPT = typer.Option(None, "--accept", help="YAML file of limits; exit status 1 where one is not kept.")
-MAX_ERROR = typer.Option(None, "--max-error", help="Limit of the held-out relative error, a ratio such as 0.08.")
-MAX_JOINT_ERROR = typer.Option(None, "--max-joint-error", help="The same for every joint by itself.")
-MAX_RMSE = typer.Option(None, "--max-rmse", help="Limit of every joint's held-out RMSE [N·m or N].")
+ACCEPT = typer.Option(
+    None, "--accept", help="YAML file of limits; exit status 1 where one is not kept.", rich_help_panel="Acceptance"
+)
+MAX_ERROR = typer.Option(
+    None,
+    "--max-error",
+    help="Limit of the held-out relative error, a ratio such as 0.08.",
+    rich_help_panel="Acceptance",
+)
+MAX_JOINT_ERROR = typer.Option(
+    None, "--max-joint-error", help="The same for every joint by itself.", rich_help_panel="Acceptance"
+)
+MAX_RMSE = typer.Option(
+    None, "--max-rmse", help="Limit of every joint's held-out RMSE [N·m or N].", rich_help_panel="Acceptance"
+)
 
 
 def limits_option(

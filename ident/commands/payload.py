@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import GainsOptions, LoadOptions
 
 if TYPE_CHECKING:
     from ident.experiments.schema import GainsResult, PayloadResult, SlowGainsResult
 
-app = typer.Typer()
+app = CommandApp("Identify")
 
 OUT = typer.Option(None, "-o", "--out", help="Folder for the result (.json) and report.html.")
 
@@ -38,7 +39,7 @@ def _folder(options: LoadOptions, out: Path | None, experiment: str, result: str
 @app.command("payload")
 @takes(LoadOptions)
 def identify_load(*, options: LoadOptions, out: Path = OUT, force: bool = FORCE, as_json: bool = JSON) -> None:
-    """Identify the load on the tool, and test whether a load explains what changed between the runs.
+    """Identify the load on the tool from runs without and with it.
 
     Example: dynid payload free.h5 loaded.h5 --mass 2.8 -o load
     """
@@ -62,7 +63,7 @@ def identify_load(*, options: LoadOptions, out: Path = OUT, force: bool = FORCE,
 @app.command("gains")
 @takes(GainsOptions)
 def identify_drive_gains(*, options: GainsOptions, out: Path = OUT, force: bool = FORCE, as_json: bool = JSON) -> None:
-    """Identify the gains of all drives from a run without and a run with a load of known mass.
+    """Identify drive gains from runs without and with a known load.
 
     Example: dynid gains free.h5 loaded.h5 --mass 2.8 -o gains
     """

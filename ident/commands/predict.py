@@ -6,10 +6,11 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import PredictOptions
 
-app = typer.Typer()
+app = CommandApp("Use")
 
 
 @app.command("predict")
@@ -22,7 +23,7 @@ def predict_torque(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Predict a recording's torques part by part (gravity, friction, inertia, Coriolis), and what the model leaves.
+    """Predict a recording's torques: gravity, friction, inertia, rest.
 
     Example: dynid predict model run.h5 -o predicted.h5 --page predicted.html
     """

@@ -6,11 +6,32 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp, GroupedCommands
 from daq.commands.options import FORCE, JSON, ROBOT
 
-robot_app = typer.Typer(no_args_is_help=True, help="Robot files: joints, limits, base parameters.")
-app = typer.Typer()
-app.add_typer(robot_app, name="robot")
+robot_app = CommandApp("Robot", cls=GroupedCommands, invoke_without_command=True)
+app = CommandApp("Robot")
+app.add_typer(robot_app, name="robot", rich_help_panel="Robot")
+app.add_typer(robot_app, name="robots", hidden=True)  # the same by the other word
+
+
+@robot_app.callback()
+def robots(context: typer.Context, as_json: bool = JSON) -> None:
+    """List the built-in robots; show one, or write the file of a new one.
+
+    Example: dynid robot
+    """
+    from daq.commands.console import print_json, print_table
+    from daq.robot.loader import builtin_robots, load_robot
+
+    if context.invoked_subcommand is not None:
+        return
+    listed = [load_robot(name).robot for name in builtin_robots()]
+    if as_json:
+        print_json({"robots": [{"name": r.name, "dof": r.dof, "description": r.description} for r in listed]})
+        return
+    print_table("Built-in robots", ("name", "joints", "description"), [(r.name, r.dof, r.description) for r in listed])
+    print("\nOne of them: dynid robot show ur5e. A new one: dynid robot new arm.urdf -o my_arm.yaml.")
 
 
 @robot_app.command("show")
@@ -79,7 +100,7 @@ def new(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Write a commented robot file to complete: every key that matters with its unit, TODO where a value is missing.
+    """Write a commented robot file to complete, TODO where a value is missing.
 
     Example: dynid robot new arm.urdf -o arm.yaml
     """

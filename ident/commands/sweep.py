@@ -6,10 +6,11 @@ from pathlib import Path
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
 from ident.tasks.options import SweepOptions
 
-app = typer.Typer()
+app = CommandApp("Record")
 
 
 @app.command("sweep")
@@ -22,7 +23,7 @@ def sweep_velocities(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Design a motion for friction: one joint at a time, forth and back, its speed rising and falling again.
+    """Design a motion for friction: one joint at a time, slow to fast.
 
     Example: dynid sweep ur5e -o sweep.yaml --page sweep.html
     """

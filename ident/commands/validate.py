@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from daq.commands.help_text import CommandApp
 from daq.commands.options import JSON, takes
 from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE
 from ident.tasks.options import ValidateOptions
@@ -14,7 +15,7 @@ from ident.tasks.options import ValidateOptions
 if TYPE_CHECKING:
     from ident.tasks.validation import RecordingValidation, Validation
 
-app = typer.Typer()
+app = CommandApp("Identify")
 
 
 @app.command("validate")
@@ -28,7 +29,7 @@ def validate_model(
     max_rmse: float = MAX_RMSE,
     as_json: bool = JSON,
 ) -> None:
-    """Predict the torques of other recordings with a stored model.
+    """Judge a stored model on other recordings.
 
     Example: dynid validate model val.h5 --max-error 0.08
     """

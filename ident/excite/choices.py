@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from drivers.core.errors import UsageError
 from drivers.core.options import Options, option, read_names
@@ -31,6 +31,8 @@ DEFAULT_MARGIN = 0.1
 class DesignChoices(Options):
     """Options of the motion and of what it is designed for."""
 
+    PANEL: ClassVar[str] = "Motion"
+
     kind: Kind = option("fourier", "fourier, fourier-quintic, sines or points.", one_of=get_args(Kind))
     criterion: CriterionName = option(
         "d-optimal",
@@ -46,8 +48,9 @@ class DesignChoices(Options):
         "Seconds of one repetition.",
         meaning="duration of one repetition, or of all of a sum of sines or a point-to-point motion [s].",
         allowed=PERIOD,
+        panel="",
     )
-    periods: int = option(1, "Repetitions.", allowed=Range(1, 10_000))
+    periods: int = option(3, "Repetitions.", allowed=Range(1, 10_000), panel="")
     ramp: float = option(
         2.0,
         "Seconds from rest to full speed, and back.",
@@ -89,6 +92,8 @@ class DesignChoices(Options):
 @dataclass(frozen=True, kw_only=True)
 class SearchOptions(Options):
     """How long and how to search."""
+
+    PANEL: ClassVar[str] = "Search"
 
     seed: int = option(0, "Of the random starts.", allowed=SEED)
     time: float | None = option(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import ClassVar
 
 from drivers.core.errors import UsageError
 from drivers.core.options import Options, option
@@ -15,6 +16,8 @@ from ident.ranges import SMOOTHING
 class ColumnOptions(Options):
     """Departures from the robot file's columns; None follows the file."""
 
+    PANEL: ClassVar[str] = "Model"
+
     friction: str | None = option(
         None,
         "auto (default), coulomb-viscous, coulomb-viscous+stribeck+load, …; see docs.",
@@ -22,6 +25,7 @@ class ColumnOptions(Options):
         '"coulomb-viscous+stribeck+load" (power, stribeck, load, load-linear, temperature, temperature-linear); or '
         '"auto", which chooses the terms of each joint by held-out error; the robot file\'s where None, "auto" where '
         "that states none.",
+        panel="",
     )
     friction_from: str | PathLike[str] | None = option(
         None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from drivers.core.options import Options, option, read_names
 from drivers.core.ranges import Range
@@ -34,6 +34,8 @@ EssentialRule = Literal["rsd", "f-test"]
 class EssentialOptions(Options):
     """Which parameters leave the essential model."""
 
+    PANEL: ClassVar[str] = "Essential model"
+
     essential: EssentialRule = option(
         "rsd",
         "Which parameters leave the essential model: rsd (--significance) or f-test.",
@@ -52,6 +54,8 @@ class EssentialOptions(Options):
 @dataclass(frozen=True, kw_only=True)
 class ExperimentChoices(Options):
     """A user's description of the experiment: joints at rest, and motors whose torques are used."""
+
+    PANEL: ClassVar[str] = "Samples"
 
     locked: Sequence[str] = option(
         (),
@@ -75,6 +79,8 @@ class ExperimentChoices(Options):
 @dataclass(frozen=True, kw_only=True)
 class ReversalOptions(Options):
     """What becomes of equations near velocity reversals."""
+
+    PANEL: ClassVar[str] = "Samples"
 
     reversals: float | None = option(
         None,

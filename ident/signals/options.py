@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from drivers.core.errors import UsageError
 from drivers.core.options import Options, option, read_delay, read_numbers
@@ -42,6 +42,8 @@ def delay_option() -> float | None:
 @dataclass(frozen=True, kw_only=True)
 class FilterOptions(Options):
     """How positions and torques are filtered; None is chosen from the data (see `choose_cutoffs`)."""
+
+    PANEL: ClassVar[str] = "Signals"
 
     delay: float | None = delay_option()
     position_cutoff: float | None = option(
@@ -117,6 +119,8 @@ class FilterOptions(Options):
 @dataclass(frozen=True, kw_only=True)
 class WindowOptions(Options):
     """Which samples are used."""
+
+    PANEL: ClassVar[str] = "Samples"
 
     start: float | None = option(
         None, "Leave out samples before this time [s from the first stamp].", allowed=WINDOW_TIME

@@ -12,6 +12,7 @@ from typing import TextIO
 
 import pytest
 
+from daq.commands.help_text import GROUPS
 from daq.robot import loader
 from drivers.core.errors import DataError, IdentificationError
 from dynid import command
@@ -37,12 +38,12 @@ def test_help_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
-    for name in ("identify", "import", "info", "robots", "check", "validate", "demo"):
+    for name in ("identify", "import", "info", "robot", "check", "validate", "demo"):
         assert name in done.stdout
 
 
 def test_every_command_has_help_with_an_example(monkeypatch, capsys):
-    for name in ("robots", "import", "check", "info", "identify", "validate", "demo"):
+    for name in ("robot", "import", "check", "info", "identify", "validate", "demo"):
         status, out, _ = run(monkeypatch, capsys, name, "--help")
         assert status == 0
         assert "Example: dynid" in out
@@ -52,6 +53,53 @@ def test_version(monkeypatch, capsys):
     status, out, _ = run(monkeypatch, capsys, "--version")
     assert status == 0
     assert out.startswith("dynid 0.")
+
+
+def test_bare_dynid_shows_commands_by_group_with_whole_summaries(monkeypatch, capsys):
+    status, out, err = run(monkeypatch, capsys)
+    assert (status, err) == (0, "")
+    places = [out.index(f"\n{group}:\n") for group in GROUPS]
+    assert places == sorted(places)
+    assert "..." not in out.partition("Robot:")[2]
+    assert run(monkeypatch, capsys, "-h")[:2] == (0, out)
+
+
+def test_common_options_come_before_the_panels(monkeypatch, capsys):
+    _, out, _ = run(monkeypatch, capsys, "identify", "-h")
+    order = ["\nOptions:", "--friction ", "\nModel:", "--friction-from", "\nSignals:", "--delay"]
+    assert [out.index(text) for text in order] == sorted(out.index(text) for text in order)
+
+
+def test_version_with_verbose_names_what_a_bug_report_needs(monkeypatch, capsys):
+    status, out, _ = run(monkeypatch, capsys, "--version", "--verbose")
+    assert status == 0
+    assert {"dynid", "Python", "numpy", "pin"} <= {line.split()[0] for line in out.splitlines()}
+
+
+def test_an_error_names_dynid_once(monkeypatch, capsys):
+    assert run(monkeypatch, capsys, "--nope")[2] == "dynid: No such option: --nope (see dynid --help)\n"
+    assert run(monkeypatch, capsys, "identify")[2].startswith("dynid: identify: Missing argument 'recordings' (see ")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("robot show ur5", ["ur5e"]),
+        ("check arms/m", ["arms/mine.yaml"]),
+        ("identify run.h5 --validate ", ["arms/", "run.h5"]),
+        ("record ur5e --trajectory arms/", ["arms/mine.yaml"]),
+        ("mer", ["merge"]),
+    ],
+)
+def test_tab_completes(monkeypatch, capsys, tmp_path, words, expected):
+    (tmp_path / "arms").mkdir()
+    (tmp_path / "arms" / "mine.yaml").touch()
+    (tmp_path / "run.h5").touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("_DYNID_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", f"dynid {words}")
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split(" "))))
+    assert run(monkeypatch, capsys)[1].split() == expected
 
 
 @pytest.mark.parametrize(

@@ -95,6 +95,8 @@ def writing_commands() -> set[str]:
     """Commands with an option for a file or folder to write, or for overwriting it."""
     found = set()
     for name, entry in get_command(command.build_app()).commands.items():
+        if entry.hidden:  # another word for a command of the help
+            continue
         for words, one in (
             [(name, entry)]
             if not hasattr(entry, "commands")
