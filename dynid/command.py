@@ -144,17 +144,17 @@ def _status(as_json: bool) -> int:
         status = INTERRUPTED_STATUS
     except Exception as error:
         sys.stdout.flush()  # fails again where that is the reason
-        told = _told(error)
-        if told is None:  # a bug, which keeps its traceback
+        user_error = _user_error(error)
+        if user_error is None:  # a bug, which keeps its traceback
             raise
-        report_error(told, as_json)
-        return told.exit_status
+        report_error(user_error, as_json)
+        return user_error.exit_status
     if status == INTERRUPTED_STATUS:  # Typer returns it after Ctrl-C within a command
         print("dynid: interrupted", file=sys.stderr)
     return status if isinstance(status, int) else 0
 
 
-def _told(error: Exception) -> DynidError | None:
+def _user_error(error: Exception) -> DynidError | None:
     """What people are told of an error of the system, or of the command's usage; None of a bug."""
     if out_of_memory(error):
         return WorkError(

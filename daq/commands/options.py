@@ -31,7 +31,7 @@ def takes(options: type[Given], **more: dict[str, Any]) -> Callable[[Callable[..
         options: the dataclass.
         more: further settings of Typer by the field's name.
     """
-    stated = [(of, told) for of in fields(options) if (told := declared(of)) is not None and told.help]  # type: ignore[arg-type]
+    entries = [(of, entry) for of in fields(options) if (entry := declared(of)) is not None and entry.help]  # type: ignore[arg-type]
 
     def decorate(function: Callable[..., None]) -> Callable[..., None]:
         own = inspect.signature(function, eval_str=True).parameters
@@ -39,18 +39,18 @@ def takes(options: type[Given], **more: dict[str, Any]) -> Callable[[Callable[..
         for name, parameter in own.items():
             if name == "options":
                 shown += [
-                    _parameter(of, told, {"rich_help_panel": panel_of(options, of)} | more.get(of.name, {}))
-                    for of, told in stated
+                    _parameter(of, entry, {"rich_help_panel": panel_of(options, of)} | more.get(of.name, {}))
+                    for of, entry in entries
                 ]
             else:
                 shown.append(parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY))
 
         def command(**values: Any) -> None:
             given = {}
-            for of, told in stated:
-                value = values.pop(told.argument or of.name)
-                if told.read is not None and value is not None:
-                    value = told.read(value, flag_of(of))
+            for of, entry in entries:
+                value = values.pop(entry.argument or of.name)
+                if entry.read is not None and value is not None:
+                    value = entry.read(value, flag_of(of))
                 if value is not None:
                     given[of.name] = value
             function(options=options(**given), **values)
@@ -63,17 +63,17 @@ def takes(options: type[Given], **more: dict[str, Any]) -> Callable[[Callable[..
     return decorate
 
 
-def _parameter(of: Field[Any], told: Option, more: dict[str, Any]) -> inspect.Parameter:
+def _parameter(of: Field[Any], entry: Option, more: dict[str, Any]) -> inspect.Parameter:
     """A field as Typer reads it."""
-    plain = str if told.read is not None else _TYPES.get(str(of.type).removesuffix(" | None"), str)
-    value_type = told.command_type or plain
+    plain = str if entry.read is not None else _TYPES.get(str(of.type).removesuffix(" | None"), str)
+    value_type = entry.command_type or plain
     required = of.default is MISSING and of.default_factory is MISSING
-    default = ... if required else told.shown if told.read is not None else of.default
-    flags = () if told.argument else (flag_of(of),)
-    completion = COMPLETIONS.get(told.argument or of.name)
-    place = (typer.Argument if told.argument else typer.Option)(
-        default, *flags, help=told.help, metavar=told.metavar, autocompletion=completion, **more
+    default = ... if required else entry.shown if entry.read is not None else of.default
+    flags = () if entry.argument else (flag_of(of),)
+    completion = COMPLETIONS.get(entry.argument or of.name)
+    place = (typer.Argument if entry.argument else typer.Option)(
+        default, *flags, help=entry.help, metavar=entry.metavar, autocompletion=completion, **more
     )
     return inspect.Parameter(
-        told.argument or of.name, inspect.Parameter.KEYWORD_ONLY, default=place, annotation=value_type
+        entry.argument or of.name, inspect.Parameter.KEYWORD_ONLY, default=place, annotation=value_type
     )

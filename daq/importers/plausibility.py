@@ -116,11 +116,11 @@ def _check_commands(samples: ImportedSamples, where: str) -> None:
     Raises:
         ImportFileError: one of them is in degrees, the other in radians.
     """
-    told = samples if samples.commands is None else samples.commands
-    if TARGET not in told.quantities:
+    commanded = samples if samples.commands is None else samples.commands
+    if TARGET not in commanded.quantities:
         return
-    position, target = samples.quantities["position"], told.quantities[TARGET]
-    motion = CommandedMotion(position.joints, samples.time, position.values, told.time, {TARGET: target.values})
+    position, target = samples.quantities["position"], commanded.quantities[TARGET]
+    motion = CommandedMotion(position.joints, samples.time, position.values, commanded.time, {TARGET: target.values})
     for joint, ratio in command_quality(motion).ratios.items():
         for expected, degrees, radians in ((DEGREES, "q", TARGET), (1 / DEGREES, TARGET, "q")):
             if near(ratio, expected):

@@ -78,10 +78,10 @@ def command_quality(motion: CommandedMotion) -> CommandQuality:
     """Compare the measured with the commanded positions."""
     names, command = motion.joint_names, motion.commands[TARGET]
     period = float(np.median(np.diff(motion.command_time)))
-    told, moves = np.ptp(command, axis=0), np.ptp(motion.position, axis=0)
+    asked, moves = np.ptp(command, axis=0), np.ptp(motion.position, axis=0)
     steps = np.array([resolution(column) for column in motion.position.T])
     steps[~np.isfinite(steps)] = 0.0
-    commanded = told > np.maximum(LEAST_MOTION, LEAST_STEPS * steps)
+    commanded = asked > np.maximum(LEAST_MOTION, LEAST_STEPS * steps)
     moving = moves > LEAST_STEPS * steps
     sound = np.maximum(np.abs(command).max(axis=0), np.abs(motion.position).max(axis=0)) < LARGEST
     used = np.flatnonzero(commanded & (moves > 0.0) & sound)
@@ -127,10 +127,10 @@ def _correlations(position: FloatArray, command: FloatArray) -> FloatArray:
     found = np.zeros((shifts, position.shape[1], position.shape[1]))
     for place in range(shifts):
         start = shifts - 1 - place
-        told = command[start : start + len(position)]
-        told = told - told.mean(axis=0)
-        norms = np.outer(size, np.linalg.norm(told, axis=0))
-        np.divide(position.T @ told, norms, out=found[place], where=norms > 0.0)
+        window = command[start : start + len(position)]
+        window = window - window.mean(axis=0)
+        norms = np.outer(size, np.linalg.norm(window, axis=0))
+        np.divide(position.T @ window, norms, out=found[place], where=norms > 0.0)
     return found
 
 
@@ -165,6 +165,6 @@ def _followed(position: FloatArray, command: FloatArray) -> tuple[dict[int, floa
             opposite.append(place)
         elif best[place] > FOLLOWS:
             start = 2 * FARTHEST - int(np.argmax(own))
-            told = command[start : start + len(position), place]
-            ratios[place] = float(best[place] * np.std(position[:, place]) / np.std(told))
+            window = command[start : start + len(position), place]
+            ratios[place] = float(best[place] * np.std(position[:, place]) / np.std(window))
     return ratios, swapped, opposite

@@ -61,8 +61,8 @@ def commanded_motion(recording: Recording, robot: Robot) -> CommandedMotion:
     joints = recording.streams.get(JOINTS_STREAM)
     if joints is None or "position" not in joints.channels:
         raise DataError("records no position", where=f"{recording.label}: {JOINTS_STREAM}")
-    told = command_stream(recording)
-    if told is None:
+    commanded = command_stream(recording)
+    if commanded is None:
         quantities = ", ".join(sorted({name for stream in recording.streams.values() for name in stream.channels}))
         raise DataError(
             f"records no commanded position; it has {quantities}",
@@ -70,12 +70,12 @@ def commanded_motion(recording: Recording, robot: Robot) -> CommandedMotion:
             hint="import it with --column target_position=NAME, and target_time=NAME where its stamps differ",
         )
     commands = {
-        name: _ordered(told, channel, names, recording.label)
-        for name, channel in told.channels.items()
+        name: _ordered(commanded, channel, names, recording.label)
+        for name, channel in commanded.channels.items()
         if name in COMMANDS and (name == TARGET or set(names) <= set(channel.columns))
     }
     position = _ordered(joints, joints.channels["position"], names, recording.label)
-    for stream in (joints, told):
+    for stream in (joints, commanded):
         backward = np.flatnonzero(~(np.diff(stream.time) > 0))
         if len(backward):
             raise DataError(
@@ -83,7 +83,7 @@ def commanded_motion(recording: Recording, robot: Robot) -> CommandedMotion:
                 where=f"{recording.label}: {stream.name}",
                 hint="import the source again with the repair sort or drop-duplicates (--repair, in Python repair=)",
             )
-    return CommandedMotion(names, joints.time, position, told.time, commands)
+    return CommandedMotion(names, joints.time, position, commanded.time, commands)
 
 
 def command_stream(recording: Recording) -> Stream | None:

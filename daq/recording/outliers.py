@@ -34,7 +34,7 @@ TOO_MANY = 0.02
 """Share of a column's samples beyond which they are no exceptions; such a column is left as it is."""
 
 _NORMAL_QUANTILES = ((0.5, 0.6745), (0.7, 1.0364))  # of the size of a standard normal variable
-_ROUNDING = 1e-14  # of the largest value, what a constant signal seems to be from a cubic
+_CUBIC_ROUNDING = 1e-14  # of the largest value, what a constant signal seems to be from a cubic
 _NEGLIGIBLE = 1e-9  # of the largest value
 _SAME_STAMP = 1e-9  # [s] to the one before
 _LARGEST_GAP = 4.0  # of the samples around, in median periods: no cubic across a gap
@@ -111,7 +111,7 @@ def _noise(distance: FloatArray, largest: float) -> float:
     counts, since noise in motion is larger than at rest.
     """
     sizes = np.abs(distance)
-    sizes = sizes[sizes > _ROUNDING * largest]
+    sizes = sizes[sizes > _CUBIC_ROUNDING * largest]
     if len(sizes) == 0:
         return _NEGLIGIBLE * largest
     noise = max(float(np.quantile(sizes, quantile)) / normal for quantile, normal in _NORMAL_QUANTILES)
@@ -194,7 +194,7 @@ def _fit_without_worst(basis: FloatArray, values: FloatArray, wanted: FloatArray
     hat = basis @ inverse
     residual = values - np.einsum("mij,mj->mi", hat, values)
     # 0 for a neighbour beyond a gap, through which the cubic goes whatever its value.
-    leverage = np.maximum(1.0 - np.einsum("mii->mi", hat), _ROUNDING)
+    leverage = np.maximum(1.0 - np.einsum("mii->mi", hat), _CUBIC_ROUNDING)
     # Leaving out neighbour j takes r_j² / (1 − h_j) from the sum of squares, and moves the cubic by its share of that.
     saved = residual**2 / leverage
     worst = np.argmax(saved, axis=1)

@@ -10,7 +10,7 @@ LATTICE_TOLERANCE = 0.05
 """Values count as quantised when all gaps between them are whole multiples of the smallest within this part of it."""
 
 _LATTICE_VALUES = 2000
-_ROUNDING = 1e-9  # of the largest value: what a change of units or of coordinates leaves
+_UNIT_ROUNDING = 1e-9  # of the largest value: what a change of units or of coordinates leaves
 _SMALL = 0.1
 _FEWEST_GAPS = 5  # fewer gaps can be multiples of each other by chance
 
@@ -48,5 +48,5 @@ def resolution(values: FloatArray) -> float:
     if np.isfinite(step):
         return step
     changes = np.abs(np.diff(values))
-    changes = changes[changes > _ROUNDING * float(np.max(np.abs(values), initial=0.0))]
+    changes = changes[changes > _UNIT_ROUNDING * float(np.max(np.abs(values), initial=0.0))]
     return float(np.quantile(changes, _SMALL)) if len(changes) else np.inf

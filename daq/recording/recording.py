@@ -184,12 +184,15 @@ class Recording:
         }
         commands = {"target_position": target_position}
         if target_time is None:
-            checked, told = joint_arrays(robot_file, time, given | commands), None
+            checked, commanded = joint_arrays(robot_file, time, given | commands), None
         else:
-            checked, told = joint_arrays(robot_file, time, given), command_arrays(robot_file, target_time, commands)
+            checked, commanded = (
+                joint_arrays(robot_file, time, given),
+                command_arrays(robot_file, target_time, commands),
+            )
         streams = {JOINTS_STREAM: _stream_of_arrays(JOINTS_STREAM, checked, robot_file.robot)}
-        if told is not None:
-            streams[COMMANDS_STREAM] = _stream_of_arrays(COMMANDS_STREAM, told, robot_file.robot)
+        if commanded is not None:
+            streams[COMMANDS_STREAM] = _stream_of_arrays(COMMANDS_STREAM, commanded, robot_file.robot)
         return cls(
             robot_text=robot_file.text,
             urdf_text=robot_file.urdf_text or "",

@@ -57,13 +57,13 @@ def half_written(path: Path) -> Path:
     Raises:
         UsageError: there are several of these.
     """
-    found = [] if path.exists() else unfinished_files(path)
-    if len(found) > 1:
-        names = ", ".join(str(file) for file in found)
+    unfinished = [] if path.exists() else unfinished_files(path)
+    if len(unfinished) > 1:
+        names = ", ".join(str(file) for file in unfinished)
         raise UsageError(
-            f"no such file, but {len(found)} that are unfinished", where=str(path), hint=f"name one: {names}"
+            f"no such file, but {len(unfinished)} that are unfinished", where=str(path), hint=f"name one: {names}"
         )
-    return found[0] if found else path
+    return unfinished[0] if unfinished else path
 
 
 def recover(path: Path, out: Path, *, overwrite: bool = False) -> Recovered:

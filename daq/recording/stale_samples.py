@@ -153,8 +153,8 @@ def stale_rows(recording: Recording) -> StaleSamples | None:
     if stream is None or "position" not in stream.channels:
         return None
     joints, measured = stream.channels["position"].columns, {}
-    told = command_stream(recording)
-    for name, source in (*((name, stream) for name in MEASURED), (TARGET, told)):
+    commanded = command_stream(recording)
+    for name, source in (*((name, stream) for name in MEASURED), (TARGET, commanded)):
         channel = None if source is None else source.channels.get(name)
         if source is not None and channel is not None and all(joint in channel.columns for joint in joints):
             values = channel.values[:, [channel.columns.index(joint) for joint in joints]]

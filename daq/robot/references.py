@@ -144,5 +144,5 @@ def _texts(entries: Any, key: str) -> tuple[str, ...]:
     """The text under a key of each entry of a list; empty where one of them has none."""
     if not isinstance(entries, list):
         return ()
-    texts = tuple(one[key] for one in entries if isinstance(one, dict) and isinstance(one.get(key), str))
+    texts = tuple(entry[key] for entry in entries if isinstance(entry, dict) and isinstance(entry.get(key), str))
     return texts if len(texts) == len(entries) else ()

@@ -55,7 +55,7 @@ class CommandKeys(ConnectionSettings):
     def _positions(cls, signals: Any) -> Any:
         if not isinstance(signals, list):
             return signals
-        return [{"quantity": "position", **one} if isinstance(one, dict) else one for one in signals]
+        return [{"quantity": "position", **signal} if isinstance(signal, dict) else signal for signal in signals]
 
     @field_validator("signals")
     @classmethod
@@ -76,9 +76,9 @@ class CommandKeys(ConnectionSettings):
 
     @model_validator(mode="after")
     def _templates_of_signals(self) -> Self:
-        for one in self.frames:
-            if all(entry.signal.identifier != one.identifier for entry in self.signals):
-                raise refused(f"no signal is in frame {identifier_text(one.identifier)}")
+        for frame in self.frames:
+            if all(entry.signal.identifier != frame.identifier for entry in self.signals):
+                raise refused(f"no signal is in frame {identifier_text(frame.identifier)}")
         return self
 
 
@@ -282,4 +282,4 @@ def _command(keys: CommandKeys) -> CommandTable:
 
 
 def _frames(keys: Sequence[FrameKeys]) -> tuple[FixedFrame, ...]:
-    return tuple(one.frame for one in keys)
+    return tuple(key.frame for key in keys)

@@ -373,7 +373,7 @@ class Canopen402Driver:
             if settings.mode != "none":
                 self._life = heartbeat(self._sender, settings.own_id, settings.heartbeat, self._clock)
         controls = self._configured.controls
-        expected, watching = [one.present for one in controls], [one.watching is not None for one in controls]
+        expected, watching = [control.present for control in controls], [one.watching is not None for one in controls]
         return DriveWatch(self._joints, ids, expected, presence, watching, self._sync.clock, self._moved_in)
 
     def _make_poll(self) -> TemperaturePoll | None:

@@ -146,7 +146,9 @@ def keywords_of(
         annotations = {name: value for name, value in function.__annotations__.items() if name == "return"}
         signature = inspect.signature(options)
         call.__signature__ = signature.replace(return_annotation=annotations.get("return"))  # type: ignore[attr-defined]
-        call.__annotations__ = {name: one.annotation for name, one in signature.parameters.items()} | annotations
+        call.__annotations__ = {
+            name: parameter.annotation for name, parameter in signature.parameters.items()
+        } | annotations
         call.__doc__ = _described(function.__doc__ or "", options)
         return call
 

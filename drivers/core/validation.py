@@ -227,7 +227,7 @@ def locate(schema: type[BaseModel], location: Sequence[int | str]) -> tuple[str,
             annotation = plain_type(field.annotation)
         elif get_origin(annotation) in (tuple, dict):
             path += f"[{part}]" if isinstance(part, int) and get_origin(annotation) is tuple else f".{part}"
-            arguments = [one for one in get_args(annotation) if one is not Ellipsis]
+            arguments = [get_arg for get_arg in get_args(annotation) if get_arg is not Ellipsis]
             annotation = plain_type(arguments[-1])
         elif part in (choices := {one.__name__: one for one in _sections(annotation)}):
             annotation = choices[str(part)]  # a tagged union: the tag is the section's name
@@ -251,12 +251,12 @@ def plain_type(annotation: Any) -> Any:
 
 
 def _members(annotation: Any) -> list[Any]:
-    return [one for one in get_args(annotation) if one is not type(None)]
+    return [get_arg for get_arg in get_args(annotation) if get_arg is not type(None)]
 
 
 def _sections(annotation: Any) -> list[type[BaseModel]]:
     """The sections among the members of a union."""
-    members = [plain_type(one) for one in _members(annotation)]
+    members = [plain_type(member) for member in _members(annotation)]
     return [one for one in members if isinstance(one, type) and issubclass(one, BaseModel)]
 
 

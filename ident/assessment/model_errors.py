@@ -95,31 +95,31 @@ def most_likely(refit: Refit, runs: Sequence[Prepared], independent: float, poor
         independent: number of independent equations.
         poor: whether the fit is poor, so that a gain may be far from what the robot file says.
     """
-    found = sorted(refit.deviations(), key=lambda one: -one.likelihood)
+    deviations = sorted(refit.deviations(), key=lambda one: -one.likelihood)
     total = float(refit.rows.sum())
-    if not found:
+    if not deviations:
         return []
-    if not poor and found[0].likelihood * independent / total < WORTH_A_LOOK:
+    if not poor and deviations[0].likelihood * independent / total < WORTH_A_LOOK:
         return []
-    tried = list(dict.fromkeys([*(one.unknown for one in found[:REFINED]), Unknown("gravity")]))
+    tried = list(dict.fromkeys([*(one.unknown for one in deviations[:REFINED]), Unknown("gravity")]))
     finer = [refit.deviation(unknown) for unknown in tried] + _other_directions(refit)
     if poor:
         finer += _far_gains(refit)
-    found = [one for one in finer if one is not None and _plausible(refit.model, one)]
-    found.sort(key=lambda one: -one.likelihood)
-    if not found:
+    deviations = [one for one in finer if one is not None and _plausible(refit.model, one)]
+    deviations.sort(key=lambda one: -one.likelihood)
+    if not deviations:
         return []
     shares = [
         independent_share(residual_autocorrelation(_compared(runs, one))[list(refit.used)])
-        for one in (refit.as_believed(found[0].unknown), found[0])
+        for one in (refit.as_believed(deviations[0].unknown), deviations[0])
     ]
-    width = len(found[0].parameters)
+    width = len(deviations[0].parameters)
     after = min(total, independent * shares[1] / shares[0])
     if after < INDEPENDENT_PER_PARAMETER * width:  # too few to judge by
         return []
     worth = (after - width) / total
     return simplest_first(
-        [replace(one, likelihood=one.likelihood * worth, std=one.std / float(np.sqrt(worth))) for one in found]
+        [replace(one, likelihood=one.likelihood * worth, std=one.std / float(np.sqrt(worth))) for one in deviations]
     )
 
 
@@ -149,32 +149,35 @@ def _other_directions(refit: Refit) -> list[Deviation | None]:
     return [*found, refit.opposite_gravity()]
 
 
-def simplest_first(found: Sequence[Deviation]) -> list[Deviation]:
+def simplest_first(deviations: Sequence[Deviation]) -> list[Deviation]:
     """The deviations, best first, but of those that explain as much as the best: a sign, then the smaller turn.
 
-    Arms whose lengths show little give gravity in a mirror, too: which of two such directions fits best is chance.
+    Arms whose lengths show little fit mirrored gravity as well: of two such directions, neither is significantly
+    better.
     """
-    best = found[0]
+    best = deviations[0]
     alike = [
-        one for one in found if one.unknown.kind == "gravity" and one.likelihood > best.likelihood - RIVAL_LIKELIHOOD
+        one
+        for one in deviations
+        if one.unknown.kind == "gravity" and one.likelihood > best.likelihood - RIVAL_LIKELIHOOD
     ]
     opposite = [one for one in alike if one.std == 0.0]
     first = opposite or sorted((one for one in alike if best in alike), key=lambda one: one.value)
-    return [*first[:1], *(one for one in found if one not in first[:1])]
+    return [*first[:1], *(one for one in deviations if one not in first[:1])]
 
 
-def model_error_checks(model: DynamicModel, found: Sequence[Deviation]) -> list[Check]:
+def model_error_checks(model: DynamicModel, deviations: Sequence[Deviation]) -> list[Check]:
     """The check of the deviation that explains most, if it is clear and large enough, with those that do so as well.
 
     Args:
         model: as believed.
-        found: as of `most_likely`.
+        deviations: as of `most_likely`.
     """
-    if not found or not reported(found[0]):
+    if not deviations or not reported(deviations[0]):
         return []
-    best = found[0]
-    rivals = [one for one in found[1:] if one.unknown != best.unknown and reported(one)]
-    equal = [one for one in rivals if one.likelihood > best.likelihood - RIVAL_LIKELIHOOD]
+    best = deviations[0]
+    rivals = [one for one in deviations[1:] if one.unknown != best.unknown and reported(one)]
+    equal = [rival for rival in rivals if rival.likelihood > best.likelihood - RIVAL_LIKELIHOOD]
     alone = {one.unknown: one for one in (*reversed(equal), best)}
     kinds = list(dict.fromkeys(one.unknown.kind for one in alone.values()))
     joints = {joint for one in alone.values() for joint in _joints(model, one.unknown)}
@@ -238,7 +241,10 @@ def _compared(runs: Sequence[Prepared], deviation: Deviation) -> list[TorqueSeri
     for run in runs:
         segments = first_samples(run.segments)
         if unknown.kind == "zero":
-            segments = [replace(one, position=_moved(one.position, unknown.joint, deviation.value)) for one in segments]
+            segments = [
+                replace(segment, position=_moved(segment.position, unknown.joint, deviation.value))
+                for segment in segments
+            ]
         for part in compare_torques(
             deviation.model, deviation.columns, deviation.parameters, segments, run.parallel_filter
         ):

@@ -151,8 +151,9 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
     if stale.encoders:
         first = recording.streams[JOINTS_STREAM].time[0]
         shown = [
-            f"{one.joint} from {one.start - first:.2f} to {one.stop - first:.2f} s while its {MOVING[one.evidence]}"
-            for one in stale.encoders
+            f"{encoder.joint} from {encoder.start - first:.2f} to {encoder.stop - first:.2f} s while its "
+            f"{MOVING[encoder.evidence]}"
+            for encoder in stale.encoders
         ]
         more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
         left = "these samples are left out" if stale.stuck[stale.left_out].any() else "too long to leave them out"

@@ -128,7 +128,7 @@ def bursts_beyond(found: Sequence[Windows], deviation: float, larger: float = 0.
             else:
                 spans.append(Burst(float(start), float(stop)))
         bursts.append(spans)
-        inside += sum(one.stop - one.start for one in spans)
+        inside += sum(span.stop - span.start for span in spans)
         total += float(of_segment.stop[-1] - of_segment.start[0]) if len(of_segment.start) else 0.0
     return bursts if inside <= MOST_TIME * total else [[] for _ in bursts]
 

@@ -201,8 +201,8 @@ def _joint_tests(
     if spread <= 1e-9 * float(np.abs(every.predicted).max(initial=0.0)):
         return None
     centred = [
-        np.where(mask, (one.residual - every.residual.mean()) / spread, 0.0)
-        for one, mask in zip(samples, used, strict=True)
+        np.where(mask, (sample.residual - every.residual.mean()) / spread, 0.0)
+        for sample, mask in zip(samples, used, strict=True)
     ]
     longest = max(len(one) for one in centred)
     correlation, _ = _autocorrelation(centred, used, max(longest // 5, LAGS * memory + 1))
@@ -228,7 +228,7 @@ def _selected(samples: Sequence[_Samples], used: Sequence[BoolArray], spacing: i
 
     def joined(name: str) -> FloatArray:
         return np.concatenate(
-            [getattr(one, name)[::spacing][mask[::spacing]] for one, mask in zip(samples, used, strict=True)]
+            [getattr(sample, name)[::spacing][mask[::spacing]] for sample, mask in zip(samples, used, strict=True)]
         )
 
     return _Samples(joined("residual"), joined("predicted"), joined("velocity"))

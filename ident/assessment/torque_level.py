@@ -149,7 +149,7 @@ def weight_checks(
         return [raised("implausible-load", text, [name])]
     limits = {robot.joint_names.index(one.name): one.torque for one in robot.joints if one.torque is not None}
     limits = {row: limit for row, limit in limits.items() if row in turning}
-    if len(set(limits.values())) < 2:  # placeholders
+    if len(set(limits.values())) < 2:  # limits that are equal for all joints are placeholders of the robot file
         return []
     shares = {row: float(peak[row]) / limit for row, limit in limits.items()}
     most = max(shares, key=lambda row: shares[row])

@@ -171,8 +171,8 @@ def _listen(driver: Driver, name: str, clock: Clock) -> list[Batch]:
 
 
 def _limits_told(joints: Sequence[str], own: DeviceLimits) -> dict[str, dict[str, float]]:
-    """Quantity with unit → joint → what is told; quantities of which nothing is told are left out."""
-    told = {
+    """Quantity with unit → joint → limit; quantities without limits are left out."""
+    stated = {
         "lowest [rad]": own.lowest,
         "highest [rad]": own.highest,
         "velocity [rad/s]": own.velocity,
@@ -183,7 +183,7 @@ def _limits_told(joints: Sequence[str], own: DeviceLimits) -> dict[str, dict[str
     }
     return {
         name: {joint: value for joint, value in zip(joints, values.tolist(), strict=True) if value == value}
-        for name, values in told.items()
+        for name, values in stated.items()
         if values is not None and np.isfinite(values).any()
     }
 

@@ -108,22 +108,22 @@ def recording_info(
     progress("motion")
     excitation = delay = sufficiency = times = None
     motion = recorded_motion(recording, robot_file)
-    signed, told = _signed_signals(recording), _commanded(recording, robot_file.robot)
+    signed, commanded = _signed_signals(recording), _commanded(recording, robot_file.robot)
     if motion is not None:
         excitation = excitation_reached(motion)
         progress("delay")
         delay = _delay(motion)
-        if signed or told is None:
+        if signed or commanded is None:
             progress("expected error bars")
             sufficiency = motion_sufficiency(motion, _delays(motion, delay))
     if sufficiency is not None and wanted_rsd_percent is not None:
         times = times_needed(sufficiency, wanted_rsd_percent)
     progress("checks")
     checks = recording_checks(recording, streams, columns) + delay_checks(delay)
-    if signed or told is None:
+    if signed or commanded is None:
         checks += _excitation_checks(recording, excitation) + _precision_checks(sufficiency)
     if not signed:
-        checks += _without_torque_checks(recording, told)
+        checks += _without_torque_checks(recording, commanded)
     if motion is not None and motion.measured is not None:
         checks += torque_level_checks(robot_file.robot, motion.model, motion.measured.torque)
     verdict = judge(checks, None)
@@ -147,15 +147,15 @@ def _commanded(recording: Recording, robot: Robot) -> CommandedMotion | None:
         return None
 
 
-def _without_torque_checks(recording: Recording, told: CommandedMotion | None) -> list[Check]:
+def _without_torque_checks(recording: Recording, commanded: CommandedMotion | None) -> list[Check]:
     """What a recording without a signed torque is good for, and whether its commands are sound."""
     stream = recording.streams.get(JOINTS_STREAM)
     magnitudes = [name for name in MOTOR_SIGNALS if stream is not None and name in stream.channels]
     what = f"the {' and '.join(magnitudes)} has no sign" if magnitudes else "neither torque nor current is recorded"
-    if told is None:
+    if commanded is None:
         return [raised("positions-alone", f"{what}, and no commanded position: nothing can be identified")]
     text = f"{what}: commands and encoder give a servo model (dynid identify --method servo), torques are not known"
-    return [raised("no-torque", text), *command_checks(told)]
+    return [raised("no-torque", text), *command_checks(commanded)]
 
 
 def _delay(motion: RecordedMotion) -> DelaySearch | None:
@@ -200,7 +200,7 @@ def _excitation_checks(recording: Recording, excitation: ExcitationReached | Non
 
 def _precision_checks(sufficiency: Sufficiency | None) -> list[Check]:
     """Whether the motion determines most parameters, by the error bars that it is expected to give."""
-    known = [] if sufficiency is None else [one.rsd_percent for one in sufficiency.forecast.parameters]
+    known = [] if sufficiency is None else [parameter.rsd_percent for parameter in sufficiency.forecast.parameters]
     ratios = [ratio for ratio in known if ratio is not None]
     determined = sum(ratio < SIGNIFICANT_RSD for ratio in ratios)
     if determined >= LEAST_DETERMINED * len(ratios):

@@ -72,7 +72,9 @@ def export(
             exports.append(identified.export_c(c, real="float" if c_float else "double", force=force))
     checks = [check for one in exports for check in one.checks]
     verdicts = [("identification", identified.result.verdict), ("export", judge(checks, None))]
-    simulation = together([one for one in verdicts if "simulation" in one[1].purposes]).purposes["simulation"]
+    simulation = together([verdict for verdict in verdicts if "simulation" in verdict[1].purposes]).purposes[
+        "simulation"
+    ]
     if as_json:
         files = [{**asdict(one), "path": str(one.path)} for one in exports]
         print_json({"model": str(model), "files": files, "simulation": asdict(simulation)})

@@ -61,8 +61,8 @@ def print_connection(connection: CheckedConnection) -> None:
             )
         )
     if connection.limits:
-        joints = dict.fromkeys(joint for told in connection.limits.values() for joint in told)
-        limits = [(joint, *(told.get(joint) for told in connection.limits.values())) for joint in joints]
+        joints = dict.fromkeys(joint for of_joints in connection.limits.values() for joint in of_joints)
+        limits = [(joint, *(limit.get(joint) for limit in connection.limits.values())) for joint in joints]
         print_table("  limits of its own", ("", *connection.limits), limits)
     for stream in connection.streams:
         rate = "" if stream.rate_hz is None else f" at {stream.rate_hz:.4g} Hz"

@@ -69,7 +69,9 @@ def _print_object(result: str, validation: Validation) -> None:
             "joints": list(validation.joints),
             **fits(validation),
             "acceptance": None if validation.acceptance is None else asdict(validation.acceptance),
-            "recordings": [{"recording": one.recording, **fits(one)} for one in validation.recordings],
+            "recordings": [
+                {"recording": recording.recording, **fits(recording)} for recording in validation.recordings
+            ],
         }
     )
 
@@ -79,15 +81,15 @@ def _print_tables(validation: Validation) -> None:
     from ident.identify.data_split import labelled
     from ident.result.delivered import DELIVERED_WORDS
 
-    for one in validation.recordings:
-        print(labelled(one.recording, one.delivered.overlap))
+    for recording in validation.recordings:
+        print(labelled(recording.recording, recording.delivered.overlap))
         words, unit = DELIVERED_WORDS[validation.delivered.parameters], validation.torque_unit
-        print_fit(f"{words} model, all samples", validation.joints, unit, one.delivered.all_samples)
-        print_fit(f"{words} model, in motion", validation.joints, unit, one.delivered.in_motion)
-        for name, fit in (("full", one.full), ("essential", one.essential)):
+        print_fit(f"{words} model, all samples", validation.joints, unit, recording.delivered.all_samples)
+        print_fit(f"{words} model, in motion", validation.joints, unit, recording.delivered.in_motion)
+        for name, fit in (("full", recording.full), ("essential", recording.essential)):
             if name != validation.delivered.parameters:
                 print_fit(f"{name} model, in motion", validation.joints, unit, fit)
-        print_verdict(one.verdict)
+        print_verdict(recording.verdict)
         print()
     if len(validation.recordings) > 1:
         print(f"All recordings together: {validation.verdict.headline}")

@@ -89,49 +89,49 @@ class SearchEstimator(TorqueEstimator):
         def penalised(points: FloatArray) -> FloatArray:
             return cost(space.base(points)) + space.penalty(points)
 
-        found = minimise(self.optimiser, penalised, space.box, self.budget, self.seed)
+        minimum = minimise(self.optimiser, penalised, space.box, self.budget, self.seed)
         parameters = np.zeros(plain.column_count)
-        parameters[list(active)] = space.base(found.point[None, :])[0]
+        parameters[list(active)] = space.base(minimum.point[None, :])[0]
         reduction = centred_reduction(plain, parameters)
         deviation = float(np.sqrt(exact.residual_sum / (exact.rows - len(active))))
         return Estimation(
             self.setup.kernel,
             reduction,
             self.solve(reduction, active),
-            loops=(_loop(found),),
+            loops=(_loop(minimum),),
             steps=(
-                self._step(exact, parameters, cost.cost(parameters[list(active)]), found, space.box),
-                *space.steps(found.point, deviation),
+                self._step(exact, parameters, cost.cost(parameters[list(active)]), minimum, space.box),
+                *space.steps(minimum.point, deviation),
             ),
             optimum=exact,
         )
 
-    def _step(self, exact: LeastSquares, parameters: FloatArray, cost: float, found: Minimum, box: SearchBox) -> Step:
+    def _step(self, exact: LeastSquares, parameters: FloatArray, cost: float, minimum: Minimum, box: SearchBox) -> Step:
         """What the search found, beside the exact optimum."""
         above = cost / max(float(np.sqrt(exact.residual_sum)), np.finfo(float).tiny) - 1.0
         used = list(exact.active)
         distance = np.abs(parameters - exact.parameters)[used] / exact.std[used]
         worst = int(np.argmax(distance))
         name = self.setup.base.names[used[worst]]
-        edges = box.at_bound(found.point)
+        edges = box.at_bound(minimum.point)
         figures = {
-            "generations": found.generations,
-            "evaluations": int(found.evaluations[-1]),
-            "undefined_costs": found.undefined,
+            "generations": minimum.generations,
+            "evaluations": int(minimum.evaluations[-1]),
+            "undefined_costs": minimum.undefined,
             "cost_above_optimum": above,
             "largest_difference": float(distance[worst]),
             "at_bounds": len(edges),
         }
         text = (
-            f"{found.generations} generations{ENDED[found.ended]}, {int(found.evaluations[-1])} costs: "
+            f"{minimum.generations} generations{ENDED[minimum.ended]}, {int(minimum.evaluations[-1])} costs: "
             f"{percent_text(above, 3)} above the exact optimum, which is least squares; largest difference from it "
             f"{distance[worst]:.3g} σ of white residuals ({name})"
         )
         if edges:
             text += f"; {len(edges)} of {box.size} variables at a bound of the search box"
-        if found.undefined:
-            text += f"; {found.undefined} costs were no number"
-        return Step("search", figures, "; ".join([text, *found.remarks]))
+        if minimum.undefined:
+            text += f"; {minimum.undefined} costs were no number"
+        return Step("search", figures, "; ".join([text, *minimum.remarks]))
 
 
 def base_space(share: float, setup: Setup) -> Callable[[LeastSquares, QuadraticCost], Space]:
@@ -159,18 +159,20 @@ def centred_reduction(plain: Reduction, parameters: FloatArray) -> Reduction:
     return replace(plain, joints=tuple(joints))
 
 
-def _loop(found: Minimum) -> Loop:
+def _loop(minimum: Minimum) -> Loop:
     """Convergence, for result and report: every generation of a short search, some of a long one."""
-    count = len(found.history)
+    count = len(minimum.history)
     shown = np.unique(np.linspace(0, count - 1, min(count, SHOWN)).round().astype(int))
     name = "cost of the best point ‖W·x − τ‖"
     if count > SHOWN:
         name += f", {SHOWN} of {count} generations"
-    return Loop(name, "", tuple(found.history[shown].tolist()), _settled(found))
+    return Loop(name, "", tuple(minimum.history[shown].tolist()), _settled(minimum))
 
 
-def _settled(found: Minimum) -> bool:
-    tenth = max(10, len(found.history) // 10)
+def _settled(minimum: Minimum) -> bool:
+    tenth = max(10, len(minimum.history) // 10)
     return (
-        bool(found.history[-1 - tenth] <= (1.0 + SETTLED_SHARE) * found.cost) if len(found.history) > tenth else False
+        bool(minimum.history[-1 - tenth] <= (1.0 + SETTLED_SHARE) * minimum.cost)
+        if len(minimum.history) > tenth
+        else False
     )

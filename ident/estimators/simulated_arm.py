@@ -18,6 +18,10 @@ from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared, Segment
 from ident.simulation.closed_loop import simulated_segment
 
+SIMULATION_SETTLED = 0.5
+"""Largest change of a parameter, over its classical deviation. Smaller ones are noise of the simulation: where a
+simulated joint reverses, the sampled sign of its velocity changes a sample earlier or later."""
+
 
 def loop_bandwidth(run: Prepared) -> float:
     """ω [rad/s] of the position loop: where the positions' low-pass ends by default, twenty times the motion's band."""

@@ -158,7 +158,7 @@ def prepare_pair(
 
 def pair_warnings(pair: RunPair, recordings: Sequence[Recording]) -> list[str]:
     """Recordings that were not closed, and runs in which joints rest throughout: friction may carry their load."""
-    warnings = [check.text for one in recordings for check in closing_checks(one)]
+    warnings = [check.text for recording in recordings for check in closing_checks(recording)]
     for run in pair.runs:
         speed = np.max([np.max(np.abs(segment.velocity), axis=1) for segment in run.prepared.segments], axis=0)
         resting = [

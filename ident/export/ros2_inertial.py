@@ -95,7 +95,7 @@ def check_ros2_inertial(arm: ExportedArm, text: str) -> None:
     content: dict[str, Any] = yaml.safe_load(text)["inertia_parameters"]
     for name, body in zip(inertial_names(arm), arm.bodies, strict=True):
         centre, tensor = content["center_of_mass"][f"{name}_cog"], content["tensor"][name]
-        found = [content[f"{name}_mass"], *(centre[axis] for axis in "xyz"), *(tensor[entry] for entry in TENSOR)]
+        values = [content[f"{name}_mass"], *(centre[axis] for axis in "xyz"), *(tensor[entry] for entry in TENSOR)]
         expected = [body.mass, *body.com, *body.inertia[np.triu_indices(3)]]
-        if not np.array_equal(found, expected):
+        if not np.array_equal(values, expected):
             raise ModelError(f"the YAML reads back another body for {name}; it was not written", where=arm.model.name)

@@ -164,7 +164,7 @@ def _exact_right_angles(
         while (parent := _end(chain[-1], "parent")) not in carriers and parent in by_child:
             chain.append(by_child[parent])
         angles = [_origin(joint, "rpy") for joint in chain]
-        exact = [_exact(one) for one in angles]
+        exact = [_exact(angle) for angle in angles]
         if _distance(exact, model_joint.rotation) >= _distance(angles, model_joint.rotation):
             continue
         for joint, rounded, full in zip(chain, angles, exact, strict=True):

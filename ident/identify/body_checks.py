@@ -67,7 +67,7 @@ def body_checks(
     checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), robot_file.robot.payload, apparent)
     checks += _link_checks(model, masses)
     checks += _centre_checks(model, masses, links[:, 6:9] / masses[:, None])
-    assumed = [one for one in consistent.armatures if one.source == ASSUMED]
+    assumed = [armature for armature in consistent.armatures if armature.source == ASSUMED]
     if assumed:
         values = ", ".join(f"{one.joint} {one.value:.2g}" for one in assumed)
         text = (

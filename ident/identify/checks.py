@@ -73,14 +73,18 @@ NEGLIGIBLE = 1e-3
 def identification_checks(identification: Identification, recordings: Sequence[Recording]) -> list[Check]:
     """All checks that the recordings and the identification raise."""
     several = len(recordings) > 1
-    checks = [check for one in recordings for check in recording_checks(one, label=one.label if several else "")]
-    # What else fits data of another unit or filled with zeros is chance.
+    checks = [
+        check
+        for recording in recordings
+        for check in recording_checks(recording, label=recording.label if several else "")
+    ]
+    # Data of another unit, or filled with zeros, fit other explanations by accident.
     unsound = any(check.severity == "serious" for check in checks)
     mistakes = [] if unsound else _mistake_checks(identification)
     torque = np.concatenate([run.signals.torque for run in identification.runs])
     levels = torque_level_checks(identification.robot_file.robot, identification.model, torque)
     # A torque beyond its limit that is another joint's is explained.
-    checks += [] if any(one.name.endswith("s-exchanged") for one in mistakes) else levels
+    checks += [] if any(mistake.name.endswith("s-exchanged") for mistake in mistakes) else levels
     checks += delay_checks(identification.delay)
     checks += cutoff_checks(identification.lowered)
     checks += [] if unsound or any(one.severity == "serious" for one in mistakes) else burst_checks(identification)

@@ -82,17 +82,17 @@ def fit_friction(
         return FrictionFit(model)
     progress("friction")
     fit = _Fit(model, prepared, experiment, "ols" if choices.estimator.name == "ols" else "wls")
-    found = FrictionFit(model)
+    friction = FrictionFit(model)
     if automatic:
-        found = fit.automatic(model, robot_file, progress)
+        friction = fit.automatic(model, robot_file, progress)
     elif terms.shaped or terms.loaded:
         terms = fit.started(terms) if terms.shaped else terms
         progress("friction shapes" if terms.shaped else "load torque")
-        found = fit.settled(replace(model, terms=terms))
+        friction = fit.settled(replace(model, terms=terms))
     if choices.finds_travels(model):
         progress("presliding")
-        found = fit.with_travels(found)
-    return found
+        friction = fit.with_travels(friction)
+    return friction
 
 
 @dataclass(frozen=True)
@@ -188,7 +188,7 @@ class _Fit:
             for one in (solved, self.solve(settled.model))
         ]
         rows = solved.solution.rows
-        before, after = (float(np.sqrt(np.sum(one) / rows)) for one in errors)
+        before, after = (float(np.sqrt(np.sum(error) / rows)) for error in errors)
         kept = settled if falls(*errors) else FrictionFit(model)
         return replace(kept, steps=tuple(steps), delivered=(before, after))
 
@@ -208,23 +208,23 @@ class _Fit:
         kernel = RegressorKernel(model, solved.base.columns)
         return [part for run in self._prepared for part in compare_run(kernel, solved.solution.parameters, run)]
 
-    def with_travels(self, found: FrictionFit) -> FrictionFit:
+    def with_travels(self, friction: FrictionFit) -> FrictionFit:
         """The model with pre-sliding travels, and its shapes settled with them."""
         runs = [(run.segments, run.parallel_filter) for run in self._runs]
         travels: tuple[PreslidingTravel, ...] = ()
         for _ in range(TRAVEL_ROUNDS):
-            solved = self.solve(found.model)
+            solved = self.solve(friction.model)
             series = self._series(solved, presliding=False)
             dry = dry_friction(solved.model, solved.base, solved.solution.parameters)
             travels = find_travels(dry, runs, series)
-            if not travels and not found.model.presliding:
+            if not travels and not friction.model.presliding:
                 break
-            model = replace(found.model, presliding=tuple((one.parameter, one.travel) for one in travels))
+            model = replace(friction.model, presliding=tuple((travel.parameter, travel.travel) for travel in travels))
             if model.terms.shaped or model.terms.loaded:
-                found = replace(found, model=self.settled(model).model)
+                friction = replace(friction, model=self.settled(model).model)
             else:
-                found = replace(found, model=model)
-        return replace(found, travels=travels)
+                friction = replace(friction, model=model)
+        return replace(friction, travels=travels)
 
     def started(self, terms: FrictionTerms) -> FrictionTerms:
         """The terms with free shapes from the best of a grid."""

@@ -108,9 +108,9 @@ def experiment_terms(experiment: FrictionExperimentResult, robot: str, names: Se
                 f"no joint of {robot} is called '{joint.joint}'", where=where, hint=did_you_mean(joint.joint, names)
             )
     joints = {joint.joint: joint for joint in experiment.joints}
-    found: list[JointFrictionExperiment | None] = [joints.get(name) for name in names]
+    measured: list[JointFrictionExperiment | None] = [joints.get(name) for name in names]
     terms = no_terms(len(names))
-    for motor, one in enumerate(found):
+    for motor, one in enumerate(measured):
         if one is None:
             continue
         terms = terms.with_kinds(motor, [kind for kind in one.kinds if kind in FURTHER_KINDS])

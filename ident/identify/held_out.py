@@ -289,7 +289,7 @@ def _basis(result: Result, runs: Sequence[HeldOutErrors]) -> str:
         f"{significant} of {len(result.base_parameters)} base parameters are significant; the essential model keeps "
         f"{result.essential.count} of them."
     )
-    if any(one.locked or len(one.torques_of) < len(result.joints) for one in result.experiments):
+    if any(experiment.locked or len(experiment.torques_of) < len(result.joints) for experiment in result.experiments):
         described = [step.text for step in result.preprocessing if step.name == "experiment"]
         sentences += [f"All of this holds for the experiment as it was: {text}." for text in dict.fromkeys(described)]
     return " ".join(sentences)

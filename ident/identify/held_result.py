@@ -80,8 +80,10 @@ def _entries(model: DynamicModel, identification: Identification, joint: HeldJoi
 
 def _friction(friction: list[JointFrictionResult], held: HeldFriction) -> list[JointFrictionResult]:
     names = held.model.joint_names
-    found = {names[joint.motor]: joint for joint in held.joints}
-    return [one.model_copy(update=_beta(found[one.joint])) if one.joint in found else one for one in friction]
+    held_joints = {names[joint.motor]: joint for joint in held.joints}
+    return [
+        one.model_copy(update=_beta(held_joints[one.joint])) if one.joint in held_joints else one for one in friction
+    ]
 
 
 def _beta(joint: HeldJoint) -> dict[str, Any]:

@@ -43,7 +43,7 @@ def find_travels(dry: DryFriction, runs: Sequence[Run], series: Sequence[TorqueS
     segments = [(segment, run_filter) for of_run, run_filter in runs for segment in of_run]
     conditions = [dry.conditions(segment.position) for segment, _ in segments]
     residuals = [np.where(np.isfinite(part.residual), part.residual, 0.0) for part in series]
-    found = []
+    travels = []
     for name in dry.columns:
         motors, costs, changes = dry.motors(name), np.zeros((len(TRAVELS), count)), []
         for (segment, run_filter), given, part, residual, of_block in zip(
@@ -65,8 +65,8 @@ def find_travels(dry: DryFriction, runs: Sequence[Run], series: Sequence[TorqueS
         step = np.log(TRAVELS[1] / TRAVELS[0])
         deviation = np.sqrt((count - 1) / count * np.sum(np.square(np.array(without_each) - place)))
         travel = float(TRAVELS[0] * np.exp(step * place))
-        found.append(PreslidingTravel(parameter=name, travel=travel, std=float(step * deviation * travel)))
-    return tuple(found)
+        travels.append(PreslidingTravel(parameter=name, travel=travel, std=float(step * deviation * travel)))
+    return tuple(travels)
 
 
 def low_speed_error(series: Sequence[TorqueSeries]) -> float:

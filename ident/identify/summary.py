@@ -224,18 +224,19 @@ def _friction_step(identification: Identification) -> tuple[Step, ...]:
 
 def _presliding_step(identification: Identification) -> tuple[Step, ...]:
     """Pre-sliding travels among the steps; none where not asked for."""
-    found = identification.presliding
-    if found is None:
+    presliding = identification.presliding
+    if presliding is None:
         return ()
     sliding = identification.model.sliding
     travels = ", ".join(
-        f"{one.parameter} {one.travel:.2g} ± {WITHIN_95_PERCENT * one.std:.1g}" for one in found.travels
+        f"{travel.parameter} {travel.travel:.2g} ± {WITHIN_95_PERCENT * travel.std:.1g}"
+        for travel in presliding.travels
     )
     text = f"travel [{common_unit('rad', sliding)}] by Coulomb parameter: {travels or 'presliding lowers no error'}; "
     text += f"held-out error of joints slower than {LOW_SPEED:g} {common_unit('rad/s', sliding)} "
-    text += f"{percent_text(found.error)} with it, "
-    text += f"{percent_text(found.static_error)} without"
-    return (Step("presliding", {one.parameter: one.travel for one in found.travels}, text),)
+    text += f"{percent_text(presliding.error)} with it, "
+    text += f"{percent_text(presliding.static_error)} without"
+    return (Step("presliding", {one.parameter: one.travel for one in presliding.travels}, text),)
 
 
 def _options(identification: Identification) -> dict[str, float | int | str | bool | list[float] | None]:

@@ -118,14 +118,14 @@ class ModelKey:
         self.model = model = _with_plain_shapes(model)
         joints = tuple(
             (
-                one.name,
-                one.parent,
-                one.prismatic,
-                *(part.tobytes() for part in (one.rotation, one.translation, one.axis)),
+                joint.name,
+                joint.parent,
+                joint.prismatic,
+                *(part.tobytes() for part in (joint.rotation, joint.translation, joint.axis)),
             )
-            for one in model.joints
+            for joint in model.joints
         )
-        limits = tuple((one.position, one.velocity, one.acceleration) for one in model.limits)
+        limits = tuple((limit.position, limit.velocity, limit.acceleration) for limit in model.limits)
         columns = (model.motor_inertia, model.viscous, model.coulomb, model.offset, model.smoothing, repr(model.terms))
         follows = repr(model.transmission.content())
         self._content = (joints, limits, model.gravity.tobytes(), *columns, follows)

@@ -86,7 +86,7 @@ def write_prediction_page(
 
 
 def _torque_lines(segments: Sequence[SegmentPrediction]) -> list[Line]:
-    measured = [one.measured for one in segments if one.measured is not None]
+    measured = [segment.measured for segment in segments if segment.measured is not None]
     lines: list[Line] = [("measured", MEASURED, measured)] if measured else []
     return [*lines, ("predicted", PREDICTED, [one.torque for one in segments])]
 
@@ -99,7 +99,7 @@ def _torque_caption(predicted: RecordingPrediction) -> str:
 
 def _residual_figure(joints: Sequence[JointLimits], predicted: RecordingPrediction) -> Figure | None:
     """The residual with the band that it leaves without contact in one of 20 samples."""
-    residual = [one.residual for one in predicted.segments if one.residual is not None]
+    residual = [segment.residual for segment in predicted.segments if segment.residual is not None]
     if not residual:
         return None
     lines: list[Line] = [("residual", RESIDUAL, residual)]

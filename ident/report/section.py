@@ -61,7 +61,7 @@ class ReportData:
     def worst_first(self) -> list[int]:
         """Joint numbers in the verdict's order; by falling relative error where it judges no joints."""
         result = self.result
-        judged = {one.joint: place for place, one in enumerate(result.verdict.joints)}
+        judged = {joint.joint: place for place, joint in enumerate(result.verdict.joints)}
         errors = result.validation or result.fit
         known = errors.joint_relative_error if errors is not None else []
         falling = [math.inf if error is None else -error for error in known]

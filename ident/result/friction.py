@@ -185,7 +185,7 @@ def friction_fields(
         value: of the coefficient of a kind; None where it was not estimated.
         std: σ of it, or of the estimated shape of a name.
     """
-    found: dict[str, Any] = {"further": []}
+    fields: dict[str, Any] = {"further": []}
     for term in TERMS:
         if term.needs == "temperature":
             continue
@@ -193,10 +193,10 @@ def friction_fields(
         if shape is not None and term.kind in kinds and terms.shape(shape.name, motor) != shape.plain:
             own = {shape.name: terms.shape(shape.name, motor), f"{shape.name}_std": std(shape.name)}
         if term.kind in NAMED_KINDS:
-            found |= {term.kind: value(term.kind), f"{term.kind}_std": std(term.kind), **own}
+            fields |= {term.kind: value(term.kind), f"{term.kind}_std": std(term.kind), **own}
         elif term.kind in kinds:
             shape_value, shape_std = own.values() or (None, None)
-            found["further"].append(
+            fields["further"].append(
                 FurtherFriction(
                     kind=term.kind,
                     value=value(term.kind),
@@ -205,7 +205,7 @@ def friction_fields(
                     shape_std=shape_std,
                 )
             )
-    return found
+    return fields
 
 
 def friction_results(

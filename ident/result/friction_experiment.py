@@ -107,11 +107,11 @@ class FrictionExperimentResult(BaseModel):
     @property
     def warnings(self) -> list[str]:
         """What to know before the values are used."""
-        found = [f"{joint.joint}: {note}" for joint in self.joints for note in joint.notes]
-        found += [f"{joint.joint}: shapes did not settle" for joint in self.joints if not joint.settled]
+        sentences = [f"{joint.joint}: {note}" for joint in self.joints for note in joint.notes]
+        sentences += [f"{joint.joint}: shapes did not settle" for joint in self.joints if not joint.settled]
         if self.not_moved:
-            found.append(f"never move alone: {', '.join(self.not_moved)}")
-        return found
+            sentences.append(f"never move alone: {', '.join(self.not_moved)}")
+        return sentences
 
 
 def friction_path(path: str | PathLike[str]) -> Path:

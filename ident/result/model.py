@@ -21,7 +21,7 @@ from ident.model.regressor import CHUNK
 from ident.result.arrays import outward, samples
 from ident.result.delivered import Parameters
 from ident.result.exported_model import ExportedModel
-from ident.result.model_parameters import ROUNDING
+from ident.result.model_parameters import REGRESSOR_ROUNDING
 from ident.result.result_file import read_result
 from ident.result.simulated_motion import STEP, Controller, SimulatedMotion, simulated_motion
 
@@ -315,7 +315,7 @@ class Model(ExportedModel):
             self._require(columns)
             deviations[:, chunk] = np.linalg.norm(np.swapaxes(columns[:, sure], 1, 2) @ root, axis=-1)
             if len(unsure):
-                acting = np.any(np.abs(columns[:, unsure]) > ROUNDING, axis=1)
+                acting = np.any(np.abs(columns[:, unsure]) > REGRESSOR_ROUNDING, axis=1)
                 deviations[:, chunk] = np.where(acting, np.inf, deviations[:, chunk])
         return outward(deviations, single=single)
 

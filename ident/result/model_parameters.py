@@ -26,7 +26,7 @@ from ident.result.tables import Table, table_of_rows
 HOTTEST = 250.0
 """[°C] No joint of an arm is warmer, or as cold; a larger number is in another unit."""
 
-ROUNDING = 1e-9
+REGRESSOR_ROUNDING = 1e-9
 """Entries of a regressor below this are rounding: sines of 180° and the like."""
 
 
@@ -240,7 +240,7 @@ class ModelParameters:
     def _require(self, columns: FloatArray, kinds: tuple[str, ...] = ()) -> None:
         """Refuse a motion that needs a parameter without a value: columns (n, b, N) that act on it."""
         wanted = [index for index in self._missing if not kinds or self._base.kinds[index] in kinds]
-        needed = [self._base.names[i] for i in wanted if np.any(np.abs(columns[:, i]) > ROUNDING)]
+        needed = [self._base.names[i] for i in wanted if np.any(np.abs(columns[:, i]) > REGRESSOR_ROUNDING)]
         if needed:
             raise ModelError(
                 f"{', '.join(needed)} acts on this motion and has no value: the recording did not excite it",

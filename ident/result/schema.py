@@ -207,7 +207,7 @@ class Presliding(Stored):
     @property
     def by_parameter(self) -> dict[str, float]:
         """Travels [rad or m] by the name of the Coulomb parameter."""
-        return {one.parameter: one.travel for one in self.travels}
+        return {travel.parameter: travel.travel for travel in self.travels}
 
 
 _LISTS_OF_JOINTS = (

@@ -127,7 +127,7 @@ class Table:
 
     def in_order(self, rows: Sequence[int]) -> Table:
         """The table with these rows, in this order."""
-        columns = (replace(one, cells=tuple(one.cells[row] for row in rows)) for one in self.columns)
+        columns = (replace(column, cells=tuple(column.cells[row] for row in rows)) for column in self.columns)
         return replace(self, columns=tuple(columns))
 
     def to_frame(self) -> DataFrame:
@@ -181,7 +181,7 @@ class Table:
 
 def table_of_rows(title: str, columns: Sequence[Column | tuple[str, str]], rows: Sequence[Sequence[Cell]]) -> Table:
     """A table from rows; `columns` are without cells, or a name and a unit each."""
-    empty = [one if isinstance(one, Column) else Column(one[0], unit=one[1]) for one in columns]
+    empty = [column if isinstance(column, Column) else Column(column[0], unit=column[1]) for column in columns]
     cells = list(zip(*rows, strict=True)) if rows else [()] * len(empty)
     return Table(title, tuple(replace(one, cells=tuple(own)) for one, own in zip(empty, cells, strict=True)))
 

@@ -62,7 +62,7 @@ def overlap(hashes: HashArray, others: Iterable[Sequence[int]]) -> float:
         hashes: (M,) of all its samples.
         others: those kept of each of the other recordings.
     """
-    kept = [one for one in others if len(one)]
+    kept = [other for other in others if len(other)]
     if not kept or not len(hashes):
         return 0.0
     complete = min((max(one) for one in kept if len(one) >= KEPT), default=1 << BITS)

@@ -51,7 +51,7 @@ def _split_option() -> float | None:
 
 
 def _silent(step: Any) -> None:
-    """Nobody is told of the steps."""
+    """A progress callback that shows nothing."""
 
 
 def _progress_option() -> Progress:

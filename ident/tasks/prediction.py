@@ -207,7 +207,7 @@ def predict(options: PredictOptions) -> Prediction:
     predicted = predict_recording(model, robot_file, recording)
     segments = predicted.segments
     std = np.concatenate([one.std for one in segments])
-    measured = [one.measured for one in segments if one.measured is not None]
+    measured = [segment.measured for segment in segments if segment.measured is not None]
     residual = [one.residual for one in segments if one.residual is not None]
     return Prediction(
         robot_file=robot_file,

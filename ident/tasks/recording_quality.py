@@ -49,8 +49,8 @@ class RecordingQuality:
             ("duplicates", ""),
         ]  # fmt: skip
         rows = [
-            (name, one.samples, one.duration, one.rate_hz, one.jitter_ms, one.lost, one.duplicates)
-            for name, one in self.figures.streams.items()
+            (name, stream.samples, stream.duration, stream.rate_hz, stream.jitter_ms, stream.lost, stream.duplicates)
+            for name, stream in self.figures.streams.items()
         ]
         return table_of_rows(f"Streams of {self.file}", headings, rows)
 

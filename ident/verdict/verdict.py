@@ -88,7 +88,9 @@ class Verdict:
             for purpose, judged in self.purposes.items()
         ]
         worst = [
-            f"  {one.joint}: {_graded(one.grade)}, because {one.because}" for one in self.joints if one.grade != "good"
+            f"  {joint.joint}: {_graded(joint.grade)}, because {joint.because}"
+            for joint in self.joints
+            if joint.grade != "good"
         ]
         return [
             self.headline,

@@ -106,7 +106,7 @@ class TableArm:
             self._ahead -= SUBSTEP
             if self.enabled:
                 references = [axis.step(SUBSTEP) for axis in self._axes]
-                position, velocity = np.array([(one.position, one.velocity) for one in references]).T
+                position, velocity = np.array([(reference.position, reference.velocity) for reference in references]).T
                 self.arm.set_target(position, velocity)
             self.arm.advance(SUBSTEP)
 

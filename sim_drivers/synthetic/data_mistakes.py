@@ -85,7 +85,7 @@ def filled_with_zeros(recording: Recording, share: float, seed: int) -> Recordin
 def sampled(recording: Recording, every: int) -> Recording:
     """Every so-many-th row."""
     stream = recording.streams[JOINTS_STREAM]
-    channels = {name: replace(one, values=one.values[::every]) for name, one in stream.channels.items()}
+    channels = {name: replace(channel, values=channel.values[::every]) for name, channel in stream.channels.items()}
     thinned = replace(stream, time=stream.time[::every], host_time=stream.host_time[::every], channels=channels)
     return replace(recording, streams={**recording.streams, JOINTS_STREAM: thinned})
 
@@ -98,7 +98,7 @@ def quantised(recording: Recording, position: float) -> Recording:
 
 def _values(recording: Recording, values: dict[str, FloatArray]) -> Recording:
     channels = recording.streams[JOINTS_STREAM].channels
-    return _changed(recording, {name: replace(channels[name], values=one) for name, one in values.items()})
+    return _changed(recording, {name: replace(channels[name], values=value) for name, value in values.items()})
 
 
 def _changed(recording: Recording, channels: dict[str, Channel]) -> Recording:

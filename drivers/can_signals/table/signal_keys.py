@@ -135,7 +135,7 @@ class NamedSignal(SignalKeys):
         if not candidates:
             hint = did_you_mean(name, dbc.signals) or f"it has {len(dbc.signals)} signals"
             raise refused(f"{dbc.path.name} has no signal '{name}'", hint)
-        fitting = [one for one in candidates if self.message in (None, one.message)]
+        fitting = [candidate for candidate in candidates if self.message in (None, candidate.message)]
         if len(fitting) != 1:
             names = ", ".join(one.message for one in candidates)
             given = "is missing" if self.message is None else f"is {self.message!r}"

@@ -139,7 +139,7 @@ def configure(  # noqa: C901 — the steps, in their order
             drive.write(objects.MODE, mode)
             _configure_mode(drive, node, identity, settings)
     limits = tuple(read_drive_limits(drive) for drive in drives)
-    blind = warnings_of([(drive.where, one) for drive, one in zip(drives, controls, strict=True)], settings)
+    blind = warnings_of([(drive.where, control) for drive, control in zip(drives, controls, strict=True)], settings)
     for message in blind:
         report("warning", message)
     scaling = Scaling(

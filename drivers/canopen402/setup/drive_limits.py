@@ -82,7 +82,7 @@ def at_joints(limits: Sequence[DriveLimits], scaling: Scaling) -> DeviceLimits:
     radians, n = np.abs(scaling.radians_per_count), len(limits)
 
     def column(name: str) -> FloatArray:
-        return np.array([np.nan if (value := getattr(one, name)) is None else float(value) for one in limits])
+        return np.array([np.nan if (value := getattr(limit, name)) is None else float(value) for limit in limits])
 
     ends = np.stack([column("lowest"), column("highest")]) * scaling.radians_per_count + scaling.zero
     alone = np.ones(n, dtype=bool)
@@ -110,17 +110,17 @@ def at_joints(limits: Sequence[DriveLimits], scaling: Scaling) -> DeviceLimits:
 def cautions_of(joints: Sequence[str], limits: Sequence[DriveLimits]) -> list[str]:
     """What a person should know of the drives' quick stop and supervision before they move an arm."""
     odd: dict[str, list[str]] = {}
-    for joint, one in zip(joints, limits, strict=True):
-        if one.quick_stop is None:
+    for joint, limit in zip(joints, limits, strict=True):
+        if limit.quick_stop is None:
             odd.setdefault("0x605A does not exist: what a quick stop does is the manufacturer's choice", []).append(
                 joint
             )
-        elif one.quick_stop not in QUICK_STOP_ACTIONS or one.quick_stop == 0:
-            action = QUICK_STOP_ACTIONS.get(one.quick_stop, "what that means is the manufacturer's choice")
-            odd.setdefault(f"quick stop option (0x605A) {one.quick_stop}: {action}", []).append(joint)
-        if one.deceleration == 0:
+        elif limit.quick_stop not in QUICK_STOP_ACTIONS or limit.quick_stop == 0:
+            action = QUICK_STOP_ACTIONS.get(limit.quick_stop, "what that means is the manufacturer's choice")
+            odd.setdefault(f"quick stop option (0x605A) {limit.quick_stop}: {action}", []).append(joint)
+        if limit.deceleration == 0:
             odd.setdefault("the deceleration of its quick stop is 0", []).append(joint)
-        if one.following_error is None:
+        if limit.following_error is None:
             said = "the drive supervises no following error of its own (0x6065 does not exist, or is off)"
             odd.setdefault(said, []).append(joint)
     return [f"{', '.join(who)}: {what}" for what, who in odd.items()]

@@ -58,8 +58,8 @@ def mistakes(count: int, joints: Sequence[int]) -> list[Mistake]:
         for several in combinations(joints, size)
     ]
     for signal in ("torque", "position", "both"):
-        for one in joints:
-            found.append(_mistake(f"{_CHECKS[signal]}-sign", signal, (one,), _opposite(count, (one,)), kept))
+        for joint in joints:
+            found.append(_mistake(f"{_CHECKS[signal]}-sign", signal, (joint,), _opposite(count, (joint,)), kept))
         for pair in combinations(joints, 2):
             found.append(_mistake(f"{_CHECKS[signal]}s-exchanged", signal, pair, _exchanged(count, pair), kept))
     if len(joints) == count > 1:  # all signs of both are those of a mirrored arm, which is no mistake of a recording

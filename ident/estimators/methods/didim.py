@@ -18,7 +18,7 @@ from pydantic import Field
 from drivers.core.errors import IdentificationError
 from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, within
-from ident.estimators.simulated_arm import check_whole_arm, simulated_motions
+from ident.estimators.simulated_arm import SIMULATION_SETTLED, check_whole_arm, simulated_motions
 from ident.estimators.target_motion import target_motions
 from ident.estimators.torque_estimator import TorqueEstimator, reduce_torques
 from ident.ranges import LOOP_BANDWIDTH
@@ -29,9 +29,6 @@ from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared, Segment
 
 ITERATIONS = 20
-SETTLED = 0.5
-"""Largest change of a parameter, over its classical deviation. Smaller ones are noise of the simulation: where a
-simulated joint reverses, the sampled sign of its velocity changes a sample earlier or later."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +73,7 @@ class DidimEstimator(TorqueEstimator):
         references = self._references(runs)
         reduction, solution = plain, self.solve(plain, active)
         changes: list[float] = []
-        while len(changes) < ITERATIONS and (not changes or changes[-1] > SETTLED):
+        while len(changes) < ITERATIONS and (not changes or changes[-1] > SIMULATION_SETTLED):
             motions = simulated_motions(setup, references, reduction, solution, self.options.bandwidth)
             simulated = [replace(run, segments=segments) for run, segments in zip(runs, motions, strict=True)]
             reduction = reduce_torques(setup.kernel, simulated, setup.experiment.torques)
@@ -84,7 +81,7 @@ class DidimEstimator(TorqueEstimator):
             moved = np.abs(refined.parameters - solution.parameters)[list(active)]
             changes.append(float(np.max(moved / refined.std[list(active)])))
             solution = refined
-        loop = Loop("simulation and fit", "σ", tuple(changes), changes[-1] <= SETTLED)
+        loop = Loop("simulation and fit", "σ", tuple(changes), changes[-1] <= SIMULATION_SETTLED)
         return SimulatedEstimation(
             setup.kernel,
             reduction,

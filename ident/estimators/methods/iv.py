@@ -85,7 +85,7 @@ def exogeneity_test(
 
 
 ITERATIONS = 30
-SETTLED = 0.01
+INSTRUMENTS_SETTLED = 0.01
 """Largest change of a parameter, over its classical deviation."""
 
 Instruments = Literal["auto", "repetition", "target", "simulation"]
@@ -176,7 +176,7 @@ class InstrumentalEstimator(TorqueEstimator):
         source = self._source(runs, plain, solution)
         motions, factors = source.motions, source.factors
         changes: list[float] = []
-        while len(changes) < ITERATIONS and (not changes or changes[-1] > SETTLED):
+        while len(changes) < ITERATIONS and (not changes or changes[-1] > INSTRUMENTS_SETTLED):
             if not source.motions:
                 motions = simulated_motions(self.setup, runs, reduction, solution, self.options.bandwidth)
                 factors = self._factors(runs, motions, plain)
@@ -193,7 +193,7 @@ class InstrumentalEstimator(TorqueEstimator):
             self.setup.kernel,
             reduction,
             solution,
-            (Loop(source.loop, "σ", tuple(changes), changes[-1] <= SETTLED),),
+            (Loop(source.loop, "σ", tuple(changes), changes[-1] <= INSTRUMENTS_SETTLED),),
             passes=1 + 2 * (1 if source.motions else len(changes)) + 5,
             steps=(_step(source, strength), self._exogeneity(runs, motions, solution, ordinary)),
             instruments=tuple(motions),

@@ -133,7 +133,7 @@ SAMPLES_PER_PERIOD = 2.0
 """Filtered samples per period of the parallel filter's cut-off."""
 
 ITERATIONS = 30
-SETTLED = 1e-3
+WHITENING_SETTLED = 1e-3
 """Largest change of a parameter, over its classical deviation."""
 
 
@@ -190,14 +190,14 @@ class MlEstimator(TorqueEstimator):
         runs = [at_filter_rate(run) for run in runs]
         solution = self.solve(plain, active)
         changes: list[float] = []
-        while len(changes) < ITERATIONS and (not changes or changes[-1] > SETTLED):
+        while len(changes) < ITERATIONS and (not changes or changes[-1] > WHITENING_SETTLED):
             filters = self._filters(runs, solution)
             reduction = self._whitened(runs, plain, filters)
             refined = self.solve(reduction, active)
             moved = np.abs(refined.parameters - solution.parameters)[list(active)]
             changes.append(float(np.max(moved / refined.std[list(active)])))
             solution = refined
-        loop = Loop("parameters and noise model", "σ", tuple(changes), changes[-1] <= SETTLED)
+        loop = Loop("parameters and noise model", "σ", tuple(changes), changes[-1] <= WHITENING_SETTLED)
         return MlEstimation(
             kernel,
             reduction,

@@ -15,7 +15,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, ModelError
 from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
 from ident.estimators.method import Method, NoOptions
-from ident.estimators.simulated_arm import check_whole_arm, simulable_arm
+from ident.estimators.simulated_arm import SIMULATION_SETTLED, check_whole_arm, simulable_arm
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
@@ -105,8 +105,6 @@ def output_rows(inverse: InverseDynamics, run: Prepared) -> list[OutputRows]:
 
 
 ITERATIONS = 15
-SETTLED = 0.5
-"""Largest change of a parameter, over its classical deviation."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -131,7 +129,7 @@ class OutputErrorEstimator(TorqueEstimator):
         reduction, solution = plain, self.solve(plain, active)
         weights = solution.weights
         changes: list[float] = []
-        while len(changes) < ITERATIONS and (not changes or changes[-1] > SETTLED):
+        while len(changes) < ITERATIONS and (not changes or changes[-1] > SIMULATION_SETTLED):
             inverse = simulable_arm(self.setup, reduction, solution)
             try:
                 rows = tuple(part for run in runs for part in output_rows(inverse, run))
@@ -155,7 +153,7 @@ class OutputErrorEstimator(TorqueEstimator):
             self.setup.kernel,
             reduction,
             solution,
-            (Loop("simulation and fit", "σ", tuple(changes), changes[-1] <= SETTLED),),
+            (Loop("simulation and fit", "σ", tuple(changes), changes[-1] <= SIMULATION_SETTLED),),
             passes=1 + len(changes),
             rows=rows,
             position_weights=position_weights,

@@ -65,11 +65,11 @@ def consistent_or_free(setup: Setup, active: Sequence[int]) -> Solve:
     def solve(kernel: RegressorKernel, reduction: Reduction, before: FloatArray) -> LeastSquares:
         free = ordinary_least_squares(reduction, active)
         estimate = estimate_of(reduction, free, free.covariance, 0)
-        found = found_consistent(kernel.model, setup.base, estimate, setup.robot_file)
-        if found is None:
+        feasible = found_consistent(kernel.model, setup.base, estimate, setup.robot_file)
+        if feasible is None:
             return free
         parameters = free.parameters.copy()
-        parameters[list(active)] = found.base[list(active)]
+        parameters[list(active)] = feasible.base[list(active)]
         return replace(free, parameters=parameters)
 
     return solve

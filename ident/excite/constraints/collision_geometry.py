@@ -111,7 +111,7 @@ def _enclosing(link: int, shape: Shape, folders: Sequence[Path]) -> tuple[list[C
             corners = np.array(list(product((-0.5, 0.5), repeat=3))) * lengths(shape, "size")
             points = shape.centre + corners @ shape.rotation.T
     hull = None if points is None else hull_of_points(link, points)
-    return capsules, [hull_of_capsule(one) for one in capsules] if hull is None else [hull]
+    return capsules, [hull_of_capsule(capsule) for capsule in capsules] if hull is None else [hull]
 
 
 def _capsules(link: int, shape: Shape) -> Iterator[Capsule]:
@@ -196,7 +196,7 @@ def arm_geometry(robot_file: RobotFile, model: DynamicModel) -> ArmGeometry:
     if found.hulls:
         tool = capsules[-1:] if len(capsules) and capsules[-1] not in shapes.get(last, capsules) else []
         for link in (BASE_INDEX, *range(len(model.joints))):
-            hulls += found.hulls.get(link) or [hull_of_capsule(one) for one in capsules if one.link == link]
+            hulls += found.hulls.get(link) or [hull_of_capsule(capsule) for capsule in capsules if capsule.link == link]
         hulls += [hull_of_capsule(one) for one in tool if found.hulls.get(last)]
     unread = tuple(f"{link_name(model, link)}: {why}" for link, why in sorted(found.unread.items()))
     names = tuple(link_name(model, link) for link in sorted(shapes))

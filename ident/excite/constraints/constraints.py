@@ -66,7 +66,7 @@ def checked_pairs(robot_file: RobotFile, model: DynamicModel, geometry: ArmGeome
     workspace = robot_file.robot.workspace
     pairs = link_pairs(model, geometry, workspace.ignore_pairs)
     if pairs.close and not pairs.checked and "link_radius" in workspace.model_fields_set:
-        thin = ArmGeometry(tuple(replace(one, radius=0.0) for one in geometry.capsules), geometry.from_shapes)
+        thin = ArmGeometry(tuple(replace(capsule, radius=0.0) for capsule in geometry.capsules), geometry.from_shapes)
         if link_pairs(model, thin, workspace.ignore_pairs).checked:
             raise RobotFileError(
                 "with links as thick as this every pair touches in nearly every pose, so that none could be kept apart",

@@ -64,8 +64,8 @@ def leap(
         return values
 
     box = SearchBox(middle - WIDER * half - 1e-9, middle + WIDER * half + 1e-9)
-    found = minimise(
+    minimum = minimise(
         FROGS, cost, box, SearchBudget(GENERATIONS), generator.integers(2**32, size=4).tolist(), first=frogs
     )
-    if found.ended == "interrupted":
+    if minimum.ended == "interrupted":
         raise KeyboardInterrupt

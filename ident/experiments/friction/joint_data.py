@@ -32,7 +32,7 @@ class JointData:
 
     def __init__(self, model: DynamicModel, periods: Sequence[JointPeriod]) -> None:
         self.model, self.periods = model, periods
-        self.torque: FloatArray = np.concatenate([one.filtered(one.torque[None])[0] for one in periods])
+        self.torque: FloatArray = np.concatenate([period.filtered(period.torque[None])[0] for period in periods])
         self.own = self._own_columns()
         self.index = self._sample_index()
 
@@ -43,7 +43,9 @@ class JointData:
 
     def _own_columns(self) -> FloatArray:
         """(R, o) inertia and gravity of each period, 0 in the rows of the others."""
-        blocks = [one.filtered(np.concatenate([one.acceleration[None], one.gravity])) for one in self.periods]
+        blocks = [
+            period.filtered(np.concatenate([period.acceleration[None], period.gravity])) for period in self.periods
+        ]
         own = np.zeros((len(self.torque), sum(len(block) for block in blocks)))
         row = column = 0
         for block in blocks:
@@ -53,40 +55,42 @@ class JointData:
 
     def _sample_index(self) -> npt.NDArray[np.int64]:
         """(R,) samples counted along the motion, repeated ones alike, without holes."""
-        phases = np.concatenate([one.phase[one.counted] for one in self.periods])
+        phases = np.concatenate([period.phase[period.counted] for period in self.periods])
         return np.asarray(np.unique(phases, return_inverse=True)[1])
 
     def columns(self, candidates: Sequence[Candidate], loads: Sequence[FloatArray]) -> FloatArray:
         """(R, k) filtered friction columns, with the load torque (N,) of each period."""
         stacked = []
-        for one, load in zip(self.periods, loads, strict=True):
-            conditions = FrictionConditions(load[None], None if one.temperature is None else one.temperature[None])
+        for period, load in zip(self.periods, loads, strict=True):
+            conditions = FrictionConditions(
+                load[None], None if period.temperature is None else period.temperature[None]
+            )
             signals = np.array(
                 [
-                    friction_signal(self.model, candidate.quantity, candidate.shape, one.velocity, conditions)
+                    friction_signal(self.model, candidate.quantity, candidate.shape, period.velocity, conditions)
                     for candidate in candidates
                 ]
             )
-            stacked.append(one.filtered(signals).T)
+            stacked.append(period.filtered(signals).T)
         return np.concatenate(stacked)
 
     def load_torques(self, parameters: FloatArray) -> list[FloatArray]:
         """Gravity torque (N,) of each period by its inertia and first moments, parameters (≥ o,)."""
         found, place = [], 0
-        for one in self.periods:
+        for period in self.periods:
             place += 1
-            values = parameters[place : place + len(one.gravity)]
-            found.append(values @ one.gravity)
-            place += len(one.gravity)
+            values = parameters[place : place + len(period.gravity)]
+            found.append(values @ period.gravity)
+            place += len(period.gravity)
         return found
 
     def load_slopes(self, coefficient: float, power: float, loads: Sequence[FloatArray]) -> FloatArray:
         """(R, o) by how much load friction changes with the inertia and gravity parameters of the periods."""
         slopes = np.zeros_like(self.own)
         row = column = 0
-        for one, load in zip(self.periods, loads, strict=True):
+        for period, load in zip(self.periods, loads, strict=True):
             steepness = coefficient * power * np.abs(load) ** (power - 1.0) * np.sign(load)
-            block = one.filtered(self.model.coulomb_direction(one.velocity) * steepness * one.gravity)
+            block = period.filtered(self.model.coulomb_direction(period.velocity) * steepness * period.gravity)
             column += 1  # the inertia's
             slopes[row : row + block.shape[1], column : column + len(block)] = block.T
             row, column = row + block.shape[1], column + len(block)
@@ -94,15 +98,15 @@ class JointData:
 
     def autocorrelation(self, residual: FloatArray) -> FloatArray:
         """(1,) of the residuals at lag one, within the periods."""
-        counts = [int(one.counted.sum()) for one in self.periods]
+        counts = [int(period.counted.sum()) for period in self.periods]
         return lag_one([part[None] for part in np.split(residual, np.cumsum(counts)[:-1])])
 
     def position_blocks(self) -> npt.NDArray[np.int64]:
         """(R,) block of each equation by the joint's position: torque ripple is the same in every stroke."""
-        position = self.sampled([one.position for one in self.periods])
+        position = self.sampled([period.position for period in self.periods])
         width = np.ptp(position) / POSITION_BLOCKS
         return np.asarray(np.minimum((position - position.min()) // width, POSITION_BLOCKS - 1), dtype=np.int64)
 
     def sampled(self, signals: Sequence[FloatArray]) -> FloatArray:
         """(R,) of signals (N,) of the periods, not filtered."""
-        return np.concatenate([one.sampled(signal) for one, signal in zip(self.periods, signals, strict=True)])
+        return np.concatenate([period.sampled(signal) for period, signal in zip(self.periods, signals, strict=True)])

@@ -103,7 +103,7 @@ class _JointFit:
         self._sliding, self._unit = sliding, "N" if sliding else "N·m"
         if not sliding:  # else confounded with the weight
             self._base += ("offset",)
-        self._load = [np.zeros_like(one.velocity) for one in periods]
+        self._load = [np.zeros_like(period.velocity) for period in periods]
         plain = self.solve(no_terms(1))
         self._load = self._data.load_torques(plain.parameters)
         coulomb = plain.value("coulomb", 0) or 0.0
@@ -119,7 +119,7 @@ class _JointFit:
         """Whether temperature and load vary enough for their terms."""
         load, least = self.load_span, self.least_load_span
         self.loads = load.width >= least and load.width > 0.0
-        if not any(len(one.gravity) for one in self._data.periods):
+        if not any(len(period.gravity) for period in self._data.periods):
             self._notes["load"] = "no load term: gravity does not act on this joint"
         elif not self.loads:
             self._notes["load"] = (
@@ -170,15 +170,15 @@ class _JointFit:
     def search(self, base: FrictionTerms) -> FrictionSearch:
         """Choices among the candidates that the spans allow and some terms lack, beside these."""
         solved = self.solve(base)
-        greatest = max(float(np.max(np.abs(one.velocity))) for one in self._data.periods)
+        greatest = max(float(np.max(np.abs(period.velocity))) for period in self._data.periods)
         heat = TEMPERATURE_KINDS[: self.slope * (2 + self.curvature)]
         missing = {option.group for option in OPTIONS if base.option(option.group, 0) is None}
         kinds = {kind for option in OPTIONS if option.group in missing for kind in option.kinds}
         candidates = tuple(
-            one
+            candidate
             for kind in CANDIDATE_KINDS
             if kind in kinds and (kind in heat or kind not in TEMPERATURE_KINDS)
-            for one in term_candidates(kind, greatest, loads=self.loads, temperature=True)
+            for candidate in term_candidates(kind, greatest, loads=self.loads, temperature=True)
         )
         further = [self._data.columns(candidates, self._load)] if candidates else []
         stacked = np.concatenate([solved.columns, *further, self._data.torque[:, None]], axis=1)
@@ -206,10 +206,10 @@ class _JointFit:
             steps += search.choose(0, self._name)
             while search.revise(0):
                 steps += search.choose(0, self._name)
-            found = search.terms(terms)
-            if found == terms:
+            searched = search.terms(terms)
+            if searched == terms:
                 return terms, tuple(steps)
-            terms = self._without_curvature(found)  # with its shapes and load torque, others may count
+            terms = self._without_curvature(searched)  # with its shapes and load torque, others may count
 
     def _without_curvature(self, terms: FrictionTerms) -> FrictionTerms:
         """The terms settled, that of the temperature linear where its curvature is not significant."""
@@ -302,8 +302,8 @@ class _JointFit:
         values, covariance, kinds = self._estimated(solved)
         own = self._data.own @ solved.parameters[: solved.own]
         heat = [
-            np.full_like(one.velocity, np.nan) if one.temperature is None else one.temperature
-            for one in self._data.periods
+            np.full_like(period.velocity, np.nan) if period.temperature is None else period.temperature
+            for period in self._data.periods
         ]
         value = dict(zip(kinds, values.tolist(), strict=True))
         std = dict(zip(kinds, np.sqrt(np.diag(covariance)).tolist(), strict=True))

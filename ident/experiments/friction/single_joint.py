@@ -115,7 +115,7 @@ def joint_periods(
     model = replace(model, terms=NO_TERMS, coulomb=everywhere, viscous=everywhere, offset=everywhere)
     robot = robot_file.robot
     progress("preprocessing")
-    windows = [run_window(one, robot, choices.preprocess) for one in recordings]
+    windows = [run_window(recording, robot, choices.preprocess) for recording in recordings]
     kernel = RegressorKernel(model, base_parameters(model).columns)
     data = prepare_data(kernel, DataSplit(tuple(windows), (), ""), range(model.dof), (), choices, progress)
     periods = tuple(tuple(_of_joint(model, joint, data)) for joint in range(model.dof))

@@ -303,7 +303,8 @@ def _checks(
     checks = []
     if consistency is not None and not consistency.agree:
         worst = ", ".join(
-            f"{one.parameter} of {one.file} ({one.deviations:+.1f} σ)" for one in consistency.contradictions[:3]
+            f"{contradiction.parameter} of {contradiction.file} ({contradiction.deviations:+.1f} σ)"
+            for contradiction in consistency.contradictions[:3]
         )
         text = consistency.text + (f" Furthest from the merged model: {worst}." if worst else "")
         checks.append(raised("contradicting-models", text))

@@ -125,9 +125,9 @@ def candidates_of(model: DynamicModel, speeds: FloatArray, *, temperature: bool)
     loads = model.terms.load_torque is not None
     return tuple(
         tuple(
-            one
+            candidate
             for kind in CANDIDATE_KINDS
-            for one in term_candidates(kind, speed, loads=loads, temperature=temperature)
+            for candidate in term_candidates(kind, speed, loads=loads, temperature=temperature)
         )
         for speed in speeds.tolist()
     )

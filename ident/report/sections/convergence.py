@@ -27,7 +27,7 @@ def section(data: ReportData) -> ReportSection | None:
         "open": [loop.name for loop in convergence.loops if not loop.settled],
         "figure": _figure(convergence),
         "equations": convergence.equations,
-        "joints": [one.joint for one in convergence.equations],
+        "joints": [equation.joint for equation in convergence.equations],
         "correlation": convergence.joint_correlation,
     }
     return ReportSection("Convergence", "convergence", "convergence.html.j2", context)

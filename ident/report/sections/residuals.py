@@ -25,7 +25,7 @@ HISTOGRAM_EDGES = np.linspace(-5.0, 5.0, 51)
 PROBABILITIES = np.concatenate([[0.0005, 0.001, 0.002], np.linspace(0.005, 0.995, 100), [0.998, 0.999, 0.9995]])
 """Of the quantiles that are compared with those of a normal distribution."""
 
-ROUNDING = 1e-9
+MEAN_ROUNDING = 1e-9
 """A mean of fewer standard deviations is what rounding left of 0: an offset column takes it out exactly."""
 
 
@@ -68,7 +68,7 @@ def joint_residual(series: Sequence[TorqueSeries], joint: int, lags: int) -> Joi
     samples = len(residual)
     mean = float(residual.mean()) if samples else float("nan")
     std = float(residual.std()) if samples else float("nan")
-    if abs(mean) < ROUNDING * std:
+    if abs(mean) < MEAN_ROUNDING * std:
         mean = 0.0
     centred = [np.where(mask, segment - mean, 0.0) for segment, mask in zip(segments, used, strict=True)]
     correlation = _autocorrelation(centred, min(lags, max(1, samples - 1))) if samples and std > 0 else np.empty(0)
@@ -125,8 +125,12 @@ def section(data: ReportData) -> ReportSection:
         "scatter": _scatter_figure(result.joints, result.sliding, residuals) if shown else None,
         "figure": _figure(result.joints, residuals, _step(data)) if shown else None,
         "rows": [
-            {"joint": result.joints[joint], "residual": one, "lag_one": next(iter(one.autocorrelation[1:2]), None)}
-            for joint, one in residuals.items()
+            {
+                "joint": result.joints[joint],
+                "residual": residual,
+                "lag_one": next(iter(residual.autocorrelation[1:2]), None),
+            }
+            for joint, residual in residuals.items()
         ],
         "residuals": result.residuals,
         "assumptions": sorted(result.residuals.assumptions, key=lambda one: order.index(one.joint)),

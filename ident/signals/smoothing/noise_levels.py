@@ -17,7 +17,9 @@ MOST_SAMPLES = 20_000
 
 _GRID = 12  # cut-offs that are tried before the best of them is refined
 _REFINED = 0.01  # relative accuracy of the cut-off
-_ROUNDING = 1e-12  # of the largest sample: what remains of a signal without any noise, by any processor's arithmetic
+_FILTER_ROUNDING = (
+    1e-12  # of the largest sample: what remains of a signal without any noise, by any processor's arithmetic
+)
 
 
 def cutoff_of_noise(density: float, variance: float, rate: float, order: int) -> float:
@@ -85,4 +87,4 @@ def _mean_square(samples: FloatArray, relative_cutoff: float, order: int) -> flo
     errors = innovations(samples, 2.0 * math.pi * relative_cutoff, order)
     settling = min(math.ceil(2.0 / relative_cutoff), len(errors) // 2)
     square = float(np.mean(errors[settling:] ** 2))
-    return square if square > (_ROUNDING * np.abs(samples).max()) ** 2 else 0.0
+    return square if square > (_FILTER_ROUNDING * np.abs(samples).max()) ** 2 else 0.0
