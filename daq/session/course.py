@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -11,55 +10,11 @@ import numpy as np
 from daq.recording.clocks import ClockLog
 from daq.recording.recording import JOINTS_STREAM
 from daq.session.command_gate import CommandGate
+from drivers.clock_rates import ClockRates
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
 from drivers.standstill import StandstillWatch
 from drivers.streams import Batch
-
-FASTER = 1.5
-"""Ratio of the rates from which a motion ends; sound clocks are within 1e-4 of each other."""
-WINDOW, WINDOWS = 0.05, 8
-"""So many intervals [s] in a row must show it, each so long by both clocks, …"""
-LONGEST = 0.25
-"""… or so long [s] by one of them."""
-STEADY = 1.3
-"""Largest over smallest ratio in them: a wrong clock is wrong evenly, late samples and stalled simulators are not."""
-
-
-class ClockRates:
-    """Compares two clocks as samples come.
-
-    Stamps that are the host's own never differ: where an arm has no clock there is nothing to compare.
-    """
-
-    def __init__(self) -> None:
-        self._begun: tuple[float, float] | None = None
-        self._ratios: deque[float] = deque(maxlen=WINDOWS)
-
-    def add(self, time: float, host_time: float) -> str:
-        """Take a sample's time by its source's clock and by the host's [s]; what is wrong, in words, or nothing."""
-        if self._begun is None:
-            self._begun = time, host_time
-            return ""
-        own, host = time - self._begun[0], host_time - self._begun[1]
-        shorter, longer = sorted((abs(own), abs(host)))
-        if shorter < WINDOW and longer < LONGEST:
-            return ""
-        self._begun = time, host_time
-        if own <= 0.0 or host <= 0.0:  # set back, or samples that came all at once
-            self._ratios.clear()
-            return ""
-        self._ratios.append(own / host)
-        least, most = min(self._ratios), max(self._ratios)
-        differ = least > FASTER or most < 1.0 / FASTER
-        if len(self._ratios) < WINDOWS or not differ or most > STEADY * least:
-            return ""
-        ratio = sum(self._ratios) / WINDOWS
-        return (
-            f"the arm's clock runs at {ratio:.2f} times the rate of this computer's: one of them is wrong, or the "
-            "connection's rate"
-        )
-
 
 REST_TIME = 0.5
 """How long [s] an arm, and what its controller aims at, must have been at rest before control of it is taken."""

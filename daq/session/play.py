@@ -19,6 +19,7 @@ from daq.session.course import GAP, REST_TIME, Course
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
 from drivers.base import Driver, Holding, ReportingSafety
+from drivers.clock_rates import COMPARING_LIMIT
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionLostError, DynidError, MotionRefusedError, UsageError, WorkError
 from drivers.standstill import StandstillWatch
@@ -154,6 +155,9 @@ def permitted_approach(driver: Driver, cycle: Callable[[], None], course: Course
     if not answer:
         raise MotionRefusedError("not confirmed, so nothing was moved")
     _wait_for_rest(cycle, course)
+    limit = course.clock.now() + COMPARING_LIMIT
+    while not course.rates.compared and course.interrupted is None and course.clock.now() < limit:
+        cycle()
     if course.untrusted:
         raise MotionRefusedError(course.untrusted)
     _require_unmoved(course, shown, "before the motion was confirmed")

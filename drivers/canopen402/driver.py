@@ -18,6 +18,7 @@ from drivers.base import DeviceLimits, DriverSettings, Notice, State, drained, r
 from drivers.can.bus import Sender, close_bus, open_bus, returns_own_frames, sends_in_kernel
 from drivers.can.receiver import Receiver
 from drivers.canopen402.monitor.drives import DriveWatch
+from drivers.canopen402.monitor.heartbeat_clocks import HeartbeatClocks
 from drivers.canopen402.monitor.life_signs import LifeSigns, guard_requests, heartbeat
 from drivers.canopen402.monitor.presence import Heartbeats, NodeGuarding, Presence
 from drivers.canopen402.monitor.silence import Silence
@@ -36,7 +37,7 @@ from drivers.canopen402.setup.drive_limits import at_joints
 from drivers.canopen402.setup.error_control import check_own_id, release
 from drivers.canopen402.setup.other_masters import masters_heartbeats, require_alone
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, MotionRefusedError
 from drivers.first_step import check_first_step, finite_position
 from drivers.standstill import StandstillWatch
 from drivers.streams import Batch, StreamLayout
@@ -76,6 +77,7 @@ class Canopen402Driver:
         self._bus: can.BusABC | None = None
         self._poll: TemperaturePoll | None = None
         self._life: LifeSigns | None = None
+        self._clocks: HeartbeatClocks | None = None
         self._last_row = 0.0
         self._last_slot: int | None = None
         self._latest_position: FloatArray | None = None
@@ -235,12 +237,15 @@ class Canopen402Driver:
         Raises:
             DriverStateError: it is not running, the connection's mode is "none", no position is known yet, or a drive
                 is in fault or cannot be enabled.
+            MotionRefusedError: the drives' heartbeats say that this computer's clock is wrong.
             ConnectionLostError: the adapter is gone.
         """
         with self._motion_lock:
             motion = self._require_movable()
             if self._latest_position is None:
                 raise DriverStateError("no position of the arm is known yet", hint="read samples before")
+            if self._clocks is not None and (wrong := self._clocks.wait(self._clock)):
+                raise MotionRefusedError(wrong)
             if not motion.moving and motion.ended_by is None:
                 motion.enable(self._settings.timeout)
 
@@ -370,11 +375,14 @@ class Canopen402Driver:
             self._life = guard_requests(self._sender, ids, guarding.period, presence.ask, self._clock)
         else:
             presence = Heartbeats(count, settings.heartbeat)
+            self._clocks = HeartbeatClocks(count, settings.heartbeat)
             if settings.mode != "none":
                 self._life = heartbeat(self._sender, settings.own_id, settings.heartbeat, self._clock)
         controls = self._configured.controls
         expected, watching = [control.present for control in controls], [one.watching is not None for one in controls]
-        return DriveWatch(self._joints, ids, expected, presence, watching, self._sync.clock, self._moved_in)
+        return DriveWatch(
+            self._joints, ids, expected, presence, watching, self._sync.clock, self._moved_in, self._clocks
+        )
 
     def _make_poll(self) -> TemperaturePoll | None:
         sources = [node.temperature for node in self._settings.nodes]

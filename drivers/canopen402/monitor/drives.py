@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from drivers.base import Level, Notice, drained
+from drivers.canopen402.monitor.heartbeat_clocks import HeartbeatClocks
 from drivers.canopen402.monitor.presence import Presence
 from drivers.canopen402.protocol import objects
 from drivers.canopen402.protocol.emcy import MASTER_MISSED, Emergency, decode_emergency
@@ -44,6 +45,7 @@ class DriveWatch:
         watching: whether each drive watches dynid.
         clock: a host's monotonic time [s] in the source's clock [s].
         moved_in: the mode of operation in which the drives are being moved; None where they are not.
+        clocks: compares the drives' with this computer's; None where they send no heartbeats.
     """
 
     def __init__(
@@ -55,7 +57,9 @@ class DriveWatch:
         watching: Sequence[bool],
         clock: Callable[[float], float],
         moved_in: Callable[[], int | None],
+        clocks: HeartbeatClocks | None = None,
     ) -> None:
+        self._clocks, self._clocks_told = clocks, False
         self._joints, self._ids = tuple(joints), tuple(ids)
         self._index = {node: index for index, node in enumerate(ids)}
         self._expected = tuple(expected)
@@ -132,6 +136,11 @@ class DriveWatch:
             return
         state = data[0] & 0x7F
         self._presence.take(index, data[0], arrived)
+        if self._clocks is not None and state != objects.STATE_BOOT_UP:
+            self._clocks.take(index, arrived)
+            if (wrong := self._clocks.wrong) and not self._clocks_told:
+                self._clocks_told = True
+                self._report(arrived, "warning" if self._moved_in() is None else "error", wrong)
         self._heard[index], self._nmt[index] = arrived, state
         if state == objects.STATE_BOOT_UP and math.isfinite(self._begin):
             self._report(

@@ -13,7 +13,7 @@ from table_arm_bench import KEYS, PERIOD, POSE, ROBOT, TIME, connection_of, open
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import PointToPoint
-from daq.session.course import ClockRates
+from drivers.clock_rates import ClockRates
 from drivers.core.errors import MotionRefusedError, SafetyStopError
 
 DELAYS = st.lists(st.floats(0.0, 0.3), min_size=1, max_size=20)

@@ -25,7 +25,7 @@ from drivers.can.receiver import POLL, Receiver
 from drivers.canopen402.monitor.presence import HEARTBEATS_MISSED
 from drivers.canopen402.samples import temperature
 from drivers.canopen402.samples.sync import SyncProducer
-from drivers.core.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError, MotionRefusedError
 from sim_drivers.canopen.network import LOOP_PERIOD, TICKS_PER_CHORE
 from sim_drivers.canopen.server import GRANULARITY, LONGEST_WAIT
 
@@ -418,6 +418,26 @@ def test_a_drives_thermometer_that_hangs_stops_the_motion(tmp_path: Path, monkey
         assert FAULT + WATCHED["temperature"] < stopped < FAULT + 2.5
         (event,) = [event for event in run.recording.events if event.message.startswith("stuck ")]
         assert event.source == "thermal"
+
+
+@pytest.mark.parametrize("moving", [False, True])
+def test_no_motion_is_played_by_a_clock_that_the_drives_heartbeats_contradict(tmp_path: Path, moving: bool) -> None:
+    """Heartbeats come twice as often as they should, or do so from 0.9 s on: as with this clock at half its rate."""
+    with arm_on_bus(HEARTBEATS, opened=False) as bench:
+        right = bench.clock.now() + 0.9 if moving else 0.0
+        for drive in bench.server.network.drives:
+            drive.objects.live(0x1017, 0, lambda: round(1e3 * BEAT if bench.clock.now() < right else 500 * BEAT))
+        bench.driver.open()
+        said = "the drives' clock runs at 2.00 times the rate of this computer's"
+        if moving:
+            assert_stopped(bench, bench.record(tmp_path, motion=swing()), said)
+            return
+        bench.driver.start()
+        while not bench.driver.read(READ_TIMEOUT):
+            pass
+        with pytest.raises(MotionRefusedError, match=said):
+            bench.driver.take_control()
+        assert not any(drive.enabled for drive in bench.server.network.drives)
 
 
 def test_swapped_node_ids_are_found_before_anything_moves() -> None:
