@@ -178,6 +178,14 @@ class Attributing(Protocol):
 
 
 @runtime_checkable
+class Measured(Protocol):
+    """A driver whose controller knows how long its arm's links are."""
+
+    def arm_lengths(self) -> FloatArray | None:
+        """Upper arm, forearm, shoulder offset and wrist offset (4,) [m]; None where it tells none."""
+
+
+@runtime_checkable
 class Limiting(Protocol):
     """A driver whose controller tells limits of its own; they are compared with the robot file's."""
 

@@ -71,7 +71,7 @@ def record_command(  # noqa: C901, PLR0912, PLR0915 — the steps, in their orde
     from daq.robot.loader import load_robot
     from daq.session.arm_lock import only_mover
     from daq.session.bus_room import session_warnings
-    from daq.session.device_limits import before_a_motion
+    from daq.session.device_limits import before_a_motion, require_same_arm
     from daq.session.play import Play, motion_rate, unreported_safety
     from daq.session.realtime import ask_for_realtime
     from daq.session.session import ENDED_BY, load_driver, record
@@ -122,6 +122,7 @@ def record_command(  # noqa: C901, PLR0912, PLR0915 — the steps, in their orde
     lock = only_mover(robot_file.robot, wire, host) if motion is not None else nullcontext()
     with lock, closing(driver):  # only now is the bus touched
         driver.open()
+        require_same_arm(robot_file, driver)
         layouts = driver.streams()
         if motion is not None:
             motion_rate(driver)  # refused before a file is made

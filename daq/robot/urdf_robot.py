@@ -105,12 +105,12 @@ def read_urdf_arm(xml: str, file_name: str, where: str) -> UrdfArm:
     if "www.ros.org/wiki/xacro" in xml and any("xacro}" in element.tag for element in root.iter()):
         raise RobotFileError("is a xacro file, not a URDF", where=where, hint="convert it: xacro FILE > arm.urdf")
     joints = [joint for joint in root.findall("joint") if joint.find("child") is not None]
-    by_child = {_link(joint, "child"): joint for joint in joints}
+    by_child = {link_of(joint, "child"): joint for joint in joints}
 
     def depth(joint: ElementTree.Element) -> int:
-        steps, parent = 0, by_child.get(_link(joint, "parent"))
+        steps, parent = 0, by_child.get(link_of(joint, "parent"))
         while parent is not None and steps <= len(joints):
-            steps, parent = steps + 1, by_child.get(_link(parent, "parent"))
+            steps, parent = steps + 1, by_child.get(link_of(parent, "parent"))
         return steps
 
     movable = [joint for joint in sorted(joints, key=depth) if joint.get("type") in MOVABLE]
@@ -118,7 +118,7 @@ def read_urdf_arm(xml: str, file_name: str, where: str) -> UrdfArm:
     driven = [joint for joint in movable if joint.find("mimic") is None]
     if not driven:
         raise RobotFileError("has no movable joint", where=where)
-    tool_link, tool, tool_rotation = _tool(_link(driven[-1], "child"), joints, where)
+    tool_link, tool, tool_rotation = _tool(link_of(driven[-1], "child"), joints, where)
     return UrdfArm(
         name=root.get("name") or PurePath(file_name).stem,
         joints=tuple(_joint(joint, where) for joint in driven),
@@ -200,7 +200,8 @@ def _mimics(joints: list[ElementTree.Element], driven: set[str], where: str) -> 
     return tuple(mimics)
 
 
-def _link(joint: ElementTree.Element, end: str) -> str:
+def link_of(joint: ElementTree.Element, end: str) -> str:
+    """Name of the link at the `parent` or `child` end of a joint; empty where there is none."""
     element = joint.find(end)
     return "" if element is None else element.get("link", "")
 
@@ -243,9 +244,9 @@ def _tool(last: str, joints: list[ElementTree.Element], where: str) -> tuple[str
     while waiting:
         parent = waiting.pop()
         for joint in joints:
-            child = _link(joint, "child")
-            if joint.get("type") == "fixed" and _link(joint, "parent") == parent and child not in placed:
-                xyz, rpy = _origin(joint, where)
+            child = link_of(joint, "child")
+            if joint.get("type") == "fixed" and link_of(joint, "parent") == parent and child not in placed:
+                xyz, rpy = origin_of(joint, where)
                 rotation, origin = placed[parent]
                 placed[child] = rotation * Rotation.from_euler("xyz", rpy), origin + rotation.apply(xyz)
                 waiting.append(child)
@@ -255,7 +256,7 @@ def _tool(last: str, joints: list[ElementTree.Element], where: str) -> tuple[str
     return link, _exact(origin), _exact(rotation.as_rotvec())
 
 
-def _origin(joint: ElementTree.Element, where: str) -> tuple[FloatArray, FloatArray]:
+def origin_of(joint: ElementTree.Element, where: str) -> tuple[FloatArray, FloatArray]:
     """A joint's origin in its parent link: xyz [m] and rpy [rad]."""
     origin = joint.find("origin")
     stated = {} if origin is None else origin.attrib

@@ -5,14 +5,20 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from daq.robot.arm_lengths import arm_lengths
+from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from daq.session.sources import Sources
 from daq.session.supervisor import TRACKING_ERROR
-from drivers.base import Cautioning, DeviceLimits, Driver, Limiting
+from drivers.base import Cautioning, DeviceLimits, Driver, Limiting, Measured
 from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
 
 POSITION_AGREEMENT = 1e-3
 """[rad]: positions that differ by less are the same."""
+LENGTH_AGREEMENT = 0.008
+"""[m]: arms of one model differ by less, as they are calibrated; a UR10 and a UR10e by 0.010."""
+LENGTHS = ("upper arm", "forearm", "shoulder offset", "wrist offset")
 AGREEMENT = 0.01
 """Relative difference of other limits that are the same."""
 
@@ -22,6 +28,29 @@ def before_a_motion(robot: Robot, driver: Driver) -> list[str]:
     main = driver.main if isinstance(driver, Sources) else driver
     said = looser_limits(robot, main.device_limits()) if isinstance(main, Limiting) else []
     return said + (list(main.cautions()) if isinstance(main, Cautioning) else [])
+
+
+def require_same_arm(robot_file: RobotFile, driver: Driver) -> None:
+    """Compare the robot file's arm with the one that the controller of a driver that is open says it moves.
+
+    Raises:
+        UsageError: they differ.
+        DynidError: the robot file's geometry cannot be read.
+    """
+    main = driver.main if isinstance(driver, Sources) else driver
+    told, own = main.arm_lengths() if isinstance(main, Measured) else None, arm_lengths(robot_file)
+    if told is None or own is None or np.max(np.abs(told - own)) < LENGTH_AGREEMENT:
+        return
+    pairs = [
+        f"{name} {one:.4g} m, and not {other:.4g} m"
+        for name, one, other in zip(LENGTHS, told, own, strict=True)
+        if abs(one - other) >= LENGTH_AGREEMENT
+    ]
+    raise UsageError(
+        f"the controller says that its arm is another than {robot_file.robot.name}: {'; '.join(pairs)}",
+        where=robot_file.where,
+        hint="take the robot file of this arm, or --host of the right one",
+    )
 
 
 def looser_limits(robot: Robot, own: DeviceLimits) -> list[str]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -19,9 +20,9 @@ from drivers.core.errors import ConnectionFailedError, DriverStateError, MotionR
 from drivers.first_step import check_first_step, finite_position
 from drivers.gains import gives_torque, joint_torque, torque_channel
 from drivers.rtde import protocol as wire
+from drivers.rtde.configuration import Configuration, read_configuration
 from drivers.rtde.connect import Connect, connect_tcp
 from drivers.rtde.dashboard import stop_program
-from drivers.rtde.joint_limits import read_joint_limits
 from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode
 from drivers.rtde.motion import JOINTS, MotionProcess
 from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
@@ -184,11 +185,23 @@ class RtdeDriver:
             require_state(self._state, "open", "ask for the controller's limits")
         limits, self._cautions = np.full((4, JOINTS), np.nan), ()
         try:
-            limits = read_joint_limits(self._settings.host, LIMITS_TIMEOUT, self._connect, self._clock)
+            limits = self._configuration().limits
         except ConnectionFailedError as error:
             self._cautions = (f"the controller's own joint limits are not known ({error})",)
         sources = dict.fromkeys(("position", "velocity", "acceleration"), "its secondary interface")
         return DeviceLimits(limits[0], limits[1], limits[2], np.full(JOINTS, np.nan), sources, acceleration=limits[3])
+
+    def arm_lengths(self) -> FloatArray | None:
+        """Upper arm, forearm, shoulder offset and wrist offset (4,) [m], asked now; None where it tells none.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        if self._state == "closed":
+            require_state(self._state, "open", "ask for the arm's lengths")
+        with contextlib.suppress(ConnectionFailedError):
+            return self._configuration().lengths
+        return None
 
     def cautions(self) -> tuple[str, ...]:
         """Whether `device_limits` was told none, and why."""
@@ -331,6 +344,9 @@ class RtdeDriver:
         self.stop()
         self._receiver.close()
         self._state = "closed"
+
+    def _configuration(self) -> Configuration:
+        return read_configuration(self._settings.host, LIMITS_TIMEOUT, self._connect, self._clock)
 
     def _delivered(self, stream: str) -> tuple[_Source, ...]:
         variables = self._receiver.recipe.variables

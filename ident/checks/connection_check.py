@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from daq.session.connections import connection_names
-from daq.session.device_limits import before_a_motion
+from daq.session.device_limits import before_a_motion, require_same_arm
 from daq.session.play import FIRST_SAMPLE_LIMIT
 from daq.session.session import load_driver
 from daq.session.supervisor import Limits, Supervisor
@@ -121,6 +121,7 @@ def check_connection(
     driver = load_driver(changed, name, host, robot_file.folder, clock, robot_file.where, moves=False)
     try:
         driver.open()
+        require_same_arm(robot_file, driver)
         identities: tuple[Mapping[str, Any], ...] = ()
         if isinstance(driver, Identifying):
             identities = tuple(

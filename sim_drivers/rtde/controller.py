@@ -100,6 +100,9 @@ class Controller:
         period: of its loop [s].
         joints: limits of the joints; ±2π and π rad/s where None, as on every UR.
 
+    Attributes:
+        lengths: upper arm, forearm, shoulder offset, wrist offset [m], as its configuration tells; 0 for unknown.
+
     Raises:
         UsageError: the arm has not six joints.
     """
@@ -121,6 +124,7 @@ class Controller:
         self.speed_limit = np.array([joint.velocity or math.inf for joint in joints] if joints else [math.pi] * count)
         accelerations = [joint.acceleration for joint in joints] if joints else [ACCELERATION_LIMIT] * count
         self.acceleration_limit = np.array(accelerations)
+        self.lengths = [0.0] * 4
         known = input_variables(version) | output_variables(version)
         self.values: dict[str, Value] = {name: zero(kind) for name, kind in known.items()}
         self.reference = Reference.at_rest(np.asarray(measured.target_position, dtype=np.float64))

@@ -9,11 +9,11 @@ import struct
 
 import numpy as np
 
-from drivers.rtde.joint_limits import CONFIGURATION_DATA, HEADER, LIMITS, ROBOT_STATE
+from drivers.rtde.configuration import CONFIGURATION_DATA, CONTENT, HEADER, ROBOT_STATE
 from sim_drivers.rtde.controller import Controller
 
-_REST = struct.Struct(">29d4i")
-"""Default speeds and accelerations, size of the tool, DH parameters, numbers of board, box, robot and variant."""
+_REST = struct.Struct(">4i")
+"""Numbers of board, box, robot and variant."""
 
 
 class SecondarySession:
@@ -24,11 +24,13 @@ class SecondarySession:
         self._controller = controller
 
     def greeting(self) -> bytes:
-        """The joints' limits."""
+        """The joints' limits and the arm's lengths."""
         controller = self._controller
         position = np.column_stack([controller.lower, controller.upper])
         motion = np.column_stack([controller.speed_limit, controller.acceleration_limit])
-        content = LIMITS.pack(*position.ravel(), *motion.ravel()) + _REST.pack(*[0.0] * 29, *[0] * 4)
+        upper_arm, forearm, shoulder, wrist = controller.lengths
+        table = [0.0, -upper_arm, -forearm, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, shoulder, wrist, 0.0, *[0.0] * 12]
+        content = CONTENT.pack(*position.ravel(), *motion.ravel(), *[0.0] * 5, *table) + _REST.pack(*[0] * 4)
         part = HEADER.pack(HEADER.size + len(content), CONFIGURATION_DATA) + content
         return HEADER.pack(HEADER.size + len(part), ROBOT_STATE) + part
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from daq.robot.arm_lengths import arm_lengths
 from drivers.core.errors import UsageError
 from sim_drivers.rtde.server import RtdeServer
 from sim_drivers.serving.served import BusOptions, Served, serve_until_interrupted
@@ -105,6 +106,8 @@ def _served(
     served: Served
     if wire == "rtde":
         served = RtdeServer(plant, host=host, version=version, joints=robot_file.robot.joints)
+        if (lengths := arm_lengths(robot_file)) is not None:
+            served.controller.lengths = lengths.tolist()
     else:
         from sim_drivers.serving import can as can_wires
 

@@ -1,14 +1,15 @@
-"""A controller's own joint limits, from its secondary interface (port 30002).
+"""A controller's own joint limits and the arm's lengths, from its secondary interface (port 30002).
 
 Neither RTDE nor the dashboard tells them. The secondary interface sends ten packages of its state per second to whoever
-connects; one part of each, Configuration Data, has the limits (Universal Robots, "Client Interfaces": package 16, part
-6; the layout is that of Universal Robots' own client library).
+connects; one part of each, Configuration Data, has them (Universal Robots, "Client Interfaces": package 16, part 6; the
+layout is that of Universal Robots' own client library).
 """
 
 from __future__ import annotations
 
 import socket
 import struct
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,15 +22,31 @@ PORT = 30002
 ROBOT_STATE, CONFIGURATION_DATA = 16, 6
 HEADER = struct.Struct(">iB")
 """Of a package, and of each of its parts: length with this header, type."""
-LIMITS = struct.Struct(">24d")
-"""Begin of Configuration Data: lowest and highest position, joint by joint; then highest speed and acceleration."""
+CONTENT = struct.Struct(">24d5d24d")
+"""Configuration Data: lowest and highest position, joint by joint; highest speed and acceleration, joint by joint;
+default speeds and accelerations, size of the tool; a, d, alpha and theta (Denavit-Hartenberg) of all joints."""
 LARGEST_PACKAGE = 65536
+LONGEST_LINK = 10.0
+"""[m]: no arm has longer ones."""
 
 
-def read_joint_limits(
+@dataclass(frozen=True)
+class Configuration:
+    """What a controller tells of its arm.
+
+    Attributes:
+        limits: (4, 6) lowest and highest position [rad], speed [rad/s] and acceleration [rad/s²] of the joints.
+        lengths: (4,) upper arm, forearm, shoulder offset, wrist offset [m]; None where it tells none.
+    """
+
+    limits: FloatArray
+    lengths: FloatArray | None
+
+
+def read_configuration(
     host: str, timeout: float, connect: Connect = connect_tcp, clock: Clock = SYSTEM_CLOCK
-) -> FloatArray:
-    """Lowest and highest position [rad], speed [rad/s] and acceleration [rad/s²] of the joints: (4, 6).
+) -> Configuration:
+    """Ask a controller.
 
     Raises:
         ConnectionFailedError: none within `timeout` [s]; says why.
@@ -48,9 +65,9 @@ def read_joint_limits(
                     if len(pending) < length:
                         break
                     package, pending = pending[:length], pending[length:]
-                    limits = _limits_in(package) if kind == ROBOT_STATE else None
-                    if limits is not None:
-                        return limits
+                    found = _configuration_in(package) if kind == ROBOT_STATE else None
+                    if found is not None:
+                        return found
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ConnectionFailedError(
@@ -68,17 +85,20 @@ def _received(connection: socket.socket, pending: bytes, deadline: float, clock:
     return pending + chunk
 
 
-def _limits_in(package: bytes) -> FloatArray | None:
-    """The limits of a package of the robot's state; None where it has none that make sense."""
+def _configuration_in(package: bytes) -> Configuration | None:
+    """The configuration in a package of the robot's state; None where it has none that makes sense."""
     at = HEADER.size
     while at + HEADER.size <= len(package):
         length, kind = HEADER.unpack_from(package, at)
         if length < HEADER.size:
             return None
-        if kind == CONFIGURATION_DATA and HEADER.size + LIMITS.size <= length <= len(package) - at:
-            values = np.array(LIMITS.unpack_from(package, at + HEADER.size))
-            limits = np.concatenate([values[:12].reshape(6, 2).T, values[12:].reshape(6, 2).T])
+        if kind == CONFIGURATION_DATA and HEADER.size + CONTENT.size <= length <= len(package) - at:
+            values = np.array(CONTENT.unpack_from(package, at + HEADER.size))
+            limits = np.concatenate([values[:12].reshape(6, 2).T, values[12:24].reshape(6, 2).T])
             sensible = np.isfinite(limits).all() and (limits[0] < limits[1]).all() and (limits[2:] > 0.0).all()
-            return limits if sensible else None
+            a, d = values[29:41].reshape(2, 6)
+            lengths = np.abs([a[1], a[2], d[1] + d[2] + d[3], d[4]])
+            told = bool(np.isfinite(lengths).all() and (lengths < LONGEST_LINK).all() and (lengths[:2] > 0.0).all())
+            return Configuration(limits, lengths if told else None) if sensible else None
         at += length
     return None

@@ -14,11 +14,11 @@ from rtde_in_process import HOST, NOWHERE, serving
 from simulated_clock import SimulatedClock, simulated_time
 
 from daq.robot.loader import load_robot
-from daq.session.device_limits import before_a_motion
+from daq.session.device_limits import before_a_motion, require_same_arm
 from drivers.base import DriverSettings
-from drivers.core.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError, UsageError
+from drivers.rtde.configuration import PORT, read_configuration
 from drivers.rtde.driver import RtdeDriver
-from drivers.rtde.joint_limits import PORT, read_joint_limits
 from sim_drivers.rtde.secondary import SecondarySession
 from sim_drivers.rtde.server import RtdeServer
 
@@ -40,7 +40,7 @@ def told(content: list[bytes]) -> np.ndarray:
         theirs.sendall(b"".join(content))
         begun = clock.now()
         try:
-            return read_joint_limits(HOST, 0.5, lambda host, port, timeout: ours, clock)
+            return read_configuration(HOST, 0.5, lambda host, port, timeout: ours, clock).limits
         finally:
             assert clock.now() - begun <= 0.5 + 1e-6
             assert ours.fileno() == -1
@@ -87,7 +87,17 @@ def test_the_robot_file_is_compared_with_what_the_controller_tells(clock: Simula
         position, velocity = before_a_motion(ROBOT, driver)
         assert "wider than the controller's own (its secondary interface): wrist_2_joint " in position
         assert "above the controller's own (its secondary interface): elbow_joint " in velocity
+        require_same_arm(load_robot("ur10e"), driver)  # it does not say what it moves
+        server.controller.lengths = [0.426, 0.392, 0.134, 0.099]  # calibrated
+        require_same_arm(load_robot("ur5e"), driver)
+        for other, words in (("ur10e", "upper arm 0.426 m, and not 0.6127 m; "), ("aubo_i5", "upper arm 0.426 m")):
+            with pytest.raises(UsageError, match=f"says that its arm is another than {other}: {words}"):
+                require_same_arm(load_robot(other), driver)
+        server.controller.lengths = [0.425, 0.39225, 0.10915, 0.09465]
+        with pytest.raises(UsageError, match=r"another than ur5e: shoulder offset 0.1091 m, and not 0.1333 m "):
+            require_same_arm(load_robot("ur5e"), driver)  # a UR5
         network.dead = True
+        require_same_arm(load_robot("ur10e"), driver)
         (unknown,) = before_a_motion(ROBOT, driver)
         assert unknown.startswith("the controller's own joint limits are not known (arm:30002: no joint limits from")
         driver.close()
@@ -97,4 +107,4 @@ def test_a_controller_that_closes_the_port_is_told() -> None:
     ours, theirs = socket.socketpair()
     theirs.close()
     with simulated_time() as clock, pytest.raises(ConnectionFailedError, match="it closed the connection"):
-        read_joint_limits(HOST, 0.5, lambda host, port, timeout: ours, clock)
+        read_configuration(HOST, 0.5, lambda host, port, timeout: ours, clock)
