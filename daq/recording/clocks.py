@@ -86,8 +86,8 @@ class ClockFit:
         self._last = float(time[-1])
         # Within a interval no drift shows: its earliest sample says it all.
         interval = np.floor(time / GROUP_SPAN)
-        starts = np.concatenate([[0], np.flatnonzero(np.diff(interval)) + 1, [len(time)]])
-        for first, end in itertools.pairwise(starts):
+        inner = np.flatnonzero(interval[1:] != interval[:-1]) + 1
+        for first, end in itertools.pairwise([0, *inner.tolist(), len(time)]):
             best = first + int(np.argmin(host_time[first:end] - time[first:end]))
             self._add_point(float(time[best]), float(host_time[best] - time[best]), float(interval[first]))
 

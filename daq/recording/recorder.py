@@ -99,6 +99,7 @@ class Recorder:
         self._events = self._text = 0
         self._chunk_rows = {layout.name: chunk_rows(layout.rate) for layout in layouts}
         self._pending: dict[str, list[Batch]] = {layout.name: [] for layout in layouts}
+        self._rows = dict.fromkeys(self._pending, 0)
         self._since = dict.fromkeys(self._pending, 0.0)
         self._queue: deque[Batch | tuple[float, Level, str, str]] = deque()
         self._memory_limit = memory_limit
@@ -212,7 +213,7 @@ class Recorder:
             return
         try:  # the file owns some space still: for what is there already, and why it ends here
             for stream, batches in self._pending.items():
-                if batches and self._writer.bytes_of({stream: _rows(batches)}) < SPARE // 4:
+                if batches and self._writer.bytes_of({stream: self._rows[stream]}) < SPARE // 4:
                     self._append(stream, _join(batches))
             self._writer.event(float("nan"), "error", "recorder", error.message)
             self._writer.flush()
@@ -223,6 +224,7 @@ class Recorder:
         if not self._pending[batch.stream]:
             self._since[batch.stream] = self._clock.now()
         self._pending[batch.stream].append(batch)
+        self._rows[batch.stream] += len(batch.time)
 
     def _write_event(self, time: float, level: Level, source: str, message: str) -> None:
         size = text_length(level, source, message)
@@ -237,7 +239,7 @@ class Recorder:
         """Whole chunks; the remainder only at the end, or where a source is much slower than its nominal rate."""
         counts = {}
         for stream, batches in self._pending.items():
-            waiting = _rows(batches)
+            waiting = self._rows[stream]
             late = bool(batches) and self._clock.now() - self._since[stream] > 2.0 * CHUNK_SECONDS
             count = waiting if everything or late else waiting - waiting % self._chunk_rows[stream]
             if count:
@@ -251,6 +253,7 @@ class Recorder:
             rest = _rows_of(joined, slice(count, None))
             self._append(stream, _rows_of(joined, slice(count)))
             self._pending[stream] = [rest] if len(rest.time) else []
+            self._rows[stream] = len(rest.time)
             self._since[stream] = self._clock.now()
             with self._changed:
                 self._waiting -= _size(joined) - _size(rest)
@@ -262,10 +265,6 @@ class Recorder:
     def _disk_error(self, error: RecordingError) -> DiskError:
         rescue = f"rescue what was written: dynid recover {self.file}"
         return DiskError(error.message, where=str(self.path), hint=rescue)
-
-
-def _rows(batches: Sequence[Batch]) -> int:
-    return sum(len(batch.time) for batch in batches)
 
 
 def _rows_of(batch: Batch, rows: slice) -> Batch:

@@ -243,6 +243,10 @@ def _heavy_loss(driver: Driver, course: Course) -> str:
     return "; ".join(said)
 
 
+def _silence(driver: Driver, stream: str, limit: float) -> str:
+    return driver.silence(stream, limit) if isinstance(driver, Attributing) else ""
+
+
 def _follow(cycle: Callable[[], None], course: Course, begun: float, duration: float | None) -> None:
     """Until the recording has lasted for as long as wanted."""
     while course.interrupted is None:
@@ -295,8 +299,7 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
         raise recorder.failure
     for message in course.clocks.due():
         recorder.event(course.source_time(), "info", "clocks", message)
-    explain = driver.silence if isinstance(driver, Attributing) else None
-    if (breach := supervisor.check_ages(now, explain)) is not None:
+    if (breach := supervisor.check_ages(now, partial(_silence, driver))) is not None:
         if now - before > 2.0 * READ_TIMEOUT and not looked_twice:
             # This process may have been stalled itself: what came meanwhile is in the next read, if anything came.
             _cycle(driver, recorder, supervisor, course, looked_twice=True)

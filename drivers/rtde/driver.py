@@ -379,8 +379,10 @@ class RtdeDriver:
         for source in _MODES:
             if source.variable not in self._receiver.recipe.variables:
                 continue
-            column = rows[source.variable].astype(np.int64)
             before = self._last_mode.get(source.variable)
+            if before is not None and (rows[source.variable] == before).all():
+                continue
+            column = rows[source.variable].astype(np.int64)
             changed = np.flatnonzero(np.diff(column, prepend=column[0] - 1 if before is None else before))
             for index in changed:
                 level, text = describe_mode(source.variable, int(column[index]))

@@ -85,7 +85,7 @@ class Recipe:
     number: int
     types: tuple[tuple[str, str], ...]
 
-    @property
+    @cached_property
     def variables(self) -> tuple[str, ...]:
         """Names, in the order of the package."""
         return tuple(name for name, _ in self.types)

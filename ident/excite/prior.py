@@ -13,7 +13,6 @@ from daq.robot.schema import JointLimits, Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ResultFileError, UsageError
 from drivers.core.text import percent_text
-from ident.identify.revalidate import stored_choices
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
@@ -137,6 +136,8 @@ _AGAIN = "identify again with this dynid"
 
 def _filtered_rate(result: Result, where: str) -> float:
     """Rate [Hz] of the filtered torques that an identification compared."""
+    from ident.identify.revalidate import stored_choices  # the room of identifications: only who has one pays for it
+
     used = [use for use in result.recordings if use.role == "identification"]
     rate = filtered_rate(stored_choices(result), used[0].rate_hz) if used and used[0].rate_hz > 0 else None
     if rate is None:

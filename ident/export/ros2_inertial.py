@@ -14,7 +14,7 @@ import numpy as np
 from drivers.core.errors import ModelError
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_ros2_inertial
-from ident.export.xml_text import rotation_of
+from ident.linear_algebra.vectors import rotation_of
 
 UR_LINKS = {
     "shoulder_pan_joint": "shoulder",

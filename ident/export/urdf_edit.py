@@ -18,8 +18,8 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
 from ident.export.arm import ExportedArm
 from ident.export.urdf import dynamics_attributes, inertial, limit_attributes, notes
-from ident.export.xml_text import comment_text, numbers, roll_pitch_yaw, rotation_of
-from ident.linear_algebra.vectors import axis_rotation
+from ident.export.xml_text import comment_text, numbers, roll_pitch_yaw
+from ident.linear_algebra.vectors import axis_rotation, rotation_of
 from ident.model.kinematics.urdf import RIGHT_ANGLE_TOLERANCE, urdf_joints
 
 if TYPE_CHECKING:

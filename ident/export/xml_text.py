@@ -6,8 +6,6 @@ import math
 import re
 from collections.abc import Iterable
 
-import numpy as np
-
 from drivers.core.arrays import FloatArray
 
 
@@ -29,18 +27,6 @@ def roll_pitch_yaw(rotation: FloatArray) -> tuple[float, float, float]:
     pitch = math.atan2(-rotation[2, 0], c * rotation[0, 0] + s * rotation[1, 0])
     roll = math.atan2(s * rotation[0, 2] - c * rotation[1, 2], c * rotation[1, 1] - s * rotation[0, 1])
     return roll, pitch, yaw
-
-
-def rotation_of(roll: float, pitch: float, yaw: float) -> FloatArray:
-    """Rotation (3, 3) of these angles [rad]."""
-    cr, sr, cp, sp, cy, sy = (f(angle) for angle in (roll, pitch, yaw) for f in (math.cos, math.sin))
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
 
 
 def quaternion(rotation: FloatArray) -> tuple[float, float, float, float]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -29,3 +31,15 @@ def axis_rotation(axis: FloatArray, angle: npt.ArrayLike) -> FloatArray:
     angle, matrix = np.asarray(angle), cross_matrix(axis)
     turned = np.multiply.outer(matrix, np.sin(angle)) + np.multiply.outer(matrix @ matrix, 1.0 - np.cos(angle))
     return np.asarray(np.eye(3).reshape(3, 3, *[1] * angle.ndim) + turned)
+
+
+def rotation_of(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """Rotation (3, 3) Rz(yaw)·Ry(pitch)·Rx(roll) of these angles [rad]."""
+    cr, sr, cp, sp, cy, sy = (f(angle) for angle in (roll, pitch, yaw) for f in (math.cos, math.sin))
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )

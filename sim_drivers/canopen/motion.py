@@ -208,7 +208,11 @@ class CyclicPosition:
         place = (self._time - self._newest) / self._cycle - LAG_CYCLES
         first = max(math.floor(place), 2 - len(self._points))
         share = min(max(place - first, 0.0), 1.0)
-        before, start, end, after = (self._point(first + offset) for offset in (-1, 0, 1, 2))
+        if first <= -2:  # as a rule: what was received, as `_point` gives it
+            points = self._points
+            before, start, end, after = points[first - 2], points[first - 1], points[first], points[first + 1]
+        else:
+            before, start, end, after = (self._point(first + offset) for offset in (-1, 0, 1, 2))
         rest = 1.0 - share
         position = (
             rest**3 * before

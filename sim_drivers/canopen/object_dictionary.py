@@ -169,8 +169,9 @@ class ObjectDictionary:
 
     def number(self, index: int, subindex: int = 0) -> int:
         """The number at a place, as the drive itself sees it."""
-        read = self._live.get((index, subindex))
-        value = read() if read is not None else self._values[index, subindex]
+        place = index, subindex
+        read = self._live.get(place)
+        value = self._values[place] if read is None else read()
         if isinstance(value, str):
             raise TypeError(f"0x{index:04X}:{subindex} is a text")
         return value

@@ -223,7 +223,6 @@ class Plant:
         """The sensors' present values; each call draws its own noise."""
         target = self._target
         torque = self._torque_sensor.read() - self._unseen_inertia * self.acceleration
-        model_torque = self._arm.inverse(target.position, target.velocity, target.acceleration)
         measured = Measurement(
             time=self.time,
             position=self._to_joints(quantised(self.position, self._resolution)).copy(),
@@ -235,7 +234,9 @@ class Plant:
             target_velocity=self._to_joints(target.velocity).copy(),
             target_acceleration=self._to_joints(target.acceleration).copy(),
             target_current=self.drive_torque / self._gains,
-            target_torque=self._torque_at_joints(model_torque),
+            model_torque=lambda: self._torque_at_joints(
+                self._arm.inverse(target.position, target.velocity, target.acceleration)
+            ),
         )
         for (quantity, joint), value in self._stuck.items():
             getattr(measured, quantity)[joint] = value
@@ -283,7 +284,7 @@ class Plant:
 
     def _vector(self, values: FloatArray, what: str) -> FloatArray:
         vector = np.asarray(values, dtype=np.float64)
-        if vector.shape != (self.robot.dof,) or not np.all(np.isfinite(vector)):
+        if vector.shape != (self.robot.dof,) or not np.isfinite(vector).all():
             raise ValueError(f"{what} must be {self.robot.dof} finite numbers, not {values!r}")
         return vector
 

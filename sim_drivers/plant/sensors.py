@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,7 +26,7 @@ class Measurement:
         temperature: of the housing [°C].
         target_position, target_velocity, target_acceleration: the controller's reference.
         target_current: motor signal commanded by the controller.
-        target_torque: torque of the target's motion without friction [N·m].
+        model_torque: computes `target_torque`, which few ask for.
     """
 
     time: float
@@ -37,7 +39,12 @@ class Measurement:
     target_velocity: FloatArray
     target_acceleration: FloatArray
     target_current: FloatArray
-    target_torque: FloatArray
+    model_torque: Callable[[], FloatArray]
+
+    @cached_property
+    def target_torque(self) -> FloatArray:
+        """Torque of the target's motion without friction (n,) [N·m]."""
+        return self.model_torque()
 
 
 def quantised(values: FloatArray, resolution: float) -> FloatArray:

@@ -161,7 +161,7 @@ class TablePlant:
 
     def measure(self) -> Measurement:
         zero = np.zeros(len(self.position))
-        return Measurement(self.time, *([self.position] + [zero] * 4 + [self.position] + [zero] * 4))
+        return Measurement(self.time, self.position, *[zero] * 4, self.position, *[zero] * 3, lambda: zero)
 
 
 class SignalTableArm:

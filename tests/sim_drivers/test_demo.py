@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from servoed_plant import in_simulated_time
 
 import sim_drivers.demo
 from daq.motion.trajectory_file import load_trajectory
 from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM
-from daq.robot.loader import RobotFile, load_robot
+from daq.robot.loader import RobotFile
 from drivers.core.errors import ConnectionFailedError, RobotFileError, UsageError, WorkError
 from ident.excite.choices import DesignChoices
 from ident.excite.design import Design, design
@@ -26,7 +26,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.result_file import read_result
 from sim_drivers.demo import ATTEMPTS, _recorded, print_demo, run_demo
-from sim_drivers.simulated_arm import Recorded, over_rtde, simulated_arm
+from sim_drivers.simulated_arm import Recorded, record_over_wire, simulated_arm
 
 DESIGNED = Path(__file__).parent / "designed"
 STEPS: list[str] = []
@@ -116,30 +116,20 @@ def test_table_shows_truth_beside_estimate(demo, capsys):
     assert "report.html" in text
 
 
-@pytest.mark.slow
-@pytest.mark.realtime
-def test_an_arm_is_recorded_over_rtde(tmp_path):
-    """Simulator and recorder are processes of their own, as they are in the demonstration."""
-    robot = yaml.safe_load(load_robot("ur5e").text)
-    robot["connections"] = {"rtde": {"driver": "rtde", "host": "127.0.0.1", "rate": 100, "timeout": 60}}
-    robot["model"]["mounting"] = "free"  # its first pose, stretched out, is nearer to a table than what is kept
-    sines = {"amplitude": [[0.01]] * 6, "frequency": [[3.0]] * 6, "offset": [0.0] * 6}
-    (tmp_path / "arm.yaml").write_text(yaml.safe_dump(robot, sort_keys=False))
-    motion = {"robot": "ur5e", "kind": "sines", "duration": 2.0, "ramp": 0.5, **sines}
-    (tmp_path / "motion.yaml").write_text(yaml.safe_dump(motion))
-    recorded, reason = None, ""
-    with over_rtde(str(tmp_path / "arm.yaml"), 1, np.full(6, 0.02)) as record:
-        try:
-            recorded = record(tmp_path / "motion.yaml", tmp_path / "run.h5")
-        except WorkError as error:  # a stall of this computer stops the motion, and is told
-            reason = str(error).partition("the recording stopped: ")[2]
-    recording = read_recording(tmp_path / "run.h5")
-    assert recording.complete == (recorded is not None)
-    if recorded is None:
-        assert any(event.message == f"stopped: {reason}" for event in recording.events), reason
-    else:
-        assert (recorded.samples, recorded.lost) == (len(recording.streams[JOINTS_STREAM].time), 0)
-        assert recorded.samples >= 200
+@pytest.mark.parametrize(
+    ("output", "errors", "reason"),
+    [
+        ('{"stopped_by": "this computer stalled"}', "", "this computer stalled"),
+        ('{"error": "no such robot"}', "", "no such robot"),
+        ("", "Killed", "Killed"),
+        ("", "", "it ended without a message"),
+    ],
+)
+def test_why_the_recorder_stopped_is_told(tmp_path, monkeypatch, output, errors, reason):
+    ended = subprocess.CompletedProcess([], 1, output, errors)
+    monkeypatch.setattr("sim_drivers.simulated_arm.subprocess.run", lambda *_, **__: ended)
+    with pytest.raises(WorkError, match=f"the recording stopped: {reason}"):
+        record_over_wire("ur5e", "127.0.0.1", tmp_path / "motion.yaml", tmp_path / "run.h5")
 
 
 @pytest.mark.parametrize("fails", [0, 2, 3])

@@ -62,5 +62,5 @@ class ExactPlant:
             self.velocity,
             self.acceleration,
             current,
-            10.0 * current,
+            lambda: 10.0 * current,
         )

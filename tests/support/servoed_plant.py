@@ -20,23 +20,27 @@ from drivers.core.clock import Clock
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from sim_drivers.plant.control import Reference
 from sim_drivers.plant.plant import Plant
+from sim_drivers.plant.sensors import Measurement
 from sim_drivers.rtde.joint_motion import ServoJ
 from sim_drivers.simulated_arm import Record, Recorded
 
 RATE = 500.0
+TOGETHER = 5
+"""Samples that a read waits for: a session's cycle costs more than the plant's."""
 LOOKAHEAD = 0.03
 """Of servoj [s]."""
 QUANTITIES = ("position", "velocity", "current", "temperature")
 
 
 class ServoedPlant:
-    """Implements drivers.base.Driver; a sample each period, none late."""
+    """Implements drivers.base.Driver; a sample each period, none late, and some come together."""
 
     def __init__(self, plant: Plant, clock: Clock) -> None:
         self._plant, self._clock = plant, clock
         self._servo = ServoJ(Reference.at_rest(plant.measure().target_position))
         self._begun = 0.0
         self._count = 0
+        self._samples: list[Measurement] = []
 
     def open(self) -> None: ...
 
@@ -46,22 +50,28 @@ class ServoedPlant:
 
     def start(self) -> None:
         self._begun, self._count = self._clock.now(), 0
+        self._samples.clear()
 
     def read(self, timeout: float) -> tuple[Batch, ...]:
-        self._clock.sleep(min(self._begun + (self._count + 1) / RATE - self._clock.now(), timeout))
+        wanted = self._count - len(self._samples) + TOGETHER
+        self._clock.sleep(min(self._begun + wanted / RATE - self._clock.now(), timeout))
+        self._advance()
+        samples, self._samples = self._samples, []
+        if not samples:
+            return ()
+        host_time = self._begun + np.arange(self._count - len(samples) + 1, self._count + 1) / RATE
+        values = {quantity: np.array([getattr(one, quantity) for one in samples]) for quantity in QUANTITIES}
+        return (Batch("joints", np.array([one.time for one in samples]), host_time, values),)
+
+    def _advance(self) -> None:
+        """Up to now, in periods."""
         due = int((self._clock.now() - self._begun) * RATE + 1e-6)
-        samples = []
         for _ in range(self._count, due):
             reference = self._servo.step(1.0 / RATE)
             self._plant.set_target(reference.position, reference.velocity, reference.acceleration)
             self._plant.advance(1.0 / RATE)
-            samples.append(self._plant.measure())
-        if not samples:
-            return ()
-        host_time = self._begun + np.arange(self._count + 1, due + 1) / RATE
-        self._count = due
-        values = {quantity: np.array([getattr(one, quantity) for one in samples]) for quantity in QUANTITIES}
-        return (Batch("joints", np.array([one.time for one in samples]), host_time, values),)
+            self._samples.append(self._plant.measure())
+        self._count = max(self._count, due)
 
     def notices(self) -> tuple[Notice, ...]:
         return ()
@@ -72,6 +82,7 @@ class ServoedPlant:
     def take_control(self) -> None: ...
 
     def command(self, position: np.ndarray) -> None:
+        self._advance()
         self._servo.retarget(position, LOOKAHEAD)
 
     def stop(self) -> None: ...

@@ -168,9 +168,7 @@ class SimulatedClock(Clock):
 
     def _next(self) -> _Waiter:
         """Take who goes on next out of the list, and let time pass until it does."""
-        waiter = None
-        if self._failure is None:
-            waiter = next((one for one in self._waiters if self._may_go_on(one)), None)
+        waiter = self._first_ready() if self._failure is None else None
         if waiter is None and self._failure is None:
             waiter = min(self._waiters, key=self._limit)
             if self._limit(waiter) < math.inf:
@@ -185,13 +183,19 @@ class SimulatedClock(Clock):
         self._waiters.remove(waiter)
         return waiter
 
-    def _may_go_on(self, waiter: _Waiter) -> bool:
-        if self._held.get(waiter.thread, -math.inf) > self._now:
-            return False
-        return waiter.deadline <= self._now or bool(waiter.ready())
+    def _first_ready(self) -> _Waiter | None:
+        now, held = self._now, self._held
+        for waiter in self._waiters:
+            if held and held.get(waiter.thread, -math.inf) > now:
+                continue
+            if waiter.deadline <= now or waiter.ready():
+                return waiter
+        return None
 
     def _limit(self, waiter: _Waiter) -> float:
         """When a waiter goes on at the latest, or may do so again."""
+        if not self._held:
+            return waiter.deadline
         until = self._held.get(waiter.thread, -math.inf)
         return max(waiter.deadline, until) if until <= self._now or not waiter.ready() else until
 
@@ -321,17 +325,18 @@ class VirtualBus(virtual.VirtualBus):
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         self._check_if_open()
-        self.clock.wait(lambda: not self.queue.empty() or not self._open, timeout)
+        frames = self.queue.queue  # one thread runs at a time: the queue's own locks would guard nothing
+        self.clock.wait(lambda: frames or not self._open, timeout)
         self._check_if_open()
-        return None if self.queue.empty() else self.queue.get_nowait()
+        return frames.popleft() if frames else None
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         self._check_if_open()
+        received = copy(msg)
+        received.timestamp, received.channel, received.is_rx = self.clock.time_of_day(), self.channel_id, True
         for queue in self.channel:
             if queue is not self.queue:
-                received = copy(msg)
-                received.timestamp, received.channel, received.is_rx = self.clock.time_of_day(), self.channel_id, True
-                queue.put_nowait(received)
+                queue.queue.append(received)
 
 
 @contextmanager

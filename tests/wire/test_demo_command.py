@@ -7,9 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 from rtde_bench import ENVIRONMENT, LIMIT
 
 from daq.recording.reader import read_recording
+from daq.robot.loader import load_robot
 
 QUICK = """
 import functools, shutil, sys
@@ -45,7 +47,10 @@ sys.exit(main())
 
 @pytest.mark.realtime
 def test_the_demonstration_as_a_command_records_through_another_process(tmp_path: Path) -> None:
-    arguments = ["demo", "--duration", "2", "--out", str(tmp_path / "demo")]
+    robot = yaml.safe_load(load_robot("ur5e").text)
+    robot["connections"] = {"rtde": {"driver": "rtde", "host": "127.0.0.1", "rate": 100, "timeout": 60}}
+    (tmp_path / "arm.yaml").write_text(yaml.safe_dump(robot, sort_keys=False))
+    arguments = ["demo", "--robot", str(tmp_path / "arm.yaml"), "--duration", "2", "--out", str(tmp_path / "demo")]
     done = subprocess.run(
         [sys.executable, "-c", QUICK, *arguments], capture_output=True, text=True, env=ENVIRONMENT, timeout=3 * LIMIT
     )

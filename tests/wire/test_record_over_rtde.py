@@ -63,10 +63,10 @@ def ur5e() -> RobotFile:
     return load_robot("ur5e")
 
 
-def changed_robot(folder: Path, change: dict[str, Any], timeout: float = 5.0) -> RobotFile:
-    """The UR5e with every joint changed, and a time limit [s] for taking control of it."""
+def changed_robot(folder: Path, change: dict[str, Any], timeout: float = 5.0, rate: float = RATE) -> RobotFile:
+    """The UR5e with every joint changed, a time limit [s] for taking control of it, and a rate of samples [Hz]."""
     content = yaml.safe_load(ur5e().text)
-    content["connections"]["rtde"]["timeout"] = timeout
+    content["connections"]["rtde"] |= {"timeout": timeout, "rate": rate}
     content["model"]["mounting"] = "free"  # its first pose, stretched out, is nearer to a table than what is kept
     for joint in content["joints"]:
         joint.update(change)
@@ -175,8 +175,8 @@ def bench(clock: SimulatedClock, tmp_path: Path) -> Bench:
     return Bench(clock, tmp_path)
 
 
-def assert_no_sample_is_missing(time: np.ndarray) -> None:
-    assert set(np.rint(np.diff(time) * RATE)) == {1.0}
+def assert_no_sample_is_missing(time: np.ndarray, rate: float = RATE) -> None:
+    assert set(np.rint(np.diff(time) * rate)) == {1.0}
 
 
 def test_what_is_recorded_is_what_the_plant_measured(bench: Bench) -> None:
@@ -382,13 +382,15 @@ def test_a_busy_computer_delays_or_ends_a_motion_and_costs_no_sample(
 
 SLOW = (0.06, 1.5)
 """Amplitude [rad] and frequency [rad/s] of a motion that bears a stall: what was missed is at most 0.12 rad."""
+SELDOM = 100.0
+"""Rate of samples [Hz] where it does not matter: each costs time."""
 SIMULATOR = ("-c", "import sys; from dynid.command import main; sys.exit(main())", "sim", "ur5e", "--no-ui", "--host")
 
 
 @contextmanager
-def recording(host: str, out: Path, *arguments: str) -> Iterator[subprocess.Popen[str]]:
+def recording(host: str, out: Path, *arguments: str, rate: float = SELDOM) -> Iterator[subprocess.Popen[str]]:
     """`dynid record` in processes of its own, which are ended with the block; no limit of torque stops it."""
-    changed_robot(out.parent, {"torque": None}, timeout=LIMIT)
+    changed_robot(out.parent, {"torque": None}, timeout=LIMIT, rate=rate)
     robot = str(out.with_name("changed.yaml"))
     command = [sys.executable, "tests/support/patient_dynid.py", "record", robot, "--host", host, "-o", str(out)]
     process = subprocess.Popen(
@@ -428,8 +430,8 @@ def wait_for_rest(host: str) -> None:
 @pytest.mark.slow
 @pytest.mark.realtime
 def test_dynid_moves_an_arm_through_ur_rtde_and_records_it_to_its_end(tmp_path: Path) -> None:
-    host, out, path = loopback(), tmp_path / "run.h5", trajectory(tmp_path, 2.5, *SLOW)
-    with served(*SIMULATOR, host), recording(host, out, "--trajectory", str(path)) as process:
+    host, out, path = loopback(), tmp_path / "run.h5", trajectory(tmp_path, 1.0, *SLOW)
+    with served(*SIMULATOR, host), recording(host, out, "--trajectory", str(path), rate=RATE) as process:
         output, errors = process.communicate(timeout=LIMIT)
         assert (process.returncode, errors) == (0, "")
         wait_for_rest(host)
@@ -459,7 +461,7 @@ def test_ctrl_c_in_mid_motion_halts_the_arm_and_closes_the_file(tmp_path: Path) 
     found = read_recording(out)
     assert not found.complete
     assert found.events[-1].message == "arm halted"
-    assert_no_sample_is_missing(found.streams["joints"].time)
+    assert_no_sample_is_missing(found.streams["joints"].time, SELDOM)
 
 
 @pytest.mark.slow
@@ -475,4 +477,4 @@ def test_the_controllers_watchdog_ends_the_program_when_all_of_dynid_is_killed(t
         process.wait(LIMIT)
         wait_for_rest(host)
     rescued = recover(half_written(out), tmp_path / "rescued.h5").recording.streams["joints"]
-    assert_no_sample_is_missing(rescued.time)
+    assert_no_sample_is_missing(rescued.time, SELDOM)

@@ -10,13 +10,13 @@ from typing import Any, Literal
 from xml.etree import ElementTree
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from drivers.core.files import MESH_FILE, check_input
 from drivers.core.reading_process import read_apart
+from ident.linear_algebra.vectors import rotation_of
 from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.kinematics.urdf import UNIVERSE, urdf_model
 
@@ -90,7 +90,7 @@ def placed_shape(element: ElementTree.Element, placement: Any) -> Shape:
     shift, angles = np.zeros(3), np.zeros(3)
     if origin is not None:
         shift, angles = numbers(origin.get("xyz", "0 0 0"), 3), numbers(origin.get("rpy", "0 0 0"), 3)
-    rotation = np.asarray(placement.rotation) @ Rotation.from_euler("xyz", angles).as_matrix()
+    rotation = np.asarray(placement.rotation) @ rotation_of(*angles)
     centre = np.asarray(placement.rotation) @ shift + np.asarray(placement.translation)
     geometry = element.find("geometry")
     shape = next(iter(geometry), None) if geometry is not None else None

@@ -18,7 +18,8 @@ from drivers.core.errors import ModelError, RobotFileError
 from ident.export import pinocchio_reading
 from ident.export.urdf import new_urdf
 from ident.export.urdf_edit import edited_urdf
-from ident.export.xml_text import comment_text, number, roll_pitch_yaw, rotation_of
+from ident.export.xml_text import comment_text, number, roll_pitch_yaw
+from ident.linear_algebra.vectors import rotation_of
 
 OWN = """\
 <?xml version="1.0"?>

@@ -45,14 +45,16 @@ class Link:
     after: Placement
 
     @cached_property
-    def cross(self) -> FloatArray:
-        """[axis]× (3, 3)."""
-        return cross_matrix(self.axis)
+    def turn(self) -> FloatArray:
+        """(3, 6) [axis]× and [axis]×²."""
+        matrix = cross_matrix(self.axis)
+        return np.hstack([matrix, matrix @ matrix])
 
-    @cached_property
-    def square(self) -> FloatArray:
-        """[axis]×² (3, 3)."""
-        return self.cross @ self.cross
+    def onward(self, following: Link | None) -> FloatArray:
+        """(3, 5) rotation and origin of `after`, then the axis of the following joint, signed; in this one's frame."""
+        rotation, origin = self.after
+        axis = np.zeros(3) if following is None else rotation @ (following.sign * following.axis)
+        return np.column_stack([rotation, origin, axis])
 
 
 @dataclass(frozen=True)
@@ -81,6 +83,10 @@ class ClosingChain:
         """Numbers of its joints in the tree."""
         return tuple(link.joint for link in self.links)
 
+    @cached_property
+    def _onward(self) -> tuple[FloatArray, ...]:
+        return tuple(link.onward(after) for link, after in zip(self.links, (*self.links[1:], None), strict=True))
+
     def at(self, position: FloatArray) -> ChainState:
         """The chain at tree positions (n, N) [rad or m]."""
         count = position.shape[1]
@@ -88,18 +94,19 @@ class ClosingChain:
         origin = np.broadcast_to(self.before[1], (count, 3))
         turning = np.zeros((len(self.links), 3, count))
         sliding, origins = np.zeros_like(turning), np.zeros_like(turning)
-        for index, link in enumerate(self.links):
+        axis = _times(rotation, self.links[0].sign * self.links[0].axis) if self.links else origin
+        for index, (link, onward) in enumerate(zip(self.links, self._onward, strict=True)):
             travel = link.sign * position[link.joint]
-            axis = _times(rotation, link.sign * link.axis)
             if link.prismatic:
                 sliding[index] = axis.T
                 origin = origin + link.sign * travel[:, None] * axis
             else:
                 turning[index], origins[index] = axis.T, origin.T
                 sine, versine = np.sin(travel)[:, None, None], 1.0 - np.cos(travel)[:, None, None]
-                rotation = rotation + _times(rotation, link.cross) * sine + _times(rotation, link.square) * versine
-            origin = origin + _times(rotation, link.after[1])
-            rotation = _times(rotation, link.after[0])
+                turned = _times(rotation, link.turn)
+                rotation = rotation + turned[..., :3] * sine + turned[..., 3:] * versine
+            following = _times(rotation, onward)
+            rotation, origin, axis = following[..., :3], origin + following[..., 3], following[..., 4]
         end, direction = origin.T, rotation[:, :, 2].T
         moved = np.empty((len(self.links), 2, 3, count))
         moved[:, 0], moved[:, 1] = end - origins, direction
