@@ -15,7 +15,7 @@ import numpy as np
 from drivers.base import DriverSettings, Level, Notice, State, require_state
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, DriverStateError
-from drivers.serial_thermometer.lines import LineParser, TemperatureReading
+from drivers.serial_thermometer.lines import LineParser, ThermometerReading
 from drivers.serial_thermometer.port import BITS_A_CHARACTER, Chunk, Lost, Restored, SerialPort
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
 from drivers.streams import Batch, ChannelLayout, StreamLayout
@@ -282,7 +282,7 @@ class RowAssembler:
         self._row = np.full(len(self._column), np.nan)
         self._when = math.nan
 
-    def add(self, when: float, reading: TemperatureReading) -> list[tuple[float, FloatArray]]:
+    def add(self, when: float, reading: ThermometerReading) -> list[tuple[float, FloatArray]]:
         """Rows that this reading, at `when` [s], completes: none, one, or two; each with the time of its last value."""
         column = self._column[reading.joint]
         rows = [] if np.isnan(self._row[column]) else self.flush(before=math.inf)
@@ -298,7 +298,7 @@ class RowAssembler:
         return [finished]
 
 
-def _arrival(chunk: Chunk, reading: TemperatureReading, settings: ThermometerSettings) -> float:
+def _arrival(chunk: Chunk, reading: ThermometerReading, settings: ThermometerSettings) -> float:
     """When a line's last byte came [s]: as many bytes before the chunk's end as follow it, but within the chunk."""
     span = min(chunk.until - chunk.since, len(chunk.data) * BITS_A_CHARACTER / settings.baudrate)
     return chunk.until - span * (1.0 - (reading.end + 1) / len(chunk.data))

@@ -26,7 +26,7 @@ CUT = "were cut off"
 
 
 @dataclass(frozen=True)
-class TemperatureReading:
+class ThermometerReading:
     """One temperature.
 
     Attributes:
@@ -66,9 +66,9 @@ class LineParser:
             self._reject(CUT, self._rest)
         self._rest, self._skipping = b"", True
 
-    def feed(self, data: bytes) -> list[TemperatureReading]:
+    def feed(self, data: bytes) -> list[ThermometerReading]:
         """Temperatures of the lines that end within `data`, in their order."""
-        readings: list[TemperatureReading] = []
+        readings: list[ThermometerReading] = []
         start = 0
         for end in _LINE_END.finditer(data):
             line = self._rest + data[start : end.start()]
@@ -95,9 +95,9 @@ class LineParser:
         self.rejected.clear()
         return f"{total} line(s) ignored: {reasons}; the last one: {self.last_rejected!r}"
 
-    def _parse(self, line: bytes, end: int) -> list[TemperatureReading]:
+    def _parse(self, line: bytes, end: int) -> list[ThermometerReading]:
         text = line.decode("ascii", "replace")
-        readings: list[TemperatureReading] = []
+        readings: list[ThermometerReading] = []
         trouble = NO_MATCH
         for number, match in enumerate(self._settings.pattern.finditer(text)):
             trouble = trouble if number else ""
@@ -111,7 +111,7 @@ class LineParser:
             elif not self._settings.range[0] <= value <= self._settings.range[1]:
                 trouble = OUT_OF_RANGE
             else:
-                readings.append(TemperatureReading(end, joint, value))
+                readings.append(ThermometerReading(end, joint, value))
         if trouble:
             self._reject(trouble, line)
         return readings

@@ -49,7 +49,7 @@ class Setup:
 
 
 @stored(frozen=True)
-class Loop:
+class EstimationLoop:
     """How one loop of an iterative estimator converged.
 
     Attributes:
@@ -90,7 +90,7 @@ class Estimation:
     kernel: RegressorKernel
     reduction: Reduction
     solution: LeastSquares
-    loops: tuple[Loop, ...] = ()
+    loops: tuple[EstimationLoop, ...] = ()
     weights: tuple[FloatArray, ...] = ()
     passes: int = 1
     steps: tuple[Step, ...] = ()

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
-from ident.estimators.estimator import Estimation, Loop, Setup
+from ident.estimators.estimator import Estimation, EstimationLoop, Setup
 from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.minimisation import Minimum, Optimiser, SearchBudget, minimise
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
@@ -159,14 +159,14 @@ def centred_reduction(plain: Reduction, parameters: FloatArray) -> Reduction:
     return replace(plain, joints=tuple(joints))
 
 
-def _loop(minimum: Minimum) -> Loop:
+def _loop(minimum: Minimum) -> EstimationLoop:
     """Convergence, for result and report: every generation of a short search, some of a long one."""
     count = len(minimum.history)
     shown = np.unique(np.linspace(0, count - 1, min(count, SHOWN)).round().astype(int))
     name = "cost of the best point ‖W·x − τ‖"
     if count > SHOWN:
         name += f", {SHOWN} of {count} generations"
-    return Loop(name, "", tuple(minimum.history[shown].tolist()), _settled(minimum))
+    return EstimationLoop(name, "", tuple(minimum.history[shown].tolist()), _settled(minimum))
 
 
 def _settled(minimum: Minimum) -> bool:

@@ -131,7 +131,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Option:
+class FrictionOption:
     """A word of `--friction`, and what a motor gets by it.
 
     Attributes:
@@ -182,7 +182,7 @@ class Term:
     brakes: bool = True
     needs: Literal["", "load", "temperature"] = ""
     shape: Shape | None = None
-    options: tuple[Option, ...] | None = None
+    options: tuple[FrictionOption, ...] | None = None
     left_out: str = ""
 
 
@@ -241,7 +241,7 @@ def _temperature_term(
     colour: str,
     marker: str,
     left_out: str = "",
-    options: tuple[Option, ...] = (),
+    options: tuple[FrictionOption, ...] = (),
 ) -> Term:
     """√|q̇| times one function of the temperature (AUBO eq. 5)."""
     return Term(
@@ -287,7 +287,7 @@ TERMS: tuple[Term, ...] = (
             ),
             left_out="viscous friction that grows with |q̇|^α, α",
         ),
-        options=(Option("power", "exponent", "estimated", ("viscous",), bends=True),),
+        options=(FrictionOption("power", "exponent", "estimated", ("viscous",), bends=True),),
     ),
     Term(
         "coulomb",
@@ -359,8 +359,8 @@ TERMS: tuple[Term, ...] = (
             derivative=None,
         ),
         options=(
-            Option("load-linear", "load", "linear", ("load",), 1.0),
-            Option("load", "load", "quadratic", ("load",), 2.0),
+            FrictionOption("load-linear", "load", "linear", ("load",), 1.0),
+            FrictionOption("load", "load", "quadratic", ("load",), 2.0),
         ),
         left_out="load-dependent friction",
     ),
@@ -373,8 +373,10 @@ TERMS: tuple[Term, ...] = (
         "star",
         "temperature-dependent friction",
         (
-            Option("temperature-linear", "temperature", "linear", ("temperature", "temperature_slope")),
-            Option("temperature", "temperature", "full", ("temperature", "temperature_slope", "temperature_curvature")),
+            FrictionOption("temperature-linear", "temperature", "linear", ("temperature", "temperature_slope")),
+            FrictionOption(
+                "temperature", "temperature", "full", ("temperature", "temperature_slope", "temperature_curvature")
+            ),
         ),
     ),
     _temperature_term(
@@ -400,10 +402,12 @@ SHAPES: dict[str, Shape] = {term.shape.name: term.shape for term in TERMS if ter
 SHAPED: dict[str, Term] = {term.shape.name: term for term in TERMS if term.shape is not None and term.shape.derivative}
 """Terms with a shape that can be estimated, by its name, which is also the kind of the derivative's column."""
 
-OPTIONS: tuple[Option, ...] = tuple(
+OPTIONS: tuple[FrictionOption, ...] = tuple(
     option
     for term in TERMS
-    for option in ((Option(term.kind, term.kind, True, (term.kind,)),) if term.options is None else term.options)
+    for option in (
+        (FrictionOption(term.kind, term.kind, True, (term.kind,)),) if term.options is None else term.options
+    )
 )
 """What a user can ask for beside viscous, Coulomb and offset, in the order in which terms are tried."""
 

@@ -10,7 +10,7 @@ from daq.robot.schema import FRICTION_TERMS, Friction
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
 from drivers.core.text import did_you_mean
-from ident.friction.table import OPTIONS, SHAPED, SHAPES, TERM, Option, Shape, term_of
+from ident.friction.table import OPTIONS, SHAPED, SHAPES, TERM, FrictionOption, Shape, term_of
 
 Motion = tuple[tuple[int, float], ...]
 """(joint, factor) of the active joints that a motion is made of; Σ factor · q̇."""
@@ -131,7 +131,7 @@ class FrictionTerms:
         frees = tuple(free if index == motor else self.is_free(name, index) for index in count)
         return replace(self, shapes={**self.shapes, name: values}, free={**self.free, name: frees})
 
-    def with_option(self, option: Option, motor: int, value: float | None = None) -> FrictionTerms:
+    def with_option(self, option: FrictionOption, motor: int, value: float | None = None) -> FrictionTerms:
         """The terms with what an option of `--friction` names.
 
         Args:
@@ -147,7 +147,7 @@ class FrictionTerms:
         known = option.shape if value is None else value
         return terms.with_shape(shape.name, motor, shape.first if known is None else known, free=known is None)
 
-    def option(self, group: str, motor: int) -> Option | None:
+    def option(self, group: str, motor: int) -> FrictionOption | None:
         """What a motor has of a group of options; None where it has nothing of it."""
         for option in OPTIONS:
             if option.group != group:

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.units import ZERO_CELSIUS, common_unit, joint_unit
 from ident.experiments.friction.experiment import FrictionExperiment
-from ident.experiments.friction.joint_friction import JointFriction, friction_torque
+from ident.experiments.friction.joint_friction import JointExperiment, friction_torque
 from ident.model.dynamic_model import DynamicModel
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
@@ -87,8 +87,8 @@ def _tiles(result: FrictionExperimentResult) -> list[Tile]:
 def _figure(
     anchor: str,
     model: DynamicModel,
-    joints: Sequence[JointFriction],
-    panel: Callable[[DynamicModel, JointFriction, bool], Panel],
+    joints: Sequence[JointExperiment],
+    panel: Callable[[DynamicModel, JointExperiment, bool], Panel],
     caption: str,
 ) -> Figure | None:
     if not joints:
@@ -98,7 +98,7 @@ def _figure(
     return panel_figure(anchor, rows, caption)
 
 
-def _sample(joint: JointFriction) -> FloatArray:
+def _sample(joint: JointExperiment) -> FloatArray:
     """(4, ≤ POINTS) of the points, at random."""
     count = joint.points.shape[1]
     if count <= POINTS:
@@ -106,11 +106,11 @@ def _sample(joint: JointFriction) -> FloatArray:
     return joint.points[:, np.sort(np.random.default_rng(0).choice(count, POINTS, replace=False))]
 
 
-def _heading(joint: JointFriction) -> str:
+def _heading(joint: JointExperiment) -> str:
     return f"<b>{plain(shortened(joint.stored.joint, 36))}</b>"
 
 
-def _speed_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
+def _speed_panel(model: DynamicModel, joint: JointExperiment, first: bool) -> Panel:
     velocity, heat, load, torque = _sample(joint)
     unit, speed = _joint_units(model, joint)
     span = joint.stored.temperature_range
@@ -136,13 +136,13 @@ def _speed_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Pane
     )
 
 
-def _joint_units(model: DynamicModel, joint: JointFriction) -> tuple[str, str]:
+def _joint_units(model: DynamicModel, joint: JointExperiment) -> tuple[str, str]:
     """Units of a joint's torque and velocity."""
     sliding = model.sliding[model.joint_names.index(joint.stored.joint)]
     return joint_unit("N·m", sliding=sliding), joint_unit("rad/s", sliding=sliding)
 
 
-def _temperature_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
+def _temperature_panel(model: DynamicModel, joint: JointExperiment, first: bool) -> Panel:
     span = joint.stored.temperature_range
     assert span is not None
     axis = ZERO_CELSIUS + np.linspace(span.least, span.greatest, CURVE_POINTS)
@@ -155,7 +155,7 @@ def _temperature_panel(model: DynamicModel, joint: JointFriction, first: bool) -
     return _speeds_panel(joint, unit, first, joint.points[1] - ZERO_CELSIUS, at, "temperature [°C]")
 
 
-def _load_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel:
+def _load_panel(model: DynamicModel, joint: JointExperiment, first: bool) -> Panel:
     axis = np.linspace(joint.stored.load_range.least, joint.stored.load_range.greatest, CURVE_POINTS)
     heat = np.full_like(axis, np.mean(joint.points[1]))
 
@@ -167,7 +167,7 @@ def _load_panel(model: DynamicModel, joint: JointFriction, first: bool) -> Panel
 
 
 def _speeds_panel(
-    joint: JointFriction,
+    joint: JointExperiment,
     unit: str,
     first: bool,
     abscissa: FloatArray,

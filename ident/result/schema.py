@@ -12,7 +12,7 @@ from drivers.core.units import common_unit
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.residual_tests import ResidualTests
 from ident.assessment.validation import Fit
-from ident.estimators.estimator import Loop
+from ident.estimators.estimator import EstimationLoop
 from ident.friction.table import FURTHER_KINDS, SHAPES
 from ident.friction.terms import NO_TERMS, FrictionTerms
 from ident.ranges import PRESLIDING_TRAVEL, RESULT_VALUE, SMOOTHING
@@ -180,7 +180,7 @@ class Convergence(Stored):
     """What an iterative estimator did."""
 
     passes: int = Field(description="over the data")
-    loops: list[Loop] = Field(description="innermost first")
+    loops: list[EstimationLoop] = Field(description="innermost first")
     equations: list[JointEquations] = Field(default=[], description="empty where all count alike")
     joint_correlation: list[list[Number]] = Field(
         default=[], description="of the joints' residuals, by which the equations were whitened; else empty"

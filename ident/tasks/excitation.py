@@ -21,7 +21,7 @@ from drivers.core.errors import IdentificationError, UsageError
 from drivers.core.options import keywords_of, same_named
 from drivers.core.text import percent_text, percentage_text
 from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
-from ident.excite.constraints.surroundings import surroundings_warning
+from ident.excite.constraints.workspace import surroundings_warning
 from ident.excite.design import Design, design
 from ident.excite.forecast import ExcitationFigures, excitation_figures
 from ident.excite.motion_check import ArmMotionCheck

@@ -13,7 +13,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf_shapes import (
-    Shape,
+    LinkShape,
     UnusableShapeError,
     lengths,
     link_shapes,
@@ -146,7 +146,7 @@ def _urdf_points(model: DynamicModel, robot_file: RobotFile, wanted: Sequence[st
     return {name: np.vstack(of_link) for name, of_link in points.items()}
 
 
-def _points(shape: Shape, folders: Sequence[Path]) -> FloatArray:
+def _points(shape: LinkShape, folders: Sequence[Path]) -> FloatArray:
     """Points (V, 3) whose convex hull contains a shape."""
     kind = shape.element.tag
     if kind == "mesh":

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from drivers.core.errors import IdentificationError
-from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
+from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.simulated_arm import SIMULATION_SETTLED, check_whole_arm, simulated_motions
 from ident.estimators.target_motion import target_motions
@@ -81,7 +81,7 @@ class DidimEstimator(TorqueEstimator):
             moved = np.abs(refined.parameters - solution.parameters)[list(active)]
             changes.append(float(np.max(moved / refined.std[list(active)])))
             solution = refined
-        loop = Loop("simulation and fit", "σ", tuple(changes), changes[-1] <= SIMULATION_SETTLED)
+        loop = EstimationLoop("simulation and fit", "σ", tuple(changes), changes[-1] <= SIMULATION_SETTLED)
         return SimulatedEstimation(
             setup.kernel,
             reduction,

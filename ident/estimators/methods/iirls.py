@@ -18,7 +18,7 @@ from pydantic import Field
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from drivers.core.text import percent_text
-from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
+from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.robust.friction_bounds import FrictionBounds, friction_bounds
 from ident.estimators.robust.irls import RobustEstimator, estimation, reweighting
@@ -195,18 +195,18 @@ class _OuterLoops:
         kernel = RegressorKernel(replace(fit.kernel.model, terms=terms), fit.kernel.columns)
         return self.inner.iterated(kernel, start, fit.covariance)
 
-    def loops_of(self, fit: RobustFit, load_settled: bool) -> tuple[Loop, ...]:
+    def loops_of(self, fit: RobustFit, load_settled: bool) -> tuple[EstimationLoop, ...]:
         """Third and fourth loop, and the shapes by joint (AUBO Figs. 10 and 11)."""
         found = []
         if self.spreads:
             name = "friction, residual σ (mean over the joints)"
-            found.append(Loop(name, "N·m", tuple(self.spreads), self.shapes_settled))
+            found.append(EstimationLoop(name, "N·m", tuple(self.spreads), self.shapes_settled))
         for shape, motor in self.terms(fit).free_shapes() if self.shapes else ():
             values = tuple(terms.shape(shape.name, motor) for terms in self.shapes)
             joint = fit.kernel.model.joint_names[motor]
-            found.append(Loop(shape.text, shape.unit, values, self.shapes_settled, joint))
+            found.append(EstimationLoop(shape.text, shape.unit, values, self.shapes_settled, joint))
         if self.loads:
-            found.append(Loop("load torque, relative change", "", tuple(self.loads), load_settled))
+            found.append(EstimationLoop("load torque, relative change", "", tuple(self.loads), load_settled))
         return tuple(found)
 
 

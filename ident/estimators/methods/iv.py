@@ -21,7 +21,7 @@ from pydantic import Field
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
-from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
+from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.simulated_arm import check_whole_arm, simulated_motions
 from ident.estimators.target_motion import WEAKEST, first_stage_f, independent_rows, target_motions
@@ -193,7 +193,7 @@ class InstrumentalEstimator(TorqueEstimator):
             self.setup.kernel,
             reduction,
             solution,
-            (Loop(source.loop, "σ", tuple(changes), changes[-1] <= INSTRUMENTS_SETTLED),),
+            (EstimationLoop(source.loop, "σ", tuple(changes), changes[-1] <= INSTRUMENTS_SETTLED),),
             passes=1 + 2 * (1 if source.motions else len(changes)) + 5,
             steps=(_step(source, strength), self._exogeneity(runs, motions, solution, ordinary)),
             instruments=tuple(motions),

@@ -18,7 +18,7 @@ from pydantic import Field
 
 from drivers.core.arrays import BoolArray, FloatArray
 from drivers.core.ranges import Range
-from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
+from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.linear_algebra.triangular import QrAccumulator
@@ -197,7 +197,7 @@ class MlEstimator(TorqueEstimator):
             moved = np.abs(refined.parameters - solution.parameters)[list(active)]
             changes.append(float(np.max(moved / refined.std[list(active)])))
             solution = refined
-        loop = Loop("parameters and noise model", "σ", tuple(changes), changes[-1] <= WHITENING_SETTLED)
+        loop = EstimationLoop("parameters and noise model", "σ", tuple(changes), changes[-1] <= WHITENING_SETTLED)
         return MlEstimation(
             kernel,
             reduction,

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, ModelError
-from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
+from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method, NoOptions
 from ident.estimators.simulated_arm import SIMULATION_SETTLED, check_whole_arm, simulable_arm
 from ident.estimators.torque_estimator import TorqueEstimator
@@ -153,7 +153,7 @@ class OutputErrorEstimator(TorqueEstimator):
             self.setup.kernel,
             reduction,
             solution,
-            (Loop("simulation and fit", "σ", tuple(changes), changes[-1] <= SIMULATION_SETTLED),),
+            (EstimationLoop("simulation and fit", "σ", tuple(changes), changes[-1] <= SIMULATION_SETTLED),),
             passes=1 + len(changes),
             rows=rows,
             position_weights=position_weights,

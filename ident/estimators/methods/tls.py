@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
-from ident.estimators.estimator import Estimation, Estimator, Loop, Setup
+from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method, NoOptions
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
@@ -160,7 +160,7 @@ class TlsEstimator(TorqueEstimator):
         right = np.linalg.lstsq(root.T, normal[:-1, -1], rcond=1e-12)[0]
         system = np.column_stack([root, right])
         solved = triangular_system(plain, system, weights, active, "tls", len(changes))
-        loop = Loop("weights and noise of the torque", "σ", tuple(changes), changes[-1] <= SETTLED_CHANGE)
+        loop = EstimationLoop("weights and noise of the torque", "σ", tuple(changes), changes[-1] <= SETTLED_CHANGE)
         return TlsEstimation(kernel, solved.reduction, solved.solution, (loop,), passes=3, correction=correction)
 
     def covariance(self, runs: Sequence[FilteredRun], estimation: Estimation) -> CorrectedCovariance:

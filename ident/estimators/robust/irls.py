@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.estimators.estimator import Estimation, Loop, Setup
+from ident.estimators.estimator import Estimation, EstimationLoop, Setup
 from ident.estimators.feasible.consistent import found_consistent
 from ident.estimators.robust.reweighting import COVARIANCE_TOLERANCE, PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
 from ident.estimators.robust.weight_functions import WeightName, weight_function
@@ -141,8 +141,8 @@ def estimation(fit: RobustFit, loops: Reweighting, method: str) -> Estimation:
             settled=fit.settled,
         ),
         loops=(
-            Loop("covariance of the joints, relative change", "", tuple(loops.changes), settled[0]),
-            Loop("weights, largest step of a parameter", "σ", tuple(loops.steps), settled[1]),
+            EstimationLoop("covariance of the joints, relative change", "", tuple(loops.changes), settled[0]),
+            EstimationLoop("weights, largest step of a parameter", "σ", tuple(loops.steps), settled[1]),
         ),
         weights=fit.done.weights,
         passes=loops.passes,

@@ -29,7 +29,7 @@ from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX, Joint
 from ident.model.kinematics.urdf import urdf_order
 from ident.model.kinematics.urdf_shapes import (
-    Shape,
+    LinkShape,
     UnusableShapeError,
     lengths,
     link_shapes,
@@ -98,7 +98,7 @@ def urdf_shapes(robot_file: RobotFile) -> UrdfShapes:
     return UrdfShapes(usable, tight, {link: why for link, why in unread.items() if link not in usable})
 
 
-def _enclosing(link: int, shape: Shape, folders: Sequence[Path]) -> tuple[list[Capsule], list[Hull]]:
+def _enclosing(link: int, shape: LinkShape, folders: Sequence[Path]) -> tuple[list[Capsule], list[Hull]]:
     """Capsules around a shape, and its hull, or the capsules' where it has no tighter one."""
     kind = shape.element.tag
     points: FloatArray | None = None
@@ -114,7 +114,7 @@ def _enclosing(link: int, shape: Shape, folders: Sequence[Path]) -> tuple[list[C
     return capsules, [hull_of_capsule(capsule) for capsule in capsules] if hull is None else [hull]
 
 
-def _capsules(link: int, shape: Shape) -> Iterator[Capsule]:
+def _capsules(link: int, shape: LinkShape) -> Iterator[Capsule]:
     kind = shape.element.tag
     if kind == "box":
         yield from box_capsules(link, shape.rotation, shape.centre, lengths(shape, "size").tolist())

@@ -16,16 +16,18 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from daq.robot.obstacles import Obstacle
+from daq.motion.trajectories import Motion
+from daq.robot.loader import RobotFile
+from daq.robot.obstacles import Obstacle, obstacles_of
 from daq.robot.workspace import Box, HalfSpace, Workspace
 from drivers.core.arrays import FloatArray, IndexArray
 from drivers.core.errors import RobotFileError
 from ident.excite.constraints.collision_geometry import DISTANCE_SCALE, ArmGeometry
-from ident.excite.constraints.placements import Placements, moved_by, place_arm, wrench
+from ident.excite.constraints.placements import Placements, moved_by, place_arm, tool_point, wrench
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import JointPath
 from ident.model.base_parameters import random_states
-from ident.model.dynamic_model import DynamicModel
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.kinematics.joints import BASE_INDEX
 
 _HALVINGS = 24
@@ -346,3 +348,23 @@ def _can_be_clear(
         )
     # Of what stays at its height, such as a shoulder, a motion changes nothing.
     return np.asarray((highest >= geometry.radii[capsules] + obstacle.clearance) & (np.ptp(height, axis=1) > _STILL))
+
+
+_SAMPLES = 2000
+
+
+def surroundings_warning(robot_file: RobotFile, motion: Motion) -> str | None:
+    """Lowest height of the joints and the tool point, where the file sets no bound; None where it sets one."""
+    workspace = robot_file.robot.workspace
+    if workspace.height is not None or obstacles_of(robot_file.robot):
+        return None
+    model = build_model(robot_file)
+    position, _, _ = motion.evaluate(np.linspace(0.0, motion.duration, _SAMPLES))
+    placements = place_arm(model, position)
+    tool = tool_point(model, placements, workspace.tool)
+    lowest = min(float(placements.origin[:-1, 2].min()), float(tool[2].min()))
+    return (
+        "the robot file names neither a mounting surface nor heights nor obstacles: this motion comes down to "
+        f"{lowest:.2f} m in the base frame. Say what the arm is mounted on ('model': mounting) and what stands around "
+        "it ('workspace': keep_out)"
+    )

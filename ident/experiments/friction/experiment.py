@@ -14,7 +14,7 @@ from daq.robot.loader import RobotFile
 from drivers.core.errors import UsageError
 from drivers.core.reading_process import Progress
 from ident.experiments.friction.joint_fit import fit_joint
-from ident.experiments.friction.joint_friction import JointFriction
+from ident.experiments.friction.joint_friction import JointExperiment
 from ident.experiments.friction.single_joint import JointPeriods, joint_periods
 from ident.experiments.run_pair import check_same_robot
 from ident.friction.choice import AUTO, check_friction
@@ -35,7 +35,7 @@ class FrictionExperiment:
 
     result: FrictionExperimentResult
     periods: JointPeriods
-    joints: tuple[JointFriction, ...]
+    joints: tuple[JointExperiment, ...]
 
 
 def analyse_friction(
@@ -79,7 +79,7 @@ def analyse_friction(
 
 
 def _result(
-    robot: str, recordings: list[str], asked: str, periods: JointPeriods, joints: Sequence[JointFriction]
+    robot: str, recordings: list[str], asked: str, periods: JointPeriods, joints: Sequence[JointExperiment]
 ) -> FrictionExperimentResult:
     search, moved = periods.data.delay, {joint.stored.joint for joint in joints}
     return FrictionExperimentResult(

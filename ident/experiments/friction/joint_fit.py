@@ -21,7 +21,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from drivers.core.units import ZERO_CELSIUS
 from ident.experiments.friction.joint_data import JointData
-from ident.experiments.friction.joint_friction import JointFriction
+from ident.experiments.friction.joint_friction import JointExperiment
 from ident.experiments.friction.single_joint import JointPeriod
 from ident.friction.choice import AUTO, chosen_friction, friction_columns
 from ident.friction.solver import Value, settle
@@ -72,7 +72,7 @@ class _Solved:
 
 def fit_joint(
     model: DynamicModel, name: str, periods: Sequence[JointPeriod], friction: str, section: Friction
-) -> JointFriction:
+) -> JointExperiment:
     """Friction of the joint of these periods.
 
     Args:
@@ -297,7 +297,7 @@ class _JointFit:
             values.append(solved.terms.shape_of(kind, 0))
         return np.array(values), covariance, linear.kinds
 
-    def result(self, solved: _Solved, steps: tuple[FrictionStep, ...], settled: bool) -> JointFriction:
+    def result(self, solved: _Solved, steps: tuple[FrictionStep, ...], settled: bool) -> JointExperiment:
         """Values with their covariance, spans, and points for plots."""
         values, covariance, kinds = self._estimated(solved)
         own = self._data.own @ solved.parameters[: solved.own]
@@ -337,7 +337,7 @@ class _JointFit:
             notes=list(self._notes.values()),
         )
         points = [velocity, self._data.sampled(heat), self._data.sampled(self._load), self._data.torque - own]
-        return JointFriction(stored, solved.terms, steps, np.array(points))
+        return JointExperiment(stored, solved.terms, steps, np.array(points))
 
 
 def _jackknife(columns: FloatArray, residual: FloatArray, block: npt.NDArray[np.int64]) -> FloatArray:

@@ -19,7 +19,7 @@ ALONE = ((0, 1.0),)
 
 
 @dataclass(frozen=True, eq=False)
-class JointFriction:
+class JointExperiment:
     """Friction of one joint, and what its page shows beside.
 
     Attributes:
@@ -53,7 +53,7 @@ def friction_signal(
 
 
 def friction_torque(
-    model: DynamicModel, joint: JointFriction, velocity: FloatArray, kelvin: FloatArray, load: FloatArray
+    model: DynamicModel, joint: JointExperiment, velocity: FloatArray, kelvin: FloatArray, load: FloatArray
 ) -> FloatArray:
     """Friction torque (N,) of a joint at velocities, temperatures [K] and load torques (N,)."""
     conditions = FrictionConditions(load[None], kelvin[None])

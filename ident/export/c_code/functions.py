@@ -1,23 +1,69 @@
-"""The functions of an arm's C code: what they take, what they give, and the expressions of it."""
+"""The functions of an arm's C code: what they take, what they give, and the expressions of it.
+
+With (w, v) the motion of a link's frame that a unit velocity of a joint causes, the joint's torque for a force f and a
+moment n at that frame is v·f + w·n. Where joints without a motor follow, the axes of a motor's joint add up.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
-from ident.export.c_code.axes import Axes, inertial_column, link_axes
 from ident.export.c_code.expressions import Expression, Graph, solved
-from ident.export.c_code.frames import combination, joint_frames
+from ident.export.c_code.frames import JointFrame, combination, joint_frames
 from ident.export.c_code.joint_terms import friction, joint_parameter_column, joint_terms
-from ident.export.c_code.recursion import LinkMotion, link_motions, link_wrench, tree_inertia, tree_torques
+from ident.export.c_code.recursion import LinkMotion, link_motions, link_wrench, tree_inertia, tree_torques, unit_wrench
+from ident.export.c_code.vectors import Vector, add, constant_vector, cross, dot, scale
 from ident.model.base_parameters import random_states
 from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.kinematics.transmission import LinearTransmission
 from ident.model.parameters import INERTIAL
+
+Axes = dict[int, tuple[Vector, Vector]]
+"""(w, v) by the number of the joint in the tree."""
+
+
+def link_axes(graph: Graph, frames: Sequence[JointFrame]) -> list[Axes]:
+    """For every link, the axes of the joints that it hangs on, in its frame."""
+    none = constant_vector(graph, (0.0, 0.0, 0.0))
+    axes: list[Axes] = []
+    for index, frame in enumerate(frames):
+        own: Axes = {}
+        if frame.joint.parent != BASE_INDEX:
+            for joint, (angular, linear) in axes[frame.joint.parent].items():
+                moved = add(linear, cross(angular, frame.translation))
+                own[joint] = frame.to_joint(angular), frame.to_joint(moved)
+        axis = constant_vector(graph, frame.joint.axis)
+        own[index] = (none, axis) if frame.joint.prismatic else (axis, none)
+        axes.append(own)
+    return axes
+
+
+def inertial_column(graph: Graph, motion: LinkMotion, axes: Axes, kind: int, follow: FloatArray) -> list[Expression]:
+    """Torques (n,) at the joints with a motor for a unit of a link's parameter number `kind` of ten.
+
+    Args:
+        graph: of all expressions.
+        motion: of the link.
+        axes: in the link's frame.
+        kind: as in `INERTIAL`.
+        follow: (joints, n) G = ∂q_tree/∂q_active.
+    """
+    wrench = unit_wrench(motion, kind)
+    none = constant_vector(graph, (0.0, 0.0, 0.0))
+    column = []
+    for motor in range(follow.shape[1]):
+        angular, linear = none, none
+        for joint, (w, v) in axes.items():
+            share = graph.constant(float(follow[joint, motor]))
+            angular, linear = add(angular, scale(w, share)), add(linear, scale(v, share))
+        column.append(dot(linear, wrench.force) + dot(angular, wrench.moment))
+    return column
 
 
 def payload_torque(graph: Graph, motion: LinkMotion, axes: Axes, follow: FloatArray) -> tuple[Expression, ...]:

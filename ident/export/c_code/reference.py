@@ -23,7 +23,7 @@ TOLERANCES: dict[Real, float] = {"double": 1e-12, "float": 1e-5}
 
 
 @dataclass(frozen=True)
-class ReferenceValues:
+class ExpectedValues:
     """What the functions should give.
 
     Attributes:
@@ -38,7 +38,7 @@ class ReferenceValues:
     scales: dict[str, float]
 
 
-def reference(dynamics: InverseDynamics, real: Real, count: int = STATES, seed: int = SEED) -> ReferenceValues:
+def reference(dynamics: InverseDynamics, real: Real, count: int = STATES, seed: int = SEED) -> ExpectedValues:
     """Random states within the joint limits, and the model's answers.
 
     Inputs are rounded to the type of the C code, so that both compute with the same numbers.
@@ -80,7 +80,7 @@ def reference(dynamics: InverseDynamics, real: Real, count: int = STATES, seed: 
     worst = float(np.max(np.linalg.cond(inertia)))
     scales = {**largest, **dict.fromkeys(names, torques), "forward_dynamics": worst * largest["forward_dynamics"]}
     inputs = {"q": position.T, "dq": velocity.T, "ddq": acceleration.T, PAYLOAD: payload, "tau": torque.T}
-    return ReferenceValues(inputs, outputs, scales)
+    return ExpectedValues(inputs, outputs, scales)
 
 
 def random_payloads(count: int, seed: int) -> FloatArray:
@@ -102,7 +102,7 @@ def _loaded(
     return np.asarray(np.einsum("mn,mbN,Nb->Nn", dynamics.coupling, parts, standard))
 
 
-def deviation(graph: Graph, function: Function, expected: ReferenceValues) -> float:
+def deviation(graph: Graph, function: Function, expected: ExpectedValues) -> float:
     """Largest deviation of a function's expressions from the reference, relative to its scale."""
     symbols = {
         f"{name}{joint}": column for name, values in expected.inputs.items() for joint, column in enumerate(values.T)

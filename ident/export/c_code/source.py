@@ -12,7 +12,7 @@ from drivers.core.arrays import FloatArray
 from ident.export.c_code.expressions import Graph
 from ident.export.c_code.functions import PAYLOAD, PAYLOAD_SIZE, Function
 from ident.export.c_code.names import comment_text
-from ident.export.c_code.reference import TOLERANCES, ReferenceValues
+from ident.export.c_code.reference import TOLERANCES, ExpectedValues
 from ident.export.c_code.statements import Dialect, statements
 
 WIDTH = 120
@@ -133,7 +133,7 @@ def source(
     description: Description,
     functions: Sequence[Function],
     dialect: Dialect,
-    expected: ReferenceValues,
+    expected: ExpectedValues,
     header_name: str,
 ) -> str:
     """Text of the .c file."""
@@ -235,7 +235,7 @@ static int beyond(const char *name, const double *values, const double *expected
 """
 
 
-def self_test(functions: Sequence[Function], expected: ReferenceValues, prefix: str, dialect: Dialect) -> str:
+def self_test(functions: Sequence[Function], expected: ExpectedValues, prefix: str, dialect: Dialect) -> str:
     """C source behind `#ifdef PREFIX_SELF_TEST`."""
     macro, count = prefix.upper(), len(expected.inputs["q"])
     arrays = sorted({name for function in functions for name in function.inputs}, key=list(expected.inputs).index)

@@ -47,7 +47,7 @@ class LinkShapes:
 
 
 @dataclass(frozen=True)
-class Shape:
+class LinkShape:
     """One shape in the frame of the joint that moves it.
 
     Attributes:
@@ -80,7 +80,7 @@ def link_shapes(
         yield LinkShapes(link, frame.placement, tuple(element.findall(kind)))
 
 
-def placed_shape(element: ElementTree.Element, placement: Any) -> Shape:
+def placed_shape(element: ElementTree.Element, placement: Any) -> LinkShape:
     """The shape of a `collision` or `visual` element.
 
     Raises:
@@ -96,7 +96,7 @@ def placed_shape(element: ElementTree.Element, placement: Any) -> Shape:
     shape = next(iter(geometry), None) if geometry is not None else None
     if shape is None:
         raise UnusableShapeError("a link's shape without geometry")
-    return Shape(rotation, centre, shape)
+    return LinkShape(rotation, centre, shape)
 
 
 def numbers(text: str, count: int) -> FloatArray:
@@ -114,7 +114,7 @@ def numbers(text: str, count: int) -> FloatArray:
     return values
 
 
-def lengths(shape: Shape, *names: str) -> FloatArray:
+def lengths(shape: LinkShape, *names: str) -> FloatArray:
     """Positive lengths [m] of a primitive's attributes; of a box's `size`, three.
 
     Raises:
@@ -139,7 +139,7 @@ def mesh_folders(robot_file: RobotFile) -> tuple[Path, ...]:
     return tuple(folders)
 
 
-def mesh_vertices(shape: Shape, folders: Sequence[Path]) -> FloatArray:
+def mesh_vertices(shape: LinkShape, folders: Sequence[Path]) -> FloatArray:
     """Vertices (V, 3) [m] of a mesh (STL, OBJ, DAE and what else Coal reads) in the frame of the joint.
 
     Raises:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from itertools import cycle
 from typing import Any
 
-from ident.estimators.estimator import Loop
+from ident.estimators.estimator import EstimationLoop
 from ident.report.figures.figures import LOG_AXIS, SERIES_COLOURS, Figure, plain
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.section import ReportData, ReportSection
@@ -34,7 +34,7 @@ def section(data: ReportData) -> ReportSection | None:
 
 
 def _figure(convergence: Convergence) -> Figure | None:
-    by_name: dict[str, list[Loop]] = {}
+    by_name: dict[str, list[EstimationLoop]] = {}
     for loop in convergence.loops:
         if loop.values:
             by_name.setdefault(loop.name, []).append(loop)
@@ -49,7 +49,7 @@ def _figure(convergence: Convergence) -> Figure | None:
     return panel_figure("convergence-plot", rows, caption, showlegend=bool(first))
 
 
-def _panel(loops: list[Loop], colours: Mapping[str, str], *, legend: bool) -> Panel:
+def _panel(loops: list[EstimationLoop], colours: Mapping[str, str], *, legend: bool) -> Panel:
     """One loop, or the same one of several joints, each in its colour."""
     name, unit = loops[0].name, loops[0].unit
     known = [value for loop in loops for value in loop.values if value is not None]

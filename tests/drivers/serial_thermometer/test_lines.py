@@ -18,7 +18,7 @@ from drivers.serial_thermometer.lines import (
     OUT_OF_RANGE,
     TOO_LONG,
     LineParser,
-    TemperatureReading,
+    ThermometerReading,
 )
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
 
@@ -37,7 +37,7 @@ def settings(**changes: object) -> ThermometerSettings:
 
 def fed(parser: LineParser, data: bytes, cuts: list[int] | None = None) -> list[tuple[str, float]]:
     """Readings of a stream cut into pieces; the first line end lets the parser begin."""
-    readings: list[TemperatureReading] = []
+    readings: list[ThermometerReading] = []
     at = 0
     whole = b"\n" + data
     for cut in [*sorted(cuts or []), len(whole)]:
@@ -172,7 +172,7 @@ def test_rows_hold_every_reading_once_and_in_order(readings: list[tuple[str, flo
     assembler = RowAssembler(JOINTS)
     rows = []
     for number, (joint, value) in enumerate(readings):
-        rows += assembler.add(float(number), TemperatureReading(0, joint, value))
+        rows += assembler.add(float(number), ThermometerReading(0, joint, value))
     rows += assembler.flush(before=math.inf)
     times = [when for when, _ in rows]
     assert times == sorted(set(times))
