@@ -268,7 +268,10 @@ class Player:
                 self._delayed += stalled + 0.5 * ramp
                 return
             ramp *= 2.0
-        raise SafetyStopError("after a stall of this computer the motion cannot go on within the acceleration limits")
+        raise SafetyStopError(
+            "after a stall of this computer the motion cannot go on within the acceleration limits",
+            hint="end other programs, or use --realtime, and play the motion again",
+        )
 
     def _keeps_limits(self, course: _Course) -> bool:
         ticks = np.arange(course.tick, course.tick + int(course.ramp / self._period) + 2, dtype=float)

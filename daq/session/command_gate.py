@@ -14,7 +14,7 @@ import numpy as np
 
 from daq.motion.player import STALL_LIMIT, skip_limit
 from daq.robot.schema import JointLimits
-from daq.session.supervisor import TRACKING_ERROR, TRACKING_WINDOW
+from daq.session.supervisor import CURES, TRACKING_ERROR, TRACKING_WINDOW
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import SafetyStopError
@@ -27,6 +27,7 @@ FRESH = 0.1
 a stall of this computer that the gate tolerates, after which the command may be sent before the samples are read."""
 MARGIN = 0.01
 """Share by which a step or its change may pass its limit: rounding, and the differences of times near 2 ms."""
+_CLOCK_CURE = "the motion jumps, or this computer's clock does: look at the trajectory; is this a virtual machine?"
 _ROUNDING = 1e-9
 """[rad or m]: of a position, and of the steps between positions."""
 
@@ -106,7 +107,7 @@ class CommandGate:
         self._step_time = period
         self._recent = np.zeros((max(2, int(np.ceil(TRACKING_WINDOW / period))), len(limits.joints)))
         self._sent = 0
-        self._closed = ""
+        self._closed: SafetyStopError | None = None
 
     def measured(self, now: float, position: FloatArray) -> None:
         """Take the newest measured position (n,) [rad or m], which arrived at `now` [s, host clock]."""
@@ -119,13 +120,13 @@ class CommandGate:
             SafetyStopError: it does not pass; says which limit it breaks, and by how much.
             DynidError: the driver's own.
         """
-        if self._closed:
-            raise SafetyStopError(self._closed)
+        if self._closed is not None:
+            raise SafetyStopError(self._closed.message, hint=self._closed.hint)
         now = self._clock.now()
         try:
             self._check(now, position, due)
         except SafetyStopError as error:
-            self._closed = str(error)
+            self._closed = error
             raise
         self._noted(now, position)
         self._send(position)
@@ -138,7 +139,7 @@ class CommandGate:
         self._require("position", position, limits.highest + _ROUNDING, above=True)
         self._require("position", position, limits.lowest - _ROUNDING, above=False)
         if due > now + 1e-6:
-            raise SafetyStopError(f"a command came {1e3 * (due - now):.3g} ms before it was due")
+            raise SafetyStopError(f"a command came {1e3 * (due - now):.3g} ms before it was due", hint=_CLOCK_CURE)
         measured = self._fresh_position(now)
         if self._last is None:
             # The arm is at rest where it was measured: this is where the path begins.
@@ -159,7 +160,9 @@ class CommandGate:
             self._step_time = self._period  # held: how long does not matter
             return
         if dt < 0.5 * self._period:
-            raise SafetyStopError(f"two commands are {1e3 * dt:.3g} ms apart, where one is due every period")
+            raise SafetyStopError(
+                f"two commands are {1e3 * dt:.3g} ms apart, where one is due every period", hint=_CLOCK_CURE
+            )
         waited = max(dt, now - last_due)
         if waited > STALL_LIMIT + 2.0 * self._period:  # one that is due, and one of which part has passed
             raise SafetyStopError(
@@ -182,9 +185,11 @@ class CommandGate:
             raise SafetyStopError("no position of the arm has been measured yet")
         arrived, position = self._measured
         if not np.all(np.isfinite(position)):
-            raise SafetyStopError("the measured position is not a number")
+            raise SafetyStopError("the measured position is not a number", hint=CURES["stuck"])
         if now - arrived > FRESH:
-            raise SafetyStopError(f"the measured position is {now - arrived:.3f} s old, more than {FRESH:g} s")
+            raise SafetyStopError(
+                f"the measured position is {now - arrived:.3f} s old, more than {FRESH:g} s", hint=CURES["stale data"]
+            )
         return position
 
     def _require(self, what: str, values: FloatArray, bound: FloatArray, above: bool) -> None:
@@ -197,7 +202,9 @@ class CommandGate:
             self._refuse(what, values, bound, int(np.argmax(values / bound)), unit)
 
     def _refuse(self, what: str, values: FloatArray, bound: FloatArray, joint: int, unit: str) -> None:
+        cure = CURES.get(what, _CLOCK_CURE)
         name, unit = self._limits.joints[joint], joint_unit(unit, sliding=self._limits.sliding[joint])
         raise SafetyStopError(
-            f"{what} of {name}: {values[joint]:.4g} {unit} passes {bound[joint]:.4g} {unit}; the command was not sent"
+            f"{what} of {name}: {values[joint]:.4g} {unit} passes {bound[joint]:.4g} {unit}; the command was not sent",
+            hint=cure,
         )

@@ -10,6 +10,7 @@ import numpy as np
 from daq.recording.clocks import ClockLog
 from daq.recording.recording import JOINTS_STREAM
 from daq.session.command_gate import CommandGate
+from daq.session.supervisor import Breach
 from drivers.clock_rates import ClockRates
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
@@ -18,6 +19,8 @@ from drivers.streams import Batch
 
 REST_TIME = 0.5
 """How long [s] an arm, and what its controller aims at, must have been at rest before control of it is taken."""
+RESUMED_LATELY = 1.0
+"""How long [s] after the arm went on from a stall what happens is taken for a consequence."""
 GAP = 0.1
 """Samples [s] apart in which an arm may have moved and come back."""
 
@@ -39,7 +42,8 @@ class Course:
     `breach_time` [s, the source's clock] is that of what stopped it, where it has one; `silent` are the streams whose
     silence is an event already, `stuck` the channels that hang and are one; `host_ahead` is by stream the host's clock
     less the source's at its last sample [s]; `heard` is the host's time of the newest position, `rest` watches it and
-    what the controller aims at; `untrusted` is why the clocks cannot be trusted, in words.
+    what the controller aims at; `untrusted` is why the clocks cannot be trusted, in words; `resumed` is when the arm
+    went on after a stall [s, host's clock].
     """
 
     clock: Clock
@@ -60,6 +64,7 @@ class Course:
     host_ahead: dict[str, float] = field(default_factory=dict)
     rates: ClockRates = field(default_factory=ClockRates)
     untrusted: str = ""
+    resumed: float = float("-inf")
 
     def add(self, batch: Batch) -> None:
         """Note a batch."""
@@ -85,6 +90,14 @@ class Course:
     def source_time(self) -> float:
         """Now, in the clock of the joints' stream [s]."""
         return self.clock.now() + self.source_minus_host
+
+    def cure(self, breach: Breach) -> str:
+        """What to do about a limit that was passed; soon after the arm went on from a stall, about the stall."""
+        ago = self.clock.now() - self.resumed
+        if ago > RESUMED_LATELY:
+            return breach.cure
+        stalled = f"{ago:.2g} s before, the arm was resumed after a stall of this computer"
+        return f"{stalled}: end other programs, or use --realtime"
 
     def joints_time(self, when: float, stream: str) -> float:
         """A time of a stream's clock, in the clock of the joints' stream [s]."""

@@ -242,7 +242,7 @@ def follow_motion(
                 f"this computer stalled: the arm was held, and goes on from rest {player.delayed - delayed:.3f} s later"
             )
             recorder.event(course.source_time(), "warning", "player", said)
-            delayed = player.delayed
+            delayed, course.resumed = player.delayed, course.clock.now()
         if course.view is not None:
             state = "motion" if begun else "approach to the start pose"
             course.view.show(state, player.elapsed, player.duration)

@@ -294,7 +294,7 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
         raise SafetyStopError(notice.message)
     if breach is not None:
         course.breach_time = breach.time
-        raise SafetyStopError(str(breach))
+        raise SafetyStopError(str(breach), hint=course.cure(breach))
     if recorder.failure is not None:
         raise recorder.failure
     for message in course.clocks.due():
@@ -305,7 +305,7 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
             _cycle(driver, recorder, supervisor, course, looked_twice=True)
             return
         if course.moves:
-            raise SafetyStopError(str(breach))
+            raise SafetyStopError(str(breach), hint=course.cure(breach))
         # Not in motion: the recording goes on until the driver gives the connection up.
         if breach.joint not in course.silent:
             recorder.event(course.source_time(), "warning", "session", str(breach))

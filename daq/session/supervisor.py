@@ -30,6 +30,18 @@ VALUE_AGES = {"position": (0.0, 1.0), "velocity": (0.0, 1.0), "torque": (0.0, 1.
 """Of each quantity with a limit, how old [s] the newest value may be at least, and where its rate is unknown."""
 
 
+CURES = {
+    "position": "keep the motion off the joint's limits, or correct them or the joint's zero in the robot file",
+    "velocity": "lower --speed-scale, or correct the limit in the robot file",
+    "torque": "lower --speed-scale; look for a contact, a load or friction that the plan does not know of",
+    "temperature": "let it cool down, and pause between motions",
+    "tracking error": "is the arm blocked, its brake closed, or slower than this motion? then lower --speed-scale",
+    "stale data": "look at cables and power; where this computer stalled, end other programs or use --realtime",
+    "stuck": "look at the sensor, its cable and its drive",
+}
+"""What passed a limit, or was stuck → what to do about it."""
+
+
 @dataclass(frozen=True)
 class Breach:
     """A limit that was passed.
@@ -52,6 +64,11 @@ class Breach:
     unit: str
     cause: str = ""
     supervised: bool = True
+
+    @property
+    def cure(self) -> str:
+        """What to do about it."""
+        return CURES["stuck" if self.what.startswith("stuck") else self.what]
 
     def __str__(self) -> str:
         said = f"{self.what} of {self.joint}: {self.value:.4g} {self.unit} passes {self.limit:.4g} {self.unit}"

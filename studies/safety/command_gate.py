@@ -545,6 +545,8 @@ def random_case(draw: np.random.Generator) -> tuple[Case, FloatArray]:
 
 ABOVE = 1.0 + MARGIN + 1e-3
 """The gate's margin, and its rounding of 1e-9 rad, which is so much of an acceleration at 500 Hz."""
+ROUNDING = 2.0 / COUNTS / EVERY**2 / float(np.min(LIMITS.acceleration))
+"""The largest share of the acceleration limit that rounding three positions to counts can add at the arm."""
 KINDS = (("in time", 0.002), ("stalls to 10 ms", 0.0095), ("stalls to 50 ms", 0.05), ("longer stalls", np.inf))
 HEADING = "| bus | this computer | cases | refused | sender: v | a | range | arm: v | a | range | with its pauses: a |"
 
@@ -585,10 +587,11 @@ def summarise(results: Sequence[tuple[str, str, bool, Outcome]]) -> None:
         print(f"| {bus} | {kind} | {len(outcomes)} | {refused} | {figures} |")
     every = [one for outcomes in rows.values() for one in outcomes]
     sent = sum(np.max(one.sender) > ABOVE or one.moved > ABOVE for one in every)
-    told = sum(np.max(one.fed) > ABOVE for one in every)
+    told, rounded = (sum(np.max(one.fed) > limit for one in every) for limit in (ABOVE, ABOVE + ROUNDING))
     print(f"\n{len(results)} cases, {sum(one.sent for one in every)} commands; above {ABOVE:g}: {sent} at the sender,")
     print(
-        f"{told} at the arm while commands came; of {honest} plans within the limits, in time, {turned_away} refused."
+        f"{told} at the arm while commands came, {rounded} by more than its counts explain ({ABOVE + ROUNDING:.3f}); "
+        f"of {honest} plans within the limits, in time, {turned_away} refused."
     )
 
 
