@@ -12,6 +12,7 @@ from ident.experiments.method_comparison import JointGroup
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain
 from ident.report.figures.interval_panel import ROW
 from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.traces import points_trace
 from ident.report.html_file import page_templates
 from ident.result.tables import Table
 
@@ -85,12 +86,10 @@ def _figure(errors: Sequence[Errors], unit: str) -> Figure:
 
 def _points(label: str, points: Sequence[tuple[str, float]], unit: str, marker: dict[str, Any]) -> dict[str, Any]:
     finite = [(name, value) for name, value in points if np.isfinite(value)]
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "name": label,
-        "x": [value for _, value in finite],
-        "y": [name for name, _ in finite],
-        "marker": marker,
-        "hovertemplate": f"%{{y}}, {label}: %{{x:.4g}} {unit}<extra></extra>",
-    }
+    return points_trace(
+        [value for _, value in finite],
+        [name for name, _ in finite],
+        marker,
+        f"%{{y}}, {label}: %{{x:.4g}} {unit}<extra></extra>",
+        name=label,
+    )

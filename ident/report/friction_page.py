@@ -14,7 +14,7 @@ from ident.experiments.friction.joint_friction import JointExperiment, friction_
 from ident.model.dynamic_model import DynamicModel
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
-from ident.report.figures.traces import packed
+from ident.report.figures.traces import curve_trace, packed, points_trace
 from ident.report.html_file import page_templates
 from ident.report.section import Tile
 from ident.result.friction_experiment import FrictionExperimentResult
@@ -204,16 +204,24 @@ def percent(share: float) -> str:
 
 
 def _points(name: str, x: FloatArray, y: FloatArray, marker: dict[str, Any], shown: bool) -> dict[str, Any]:
-    return {
-        "type": "scatter", "mode": "markers", "name": name, "legendgroup": name, "showlegend": shown,
-        "x": packed(x), "y": packed(y), "marker": {"opacity": 0.5, **marker},
-        "hovertemplate": "%{x:.3g}<br>%{y:.3g}<extra></extra>",
-    }  # fmt: skip
+    return points_trace(
+        x,
+        y,
+        {"opacity": 0.5, **marker},
+        "%{x:.3g}<br>%{y:.3g}<extra></extra>",
+        name=name,
+        legendgroup=name,
+        showlegend=shown,
+    )
 
 
 def _line(name: str, x: FloatArray, y: FloatArray, colour: str, shown: bool) -> dict[str, Any]:
-    return {
-        "type": "scatter", "mode": "lines", "name": name, "legendgroup": name, "showlegend": shown,
-        "x": packed(x), "y": packed(y), "line": {"color": colour, "width": 2},
-        "hovertemplate": "%{x:.3g}<br>%{y:.3g}<extra></extra>",
-    }  # fmt: skip
+    return curve_trace(
+        x,
+        y,
+        {"color": colour, "width": 2},
+        "%{x:.3g}<br>%{y:.3g}<extra></extra>",
+        name=name,
+        legendgroup=name,
+        showlegend=shown,
+    )

@@ -27,7 +27,7 @@ from ident.report.figures.figures import (
     plain,
     row_domains,
 )
-from ident.report.figures.traces import broken_line, packed, points_per_trace
+from ident.report.figures.traces import broken_line, curve_trace, points_per_trace
 from ident.report.html_file import page_templates
 from ident.report.section import Tile
 from ident.result.tables import Table
@@ -142,12 +142,17 @@ def _figure(
             group = label or group
             x, y = broken_line(times, [np.ascontiguousarray(signal[:, joint]) for signal in signals], points)
             data.append(
-                {
-                    "type": "scatter", "mode": "lines", "name": group, "legendgroup": group,
-                    "showlegend": joint == 0 and bool(label), "x": packed(x), "y": packed(y), "xaxis": "x",
-                    "yaxis": axis_ref("y", joint + 1), "line": {"color": colour, "width": 1.3},
-                    "hovertemplate": f"%{{y:.4g}} {unit}",
-                }
-            )  # fmt: skip
+                curve_trace(
+                    x,
+                    y,
+                    {"color": colour, "width": 1.3},
+                    f"%{{y:.4g}} {unit}",
+                    name=group,
+                    legendgroup=group,
+                    showlegend=joint == 0 and bool(label),
+                    xaxis="x",
+                    yaxis=axis_ref("y", joint + 1),
+                )
+            )
     layout = base_layout(height, hovermode="x unified", annotations=notes, **axes)
     return Figure(anchor, height, data, layout, f"{caption} Time counts from the first sample. Drag to zoom.")

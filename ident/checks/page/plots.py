@@ -15,7 +15,7 @@ from drivers.streams import UNITS
 from ident.assessment.recorded_motion import RecordedMotion
 from ident.report.figures.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Line, Panel, panel_figure
-from ident.report.figures.traces import broken_line, envelope_indices, packed
+from ident.report.figures.traces import broken_line, curve_trace, envelope_indices, points_trace
 from ident.signals.resampling import gap_free_segments
 from ident.views.number_text import number
 
@@ -60,17 +60,15 @@ def signals_figure(recording: Recording) -> Figure | None:
         for column, values in zip(shown, channel.values.T, strict=False):
             x, y = broken_line([time[piece] for piece in pieces], [values[piece] for piece in pieces], points)
             traces.append(
-                {
-                    "type": "scatter",
-                    "mode": "lines",
-                    "name": plain(shortened(column, 24)),
-                    "legendgroup": plain(column),
-                    "showlegend": column not in named,
-                    "x": packed(x),
-                    "y": packed(np.where(np.isfinite(y), y, np.nan)),
-                    "line": {"color": colours[column], "width": 1.3},
-                    "hovertemplate": "%{y:.4g}",
-                }
+                curve_trace(
+                    x,
+                    np.where(np.isfinite(y), y, np.nan),
+                    {"color": colours[column], "width": 1.3},
+                    "%{y:.4g}",
+                    name=plain(shortened(column, 24)),
+                    legendgroup=plain(column),
+                    showlegend=column not in named,
+                )
             )
             named.add(column)
         label = f"{stream.name}/{channel.quantity}"
@@ -96,15 +94,13 @@ def intervals_figure(recording: Recording, streams: Mapping[str, StreamQuality])
         kept = envelope_indices(np.where(intervals > 0, intervals, np.nan), MOST_POINTS)
         period = 1e3 / quality.rate_hz
         lines: list[dict[str, Any]] = [
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": plain(name),
-                "x": packed(_shown_time(recording, stream)[1:][kept]),
-                "y": packed(np.where(intervals > 0, intervals, np.nan)[kept]),
-                "marker": {"size": 4, "color": SERIES_COLOURS[0]},
-                "hovertemplate": "%{y:.4g} ms",
-            }
+            points_trace(
+                _shown_time(recording, stream)[1:][kept],
+                np.where(intervals > 0, intervals, np.nan)[kept],
+                {"size": 4, "color": SERIES_COLOURS[0]},
+                "%{y:.4g} ms",
+                name=plain(name),
+            )
         ]
         low, high = 0.5 * min(period, float(intervals[intervals > 0].min())), 2 * max(quality.longest_ms, 2 * period)
         rows.append(
@@ -158,17 +154,15 @@ def _spectrum_panel(
 ) -> Panel:
     frequency, density = _density(time, values)
     traces = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": plain(shortened(name, 24)),
-            "legendgroup": plain(name),
-            "showlegend": quantity == "position",
-            "x": packed(frequency),
-            "y": packed(np.where(row > 0, row, np.nan)),
-            "line": {"color": SERIES_COLOURS[index % len(SERIES_COLOURS)], "width": 1.2},
-            "hovertemplate": f"%{{x:.3g}} Hz: %{{y:.3g}} {unit}/√Hz",
-        }
+        curve_trace(
+            frequency,
+            np.where(row > 0, row, np.nan),
+            {"color": SERIES_COLOURS[index % len(SERIES_COLOURS)], "width": 1.2},
+            f"%{{x:.3g}} Hz: %{{y:.3g}} {unit}/√Hz",
+            name=plain(shortened(name, 24)),
+            legendgroup=plain(name),
+            showlegend=quantity == "position",
+        )
         for index, (name, row) in enumerate(zip(names, density, strict=True))
     ]
     return Panel(

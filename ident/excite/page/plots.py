@@ -23,7 +23,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
-from ident.report.figures.traces import packed
+from ident.report.figures.traces import curve_trace, points_trace
 
 POINTS = 1200
 """Points per line."""
@@ -90,10 +90,13 @@ def joints_figure(joints: Sequence[JointLimits], shown: Shown) -> Figure:
 def _joint_panel(limits: JointLimits, quantity: str, unit: str, time: FloatArray, values: FloatArray) -> Panel:
     name = f"<b>{plain(shortened(limits.name, 24))}</b>"
     bounds = _limits(quantity, limits)
-    line = {
-        "type": "scatter", "mode": "lines", "name": plain(f"{quantity} of {limits.name}"), "x": packed(time),
-        "y": packed(values), "line": {"color": MEASURED, "width": 1.5}, "hovertemplate": f"%{{y:.4g}} {unit}",
-    }  # fmt: skip
+    line = curve_trace(
+        time,
+        values,
+        {"color": MEASURED, "width": 1.5},
+        f"%{{y:.4g}} {unit}",
+        name=plain(f"{quantity} of {limits.name}"),
+    )
     # Shapes do not widen an axis: invisible points at the limits do.
     return Panel(
         f"{limits.name}: {quantity} [{unit}]",
@@ -122,10 +125,7 @@ def _limits(quantity: str, limits: JointLimits) -> tuple[float, ...]:
 
 
 def _invisible(time: float, values: Sequence[float]) -> dict[str, Any]:
-    return {
-        "type": "scatter", "mode": "markers", "x": [float(time)] * len(values), "y": list(values),
-        "showlegend": False, "hoverinfo": "skip", "marker": {"opacity": 0},
-    }  # fmt: skip
+    return points_trace([float(time)] * len(values), list(values), {"opacity": 0}, showlegend=False)
 
 
 def tool_figure(robot_file: RobotFile, shown: Shown) -> Figure:
@@ -141,10 +141,7 @@ def tool_figure(robot_file: RobotFile, shown: Shown) -> Figure:
 
 
 def _tool_panel(label: str, shown: Shown, values: FloatArray, limits: tuple[float, float] | None) -> Panel:
-    line = {
-        "type": "scatter", "mode": "lines", "name": label, "x": packed(shown.path.time), "y": packed(values),
-        "line": {"color": MEASURED, "width": 1.5}, "hovertemplate": "%{y:.3f} m",
-    }  # fmt: skip
+    line = curve_trace(shown.path.time, values, {"color": MEASURED, "width": 1.5}, "%{y:.3f} m", name=label)
     return Panel(
         label,
         f"<b>{label}</b>",
@@ -180,11 +177,14 @@ def clearance_figure(robot_file: RobotFile, shown: Shown) -> Figure | None:
     for index, (name, distance, kept) in enumerate(lines):
         colour = SERIES_COLOURS[index % len(SERIES_COLOURS)]
         traces.append(
-            {
-                "type": "scatter", "mode": "lines", "name": plain(shortened(name, 30)), "x": packed(shown.path.time),
-                "y": packed(distance), "line": {"color": colour, "width": 1.5}, "hovertemplate": "%{y:.3f} m",
-            }
-        )  # fmt: skip
+            curve_trace(
+                shown.path.time,
+                distance,
+                {"color": colour, "width": 1.5},
+                "%{y:.3f} m",
+                name=plain(shortened(name, 30)),
+            )
+        )
         kept_lines.append((kept, {"color": colour, "width": 1, "dash": "dash"}))
     panel = Panel(
         "clearance [m]",

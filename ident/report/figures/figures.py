@@ -11,6 +11,7 @@ from typing import Any
 from markupsafe import Markup
 
 from ident.friction.table import TERMS
+from ident.report.figures.traces import points_trace
 from ident.result.schema import BaseParameterResult
 
 MEASURED = "#0072B2"
@@ -151,15 +152,13 @@ def kind_markers(
         if entries_of_kind:
             names += [name for name, _ in entries_of_kind]
             data.append(
-                {
-                    "type": "scatter",
-                    "mode": "markers",
-                    "name": words,
-                    "x": [value for _, value in entries_of_kind],
-                    "y": [name for name, _ in entries_of_kind],
-                    "marker": {"color": colour, "symbol": symbol, "size": 8},
-                    "hovertemplate": hover,
-                }
+                points_trace(
+                    [value for _, value in entries_of_kind],
+                    [name for name, _ in entries_of_kind],
+                    {"color": colour, "symbol": symbol, "size": 8},
+                    hover,
+                    name=words,
+                )
             )
             if error is not None:
                 data[-1]["error_x"] = {**error, "color": colour}

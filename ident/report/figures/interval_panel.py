@@ -9,6 +9,7 @@ from typing import Any
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import RESIDUAL, plain
 from ident.report.figures.panels import Panel
+from ident.report.figures.traces import points_trace
 from ident.verdict.evidence import known
 
 ROW = 15
@@ -68,16 +69,14 @@ def interval_panel(
 
 def _trace(series: IntervalSeries, rows: Sequence[str], unit: str) -> dict[str, Any]:
     having = [row for row in rows if known(series.values.get(row)) is not None]
-    trace: dict[str, Any] = {
-        "type": "scatter",
-        "mode": "markers",
-        "name": series.label,
-        "showlegend": series.shown,
-        "x": [series.values[row] for row in having],
-        "y": [plain(row) for row in having],
-        "marker": dict(series.marker),
-        "hovertemplate": f"{series.label} of %{{y}}: %{{x:.4g}} {unit}<extra></extra>",
-    }
+    trace: dict[str, Any] = points_trace(
+        [series.values[row] for row in having],
+        [plain(row) for row in having],
+        dict(series.marker),
+        f"{series.label} of %{{y}}: %{{x:.4g}} {unit}<extra></extra>",
+        name=series.label,
+        showlegend=series.shown,
+    )
     if series.deviations is not None:
         half = [WITHIN_95_PERCENT * (known(series.deviations.get(row)) or 0.0) for row in having]
         error = {"type": "data", "array": half, "thickness": 1.5, "width": 3}

@@ -13,7 +13,7 @@ from ident.assessment.validation import Fit
 from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
-from ident.report.figures.traces import broken_line, lay_out, packed, points_per_trace
+from ident.report.figures.traces import broken_line, curve_trace, lay_out, points_per_trace, points_trace
 from ident.result.schema import Result
 from ident.views.number_text import number, percent, whole
 
@@ -53,18 +53,16 @@ def torque_figure(
         for label, rank, values, colour, width in lines:
             x, y = broken_line(times, values, points)
             traces.append(
-                {
-                    "type": "scatter",
-                    "mode": "lines",
-                    "name": label,
-                    "legendgroup": label,
-                    "legendrank": rank,
-                    "showlegend": joint == order[0],
-                    "x": packed(x),
-                    "y": packed(y),
-                    "line": {"color": colour, "width": width},
-                    "hovertemplate": f"%{{y:.4g}} {unit}",
-                }
+                curve_trace(
+                    x,
+                    y,
+                    {"color": colour, "width": width},
+                    f"%{{y:.4g}} {unit}",
+                    name=label,
+                    legendgroup=label,
+                    legendrank=rank,
+                    showlegend=joint == order[0],
+                )
             )
         traces += _rejected(joint, times, series, points, joint == order[0])
         name = joints[joint]
@@ -98,18 +96,16 @@ def _rejected(
             y.append(segment.measured[joint, low])
     every = slice(None, None, max(1, -(-sum(map(len, x)) // points)))
     return [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": "rejected",
-            "legendgroup": "rejected",
-            "legendrank": 4,
-            "showlegend": legend,
-            "x": packed(np.concatenate(x)[every]),
-            "y": packed(np.concatenate(y)[every]),
-            "marker": {"size": 5, "symbol": "x-thin", "line": {"color": REJECTED, "width": 1.2}},
-            "hovertemplate": "rejected",
-        }
+        points_trace(
+            np.concatenate(x)[every],
+            np.concatenate(y)[every],
+            {"size": 5, "symbol": "x-thin", "line": {"color": REJECTED, "width": 1.2}},
+            "rejected",
+            name="rejected",
+            legendgroup="rejected",
+            legendrank=4,
+            showlegend=legend,
+        )
     ]
 
 

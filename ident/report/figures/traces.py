@@ -6,8 +6,9 @@ Plotly.js reads {dtype, bdata} as a typed array; float32 takes a third of the sa
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -115,3 +116,29 @@ def packed(values: npt.ArrayLike) -> dict[str, str]:
     most = float(np.finfo(np.float32).max)  # absurd recorded values must not overflow
     raw = np.clip(np.asarray(values, dtype=np.float64), -most, most).astype("<f4").tobytes()
     return {"dtype": "f4", "bdata": base64.b64encode(raw).decode("ascii")}
+
+
+Values = npt.ArrayLike | Sequence[object]
+
+
+def curve_trace(x: Values, y: Values, line: Mapping[str, Any], hover: str = "", **further: Any) -> dict[str, Any]:
+    """A line of a figure.
+
+    Args:
+        x: (M,) values, packed where they are an array.
+        y: (M,).
+        line: its style, in Plotly's keys.
+        hover: template of the text at the pointer; nothing is shown where empty.
+        further: other keys of Plotly's trace.
+    """
+    return _scatter("lines", x, y, hover) | {"line": line, **further}
+
+
+def points_trace(x: Values, y: Values, marker: Mapping[str, Any], hover: str = "", **further: Any) -> dict[str, Any]:
+    """Points of a figure; arguments as of `curve_trace`, `marker` their style."""
+    return _scatter("markers", x, y, hover) | {"marker": marker, **further}
+
+
+def _scatter(mode: str, x: Values, y: Values, hover: str) -> dict[str, Any]:
+    values = {axis: packed(data) if isinstance(data, np.ndarray) else data for axis, data in (("x", x), ("y", y))}
+    return {"type": "scatter", "mode": mode, **values, **({"hovertemplate": hover} if hover else {"hoverinfo": "skip"})}

@@ -13,7 +13,7 @@ from ident.friction.table import TERMS, Operands, Term
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
-from ident.report.figures.traces import packed
+from ident.report.figures.traces import curve_trace, points_trace
 from ident.report.section import ReportData, ReportSection
 from ident.result.friction import JointFrictionResult
 from ident.result.schema import Result
@@ -98,24 +98,8 @@ def _panel(data: ReportData, joint: int, points: int) -> Panel:
         half = WITHIN_95_PERCENT * np.sqrt(np.einsum("ik,ij,jk->k", columns, covariance, columns))
         traces += _band(curve, torque, half)
     traces += [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": "data",
-            "x": packed(velocity),
-            "y": packed(data_torque),
-            "marker": {"size": 3, "color": MEASURED, "opacity": 0.45},
-            "hovertemplate": hover,
-        },
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "name": "model",
-            "x": packed(curve),
-            "y": packed(torque),
-            "line": {"color": PREDICTED, "width": 2},
-            "hovertemplate": hover,
-        },
+        points_trace(velocity, data_torque, {"size": 3, "color": MEASURED, "opacity": 0.45}, hover, name="data"),
+        curve_trace(curve, torque, {"color": PREDICTED, "width": 2}, hover, name="model"),
     ]
     first = joint == _order(data)[0]
     shown = [{"legendgroup": trace["name"], "showlegend": first, **trace} for trace in traces]
@@ -135,20 +119,15 @@ def _band(curve: FloatArray, torque: FloatArray, half: FloatArray) -> list[dict[
     for side in (curve < 0, curve > 0):
         x = curve[side]
         outline = np.concatenate([(torque + half)[side], (torque - half)[side][::-1]])
-        bands.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "name": "95 % interval",
-                "x": packed(np.concatenate([x, x[::-1]])),
-                "y": packed(outline),
-                "fill": "toself",
-                "fillcolor": "rgba(213,94,0,0.28)",
-                "line": {"width": 0},
-                "hoverinfo": "skip",
-                **({"showlegend": False} if bands else {}),
-            }
+        band = curve_trace(
+            np.concatenate([x, x[::-1]]),
+            outline,
+            {"width": 0},
+            name="95 % interval",
+            fill="toself",
+            fillcolor="rgba(213,94,0,0.28)",
         )
+        bands.append(band | {"showlegend": False} if bands else band)
     return bands
 
 

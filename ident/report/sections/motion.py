@@ -9,7 +9,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.units import joint_unit
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
-from ident.report.figures.traces import Timeline, broken_line, lay_out, packed
+from ident.report.figures.traces import Timeline, broken_line, curve_trace, lay_out
 from ident.report.recorded_runs import MotionSegment, TemperatureSeries
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import Result
@@ -76,17 +76,15 @@ def _panel(
             points,
         )
         traces.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "name": label,
-                "legendgroup": label,
-                "showlegend": joint == 0 and quantity == "position",
-                "x": packed(x),
-                "y": packed(y),
-                "line": {"color": colour, "width": 1.3},
-                "hovertemplate": f"%{{y:.4g}} {unit}",
-            }
+            curve_trace(
+                x,
+                y,
+                {"color": colour, "width": 1.3},
+                f"%{{y:.4g}} {unit}",
+                name=label,
+                legendgroup=label,
+                showlegend=joint == 0 and quantity == "position",
+            )
         )
     name = f"<b>{plain(shortened(joints[joint], 24))}</b>"
     return Panel(
@@ -112,15 +110,13 @@ def _temperatures(channels: Sequence[TemperatureSeries]) -> Figure:
             values = [parts[k].values[:, parts[k].columns.index(column)] for k in having]
             x, y = broken_line([times[k] for k in having], values, MOST_POINTS)
             traces.append(
-                {
-                    "type": "scatter",
-                    "mode": "lines",
-                    "name": plain(shortened(column, 24)),
-                    "x": packed(x),
-                    "y": packed(y),
-                    "line": {"color": SERIES_COLOURS[index % len(SERIES_COLOURS)], "width": 1.3},
-                    "hovertemplate": "%{y:.2f} °C",
-                }
+                curve_trace(
+                    x,
+                    y,
+                    {"color": SERIES_COLOURS[index % len(SERIES_COLOURS)], "width": 1.3},
+                    "%{y:.2f} °C",
+                    name=plain(shortened(column, 24)),
+                )
             )
         heading = f"<b>{plain(shortened(name, 32))}</b>"
         rows.append([Panel(name, heading, traces, x=TIME, y={"title": {"text": "°C"}}, height=TEMPERATURE_PANEL)])

@@ -15,7 +15,7 @@ from ident.regression.comparison import TorqueSeries
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, p_text
 from ident.report.figures.figures import ACCENT, REFERENCE, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure
-from ident.report.figures.traces import packed
+from ident.report.figures.traces import curve_trace, packed, points_trace
 from ident.report.section import ReportData, ReportSection
 from ident.views.number_text import number, whole
 
@@ -214,15 +214,13 @@ def _scatter(joint: JointResidual, values: FloatArray, points: int, units: tuple
         # Random, not every n-th: a stride could fall in step with a periodic motion.
         kept = np.sort(np.random.default_rng(0).choice(kept, points, replace=False))
     return [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": "residual",
-            "x": packed(values[kept]),
-            "y": packed(joint.residual[kept]),
-            "marker": {"size": 3, "color": ACCENT, "opacity": 0.45},
-            "hovertemplate": f"%{{x:.3g}} {units[0]}<br>%{{y:.3g}} {units[1]}<extra></extra>",
-        }
+        points_trace(
+            values[kept],
+            joint.residual[kept],
+            {"size": 3, "color": ACCENT, "opacity": 0.45},
+            f"%{{x:.3g}} {units[0]}<br>%{{y:.3g}} {units[1]}<extra></extra>",
+            name="residual",
+        )
     ]
 
 
@@ -231,27 +229,18 @@ def _correlogram(joint: JointResidual, step: float) -> list[dict[str, Any]]:
     if not len(lag):
         return []
     band = [
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "x": [float(lag[0]), float(lag[-1])],
-            "y": [height, height],
-            "line": {"color": REFERENCE, "width": 1, "dash": dash},
-            "hoverinfo": "skip",
-        }
+        curve_trace([float(lag[0]), float(lag[-1])], [height, height], {"color": REFERENCE, "width": 1, "dash": dash})
         for bound, dash in ((joint.band, "dash"), (LARGEST_AUTOCORRELATION, "dot"))
         for height in (bound, -bound)
     ]
-    line = {
-        "type": "scatter",
-        "mode": "lines",
-        "name": "autocorrelation",
-        "fill": "tozeroy",
-        "x": packed(lag),
-        "y": packed(joint.autocorrelation),
-        "line": {"color": ACCENT, "width": 1.2},
-        "hovertemplate": "lag %{x:.3g} s<br>%{y:.3f}<extra></extra>",
-    }
+    line = curve_trace(
+        lag,
+        joint.autocorrelation,
+        {"color": ACCENT, "width": 1.2},
+        "lag %{x:.3g} s<br>%{y:.3f}<extra></extra>",
+        name="autocorrelation",
+        fill="tozeroy",
+    )
     return [line, *band]
 
 
@@ -268,14 +257,7 @@ def _histogram(joint: JointResidual) -> list[dict[str, Any]]:
             "marker": {"color": ACCENT, "opacity": 0.55},
             "hovertemplate": "%{x:.1f} σ<br>%{y:.3f}<extra></extra>",
         },
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "x": packed(grid),
-            "y": packed(np.exp(-0.5 * grid**2) / np.sqrt(2.0 * np.pi)),
-            "line": {"color": REFERENCE, "width": 1.5},
-            "hoverinfo": "skip",
-        },
+        curve_trace(grid, np.exp(-0.5 * grid**2) / np.sqrt(2.0 * np.pi), {"color": REFERENCE, "width": 1.5}),
     ]
 
 
@@ -286,21 +268,16 @@ def _quantiles(joint: JointResidual) -> list[dict[str, Any]]:
 
     normal = ndtri(PROBABILITIES)
     return [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": "quantile",
-            "x": packed(normal),
-            "y": packed(joint.quantiles),
-            "marker": {"size": 4, "color": ACCENT},
-            "hovertemplate": "normal %{x:.2f}<br>residual / σ %{y:.2f}<extra></extra>",
-        },
-        {
-            "type": "scatter",
-            "mode": "lines",
-            "x": [float(normal[0]), float(normal[-1])],
-            "y": [float(normal[0]), float(normal[-1])],
-            "line": {"color": REFERENCE, "width": 1.5},
-            "hoverinfo": "skip",
-        },
+        points_trace(
+            normal,
+            joint.quantiles,
+            {"size": 4, "color": ACCENT},
+            "normal %{x:.2f}<br>residual / σ %{y:.2f}<extra></extra>",
+            name="quantile",
+        ),
+        curve_trace(
+            [float(normal[0]), float(normal[-1])],
+            [float(normal[0]), float(normal[-1])],
+            {"color": REFERENCE, "width": 1.5},
+        ),
     ]
