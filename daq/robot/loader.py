@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -147,12 +146,20 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
     return RobotFile(robot=robot, text=text, where=where, folder=folder, urdf_text=urdf_text)
 
 
-# Reading the YAML takes 15 ms, and a recording's robot is read several times.
-@lru_cache(maxsize=64)
+_MOST_READ = 64
+_read: dict[str, Robot] = {}
+"""By text: reading the YAML takes 15 ms, and a recording's robot is read several times, under several names."""
+
+
 def _robot(text: str, where: str) -> Robot:
-    hint = "see a built-in one: dynid robot show ur5e --yaml"
-    content = read_mapping(text, kind="a robot file", where=where, refusal=RobotFileError, hint=hint)
-    return validated_robot(content, where)
+    if (robot := _read.get(text)) is None:
+        hint = "see a built-in one: dynid robot show ur5e --yaml"
+        content = read_mapping(text, kind="a robot file", where=where, refusal=RobotFileError, hint=hint)
+        robot = validated_robot(content, where)
+        if len(_read) >= _MOST_READ:
+            del _read[next(iter(_read))]
+        _read[text] = robot
+    return robot
 
 
 def _read_urdf(urdf: str, folder: Path | None, where: str) -> str:

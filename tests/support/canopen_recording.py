@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from unittest.mock import patch
 
 import can
 import numpy as np
 import yaml
-from simulated_clock import DAY, SimulatedClock, simulated_time
+from simulated_clock import DAY, SimulatedClock, VirtualBus, simulated_time
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import Motion
@@ -29,6 +30,7 @@ from daq.session.supervisor import Limits, Supervisor
 from drivers.canopen402.driver import Canopen402Driver
 from drivers.canopen402.settings import parse_settings
 from drivers.core.arrays import FloatArray
+from sim_drivers.canopen import network
 from sim_drivers.canopen.server import CanopenServer
 from sim_drivers.canopen.setup import Feedback
 from sim_drivers.plant.plant import Plant
@@ -36,6 +38,8 @@ from sim_drivers.plant.plant import Plant
 RADIANS = 2 * np.pi / 524288
 """Of a count."""
 CHANNEL = "recorded"
+LOOP_PERIOD = 2e-3
+"""Of the drives' control loops [s], in which the plant's controller takes their references; half as often as usual."""
 
 
 @dataclass(frozen=True)
@@ -67,15 +71,16 @@ class Bench:
     server: CanopenServer
     driver: Canopen402Driver
     rate: float
-    wire: can.BusABC
+    wire: VirtualBus
     measured: list[list[Measured]]
     begun: float = float("nan")
     _frames: list[can.Message] = field(default_factory=list)
 
     def frames(self) -> list[can.Message]:
         """All frames so far, of both sides."""
-        while (frame := self.wire.recv(0.0)) is not None:
-            self._frames.append(frame)
+        waiting = self.wire.queue.queue
+        self._frames += waiting
+        waiting.clear()
         return self._frames
 
     def times(self, *identifiers: int, data: bytes = b"") -> list[float]:
@@ -218,7 +223,7 @@ def arm_on_bus(
         opened: whether the driver is.
         coupling: of the motors, as YAML.
     """
-    with simulated_time() as clock:
+    with simulated_time() as clock, patch.object(network, "LOOP_PERIOD", LOOP_PERIOD):
         robot_file = _robot_on_virtual_bus(keys, serials, coupling)
         robot = robot_file.robot
         settings = parse_settings(dict(robot.connections["canopen"].model_extra or {}), robot.joint_names)
@@ -228,6 +233,7 @@ def arm_on_bus(
             _note(server, measured)
             clock.sleep(0.1)
             wire = can.Bus(CHANNEL, "virtual")
+            assert isinstance(wire, VirtualBus)
             driver = load_driver(robot, "canopen", clock=clock)
             assert isinstance(driver, Canopen402Driver)
             try:

@@ -7,35 +7,43 @@ from __future__ import annotations
 
 import sys
 
-from daq.motion import player
-from daq.session import command_gate, play
-from daq.session import supervisor as safety
-from drivers.canopen402 import driver, settings
-from drivers.canopen402.motion import drive_motion, target_path
-from drivers.canopen402.setup import configuration, readiness
-from drivers.rtde import motion, receiver
+from drivers.rtde import motion
 
 PATIENCE = 60.0
 
-safety.STALE_FLOOR = safety.TRACKING_WINDOW = PATIENCE
-safety.Limits.of_robot.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
-command_gate.GateLimits.of_joints.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
-player.DRY_RUN_PERIODS, player.BEHIND = 10_000, 1.0
-player.STALL_LIMIT = player.UNHELD_STALL_LIMIT = drive_motion.STALL_LIMIT = drive_motion.BRIDGED = (
-    command_gate.STALL_LIMIT
-) = command_gate.FRESH = PATIENCE
-target_path.RUN_OUT = 1e6
-play.ARRIVAL_LIMIT = play.REST_LIMIT = PATIENCE
-play.FIRST_SAMPLE_LIMIT = PATIENCE
-receiver.SILENCE_LIMIT = PATIENCE
 motion.SILENCE_LIMIT = motion.PATIENCE = motion.STOP_LIMIT = PATIENCE
 motion.WATCHDOG_RATE = 0.25
-settings.CanopenSettings.model_fields["sdo_timeout"].default = 5.0  # a poll of a bus that is gone lasts as long
-settings.CanopenSettings.model_rebuild(force=True)
-configuration.PROBE_LIMIT = readiness.SETTLE_LIMIT = PATIENCE
-driver.SILENCE_LIMIT = driver.FIRST_ROW_LIMIT = PATIENCE
+
+
+def be_patient() -> None:
+    """Everything that the motion process, which starts within the recording, has no use for."""
+    from daq.motion import player
+    from daq.session import command_gate, play
+    from daq.session import supervisor as safety
+    from drivers.canopen402 import driver, settings
+    from drivers.canopen402.motion import drive_motion, target_path
+    from drivers.canopen402.setup import configuration, readiness
+    from drivers.rtde import receiver
+
+    safety.STALE_FLOOR = safety.TRACKING_WINDOW = PATIENCE
+    safety.Limits.of_robot.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
+    command_gate.GateLimits.of_joints.__func__.__defaults__ = (10.0,)  # type: ignore[attr-defined]
+    player.DRY_RUN_PERIODS, player.BEHIND = 10_000, 1.0
+    player.STALL_LIMIT = player.UNHELD_STALL_LIMIT = drive_motion.STALL_LIMIT = drive_motion.BRIDGED = (
+        command_gate.STALL_LIMIT
+    ) = command_gate.FRESH = PATIENCE
+    target_path.RUN_OUT = 1e6
+    play.ARRIVAL_LIMIT = play.REST_LIMIT = PATIENCE
+    play.FIRST_SAMPLE_LIMIT = PATIENCE
+    receiver.SILENCE_LIMIT = PATIENCE
+    settings.CanopenSettings.model_fields["sdo_timeout"].default = 5.0  # a poll of a bus that is gone lasts as long
+    settings.CanopenSettings.model_rebuild(force=True)
+    configuration.PROBE_LIMIT = readiness.SETTLE_LIMIT = PATIENCE
+    driver.SILENCE_LIMIT = driver.FIRST_ROW_LIMIT = PATIENCE
+
 
 if __name__ == "__main__":
     from dynid.command import main
 
+    be_patient()
     sys.exit(main())

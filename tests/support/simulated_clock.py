@@ -131,7 +131,8 @@ class SimulatedClock(Clock):
                 ready = (list(readers), [], [])
             return bool(ready[0] or ready[1])
 
-        self.wait(look, seconds)
+        if not look():
+            self.wait(look, seconds)
         return ready[0], ready[1]
 
     def end(self) -> list[str]:
@@ -326,8 +327,9 @@ class VirtualBus(virtual.VirtualBus):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         self._check_if_open()
         frames = self.queue.queue  # one thread runs at a time: the queue's own locks would guard nothing
-        self.clock.wait(lambda: frames or not self._open, timeout)
-        self._check_if_open()
+        if not frames:
+            self.clock.wait(lambda: frames or not self._open, timeout)
+            self._check_if_open()
         return frames.popleft() if frames else None
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -156,7 +156,7 @@ class LinearTransmission(Transmission):
         """Implement `Transmission`."""
         return len(self.offset)
 
-    @property
+    @cached_property
     def tree_to_motor(self) -> FloatArray:
         """R⁻ᵀ·Gᵀ (a, n): motor torques = R⁻ᵀ·Gᵀ · torques at the tree's joints (SR400 eq. 4 and 6)."""
         return without_rounding(self.joint_to_motor @ self.follow.T)

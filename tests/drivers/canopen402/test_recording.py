@@ -14,7 +14,7 @@ from types import MappingProxyType
 import can
 import numpy as np
 import pytest
-from canopen_recording import RADIANS, Bench, Run, arm_on_bus, swing
+from canopen_recording import LOOP_PERIOD, RADIANS, Bench, Run, arm_on_bus, swing
 
 from daq.motion.trajectories import PointToPoint
 from daq.session.device_limits import before_a_motion
@@ -26,7 +26,7 @@ from drivers.canopen402.monitor.presence import HEARTBEATS_MISSED
 from drivers.canopen402.samples import temperature
 from drivers.canopen402.samples.sync import SyncProducer
 from drivers.core.errors import ConnectionFailedError, MotionRefusedError
-from sim_drivers.canopen.network import LOOP_PERIOD, TICKS_PER_CHORE
+from sim_drivers.canopen.network import TICKS_PER_CHORE
 from sim_drivers.canopen.server import GRANULARITY, LONGEST_WAIT
 
 PERIOD = 0.01
