@@ -17,9 +17,9 @@ app = CommandApp("Record")
 @takes(ImportChoices)
 def import_recording(
     *,
-    file: Path = typer.Argument(help="CSV, npz, mat, ROS 2 bag (folder or .db3) or MCAP."),
+    file: Path = typer.Argument(help="CSV, npz, mat, ROS 2 bag (folder or .db3), MCAP or LeRobot dataset (folder)."),
     robot: str = typer.Option(..., "--robot", help="Built-in robot or robot file."),
-    out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5)."),
+    out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5); of a LeRobot dataset a folder."),
     options: ImportChoices,
     comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
     force: bool = FORCE,
@@ -32,32 +32,45 @@ def import_recording(
     from dataclasses import asdict, replace
 
     from daq.commands.console import print_json, progress_line
-    from daq.importers.import_file import import_file
-    from daq.output_files import check_outputs
+    from daq.importers.import_file import import_episodes, import_file
+    from daq.importers.lerobot import is_lerobot
+    from daq.output_files import check_output_folder, check_outputs
     from daq.recording.stream_quality import stream_quality
     from daq.recording.writer import write_recording
     from daq.robot.loader import load_robot
 
     robot_file = load_robot(robot)
-    check_outputs([out], [file, *robot_file.files], overwrite=force)
+    several = is_lerobot(file) and options.episode is None
+    if not several:
+        check_outputs([out], [file, *robot_file.files], overwrite=force)
     with progress_line(quiet=as_json) as progress:
-        recording = import_file(file, robot_file, options, progress)
-        if comment:
-            recording = replace(recording, comment=f"{comment} ({recording.comment})")
-        progress(f"writing {out}")
-        write_recording(out, recording, overwrite=force)
-    qualities = {name: stream_quality(stream.time) for name, stream in recording.streams.items()}
+        if several:
+            episodes = import_episodes(file, robot_file, options, progress)
+            recordings = {out / f"episode_{number:06d}.h5": recording for number, recording in episodes.items()}
+            names = [path.name for path in recordings]
+            check_output_folder(out, names, [file, *robot_file.files], overwrite=force)
+            out.mkdir(exist_ok=True)
+        else:
+            recordings = {out: import_file(file, robot_file, options, progress)}
+        for path, recording in recordings.items():
+            if comment:
+                recording = replace(recording, comment=f"{comment} ({recording.comment})")
+            progress(f"writing {path}")
+            write_recording(path, recording, overwrite=force)
+    written = [
+        {
+            "file": str(path),
+            "streams": {name: asdict(stream_quality(stream.time)) for name, stream in recording.streams.items()},
+            "events": [asdict(event) for event in recording.events],
+        }
+        for path, recording in recordings.items()
+    ]
     if as_json:
-        print_json(
-            {
-                "file": str(out),
-                "streams": {name: asdict(quality) for name, quality in qualities.items()},
-                "events": [asdict(event) for event in recording.events],
-            }
-        )
+        print_json({"recordings": written} if several else written[0])
         return
-    for name, stream in recording.streams.items():
-        quality = qualities[name]
-        print(f"{out}: {quality.samples} samples of {', '.join(stream.channels)} at {quality.rate_hz:.4g} Hz")
-    for event in recording.events:
-        print(f"  {event.level}: {event.message}")
+    for path, recording in recordings.items():
+        for stream in recording.streams.values():
+            quality = stream_quality(stream.time)
+            print(f"{path}: {quality.samples} samples of {', '.join(stream.channels)} at {quality.rate_hz:.4g} Hz")
+        for event in recording.events:
+            print(f"  {event.level}: {event.message}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, get_args
 
 from daq.recording.repairs import REPAIRS
@@ -71,6 +72,12 @@ class ImportChoices(Options):
         "Repair to make: drop-nan, drop-duplicates, drop-repeats, opposite-torque, sort.",
         meaning='of "drop-nan", "drop-duplicates", "drop-repeats", "opposite-torque" and "sort"; none is made unasked.',
         command_type=list[str],
+    )
+    episode: int | None = option(None, "Episode of a LeRobot dataset, from 0; all without it.", allowed=Range(0, 1e9))
+    calibration: Path | None = option(
+        None,
+        "LeRobot's calibration JSON, for positions of -100 to 100.",
+        meaning="LeRobot's calibration JSON of the arm, where positions are -100 to 100 of the calibrated range.",
     )
     by_order: bool = option(
         False,

@@ -22,6 +22,7 @@ from daq.importers.assembly import ImportedSamples, assemble
 from daq.importers.checks import check_samples
 from daq.importers.choices import ImportChoices
 from daq.importers.csv import read_csv
+from daq.importers.lerobot import INFO, is_lerobot, parquet_reader, read_lerobot
 from daq.importers.mat import read_hdf5, read_mat
 from daq.importers.npz import read_npz
 from daq.importers.plausibility import check_units
@@ -38,7 +39,7 @@ from daq.recording.recording import (
 )
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
-from drivers.core.errors import ImportFileError
+from drivers.core.errors import ImportFileError, UsageError
 from drivers.core.files import ARRAY_FILE, open_input
 from drivers.core.options import argument, keywords_of
 from drivers.core.reading_process import TIME_LIMIT, Progress, read_apart
@@ -58,12 +59,14 @@ _READERS: Mapping[str, Reader] = {
     ".db3": read_rosbag,
     ".mcap": read_rosbag,
 }
-SUPPORTED = (*_READERS, "a ROS 2 bag's folder")
+SUPPORTED = (*_READERS, "a ROS 2 bag's folder", "a LeRobot dataset's folder")
 """Endings that `import_file` reads."""
 
 _LIBRARIES = {".mat": "scipy.io", ".db3": "rosbags.rosbag2", ".mcap": "rosbags.rosbag2"}
 BAG_SPEED = 2e6
 """Bytes of a bag [B/s] that are surely read in so much processor time: messages are read one by one, 20 µs each."""
+DATASET_SPEED = 1e6
+"""The same of a dataset's Parquet files, whose episodes are checked one by one."""
 
 _ORDER = ("position", "velocity", "current", "torque", "temperature", *COMMANDS)
 _MAGIC = (
@@ -99,6 +102,18 @@ def import_file(
     path = Path(path)
     if not path.exists():
         raise ImportFileError("no such file", where=str(path))
+    if is_lerobot(path):
+        episodes = import_episodes(path, robot, choices, progress)
+        if len(episodes) > 1:
+            raise UsageError(
+                f"holds {len(episodes)} episodes, each a recording of its own",
+                where=str(path),
+                hint="name one: episode=0",
+            )
+        return next(iter(episodes.values()))
+    if choices.episode is not None or choices.calibration is not None:
+        given = "episode" if choices.episode is not None else "calibration"
+        raise UsageError(f"--{given} is for LeRobot datasets", where=str(path), hint=f"there is no {INFO} in it")
     reader = _reader(path)
     if path.suffix.lower() in _LIBRARIES:  # once, not in every reading process
         import_module(_LIBRARIES[path.suffix.lower()])
@@ -112,13 +127,44 @@ def import_file(
     return read_apart(read, path, ImportFileError, time_limit=time_limit, progress=progress)
 
 
+def import_episodes(
+    path: Path, robot: RobotFile, choices: ImportChoices, progress: Progress = lambda step: None
+) -> dict[int, Recording]:
+    """Import the episodes of a LeRobot dataset, or the one that `choices.episode` names, by their numbers.
+
+    Raises:
+        ImportFileError: as `import_file`; names the episode.
+        UsageError: pyarrow is missing, or choices that don't apply.
+    """
+
+    def read(progress: Progress) -> dict[int, Recording]:
+        progress(f"reading {printable(path.name)}")
+        recordings = {}
+        for episode in read_lerobot(path, robot, choices):
+            progress(f"checking episode {episode.number}")
+            name, where = f"{path.name}, episode {episode.number}", f"{path}: episode {episode.number}"
+            recordings[episode.number] = _recording(episode.table, robot, choices, where, name, episode.files)
+        return recordings
+
+    parquet_reader(path)  # once, not in every reading process
+    size = sum(file.stat().st_size for file in path.rglob("*.parquet") if file.is_file())
+    time_limit = TIME_LIMIT + size / DATASET_SPEED
+    return read_apart(read, path, ImportFileError, time_limit=time_limit, progress=progress)
+
+
 def _import(reader: Reader, path: Path, robot: RobotFile, choices: ImportChoices, progress: Progress) -> Recording:
-    where = str(path)
     progress(f"reading {printable(path.name)}")
     if reader is read_rosbag:  # the only one that is not done in seconds
         reader = partial(read_rosbag, progress=progress)
     table = reader(path, robot.robot.joint_names, choices)
     progress("checking the samples")
+    return _recording(table, robot, choices, str(path), path.name, bag_files(path))
+
+
+def _recording(
+    table: ForeignTable, robot: RobotFile, choices: ImportChoices, where: str, name: str, files: Sequence[Path]
+) -> Recording:
+    """A recording of a table that was read from files, which `where` and `name` name."""
     # Absurd values overflow on their way to being refused; the refusal says it, not a warning of NumPy.
     with np.errstate(over="ignore", invalid="ignore"):
         samples = assemble(table, robot, choices, where)
@@ -132,7 +178,7 @@ def _import(reader: Reader, path: Path, robot: RobotFile, choices: ImportChoices
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         versions=software_versions(),
         host=platform.node(),
-        comment=f"imported from {printable(path.name)} ({table.source}), SHA-256 {_sha256(path)}",
+        comment=f"imported from {printable(name)} ({table.source}), SHA-256 {_sha256(files)}",
     )
 
 
@@ -193,13 +239,12 @@ def _one_line(text: str) -> str:
     return "".join(character if character.isprintable() else " " for character in text)
 
 
-def _sha256(path: Path) -> str:
+def _sha256(files: Sequence[Path]) -> str:
     digest = hashlib.sha256()
-    with parsing(path, "a file"):
-        for bag_file in bag_files(path):
-            with bag_file.open("rb") as file:
-                while chunk := file.read(1 << 20):
-                    digest.update(chunk)
+    for path in files:
+        with parsing(path, "a file"), path.open("rb") as file:
+            while chunk := file.read(1 << 20):
+                digest.update(chunk)
     return digest.hexdigest()
 
 
@@ -207,7 +252,7 @@ def _sha256(path: Path) -> str:
 class ImportOptions(ImportChoices):
     """Arguments of `import_recording`."""
 
-    path: str | PathLike[str] = field(metadata=argument("file", "Path of the file, or of a bag's folder."))
+    path: str | PathLike[str] = field(metadata=argument("file", "Path of the file, or of a bag's or dataset's folder."))
     robot: str | Path | RobotFile = field(
         metadata=argument("robot", "Built-in name, robot file, URDF, or the result of `load_robot`.")
     )
@@ -215,7 +260,7 @@ class ImportOptions(ImportChoices):
 
 @keywords_of(ImportOptions)
 def import_recording(options: ImportOptions) -> Recording:
-    """Import a CSV, npz, mat, HDF5, ROS 2 bag or MCAP file as a recording in memory, in SI.
+    """Import a CSV, npz, mat, HDF5, ROS 2 bag or MCAP file, or a LeRobot episode, as a recording in memory, in SI.
 
     Raises:
         ImportFileError: an unknown kind of file, or one that is wrong, incomplete or ambiguous.

@@ -45,6 +45,7 @@ RECORDING_FILE = InputKind("a recording", 2 * GB)
 TEXT_TABLE = InputKind("a text file of samples", 250 * MB)
 ARRAY_FILE = InputKind("a file of samples", GB)
 BAG_FILE = InputKind("a bag", 2 * GB)
+DATASET_META = InputKind("a dataset's JSON file", MB)
 BAG_METADATA = InputKind("a bag's metadata.yaml", MB)
 
 MOST_VALUES = 64_000_000
