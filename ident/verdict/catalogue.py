@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from ident.verdict.check import PURPOSE_WORDS, PURPOSES, SEVERITIES, Check, Purpose, Severity
+from ident.verdict.check import PURPOSES, Check, Purpose, Severity
 
 
 @dataclass(frozen=True)
@@ -607,16 +607,6 @@ CATALOGUE: dict[str, CheckKind] = {
     kind.name: kind for kind in (*_RECORDING, *_EXCITATION, *_MODEL, *_RESIDUALS, *_VALIDATION, *_MERGE, *_EXPORT)
 }
 """Every check by its name."""
-
-
-def markdown_table() -> str:
-    """The catalogue as a table in Markdown, the most serious checks first (docs/checks.md)."""
-    ordered = sorted(CATALOGUE.values(), key=lambda kind: -SEVERITIES.index(kind.severity))
-    lines = ["| check | severity | spoils | meaning | what to do |", "|---|---|---|---|---|"]
-    for kind in ordered:
-        spoilt = "all" if kind.purposes == ALL else ", ".join(PURPOSE_WORDS[purpose] for purpose in kind.purposes)
-        lines.append(f"| `{kind.name}` | {kind.severity} | {spoilt or '–'} | {kind.meaning} | {kind.remedy} |")
-    return "\n".join(lines)
 
 
 def raised(name: str, text: str, joints: Iterable[str] = ()) -> Check:

@@ -25,7 +25,7 @@ from daq.importers.import_file import import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import DynidError
-from sim_drivers.synthetic import data_mistakes as mistakes
+from studies.synthetic import data_mistakes as mistakes
 
 SIMULATED = ("ur5e", "rocr6", "panda", "up6")
 DATA_CHECKS = (

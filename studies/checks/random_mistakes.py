@@ -45,10 +45,10 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.simulation import open_loop, tracking
 from ident.verdict.check import SEVERITIES, Check
-from sim_drivers.synthetic import data_mistakes as mistakes
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 from studies.checks.mistaken_recordings import less_known, turned
+from studies.synthetic import data_mistakes as mistakes
 
 tracking.LONGEST, open_loop.WINDOWS = 0.2, 1  # no check that is read here follows from a simulation
 PERIOD, DURATION, RATE = 10.0, 15.0, 100.0

@@ -36,7 +36,7 @@ from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.model import Model
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
-from sim_drivers.synthetic.random_points import random_points_motion
+from studies.synthetic.random_points import random_points_motion
 
 Play = Literal["periodic", "points"]
 

@@ -34,8 +34,8 @@ from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.model import Model
-from sim_drivers.synthetic.random_points import random_points_motion
 from studies.coverage.coverage import INSTANTS, another_arm, identified
+from studies.synthetic.random_points import random_points_motion
 
 ROBOTS = ("ur5e", "panda", "sr400", "rocr6")
 COLUMNS = ("unconstrained", "consistent", "data", "prior", "standard", "torque")

@@ -24,9 +24,9 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.controlled_run import record_plant
 from sim_drivers.synthetic.motion import random_fourier_motion
 from studies.papers.aubo_coverage import Errors, found_errors
+from studies.synthetic.controlled_run import record_plant
 
 ALPHA = (0.8, 0.7, 0.75, 0.65, 0.75, 0.7)
 KINDS = ("coulomb", "viscous", "exponent", "bodies")

@@ -40,7 +40,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.signals.options import PreprocessChoices
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.controlled_run import record_plant
+from studies.synthetic.controlled_run import record_plant
 
 ROBOTS = ("ur5e", "panda")
 MOTIONS = 3

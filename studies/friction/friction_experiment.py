@@ -30,8 +30,8 @@ from ident.experiments.friction.joint_friction import friction_torque
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.friction_experiment import JointFrictionExperiment
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.controlled_run import record_plant
 from sim_drivers.synthetic.measurement import simulate_recording
+from studies.synthetic.controlled_run import record_plant
 
 JOINTS = ("upperArm_joint", "foreArm_joint", "wrist1_joint")
 TRUTH = {

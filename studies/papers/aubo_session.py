@@ -21,8 +21,8 @@ from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
 from ident.friction.table import temperature_coefficients
 from ident.model.dynamic_model import build_model
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.controlled_run import record_plant
 from sim_drivers.synthetic.motion import random_fourier_motion
+from studies.synthetic.controlled_run import record_plant
 
 COULOMB = (4.2, 4.4, 4.6, 0.38, 0.51, 0.36)
 VISCOUS = (8.0, 12.0, 8.0, 3.5, 4.0, 4.0)

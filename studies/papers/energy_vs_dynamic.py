@@ -38,8 +38,8 @@ from ident.model.true_parameters import truth_vector
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
-from sim_drivers.synthetic.random_points import random_points_motion
 from studies.papers.sr400_table4 import with_paper_load
+from studies.synthetic.random_points import random_points_motion
 
 METHODS: tuple[str, ...] = ("wls", "energy", "power")
 NOISE = (0.0, 1e-4, 3e-4, 1e-3, 3e-3)

@@ -36,7 +36,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.gain_uncertainty import gain_sensitivity, relative_gain_std
 from sim_drivers.plant.altered_arm import with_gains, with_load
 from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.random_points import random_points_motion
+from studies.synthetic.random_points import random_points_motion
 
 LOAD = np.array([0.454, -0.02, -0.09, 0.445, -0.115, 0.065, 0.48, 0.6, 2.0, 10.9])
 """Table 3, in the frame of link 6: XX XY XZ YY YZ ZZ [kg·m²], MX MY MZ [kg·m], M [kg]."""

@@ -36,7 +36,7 @@ from ident.regression.options import ExperimentChoices
 from ident.result.schema import Result
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.random_points import random_points_motion
+from studies.synthetic.random_points import random_points_motion
 
 ROBOT = "sr400"
 WRIST = ("j5", "j6")

@@ -30,13 +30,7 @@ from ident.regression.least_squares import weighted_least_squares
 from ident.signals.pipeline import PreprocessChoices
 from ident.signals.prepared import Segment
 from ident.verdict.catalogue import raised
-from sim_drivers.synthetic.data_mistakes import (
-    jittering_position,
-    repeated_rows,
-    sampled,
-    stuck_encoder,
-    with_velocity,
-)
+from studies.synthetic.data_mistakes import jittering_position, repeated_rows, sampled, stuck_encoder, with_velocity
 
 pytestmark = pytest.mark.realdata
 

@@ -15,7 +15,6 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia
-from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.linear_algebra.row_space import DETERMINED, row_space
 from ident.model.dynamic_model import DynamicModel
@@ -197,24 +196,6 @@ class PhysicalCost:
     def derivative(self, point: FloatArray) -> FloatArray:
         """Derivatives (r, d) of the weighted equations R·x by the physical parameters, at a point (d,)."""
         return np.asarray(self.quadratic.root @ (self.projection @ self.parameters.derivative(point)))
-
-    def descended(self, point: FloatArray, box: SearchBox) -> FloatArray:
-        """The local optimum (d,) of a box that Gauss-Newton steps reach from a point (d,).
-
-        The exact optimum where the chosen parameters enter linearly (no centre of mass among them).
-        """
-        from scipy.optimize import least_squares
-
-        def residual(scaled: FloatArray) -> FloatArray:
-            base = self.base((box.lower + box.width * scaled)[None, :])[0]
-            return np.asarray(self.quadratic.root @ base - self.quadratic.target)
-
-        def derivative(scaled: FloatArray) -> FloatArray:
-            return self.derivative(box.lower + box.width * scaled) * box.width
-
-        begin = np.clip((point - box.lower) / box.width, 1e-6, 1.0 - 1e-6)
-        found = least_squares(residual, begin, derivative, bounds=(0.0, 1.0), xtol=1e-15, ftol=1e-15, gtol=1e-15)
-        return box.clip(box.lower + box.width * found.x)
 
 
 @dataclass(frozen=True, eq=False)

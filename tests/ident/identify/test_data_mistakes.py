@@ -15,7 +15,7 @@ from ident.assessment.residual_bursts import REVERSAL
 from ident.identify.identification import PreparedRun
 from ident.identify.residual_bursts import _away_from_gaps
 from ident.regression.comparison import TorqueSeries
-from sim_drivers.synthetic.data_mistakes import (
+from studies.synthetic.data_mistakes import (
     contact,
     filled_with_zeros,
     jittering_position,

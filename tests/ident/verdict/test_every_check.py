@@ -36,7 +36,9 @@ from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
 from ident.verdict.catalogue import CATALOGUE
 from sim_drivers.plant.altered_arm import with_load
-from sim_drivers.synthetic.data_mistakes import (
+from sim_drivers.synthetic.measurement import simulate_recording
+from sim_drivers.synthetic.motion import random_fourier_motion
+from studies.synthetic.data_mistakes import (
     contact,
     filled_with_zeros,
     jittering_position,
@@ -44,8 +46,6 @@ from sim_drivers.synthetic.data_mistakes import (
     stuck_encoder,
     with_velocity,
 )
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
 
 PERIOD = 10.0
 SEARCHED = {"model": ModelChoices(), "presliding": True}

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter
 
 from ident.assessment.validation import LOW_SPEED
-from ident.verdict.catalogue import CATALOGUE, markdown_table, raised
+from ident.verdict.catalogue import CATALOGUE, raised
 from ident.verdict.check import PURPOSE_WORDS, PURPOSES, Check
 from ident.verdict.evidence import Evidence, MotionError, TorqueError
 from ident.verdict.verdict import AT_BEST, GRADES, Verdict, judge, together
+from studies.checks.checks_table import markdown_table
 
 JOINTS = ("j1", "j2", "j3")
 DOCS = Path(__file__).parents[3] / "docs" / "checks.md"

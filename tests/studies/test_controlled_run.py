@@ -9,7 +9,7 @@ import yaml
 from daq.motion.trajectories import PointToPoint
 from daq.robot.loader import load_robot, parse_robot
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.controlled_run import record_plant
+from studies.synthetic.controlled_run import record_plant
 
 
 def test_the_plant_follows_and_is_warmer_the_second_time():
