@@ -116,7 +116,7 @@ def check_outputs(files: Iterable[Path | None], inputs: Iterable[Path | None] = 
             raise UsageError(
                 "exists already",
                 where=str(path),
-                hint="choose another name, or overwrite it with --force",
+                hint="choose another name, or overwrite it: --force, in Python overwrite=True",
             )
 
 
@@ -224,6 +224,17 @@ def take_place(unfinished: Path, path: Path, *, overwrite: bool) -> None:
         unfinished.rename(path)
     else:
         unfinished.unlink()
+
+
+def save_folder(folder: Path, texts: Mapping[str, str], *, overwrite: bool) -> None:
+    """Write text files into a folder as `write_folder` does, after `check_output_folder`.
+
+    Raises:
+        UsageError: one exists already and may not be overwritten, or as those two do.
+        DiskError: the disk is full or fails.
+    """
+    check_output_folder(folder, list(texts), overwrite=overwrite)
+    write_folder(folder, texts)
 
 
 def write_folder(folder: Path, texts: Mapping[str, str]) -> None:

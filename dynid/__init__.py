@@ -1,14 +1,20 @@
-"""The public Python API of dynid: record a robot arm, identify its dynamic model, use the model.
+"""Record a robot arm, identify its dynamic model, use the model.
 
-    import dynid
-    run = dynid.Recording.from_arrays("ur5e", time=t, position=q, current=i)
-    result = dynid.identify(run)
-    result.save("model")
+    run = dynid.Recording.from_dataframe("ur5e", frame)    # or from_arrays, from_dict, import_recording …
+    result = dynid.identify(run, validation=other)          # the model with error bars, and how far to trust it
+    print(result); result.plot(); result.save("model")
     model = dynid.load_model("model")
-    model.torque(q, dq, ddq)
+    model.torque(q, dq, ddq)                                # friction included; q alone: what holds the arm still
 
-Arrays are (N, n): time first, joints last. Units are s, rad, rad/s, rad/s², A, N·m, kg, m. Every error that is meant
-for people is a `DynidError`. Names are imported when they are first used, so that `import dynid` costs nothing.
+Robots         load_robot, builtin_robots, RobotFile, base_parameters
+Recordings     Recording, read_recording, import_recording, write_recording, simulate, info
+Motions        design_excitation, load_trajectory
+Identify       identify, compare, merge, friction, payload, drive_gains
+Results        load_result, load_model, Model, predict, validate, diff, Table
+Errors         DynidError, and below it InputError and WorkError: each says what was wrong, where, and what to type
+
+Arrays are (N, n): time first, joints last. Units are s, rad, rad/s, rad/s², A, N·m, kg, m. help(dynid.identify) shows
+arguments, units, errors and an example; docs/python.md goes through the tasks. Names are imported when they are used.
 """
 
 from __future__ import annotations
@@ -25,6 +31,7 @@ if TYPE_CHECKING:
     from daq.robot.loader import builtin_robots as builtin_robots
     from daq.robot.loader import load_robot as load_robot
     from drivers.core.errors import DataError as DataError
+    from drivers.core.errors import DiskError as DiskError
     from drivers.core.errors import DynidError as DynidError
     from drivers.core.errors import IdentificationError as IdentificationError
     from drivers.core.errors import ImportFileError as ImportFileError
@@ -71,6 +78,7 @@ _HOMES = {
     "daq.recording.recording": ("Recording",),
     "drivers.core.errors": (
         "DataError",
+        "DiskError",
         "DynidError",
         "IdentificationError",
         "ImportFileError",
@@ -100,7 +108,7 @@ _HOMES = {
 
 _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}
 
-__all__ = sorted(_MODULE_OF)
+# There is no __all__: help(dynid) would print every class in full. dir(dynid) has the names.
 
 
 def __getattr__(name: str) -> Any:
@@ -112,4 +120,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return list(__all__)
+    return sorted(_MODULE_OF)

@@ -29,6 +29,7 @@ from drivers.core.errors import (
     WorkError,
     out_of_memory,
 )
+from drivers.core.options import spoken_in_a_shell
 from drivers.core.terminal import drop_unwritten, open_standard_streams, show_visibly
 
 COMMANDS_GROUP = "dynid.commands"
@@ -133,7 +134,7 @@ def _status(as_json: bool) -> int:
         OSError: standard output or standard error cannot be written.
     """
     try:
-        with warnings.catch_warnings(), outputs_of_a_command():
+        with warnings.catch_warnings(), outputs_of_a_command(), spoken_in_a_shell():
             warnings.simplefilter("always", DynidWarning)
             warnings.showwarning = partial(_show_warning, warnings.showwarning)
             status = build_app()(prog_name="dynid", standalone_mode=False)

@@ -157,6 +157,7 @@ def run_demo(
             TruthTable(names=base.names, values=truth),
             recorded_runs(identification, recordings[0], recordings[1]),
         ),
+        overwrite=True,  # what exists was asked for before anything was computed
     )
     return Demo(identification, result, truth, folder, lost, samples)
 

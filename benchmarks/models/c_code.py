@@ -82,7 +82,7 @@ def run(calls: int = 200_000, repeats: int = 7, robots: Sequence[str] = ("ur5e",
 
 def _c_program(dynamics: InverseDynamics, folder: Path) -> str:
     prefix = identifier(dynamics.model.name)
-    write_c(dynamics, folder / prefix, force=True)
+    write_c(dynamics, folder / prefix, overwrite=True)
     definitions = (
         f'-DHEADER="{prefix}.h"',
         f"-DTORQUE={prefix}_torque",

@@ -143,7 +143,8 @@ def import_episodes(
         for episode in read_lerobot(path, robot, choices):
             progress(f"checking episode {episode.number}")
             name, where = f"{path.name}, episode {episode.number}", f"{path}: episode {episode.number}"
-            recordings[episode.number] = _recording(episode.table, robot, choices, where, name, episode.files)
+            origin = _origin(name, episode.table, episode.files)
+            recordings[episode.number] = recording_of_table(episode.table, robot, choices, where, origin)
         return recordings
 
     parquet_reader(path)  # once, not in every reading process
@@ -158,13 +159,28 @@ def _import(reader: Reader, path: Path, robot: RobotFile, choices: ImportChoices
         reader = partial(read_rosbag, progress=progress)
     table = reader(path, robot.robot.joint_names, choices)
     progress("checking the samples")
-    return _recording(table, robot, choices, str(path), path.name, bag_files(path))
+    return recording_of_table(table, robot, choices, str(path), _origin(path.name, table, bag_files(path)))
 
 
-def _recording(
-    table: ForeignTable, robot: RobotFile, choices: ImportChoices, where: str, name: str, files: Sequence[Path]
+def _origin(name: str, table: ForeignTable, files: Sequence[Path]) -> str:
+    return f"imported from {printable(name)} ({table.source}), SHA-256 {_sha256(files)}"
+
+
+def recording_of_table(
+    table: ForeignTable, robot: RobotFile, choices: ImportChoices, where: str, comment: str
 ) -> Recording:
-    """A recording of a table that was read from files, which `where` and `name` name."""
+    """The recording of a foreign table: in the robot's joint order and in SI, checked.
+
+    Args:
+        table: as a reader gave it.
+        robot: whose joints are meant.
+        choices: the user's.
+        where: the file, for messages.
+        comment: for the recording.
+
+    Raises:
+        ImportFileError: columns that are wrong, incomplete or ambiguous.
+    """
     # Absurd values overflow on their way to being refused; the refusal says it, not a warning of NumPy.
     with np.errstate(over="ignore", invalid="ignore"):
         samples = assemble(table, robot, choices, where)
@@ -178,7 +194,7 @@ def _recording(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         versions=software_versions(),
         host=platform.node(),
-        comment=f"imported from {printable(name)} ({table.source}), SHA-256 {_sha256(files)}",
+        comment=comment,
     )
 
 

@@ -86,6 +86,8 @@ def _numbers(name: str, values: npt.ArrayLike) -> FloatArray:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise _refusal(name, "does not consist of numbers in equal rows") from error
+    except RuntimeError as error:  # a tensor with a gradient
+        raise _refusal(name, "does not consist of numbers", str(error).partition("\n")[0]) from error
 
 
 def _checked(name: str, values: FloatArray, count: int, joints: tuple[str, ...]) -> FloatArray:

@@ -12,24 +12,30 @@ multiple-reader mode demands; a writer only appends and flips `complete` at the 
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
+from html import escape
 from importlib.metadata import PackageNotFoundError, version
+from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
+import numpy as np
 import numpy.typing as npt
 
+from daq.plotting import Backend, LinePanel, line_figure
 from daq.recording.joint_arrays import JointArrays, command_arrays, joint_arrays
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import DataError, RecordingError, RobotFileError, UsageError
+from drivers.core.errors import DataError, DynidError, RecordingError, RobotFileError, UsageError
 from drivers.streams import UNITS
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
     from xarray import Dataset
 
 SCHEMA_VERSION = 1
@@ -56,6 +62,9 @@ class Channel:
     description: str = ""
     magnitude: bool = False
 
+    def __repr__(self) -> str:
+        return f"<Channel {self.quantity} [{self.unit}] of {', '.join(self.columns)}, {len(self.values)} samples>"
+
 
 @dataclass(frozen=True)
 class Stream:
@@ -73,6 +82,9 @@ class Stream:
     host_time: FloatArray
     channels: Mapping[str, Channel]
 
+    def __repr__(self) -> str:
+        return f"<Stream {self.name}: {_pace(self)}, {', '.join(self.channels)}>"
+
 
 @dataclass(frozen=True)
 class Event:
@@ -84,11 +96,13 @@ class Event:
     message: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """A recording: an arm's measured signals, with its robot file.
 
-    Made by `from_arrays`, `read_recording`, `import_recording` or `simulate`; `write_recording` keeps it.
+    Made by `from_arrays`, `from_dataframe`, `from_dict`, `read_recording`, `import_recording` or `simulate`; `save`
+    keeps it. Signals of the joints are `time` (N,) and `position`, `velocity`, `current`, `torque`, `temperature`
+    (N, n); what was not recorded is a `DataError` that says what was.
 
     Attributes:
         path: file it came from; None for one that was built in memory.
@@ -107,8 +121,10 @@ class Recording:
     Example:
         >>> import dynid
         >>> run = dynid.simulate("ur5e", duration=2.0, seed=1)
-        >>> sorted(run.streams["joints"].channels)
-        ['current', 'position']
+        >>> run
+        <dynid.Recording of ur5e: 2 s at 500 Hz, position, current>
+        >>> run.time.shape, run.position.shape
+        ((1000,), (1000, 6))
     """
 
     robot_text: str
@@ -203,6 +219,279 @@ class Recording:
             comment=comment,
         )
 
+    @classmethod
+    def from_dataframe(
+        cls,
+        robot: str | Path | RobotFile,
+        frame: DataFrame,
+        *,
+        columns: Mapping[str, str] | None = None,
+        units: Mapping[str, str] | None = None,
+        degrees: bool = False,
+        effort: Literal["torque", "current"] | None = None,
+        rate: float | None = None,
+        time_unit: Literal["s", "ms", "us", "ns"] | None = None,
+        repair: Collection[str] = (),
+        by_order: bool = False,
+        comment: str = "",
+    ) -> Recording:
+        """A recording from a pandas (or polars) data frame: one row per sample.
+
+        Columns are recognised by their names: a time `t` (or an index of times), positions `q1`, `q2`, … or
+        `position_elbow`, and likewise `qd`, `torque`, `current`, `temperature`.
+
+        Args:
+            robot: built-in name, robot file, URDF, or the result of `load_robot`.
+            frame: the data.
+            columns: our name → the frame's, where that is not recognised: {"q1": "JointPos1"}, {"q": "pos{}"} for all
+                joints, {"q": "2-7"} by number from 1. A quantity that is named here is taken from these columns only.
+            units: column, or quantity for all its columns → unit, such as {"position": "deg", "torque": "Nm"}; a column
+                may state its own, `q1 [deg]`. SI where neither does.
+            degrees: positions and velocities of revolute joints are in degrees.
+            effort: whether columns called `effort` are a torque [N·m] or a current [A].
+            rate: of a frame without times [Hz].
+            time_unit: of the time column.
+            repair: of "drop-nan", "drop-duplicates", "drop-repeats", "opposite-torque" and "sort".
+            by_order: take joints of other names in the frame's order.
+            comment: your own words.
+
+        Raises:
+            ImportFileError: columns that are wrong, incomplete or ambiguous; names the column and what to do.
+            UsageError: it is no data frame, or options that do not apply.
+            RobotFileError: no such robot.
+
+        Example:
+            >>> import dynid, numpy as np
+            >>> pandas = __import__("pytest").importorskip("pandas")
+            >>> time = np.arange(0, 4, 0.01)
+            >>> frame = pandas.DataFrame({"time": time})
+            >>> for joint in range(1, 7):
+            ...     frame[f"q{joint} [deg]"] = 30 * np.sin(time)
+            ...     frame[f"torque{joint}"] = np.cos(time)
+            >>> dynid.Recording.from_dataframe("ur5e", frame)
+            <dynid.Recording of ur5e: 4 s at 100 Hz, position, torque>
+        """
+        from daq.importers.arrays import arrays_of_frame, recording_of_arrays
+
+        return recording_of_arrays(
+            robot,
+            arrays_of_frame(frame),
+            columns=columns or {},
+            units=units or {},
+            degrees=degrees,
+            effort=effort,
+            rate=rate,
+            time_unit=time_unit,
+            repair=repair,
+            by_order=by_order,
+            comment=comment,
+        )
+
+    @classmethod
+    def from_dict(
+        cls,
+        robot: str | Path | RobotFile,
+        arrays: Mapping[str, npt.ArrayLike],
+        *,
+        columns: Mapping[str, str] | None = None,
+        units: Mapping[str, str] | None = None,
+        degrees: bool = False,
+        effort: Literal["torque", "current"] | None = None,
+        rate: float | None = None,
+        time_unit: Literal["s", "ms", "us", "ns"] | None = None,
+        repair: Collection[str] = (),
+        by_order: bool = False,
+        comment: str = "",
+    ) -> Recording:
+        """A recording from named arrays: `t` (N,), `q`, `qd`, `torque`, `current`, … (N, n), or one (N,) per joint.
+
+        Args:
+            robot: built-in name, robot file, URDF, or the result of `load_robot`.
+            arrays: name → array, list or tensor.
+            columns: our name → the dictionary's, where that is not recognised, such as {"q": "joint_pos"}.
+            units: name of an array or of a quantity → unit, such as {"q": "deg"}; SI where it says nothing.
+            degrees: positions and velocities of revolute joints are in degrees.
+            effort: whether an array called `effort` is a torque [N·m] or a current [A].
+            rate: of arrays without times [Hz].
+            time_unit: of the times.
+            repair: of "drop-nan", "drop-duplicates", "drop-repeats", "opposite-torque" and "sort".
+            by_order: take joints of other names in the dictionary's order.
+            comment: your own words.
+
+        Raises:
+            ImportFileError: arrays that are wrong, incomplete or ambiguous; names the array and what to do.
+            UsageError: it is no dictionary, or options that do not apply.
+            RobotFileError: no such robot.
+
+        Example:
+            >>> import dynid, numpy as np
+            >>> time = np.arange(0, 4, 0.01)
+            >>> q = 30 * np.sin(time)[:, None] * np.ones(6)
+            >>> dynid.Recording.from_dict("ur5e", {"t": time, "q": q, "tau": 0.1 * q}, units={"q": "deg"})
+            <dynid.Recording of ur5e: 4 s at 100 Hz, position, torque>
+        """
+        from daq.importers.arrays import arrays_of_dict, recording_of_arrays
+
+        return recording_of_arrays(
+            robot,
+            arrays_of_dict(arrays),
+            columns=columns or {},
+            units=units or {},
+            degrees=degrees,
+            effort=effort,
+            rate=rate,
+            time_unit=time_unit,
+            repair=repair,
+            by_order=by_order,
+            comment=comment,
+        )
+
+    @property
+    def time(self) -> FloatArray:
+        """Stamps of the joints' samples (N,) [s]."""
+        return self._joints().time
+
+    @property
+    def position(self) -> FloatArray:
+        """Positions of the joints (N, n) [rad or m]."""
+        return self._signal("position")
+
+    @property
+    def velocity(self) -> FloatArray:
+        """Velocities of the joints (N, n) [rad/s or m/s], where they were recorded."""
+        return self._signal("velocity")
+
+    @property
+    def current(self) -> FloatArray:
+        """Currents of the motors (N, n) [A], where they were recorded."""
+        return self._signal("current")
+
+    @property
+    def torque(self) -> FloatArray:
+        """Torques of the joints (N, n) [N·m or N], where they were recorded."""
+        return self._signal("torque")
+
+    @property
+    def temperature(self) -> FloatArray:
+        """Temperatures of the joints (N, n) [°C], where they were recorded with the positions."""
+        return self._signal("temperature")
+
+    def _joints(self) -> Stream:
+        if JOINTS_STREAM not in self.streams:
+            raise DataError(
+                "has no stream of the joints",
+                where=self.label,
+                hint=f"its streams: {', '.join(self.streams) or 'none'}",
+            )
+        return self.streams[JOINTS_STREAM]
+
+    def _signal(self, quantity: str) -> FloatArray:
+        channels = self._joints().channels
+        if quantity in channels:
+            return channels[quantity].values
+        hints = [f"recorded: {', '.join(channels)}"]
+        hints += [f'run.streams["{name}"]' for name, stream in self.streams.items() if quantity in stream.channels]
+        if quantity == "velocity":
+            hints.append("numpy.gradient(run.position, run.time, axis=0) differentiates")
+        if quantity == "torque" and "current" in channels:
+            hints.append("dynid.identify turns currents into torques, by the gains of the robot file")
+        raise DataError(f"{quantity} was not recorded", where=self.label, hint="; ".join(hints))
+
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write the recording (HDF5, .h5), as `write_recording` does; `read_recording` reads it.
+
+        Args:
+            path: of the file.
+            overwrite: replace a file that exists.
+
+        Raises:
+            UsageError: the file exists already, is no regular file, or its folder cannot be written.
+            DiskError: the disk is full or fails; a file that existed is as it was.
+        """
+        from daq.recording.writer import write_recording
+
+        write_recording(Path(path), self, overwrite=overwrite)
+
+    def plot(self, *quantities: str, backend: Backend = "plotly") -> Any:
+        """Signals of the joints over time, a panel per quantity and a line per joint.
+
+        Args:
+            quantities: such as "position"; all that were recorded where none is named.
+            backend: "plotly" gives a `plotly.graph_objects.Figure`, "matplotlib" a `matplotlib.figure.Figure`.
+
+        Raises:
+            DataError: a quantity was not recorded.
+            UsageError: the backend does not exist or is not installed.
+
+        Example:
+            >>> import dynid
+            >>> figure = dynid.simulate("ur5e", duration=2.0, seed=1).plot("position")
+            >>> len(figure.data)
+            6
+        """
+        stream = self._joints()
+        for quantity in quantities:
+            self._signal(quantity)
+        shown = [stream.channels[quantity] for quantity in quantities or _ordered(stream)]
+        panels = [
+            LinePanel(
+                one.quantity, stream.time, dict(zip(one.columns, one.values.T, strict=True)), "time [s]", one.unit
+            )
+            for one in shown
+        ]
+        return line_figure(panels, 1, backend, linked=True)
+
+    def to_frame(self) -> DataFrame:
+        """Signals of the joints as a pandas data frame, indexed by time [s]; `from_dataframe` reads it back.
+
+        Columns are `position_<joint>` and so on; their units are in `frame.attrs["units"]`.
+
+        Raises:
+            UsageError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError as error:
+            raise UsageError("a data frame needs pandas", hint="pip install 'dynid[frames]'") from error
+        stream, robot = self._joints(), self.robot().robot
+        columns, units = {}, {}
+        for quantity in _ordered(stream):
+            channel = stream.channels[quantity]
+            for joint, values in zip(channel.columns, channel.values.T, strict=True):
+                columns[f"{quantity}_{joint}"] = values
+                units[f"{quantity}_{joint}"] = robot.column_unit(UNITS.get(quantity, channel.unit), (joint,))
+        frame = pandas.DataFrame(columns, index=pandas.Index(stream.time, name="time"))
+        frame.attrs["units"] = units
+        return frame
+
+    def __repr__(self) -> str:
+        return f"<dynid.Recording of {self._arm}: {self._what}>"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{escape(name)}</td><td>{len(stream.time)}</td><td>{_pace(stream)}</td>"
+            f"<td>{escape(', '.join(f'{one.quantity} [{one.unit}]' for one in stream.channels.values()))}</td></tr>"
+            for name, stream in self.streams.items()
+        )
+        head = "".join(f"<th>{heading}</th>" for heading in ("stream", "samples", "duration and rate", "signals"))
+        note = f"<p>{escape(self.comment)}</p>" if self.comment else ""
+        caption = f"<caption>Recording of {escape(self._arm)}: {escape(self.label)}</caption>"
+        return f"<table>{caption}<thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>{note}"
+
+    @property
+    def _arm(self) -> str:
+        with suppress(DynidError):
+            return self.robot().robot.name
+        return "an unknown arm"
+
+    @property
+    def _what(self) -> str:
+        if JOINTS_STREAM not in self.streams:
+            return f"streams {', '.join(self.streams) or 'none'}"
+        stream = self.streams[JOINTS_STREAM]
+        others = "".join(f", stream {name}" for name in self.streams if name != JOINTS_STREAM)
+        return f"{_pace(stream)}, {', '.join(_ordered(stream))}{others}{'' if self.complete else ', incomplete'}"
+
     def to_xarray(self, stream: str = JOINTS_STREAM) -> Dataset:
         """One stream as an xarray dataset: a variable a quantity (time, joint), with its unit; `host_time` [s] beside.
 
@@ -277,6 +566,20 @@ def _stream_of_arrays(name: str, arrays: JointArrays, arm: Robot) -> Stream:
         unit, magnitude = arm.column_unit(UNITS[quantity], names), unsigned and quantity in MOTOR_SIGNALS
         channels[quantity] = Channel(quantity, values, unit, names, "from an array", magnitude)
     return Stream(name, arrays.time, arrays.time, channels)
+
+
+def _ordered(stream: Stream) -> list[str]:
+    """Quantities of a stream, motion first."""
+    known = list(UNITS)
+    return sorted(stream.channels, key=lambda name: (known.index(name) if name in known else len(known), name))
+
+
+def _pace(stream: Stream) -> str:
+    """Duration and rate of a stream, in words."""
+    time = stream.time[np.isfinite(stream.time)]
+    if len(time) < 2 or not (step := float(np.median(np.diff(time)))) > 0.0:
+        return f"{len(time)} samples"
+    return f"{time[-1] - time[0] + step:.4g} s at {1.0 / step:.4g} Hz"
 
 
 def software_versions() -> dict[str, str]:

@@ -42,6 +42,11 @@ class RobotFile(BaseModel):
     urdf_text: str | None = Field(default=None, description="the URDF's XML, where the model names one")
     assumed: tuple[str, ...] = Field(default=(), description="what was assumed where a URDF was read as a robot")
 
+    def __repr__(self) -> str:
+        return f"<dynid.RobotFile {self.robot.name}: {', '.join(self.robot.joint_names)}>"
+
+    __str__ = __repr__
+
     @property
     def files(self) -> tuple[Path, ...]:
         """Files that it comes from: itself, its URDF, those that its connections name; empty where it is built in."""

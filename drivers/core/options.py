@@ -9,14 +9,17 @@ from __future__ import annotations
 
 import inspect
 import math
+import re
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import Field, dataclass, field, fields
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar, cast
 
-from drivers.core.errors import UsageError
+from drivers.core.errors import DynidError, UsageError
 from drivers.core.ranges import Range, check_option
+from drivers.core.text import did_you_mean
 
 _Value = TypeVar("_Value")
 _Options = TypeVar("_Options")
@@ -138,9 +141,20 @@ def keywords_of(
     """A function of one dataclass of options as a function of the dataclass's arguments, described in its docstring."""
 
     def decorate(function: Callable[[_Options], _Result]) -> Callable[_Arguments, _Result]:
+        names = {of.name: of for of in fields(cast(Any, options))}
+
         @wraps(function)
         def call(*args: _Arguments.args, **keywords: _Arguments.kwargs) -> _Result:
-            return function(options(*args, **keywords))
+            for name in keywords:
+                if name not in names:
+                    hint = did_you_mean(name, names)
+                    raise TypeError(f"{function.__name__}() has no argument '{name}'{f': {hint}' if hint else ''}")
+            try:
+                return function(options(*args, **keywords))
+            except DynidError as error:
+                if not _spoken_in_a_shell:
+                    in_python(error, names.values())
+                raise
 
         del call.__wrapped__  # what takes the dataclass is not what users call  # type: ignore[attr-defined]
         annotations = {name: value for name, value in function.__annotations__.items() if name == "return"}
@@ -153,6 +167,77 @@ def keywords_of(
         return call
 
     return decorate
+
+
+_spoken_in_a_shell = False
+
+
+@contextmanager
+def spoken_in_a_shell() -> Iterator[None]:
+    """Let errors name options as the command line does until the context ends."""
+    global _spoken_in_a_shell
+    before, _spoken_in_a_shell = _spoken_in_a_shell, True
+    try:
+        yield
+    finally:
+        _spoken_in_a_shell = before
+
+
+def in_python(error: DynidError, options: Iterable[Field[Any]]) -> None:
+    """Let an error name these options as a caller of Python types them: `split=10.0` for `--split 10.0`.
+
+    Options of a command that a text spells out (`dynid excite ROBOT --loaded`) stay as they are.
+    """
+    by_flag = {flag_of(of).partition("/")[0]: of for of in options}
+
+    def typed(found: re.Match[str]) -> str:
+        flag, gap, value = found[1], found[2] or "", found[3] or ""
+        of = by_flag.get(flag)
+        if of is None or re.search(r"\bdynid \w+[^,:;()]*$", found.string[: found.start()]):
+            return found[0]
+        stated = declared(of) or Option()
+        if stated.read is not None and "=" in value:
+            name, _, column = value.partition("=")
+            return f'{of.name}={{"{name}": "{column}"}}'
+        if of.type == "bool":
+            return f"{of.name}=True{gap}{value}"
+        is_value = value and value not in _NO_VALUES
+        if not is_value:
+            return f"{of.name}={gap}{value}"
+        quoted = value if re.fullmatch(r"[\d.e+-]+|[A-Z]+", value) else f'"{value}"'
+        listed = str(of.type).startswith(("Collection", "Sequence", "tuple"))
+        return f"{of.name}=[{quoted}]" if listed else f"{of.name}={quoted}"
+
+    for part in ("message", "where", "hint"):
+        text = re.sub(r"--[a-z][^,()]*, in Python ", "", getattr(error, part))
+        setattr(error, part, re.sub(r"(--[a-z][a-z-]*)(?:( )([^\s,;:()]+))?", typed, text))
+
+
+_NO_VALUES = frozenset(
+    {
+        "and",
+        "are",
+        "as",
+        "asks",
+        "exclude",
+        "for",
+        "gives",
+        "if",
+        "in",
+        "is",
+        "names",
+        "needs",
+        "of",
+        "or",
+        "sets",
+        "takes",
+        "to",
+        "was",
+        "with",
+        "would",
+    }
+)
+"""Words after an option that are no value of it."""
 
 
 def _described(docstring: str, options: Any) -> str:

@@ -41,7 +41,7 @@ def compare_methods(
         comparison = compare(**{**vars(options), "progress": progress})
         if out is not None:
             progress("report")
-            comparison.save(out)
+            comparison.save(out, overwrite=force)
     if as_json:
         print(comparison.to_json())
         return

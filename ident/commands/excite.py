@@ -52,10 +52,10 @@ def excite(
         progress("search")
         trajectory = design_excitation(**{**vars(options), "progress": tell})
         with written_together():
-            trajectory.save(out)
+            trajectory.save(out, overwrite=force)
             if page is not None:
                 progress("page")
-                trajectory.page(page)
+                trajectory.page(page, overwrite=force)
     if as_json:
         print_json(_object(trajectory, out, page))
         return

@@ -60,16 +60,16 @@ def export(
         identified = load_model(model, cast("Parameters | None", parameters))
         if urdf is not None:
             progress("URDF")
-            exports.append(identified.export_urdf(urdf, into=into, force=force))
+            exports.append(identified.export_urdf(urdf, into=into, overwrite=force))
         if mjcf is not None:
             progress("MJCF")
-            exports.append(identified.export_mjcf(mjcf, force=force))
+            exports.append(identified.export_mjcf(mjcf, overwrite=force))
         if ros2_inertial is not None:
             progress("ROS 2 inertial parameters")
-            exports.append(identified.export_ros2_inertial(ros2_inertial, force=force))
+            exports.append(identified.export_ros2_inertial(ros2_inertial, overwrite=force))
         if c is not None:
             progress("C code")
-            exports.append(identified.export_c(c, real="float" if c_float else "double", force=force))
+            exports.append(identified.export_c(c, real="float" if c_float else "double", overwrite=force))
     checks = [check for one in exports for check in one.checks]
     verdicts = [("identification", identified.result.verdict), ("export", judge(checks, None))]
     simulation = together([verdict for verdict in verdicts if "simulation" in verdict[1].purposes]).purposes[

@@ -42,7 +42,7 @@ def find_friction(
     with progress_line(quiet=as_json) as progress:
         identified = friction(**{**vars(options), "progress": progress})
         progress("report")
-        identified.save(folder)
+        identified.save(folder, overwrite=force)
     if as_json:
         print(identified.to_json())
         return

@@ -55,7 +55,7 @@ def identify_recordings(
     with progress_line(quiet=as_json) as progress:
         result = identify(**{**vars(options), "accept": limits, "progress": progress})
         progress("report")
-        result.save(folder)
+        result.save(folder, overwrite=force)
     if as_json:
         print((folder / RESULT_FILE).read_text(encoding="utf-8"), end="")
     else:

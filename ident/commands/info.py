@@ -42,7 +42,7 @@ def show_info(
         quality = info(**{**vars(options), "progress": progress})
         if page is not None:
             progress("page")
-            quality.save(page)
+            quality.save(page, overwrite=force)
     if as_json:
         print(quality.to_json())
         return

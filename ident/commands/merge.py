@@ -39,7 +39,7 @@ def merge_models(
         progress("merging")
         merged = merge(**vars(options))
         progress("report")
-        merged.save(out)
+        merged.save(out, overwrite=force)
     if as_json:
         print(merged.to_json())
         return

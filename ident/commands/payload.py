@@ -52,7 +52,7 @@ def identify_load(*, options: LoadOptions, out: Path = OUT, force: bool = FORCE,
         progress("payload")
         load = payload(**vars(options))
         progress("report")
-        load.save(folder)
+        load.save(folder, overwrite=force)
     if as_json:
         print(load.to_json())
         return
@@ -76,7 +76,7 @@ def identify_drive_gains(*, options: GainsOptions, out: Path = OUT, force: bool 
         progress("gains")
         identified = drive_gains(**vars(options))
         progress("report")
-        identified.save(folder)
+        identified.save(folder, overwrite=force)
     if as_json:
         print(identified.to_json())
         return

@@ -43,7 +43,7 @@ def predict_torque(
         prediction.save(file, overwrite=force)
         if page is not None:
             progress("page")
-            prediction.page(page)
+            prediction.page(page, overwrite=force)
     summary = prediction.summary
     if as_json:
         print_json(

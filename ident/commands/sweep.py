@@ -42,10 +42,10 @@ def sweep_velocities(
         progress("sweep")
         motion, done = design_sweep(**vars(options))
         with written_together():
-            motion.save(out)
+            motion.save(out, overwrite=force)
             if page is not None:
                 progress("page")
-                motion.page(page)
+                motion.page(page, overwrite=force)
     if as_json:
         print_json(
             {

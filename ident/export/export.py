@@ -49,12 +49,15 @@ class Export:
             *(f"  {check.severity}: {check.text} [{check.name}]" for check in self.checks),
         ]
 
+    def __repr__(self) -> str:
+        return f"<{self.format} {self.path}>"
+
     def __str__(self) -> str:
         return "\n".join(self.lines)
 
 
 def export_urdf(
-    arm: ExportedArm, path: str | PathLike[str], *, into: str | PathLike[str] | None = None, force: bool = False
+    arm: ExportedArm, path: str | PathLike[str], *, into: str | PathLike[str] | None = None, overwrite: bool = False
 ) -> Export:
     """Write a URDF: the robot's own, or `into`, with new inertials, friction and limits; a complete one from MDH.
 
@@ -64,7 +67,7 @@ def export_urdf(
         ModelError: the file reads back as another model.
     """
     target = Path(path)
-    check_outputs([target], [Path(into)] if into is not None else [], overwrite=force)
+    check_outputs([target], [Path(into)] if into is not None else [], overwrite=overwrite)
     own = arm.robot_file.urdf_text
     if into is not None:
         text = edited_urdf(arm, _read(Path(into)), str(into))
@@ -82,7 +85,7 @@ def export_urdf(
     return _written(target, "URDF", text, left_out_of_urdf(arm), readings, checks)
 
 
-def export_mjcf(arm: ExportedArm, path: str | PathLike[str], *, force: bool = False) -> Export:
+def export_mjcf(arm: ExportedArm, path: str | PathLike[str], *, overwrite: bool = False) -> Export:
     """Write an MJCF of the whole model; read again where MuJoCo is installed.
 
     Raises:
@@ -90,7 +93,7 @@ def export_mjcf(arm: ExportedArm, path: str | PathLike[str], *, force: bool = Fa
         ModelError: the file reads back as another model.
     """
     target = Path(path)
-    check_outputs([target], overwrite=force)
+    check_outputs([target], overwrite=overwrite)
     text = mjcf(arm)
     readings, checks = [], []
     if mujoco_reading.mujoco_installed():
@@ -100,7 +103,7 @@ def export_mjcf(arm: ExportedArm, path: str | PathLike[str], *, force: bool = Fa
     return _written(target, "MJCF", text, left_out_of_mjcf(arm), readings, checks)
 
 
-def export_ros2_inertial(arm: ExportedArm, path: str | PathLike[str], *, force: bool = False) -> Export:
+def export_ros2_inertial(arm: ExportedArm, path: str | PathLike[str], *, overwrite: bool = False) -> Export:
     """Write the bodies as ROS 2 inertial parameters.
 
     Raises:
@@ -108,7 +111,7 @@ def export_ros2_inertial(arm: ExportedArm, path: str | PathLike[str], *, force: 
         ModelError: the file reads back other numbers.
     """
     target = Path(path)
-    check_outputs([target], overwrite=force)
+    check_outputs([target], overwrite=overwrite)
     text = ros2_inertial(arm)
     check_ros2_inertial(arm, text)
     return _written(target, "ROS 2 inertial parameters", text, left_out_of_ros2_inertial(arm), [], [])

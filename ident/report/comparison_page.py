@@ -48,7 +48,7 @@ def comparison_page(
             recordings=recordings,
             groups=groups,
             tables=[table for table in tables if len(table)],
-            figure=_figure(errors, unit),
+            figure=comparison_figure(errors, unit),
             failures=failures,
             low_speed=LOW_SPEED,
             speed_unit="rad/s" if unit == "N·m" else "m/s" if unit == "N" else "rad/s or m/s",
@@ -56,7 +56,7 @@ def comparison_page(
     )
 
 
-def _figure(errors: Sequence[Errors], unit: str) -> Figure:
+def comparison_figure(errors: Sequence[Errors], unit: str) -> Figure:
     """A row per model: its error on every recording, and the mean."""
     runs: list[tuple[str, float]] = [(plain(label), value) for label, of in errors for value in of]
     means = [(plain(label), float(np.nanmean(of))) for label, of in errors]

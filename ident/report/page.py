@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from daq.output_files import REPORT_FILE, RESULT_FILE, write_folder
+from daq.output_files import REPORT_FILE, RESULT_FILE, save_folder
 from ident.report.html_file import page_templates
 from ident.report.section import ReportData, ReportSection
 from ident.report.sections import (
@@ -46,14 +46,15 @@ SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
 """In the order of the page; a section that does not apply to this result returns None."""
 
 
-def write_result_folder(folder: Path, data: ReportData) -> None:
+def write_result_folder(folder: Path, data: ReportData, *, overwrite: bool = False) -> None:
     """Write result.json and report.html into a folder: both or neither.
 
     Raises:
-        UsageError: it is a file, or cannot be written.
+        UsageError: they exist already and may not be overwritten, it is a file, or cannot be written.
         DiskError: the disk is full or fails.
     """
-    write_folder(folder, {RESULT_FILE: result_file_text(data.result), REPORT_FILE: render_report(data)})
+    texts = {RESULT_FILE: result_file_text(data.result), REPORT_FILE: render_report(data)}
+    save_folder(folder, texts, overwrite=overwrite)
 
 
 def render_report(data: ReportData) -> str:

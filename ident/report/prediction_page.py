@@ -70,7 +70,7 @@ def write_prediction_page(
             summary=summary,
             steps=predicted.steps,
             plots={
-                "torque": _figure("torque-plot", joints, segments, _torque_lines(segments), _torque_caption(predicted)),
+                "torque": prediction_figure(joints, predicted),
                 "residual": _residual_figure(joints, predicted),
                 "parts": _figure(
                     "parts-plot",
@@ -83,6 +83,12 @@ def write_prediction_page(
         )
     )
     replace_files({path: text})
+
+
+def prediction_figure(joints: Sequence[JointLimits], predicted: RecordingPrediction) -> Figure:
+    """Measured and predicted torque, a panel per joint."""
+    segments = predicted.segments
+    return _figure("torque-plot", joints, segments, _torque_lines(segments), _torque_caption(predicted))
 
 
 def _torque_lines(segments: Sequence[SegmentPrediction]) -> list[Line]:

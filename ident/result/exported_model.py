@@ -130,7 +130,7 @@ class ExportedModel(ModelParameters):
         return pinocchio_arm(self._exported)
 
     def export_urdf(
-        self, path: str | PathLike[str], *, into: str | PathLike[str] | None = None, force: bool = False
+        self, path: str | PathLike[str], *, into: str | PathLike[str] | None = None, overwrite: bool = False
     ) -> Export:
         """Write a URDF: the robot's own with new inertials, friction and limits, or a complete one from MDH.
 
@@ -139,7 +139,7 @@ class ExportedModel(ModelParameters):
         Args:
             path: of the file.
             into: another URDF of the same arm, with meshes for instance, to put the model in.
-            force: whether to overwrite.
+            overwrite: replace what exists.
 
         Raises:
             UsageError: the file exists or cannot be written, or these are not the consistent parameters.
@@ -148,16 +148,16 @@ class ExportedModel(ModelParameters):
         """
         from ident.export.export import export_urdf
 
-        return export_urdf(self._exported, path, into=into, force=force)
+        return export_urdf(self._exported, path, into=into, overwrite=overwrite)
 
-    def export_mjcf(self, path: str | PathLike[str], *, force: bool = False) -> Export:
+    def export_mjcf(self, path: str | PathLike[str], *, overwrite: bool = False) -> Export:
         """Write an MJCF with motor inertia (`armature` included), friction, offsets, coupled motors and closed loops.
 
         Where MuJoCo is installed it is read again, compared with `torque`, and simulated for 5 s.
 
         Args:
             path: of the file.
-            force: whether to overwrite.
+            overwrite: replace what exists.
 
         Raises:
             UsageError: the file exists or cannot be written, or these are not the consistent parameters.
@@ -166,14 +166,14 @@ class ExportedModel(ModelParameters):
         from ident.export.arm import with_armature
         from ident.export.export import export_mjcf
 
-        return export_mjcf(with_armature(self._exported, self.armature), path, force=force)
+        return export_mjcf(with_armature(self._exported, self.armature), path, overwrite=overwrite)
 
-    def export_ros2_inertial(self, path: str | PathLike[str], *, force: bool = False) -> Export:
+    def export_ros2_inertial(self, path: str | PathLike[str], *, overwrite: bool = False) -> Export:
         """Write the links' bodies as YAML in the form of Universal_Robots_ROS2_Description's `inertia_parameters`.
 
         Args:
             path: of the file.
-            force: whether to overwrite.
+            overwrite: replace what exists.
 
         Raises:
             UsageError: the file exists or cannot be written, or these are not the consistent parameters.
@@ -181,10 +181,10 @@ class ExportedModel(ModelParameters):
         """
         from ident.export.export import export_ros2_inertial
 
-        return export_ros2_inertial(self._exported, path, force=force)
+        return export_ros2_inertial(self._exported, path, overwrite=overwrite)
 
     def export_c(
-        self, path: str | PathLike[str], *, real: Literal["double", "float"] = "double", force: bool = False
+        self, path: str | PathLike[str], *, real: Literal["double", "float"] = "double", overwrite: bool = False
     ) -> Export:
         """Write C99 source of this model: torque and its parts, inertia matrix, forward dynamics, payload, regressor.
 
@@ -194,7 +194,7 @@ class ExportedModel(ModelParameters):
         Args:
             path: of both files, without suffix: `arm` gives arm.h and arm.c.
             real: type of the arithmetic.
-            force: whether to overwrite.
+            overwrite: replace what exists.
 
         Raises:
             UsageError: a file exists, cannot be written, or has a name that C cannot include.
@@ -224,7 +224,7 @@ class ExportedModel(ModelParameters):
             kind=KINDS[self.kind],
             origin=origin_lines(self.result, self.kind),
             parameters=parameters,
-            force=force,
+            overwrite=overwrite,
         )
 
     @cached_property

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from daq.plotting import Backend, LinePanel, line_figure
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, ModelError, UsageError
 from ident.friction.table import FRICTION_KINDS
@@ -53,19 +54,23 @@ class Model(ExportedModel):
         >>> q, dq, ddq = [0.1] * 6, [0.2] * 6, [0.5] * 6
         >>> model.torque(q, dq, ddq).shape, model.mass_matrix(q).shape
         ((6,), (6, 6))
-        >>> model.torque([q] * 100, [dq] * 100, [ddq] * 100).shape
-        (100, 6)
+        >>> model.torque([q] * 100, [dq] * 100, [ddq] * 100).shape, model.torque([q] * 100).shape
+        ((100, 6), (100, 6))
     """
 
     def torque(
-        self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike, temperature: npt.ArrayLike | None = None
+        self,
+        q: npt.ArrayLike,
+        dq: npt.ArrayLike | None = None,
+        ddq: npt.ArrayLike | None = None,
+        temperature: npt.ArrayLike | None = None,
     ) -> FloatArray:
-        """Joint torque τ [N·m] of a motion, friction and motor inertia included; shape of `q`.
+        """Joint torque τ [N·m] of a motion, friction and motor inertia included; shape of the longest argument.
 
         Args:
-            q: (N, n) or (n,) positions [rad].
-            dq: the same of velocities [rad/s].
-            ddq: the same of accelerations [rad/s²].
+            q: (N, n) or (n,) positions [rad]; (n,) beside (N, n) stands for all N samples.
+            dq: the same of velocities [rad/s]; 0 where None.
+            ddq: the same of accelerations [rad/s²]; 0 where None.
             temperature: (N, n) or (n,) of the joints [°C], where the friction depends on it.
 
         Raises:
@@ -147,7 +152,11 @@ class Model(ExportedModel):
         return outward(self._friction(position, velocity, kelvin), single=single)
 
     def torque_parts(
-        self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike, temperature: npt.ArrayLike | None = None
+        self,
+        q: npt.ArrayLike,
+        dq: npt.ArrayLike | None = None,
+        ddq: npt.ArrayLike | None = None,
+        temperature: npt.ArrayLike | None = None,
     ) -> dict[TorquePart, FloatArray]:
         """The parts of `torque` that add up to it, each in the shape of `q`: inertial, coriolis, gravity, friction.
 
@@ -155,7 +164,7 @@ class Model(ExportedModel):
         those of `torque`.
         """
         total = self.torque(q, dq, ddq, temperature)
-        (position, velocity), single = samples(self.joint_names, q=q, dq=dq)
+        (position, velocity, _), single = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
         kelvin = self._kelvin(temperature, position.shape[1])
         parts: dict[TorquePart, FloatArray] = {
             "coriolis": self._coriolis(position, velocity),
@@ -164,6 +173,57 @@ class Model(ExportedModel):
         }
         shaped = {name: outward(values, single=single) for name, values in parts.items()}
         return {"inertial": np.asarray(total - sum(shaped.values())), **shaped}
+
+    def friction_curve(
+        self,
+        *joints: str,
+        speed: float | None = None,
+        q: npt.ArrayLike | None = None,
+        temperature: npt.ArrayLike | None = None,
+        backend: Backend = "plotly",
+    ) -> Any:
+        """Friction torque of each joint over its velocity, the others at rest, as a figure.
+
+        Args:
+            joints: names of those to show; all where none is named.
+            speed: greatest velocity shown [rad/s or m/s]; the robot file's limit of each joint where None.
+            q: (n,) positions [rad], where the friction depends on the load.
+            temperature: (n,) of the joints [°C], where the friction depends on it.
+            backend: "plotly" gives a `plotly.graph_objects.Figure`, "matplotlib" a `matplotlib.figure.Figure`.
+
+        Raises:
+            UsageError: there is no such joint, or the backend does not exist or is not installed.
+            DataError, ModelError: as `friction`.
+
+        Example:
+            >>> import dynid
+            >>> model = dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=1)).model
+            >>> [axis.title.text for axis in model.friction_curve("elbow_joint").select_yaxes()]
+            ['N·m']
+        """
+        for joint in joints:
+            if joint not in self.joint_names:
+                raise UsageError(f"there is no joint '{joint}'", hint=f"joints: {', '.join(self.joint_names)}")
+        panels = []
+        for joint, limits in zip(self.joint_names, self._stored.robot_file.robot.joints, strict=True):
+            if joints and joint not in joints:
+                continue
+            side = (speed or limits.velocity) * np.linspace(0.0, 1.0, 101)[1:] ** 2  # dense where it bends
+            over = np.concatenate([-side[::-1], [np.nan], side])  # a gap, not a line, where dry friction jumps
+            velocity = np.zeros((len(over), self.dof))
+            place = self.joint_names.index(joint)
+            velocity[:, place] = np.nan_to_num(over)
+            torque = self.friction(velocity, q, temperature)[:, place]
+            panels.append(
+                LinePanel(
+                    joint,
+                    over,
+                    {"friction": np.where(np.isnan(over), np.nan, torque)},
+                    f"velocity [{limits.unit('rad/s')}]",
+                    limits.unit("N·m"),
+                )
+            )
+        return line_figure(panels, min(2, len(panels)), backend)
 
     def coriolis(self, q: npt.ArrayLike, dq: npt.ArrayLike) -> FloatArray:
         """The vector C(q, q̇)·q̇ of Coriolis and centrifugal torques [N·m], not the matrix C; shape of `q`.
@@ -273,7 +333,11 @@ class Model(ExportedModel):
         )
 
     def regressor(
-        self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike, temperature: npt.ArrayLike | None = None
+        self,
+        q: npt.ArrayLike,
+        dq: npt.ArrayLike | None = None,
+        ddq: npt.ArrayLike | None = None,
+        temperature: npt.ArrayLike | None = None,
     ) -> FloatArray:
         """Regressor Y(q, q̇, q̈), (N, n, b) or (n, b): torque = Y @ parameters["value"].
 
@@ -290,7 +354,11 @@ class Model(ExportedModel):
         return rows[0] if single else rows
 
     def torque_std(
-        self, q: npt.ArrayLike, dq: npt.ArrayLike, ddq: npt.ArrayLike, temperature: npt.ArrayLike | None = None
+        self,
+        q: npt.ArrayLike,
+        dq: npt.ArrayLike | None = None,
+        ddq: npt.ArrayLike | None = None,
+        temperature: npt.ArrayLike | None = None,
     ) -> FloatArray:
         """Standard deviation σ [N·m] of `torque` from that of the parameters, √diag(Y·Σ·Yᵀ); shape of `q`.
 

@@ -149,6 +149,9 @@ class Table:
     def _row(self, row: int) -> dict[str, Cell]:
         return {column.name: column.cells[row] for column in self.columns}
 
+    def __repr__(self) -> str:
+        return f"<dynid.Table {self.title!r}, {len(self)} rows: {', '.join(column.name for column in self.columns)}>"
+
     def __str__(self) -> str:
         texts = [[column.heading, *column.texts] for column in self.columns]
         numbers = [numeric(column.cells) for column in self.columns]

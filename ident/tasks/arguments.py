@@ -9,6 +9,7 @@ from typing import Any
 
 from daq.recording.reader import read_recording
 from daq.recording.recording import Recording
+from drivers.core.errors import UsageError
 from ident.verdict.acceptance import AcceptanceLimits, declared, read_limits
 
 Run = Recording | str | PathLike[str]
@@ -16,21 +17,44 @@ Run = Recording | str | PathLike[str]
 
 Runs = Run | Sequence[Run]
 
+IMPORTED = frozenset({".csv", ".tsv", ".txt", ".dat", ".npz", ".mat", ".db3", ".mcap"})
+"""Endings of files that `import_recording` reads, and that hold no recording."""
+
 
 def recording_of(run: Run) -> Recording:
     """The recording, read where a path is given.
 
     Raises:
         RecordingError: it cannot be read.
+        UsageError: it is no recording; says how to make one of it.
     """
-    return run if isinstance(run, Recording) else read_recording(Path(run))
+    if isinstance(run, Recording):
+        return run
+    if isinstance(run, (str, PathLike)):
+        path = Path(run)
+        if path.suffix.lower() in IMPORTED and path.exists():
+            hint = f'dynid.import_recording("{path}", robot)'
+            raise UsageError("is no recording, but can become one", where=str(path), hint=hint)
+        return read_recording(path)
+    kind = type(run).__name__
+    if hasattr(run, "iloc") or kind == "DataFrame":
+        door = "dynid.Recording.from_dataframe(robot, frame)"
+    elif isinstance(run, Mapping):
+        door = "dynid.Recording.from_dict(robot, arrays)"
+    else:
+        door = "dynid.Recording.from_arrays(robot, time=…, position=…, torque=… or current=…)"
+    raise UsageError(f"a {kind} is no recording: which robot it is of, and its units, are not known", hint=door)
 
 
 def recordings_of(runs: Runs) -> list[Recording]:
-    """The recordings, one or several."""
-    if isinstance(runs, (Recording, str, PathLike)):
-        return [recording_of(runs)]
-    return [recording_of(run) for run in runs]
+    """The recordings, one or several.
+
+    Raises:
+        RecordingError, UsageError: as `recording_of`.
+    """
+    if isinstance(runs, (list, tuple)):
+        return [recording_of(run) for run in runs]
+    return [recording_of(runs)]  # type: ignore[arg-type]
 
 
 def paths_of(*given: object) -> list[Path]:

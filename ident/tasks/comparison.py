@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from daq.output_files import REPORT_FILE, write_folder
+from daq.output_files import REPORT_FILE, save_folder
+from daq.plotting import Backend
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
@@ -31,7 +32,7 @@ from ident.identify.identification import Identification, IdentifyChoices, Model
 from ident.identify.identify import identify as identify_recordings
 from ident.identify.preparation import compare_run
 from ident.model.regressor import RegressorKernel
-from ident.report.comparison_page import comparison_page
+from ident.report.comparison_page import comparison_figure, comparison_page
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.options import PreprocessChoices
 from ident.tasks.arguments import recordings_of
@@ -178,11 +179,15 @@ class MethodComparison:
             }
         )
 
-    def save(self, folder: str | PathLike[str]) -> None:
-        """Write `comparison.json` and `report.html` into a folder, as `dynid compare -o` does; replaces those in it.
+    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write `comparison.json` and `report.html` into a folder, as `dynid compare -o` does.
+
+        Args:
+            folder: made where it does not exist.
+            overwrite: replace the files where they exist.
 
         Raises:
-            UsageError: it is a file, or cannot be written.
+            UsageError: they exist already, it is a file, or cannot be written.
             DiskError: the disk is full or fails.
         """
         page = comparison_page(
@@ -190,11 +195,30 @@ class MethodComparison:
             self.recordings,
             self.groups,
             (self.errors, self.maxima, self.differences),
-            [(model.label, [run.rmse for run in model.runs]) for model in self.models if model.runs],
+            self._rmse,
             self.torque_unit,
             self.failures,
         )
-        write_folder(Path(folder), {COMPARISON_FILE: self.to_json() + "\n", REPORT_FILE: page})
+        save_folder(Path(folder), {COMPARISON_FILE: self.to_json() + "\n", REPORT_FILE: page}, overwrite=overwrite)
+
+    def plot(self, *, backend: Backend = "plotly") -> Any:
+        """The RMSE of each model on every held-out recording, as a figure.
+
+        Args:
+            backend: "plotly" gives a `plotly.graph_objects.Figure`, "matplotlib" a `matplotlib.figure.Figure`.
+
+        Raises:
+            UsageError: the backend does not exist or is not installed.
+        """
+        return comparison_figure(self._rmse, self.torque_unit).drawn(backend)
+
+    @property
+    def _rmse(self) -> list[tuple[str, list[float]]]:
+        return [(model.label, [run.rmse for run in model.runs]) for model in self.models if model.runs]
+
+    def __repr__(self) -> str:
+        models = ", ".join(model.label for model in self.models)
+        return f"<dynid.MethodComparison on {self.robot}: {models}>"
 
     def __str__(self) -> str:
         tables = [table for table in (self.errors, self.maxima, self.differences) if len(table)]

@@ -68,6 +68,9 @@ class ModelDifference:
             text += f" Both were identified from {', '.join(self.shared)}: their errors are not independent."
         return text
 
+    def __repr__(self) -> str:
+        return f"<dynid.ModelDifference: {self.headline}>"
+
     def __str__(self) -> str:
         tables = (self.parameters, self.errors, self.purposes, self.checks)
         return "\n\n".join([self.headline, *(str(table) for table in tables if len(table))])

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from daq.motion.trajectories import Motion
 from daq.motion.trajectory_file import PointsTrajectory, dump_trajectory, parse_trajectory
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
-from daq.output_files import replace_files
+from daq.output_files import check_outputs, replace_files
 from daq.robot.assumptions import assumed_limits
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
@@ -112,20 +112,30 @@ class ExcitationTrajectory:
         assumed = tuple(f"assumed: {limit}" for limit in assumed_limits(self.robot_file))
         return assumed if warning is None else (warning, *assumed)
 
-    def save(self, path: str | PathLike[str]) -> None:
+    def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write the trajectory file (YAML) that `dynid record --trajectory` plays.
 
+        Args:
+            path: of the file.
+            overwrite: replace a file that exists.
+
         Raises:
-            UsageError, DiskError: it cannot be written.
+            UsageError, DiskError: it exists already, or cannot be written.
         """
+        check_outputs([Path(path)], overwrite=overwrite)
         replace_files({Path(path): self.text})
 
-    def page(self, path: str | PathLike[str]) -> None:
+    def page(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write a page (HTML): figures, plots, the arm in motion.
 
+        Args:
+            path: of the file.
+            overwrite: replace a file that exists.
+
         Raises:
-            UsageError, DiskError: it cannot be written.
+            UsageError, DiskError: it exists already, or cannot be written.
         """
+        check_outputs([Path(path)], overwrite=overwrite)
         notes = [] if self.design is None else design_notes(self.design)
         write_page(Path(path), self.robot_file, self.motion, self._prior, self.figures, notes)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
-from daq.output_files import REPORT_FILE, write_folder
+from daq.output_files import REPORT_FILE, save_folder
 from daq.robot.loader import load_robot
 from drivers.core.options import keywords_of
 from drivers.core.text import json_text
@@ -53,15 +53,22 @@ class IdentifiedFriction:
         """Output of `dynid friction --json`."""
         return json_text(self.result.model_dump())
 
-    def save(self, folder: str | PathLike[str]) -> None:
-        """Write `friction.json` and `report.html` into a folder, as `dynid friction -o` does; replaces those in it.
+    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write `friction.json` and `report.html` into a folder, as `dynid friction -o` does.
+
+        Args:
+            folder: made where it does not exist.
+            overwrite: replace the files where they exist.
 
         Raises:
-            UsageError: it is a file, or cannot be written.
+            UsageError: they exist already, it is a file, or cannot be written.
             DiskError: the disk is full or fails.
         """
         page = friction_page(self.experiment)
-        write_folder(Path(folder), {FRICTION_FILE: self.to_json() + "\n", REPORT_FILE: page})
+        save_folder(Path(folder), {FRICTION_FILE: self.to_json() + "\n", REPORT_FILE: page}, overwrite=overwrite)
+
+    def __repr__(self) -> str:
+        return f"<dynid.IdentifiedFriction of {', '.join(joint.joint for joint in self.result.joints)}>"
 
     def __str__(self) -> str:
         return "\n".join([str(self.table), *(f"warning: {warning}" for warning in self.warnings)])

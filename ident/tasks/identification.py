@@ -6,25 +6,33 @@ from collections.abc import Sequence
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from daq.plotting import Backend
 from daq.robot.loader import load_robot
+from drivers.core.errors import DataError, UsageError
 from drivers.core.options import keywords_of, same_named
 from ident.assessment.validation import Fit
 from ident.identify.acceptance import result_figures
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify as identify_recordings
+from ident.identify.predict import predict_recording
 from ident.identify.summary import summarise
 from ident.regression.comparison import TorqueSeries
 from ident.regression.options import ExperimentChoices
 from ident.report import RecordedRuns, ReportData, recorded_runs, write_result_folder
+from ident.report.figures.torque_figure import torque_figure
 from ident.result.delivered import Delivered
 from ident.result.friction_experiment import read_friction_experiment
 from ident.result.model import Model, result_path
 from ident.result.result_file import read_result, result_json
 from ident.result.schema import Result
+from ident.result.stored_model import stored_model
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.pipeline import PreprocessChoices
-from ident.tasks.arguments import limits_of, recordings_of
+from ident.tasks.arguments import Run, limits_of, recording_of, recordings_of
 from ident.tasks.options import IdentifyOptions
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
@@ -126,16 +134,71 @@ class IdentificationResult:
         """
         return Model(self.result)
 
-    def save(self, folder: str | PathLike[str]) -> None:
-        """Write `result.json` and `report.html` into a folder, as `dynid identify -o` does; replaces those in it.
+    def score(self, run: Run) -> float:
+        """Coefficient of determination R² of the predicted torque of a recording: 1 is best, 0 no better than a mean.
+
+        As `score` of scikit-learn's regressors: of the filtered torque of each joint, mean over the joints. `validate`
+        gives the errors in N·m, and a verdict.
+
+        Args:
+            run: a recording that was not identified from, or its path.
 
         Raises:
-            UsageError: it is a file, or cannot be written.
+            DataError: the recording lacks what is needed, or its torque does not vary.
+
+        Example:
+            >>> import dynid
+            >>> run, other = (dynid.simulate("ur5e", duration=10.0, seed=seed) for seed in (1, 2))
+            >>> dynid.identify(run).score(other) > 0.9
+            True
+        """
+        recording = recording_of(run)
+        segments = predict_recording(self.model, stored_model(self.result).robot_file, recording).segments
+        residuals = [one.residual for one in segments if one.residual is not None]
+        if not residuals:
+            raise DataError("no torque was recorded to compare with", where=recording.label)
+        residual = np.concatenate(residuals)
+        spread = np.var(residual + np.concatenate([one.torque for one in segments]), axis=0)
+        if not np.all(spread > 0.0):
+            raise DataError("the torque of a joint does not vary, which leaves R² undefined", where=recording.label)
+        return float(np.mean(1.0 - np.mean(np.square(residual), axis=0) / spread))
+
+    def plot(self, *, backend: Backend = "plotly") -> Any:
+        """Measured and predicted torque of each joint, the worst one first: held-out data, else those of the fit.
+
+        Args:
+            backend: "plotly" gives a `plotly.graph_objects.Figure`, "matplotlib" a `matplotlib.figure.Figure`.
+
+        Raises:
+            UsageError: the result was read from a file, which holds no torques; or the backend does not exist or is
+                not installed.
+        """
+        data = ReportData(self.result, self.fit_series, self.validation_series)
+        errors, delivered = self.fit, self.delivered
+        if self.validation_series:
+            errors = self.validation if delivered is None else delivered.validation_all_samples
+        series = self.validation_series or self.fit_series
+        figure = torque_figure("torques-plot", self.result, data.worst_first, series, errors)
+        if figure is None:
+            hint = "dynid.predict(result, run).plot()"
+            raise UsageError("the result was read from a file, which holds no torques", hint=hint)
+        return figure.drawn(backend)
+
+    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write `result.json` and `report.html` into a folder, as `dynid identify -o` does.
+
+        Args:
+            folder: made where it does not exist.
+            overwrite: replace the files where they exist.
+
+        Raises:
+            UsageError: they exist already, it is a file, or cannot be written.
             DiskError: the disk is full or fails.
         """
         write_result_folder(
             Path(folder),
             ReportData(self.result, self.fit_series, self.validation_series, recorded=self.recorded),
+            overwrite=overwrite,
         )
 
     def to_json(self) -> str:

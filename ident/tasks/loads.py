@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from daq.output_files import REPORT_FILE, write_folder
+from daq.output_files import REPORT_FILE, save_folder
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
@@ -114,15 +114,22 @@ class IdentifiedPayload:
         """Output of `dynid payload --json`."""
         return json_text(self.result.model_dump())
 
-    def save(self, folder: str | PathLike[str]) -> None:
-        """Write `payload.json` and `report.html` into a folder, as `dynid payload -o` does; replaces those in it.
+    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write `payload.json` and `report.html` into a folder, as `dynid payload -o` does.
+
+        Args:
+            folder: made where it does not exist.
+            overwrite: replace the files where they exist.
 
         Raises:
-            UsageError: it is a file, or cannot be written.
+            UsageError: they exist already, it is a file, or cannot be written.
             DiskError: the disk is full or fails.
         """
         page = payload_page(self.result)
-        write_folder(Path(folder), {PAYLOAD_FILE: self.to_json() + "\n", REPORT_FILE: page})
+        save_folder(Path(folder), {PAYLOAD_FILE: self.to_json() + "\n", REPORT_FILE: page}, overwrite=overwrite)
+
+    def __repr__(self) -> str:
+        return f"<dynid.IdentifiedPayload: {self.mass:.4g} kg, σ {self.mass_std:.2g} kg>"
 
     def __str__(self) -> str:
         warnings = [f"warning: {warning}" for warning in self.warnings]
@@ -176,21 +183,29 @@ class IdentifiedGains:
         """Output of `dynid gains --json`."""
         return json_text(self.result.model_dump())
 
-    def save(self, folder: str | PathLike[str]) -> None:
-        """Write `gains.json` and `report.html` into a folder, as `dynid gains -o` does; replaces those in it.
+    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write `gains.json` and `report.html` into a folder, as `dynid gains -o` does.
+
+        Args:
+            folder: made where it does not exist.
+            overwrite: replace the files where they exist.
 
         Raises:
-            UsageError: it is a file, or cannot be written.
+            UsageError: they exist already, it is a file, or cannot be written.
             DiskError: the disk is full or fails.
         """
         page = gains_page(self.result)
-        write_folder(Path(folder), {GAINS_FILE: self.to_json() + "\n", REPORT_FILE: page})
+        save_folder(Path(folder), {GAINS_FILE: self.to_json() + "\n", REPORT_FILE: page}, overwrite=overwrite)
 
     @cached_property
     def result(self) -> GainsResult | SlowGainsResult:
         """All of it, as `gains.json` holds it."""
         estimate = self.estimate
         return gains_result(estimate) if isinstance(estimate, DriveGains) else slow_gains_result(estimate)
+
+    def __repr__(self) -> str:
+        gains = ", ".join(f"{row['joint']} {row['gain']:.4g}" for row in self.gains)
+        return f"<dynid.IdentifiedGains: {gains}>"
 
     def __str__(self) -> str:
         return "\n".join([str(self.gains), *(f"warning: {warning}" for warning in self.warnings)])

@@ -9,9 +9,12 @@ from datetime import UTC, datetime
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from daq.output_files import check_outputs
+from daq.plotting import Backend
 from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile
@@ -20,7 +23,7 @@ from drivers.core.options import keywords_of
 from drivers.core.units import common_unit
 from drivers.streams import UNITS
 from ident.identify.predict import PARTS, RecordingPrediction, predict_recording
-from ident.report.prediction_page import write_prediction_page
+from ident.report.prediction_page import prediction_figure, write_prediction_page
 from ident.result.delivered import Parameters
 from ident.result.model import Model, load_model
 from ident.result.stored_model import stored_model
@@ -164,18 +167,41 @@ class Prediction:
     def save(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write `recording` (.h5), as `dynid predict -o` does.
 
+        Args:
+            path: of the file.
+            overwrite: replace a file that exists.
+
         Raises:
             RecordingError: the file exists, or cannot be written.
         """
         write_recording(Path(path), self.recording, overwrite=overwrite)
 
-    def page(self, path: str | PathLike[str]) -> None:
+    def page(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write a page (HTML): predicted and measured torque, its parts, the residual with its 95 % band.
 
+        Args:
+            path: of the file.
+            overwrite: replace a file that exists.
+
         Raises:
-            UsageError: it cannot be written.
+            UsageError: it exists already, or cannot be written.
         """
+        check_outputs([Path(path)], overwrite=overwrite)
         write_prediction_page(Path(path), self.robot_file.robot, self.label, self.summary, self.segments)
+
+    def plot(self, *, backend: Backend = "plotly") -> Any:
+        """Measured and predicted torque of each joint over time, as a figure.
+
+        Args:
+            backend: "plotly" gives a `plotly.graph_objects.Figure`, "matplotlib" a `matplotlib.figure.Figure`.
+
+        Raises:
+            UsageError: the backend does not exist or is not installed.
+        """
+        return prediction_figure(self.robot_file.robot.joints, self.segments).drawn(backend)
+
+    def __repr__(self) -> str:
+        return f"<dynid.Prediction of {self.label}: {len(self.time)} samples of {len(self.joint_names)} joints>"
 
     def __str__(self) -> str:
         return str(self.summary)

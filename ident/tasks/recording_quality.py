@@ -69,18 +69,25 @@ class RecordingQuality:
         columns = (joints, reached.position_range, reached.velocity_reached, reached.velocity_share_percent)
         return table_of_rows("Motion", headings, list(zip(*columns, strict=False)))
 
-    def save(self, folder: str | PathLike[str]) -> None:
-        """Write `info.json` and `info.html` into a folder, as `dynid info --page` does; replaces those in it.
+    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write `info.json` and `info.html` into a folder, as `dynid info --page` does.
+
+        Args:
+            folder: made where it does not exist.
+            overwrite: replace the files where they exist.
 
         Raises:
-            UsageError: it is a file, or cannot be written.
+            UsageError: they exist already, it is a file, or cannot be written.
             DiskError: the disk is full or fails.
         """
-        write_page(Path(folder), self.figures, self.file)
+        write_page(Path(folder), self.figures, self.file, overwrite=overwrite)
 
     def to_json(self) -> str:
         """What `dynid info --json` prints."""
         return json_text(info_object(self.figures, self.file))
+
+    def __repr__(self) -> str:
+        return f"<dynid.RecordingQuality of {self.file}: {self.verdict.headline}>"
 
     def __str__(self) -> str:
         return "\n".join([str(self.streams), "", str(self.motion), "", str(self.verdict)])

@@ -95,6 +95,9 @@ class Validation:
         }
         return error_table("Errors", self.joints, self.torque_unit, fits)
 
+    def __repr__(self) -> str:
+        return f"<dynid.Validation on {', '.join(one.recording for one in self.recordings)}: {self.verdict.headline}>"
+
     def __str__(self) -> str:
         accepted = "" if self.acceptance is None else f"\n\n{self.acceptance}"
         return f"{self.errors}\n\n{self.verdict}{accepted}"

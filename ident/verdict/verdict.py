@@ -100,6 +100,9 @@ class Verdict:
             *(f"{check.severity}: {check.text} [{check.name}]" for check in self.checks),
         ]
 
+    def __repr__(self) -> str:
+        return f"<dynid.Verdict: {self.headline}>"
+
     def __str__(self) -> str:
         return "\n".join(self.lines)
 

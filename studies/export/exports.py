@@ -58,8 +58,8 @@ def main(data: Path) -> None:
     with TemporaryDirectory() as folder:
         work = Path(folder)
         for arm, model in models(data, work).items():
-            urdf = model.export_urdf(work / "arm.urdf", force=True)
-            mjcf = model.export_mjcf(work / "arm.xml", force=True)
+            urdf = model.export_urdf(work / "arm.urdf", overwrite=True)
+            mjcf = model.export_mjcf(work / "arm.xml", overwrite=True)
             for export in (urdf, mjcf):
                 checks = ", ".join(check.name for check in export.checks) or "–"
                 for reading in export.readings:

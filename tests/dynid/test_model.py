@@ -299,7 +299,7 @@ def test_without_a_covariance_there_is_no_torque_std():
     [
         (([0.0] * 5, [0.0] * 5, [0.0] * 5), r"q: has shape \(5,\); \(6,\) or \(N, 6\) is needed"),
         ((np.zeros((6, 50)), np.zeros((6, 50)), np.zeros((6, 50))), r"q: has shape \(6, 50\)"),
-        ((np.zeros((3, 6)), np.zeros(6), np.zeros(6)), r"dq: has shape \(6,\), q has \(3, 6\)"),
+        ((np.zeros((3, 6)), np.zeros((2, 6)), np.zeros(6)), r"dq: has shape \(2, 6\), q has \(3, 6\)"),
         ((np.zeros((2, 3, 6)),) * 3, "q: has shape"),
         ((np.full((2, 6), np.nan),) * 3, "q: is not finite at sample 0, joint shoulder_pan_joint"),
         ((["a"] * 6, [0.0] * 6, [0.0] * 6), "q: does not consist of numbers"),

@@ -142,7 +142,10 @@ def test_the_page_and_the_tables_show_the_joints(prediction, tmp_path):
     assert "wrist_3_joint" in page.words
     assert "wrist_3_joint" in str(prediction)
     assert "wrist_3_joint" in prediction._repr_html_()
-    with pytest.raises(dynid.UsageError, match="cannot be written"):
+    with pytest.raises(dynid.UsageError, match=r"exists already .*overwrite=True"):
+        prediction.page(tmp_path / "page.html")
+    prediction.page(tmp_path / "page.html", overwrite=True)
+    with pytest.raises(dynid.UsageError, match="there is no such folder"):
         prediction.page(tmp_path / "nowhere" / "page.html")
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from daq.output_files import write_folder
+from daq.output_files import save_folder
 from daq.recording.recording import JOINTS_STREAM
 from drivers.core.text import json_text
 from ident.checks.page.plots import intervals_figure, shown_unit, signals_figure, spectra_figure
@@ -20,18 +20,20 @@ MOST_GAPS = 50
 """Gaps in the page's table; a recording that lost samples all the time has thousands."""
 
 
-def write_page(folder: Path, info: RecordingInfo, file: str) -> None:
+def write_page(folder: Path, info: RecordingInfo, file: str, *, overwrite: bool = False) -> None:
     """Write info.json and info.html into a folder.
 
     Args:
         folder: made where it does not exist.
         info: of the recording.
         file: name of the recording.
+        overwrite: replace files that exist.
 
     Raises:
-        UsageError, DiskError: they cannot be written.
+        UsageError, DiskError: they exist already and may not be overwritten, or cannot be written.
     """
-    write_folder(folder, {JSON_FILE: json_text(info_object(info, file)) + "\n", PAGE_FILE: render_page(info, file)})
+    texts = {JSON_FILE: json_text(info_object(info, file)) + "\n", PAGE_FILE: render_page(info, file)}
+    save_folder(folder, texts, overwrite=overwrite)
 
 
 def render_page(info: RecordingInfo, file: str) -> str:

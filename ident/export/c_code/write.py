@@ -26,7 +26,7 @@ def write_c(
     kind: str = "base parameters",
     origin: Sequence[str] = (),
     parameters: Sequence[Parameter] | None = None,
-    force: bool = False,
+    overwrite: bool = False,
 ) -> Export:
     """Write a C99 header and source: an arm's inverse and forward dynamics, their terms, payload and regressor.
 
@@ -37,14 +37,14 @@ def write_c(
         kind: which parameters these are, for a comment.
         origin: lines on where they come from, for the header.
         parameters: (b,) the base parameters with their deviations; without these where None.
-        force: whether to overwrite.
+        overwrite: replace what exists.
 
     Raises:
         UsageError: a file exists, cannot be written, or has a name that C cannot include.
         ModelError: loops of the arm are solved numerically, or its parameters do not fit into the type.
     """
     header_path, source_path = source_paths(Path(path))
-    check_outputs([header_path, source_path], overwrite=force)
+    check_outputs([header_path, source_path], overwrite=overwrite)
     graph = Graph()
     functions = arm_functions(graph, dynamics)
     check_expressions(graph, functions, dynamics)

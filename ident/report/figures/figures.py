@@ -10,6 +10,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from daq.plotting import COLOURS, Backend, drawn
 from ident.friction.table import TERMS
 from ident.report.figures.traces import points_trace
 from ident.result.schema import BaseParameterResult
@@ -27,7 +28,7 @@ KIND_STYLES: dict[str, tuple[str, str, str]] = {
 }
 """Label, colour and marker of each kind: palette of Okabe and Ito, distinguishable by colour-blind readers."""
 
-SERIES_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7C828A")
+SERIES_COLOURS = COLOURS
 """Lines of one panel, of the same palette."""
 
 LEFT, RIGHT, TOP, BOTTOM = 64, 16, 54, 48
@@ -56,6 +57,14 @@ class Figure:
     layout: Mapping[str, Any]
     caption: str
     narrow: Mapping[str, Any] = field(default_factory=dict)
+
+    def drawn(self, backend: Backend) -> Any:
+        """The figure for a user of Python: plotly's or matplotlib's.
+
+        Raises:
+            UsageError: the backend does not exist or is not installed.
+        """
+        return drawn(self.data, self.layout, backend)
 
     @property
     def narrow_height(self) -> int:

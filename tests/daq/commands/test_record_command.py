@@ -273,7 +273,10 @@ def test_a_driver_that_is_not_installed_exits_2(bench, dynid):
 @pytest.mark.parametrize(
     ("out", "said"),
     [
-        ("there.h5", "there.h5: exists already (choose another name, or overwrite it with --force)"),
+        (
+            "there.h5",
+            "there.h5: exists already (choose another name, or overwrite it: --force, in Python overwrite=True)",
+        ),
         ("nowhere/run.h5", "nowhere: there is no such folder"),
         ("there.h5/run.h5", "there.h5: is not a folder"),
         (".", ".: is a folder"),
