@@ -184,58 +184,46 @@ def spoken_in_a_shell() -> Iterator[None]:
 
 
 def in_python(error: DynidError, options: Iterable[Field[Any]]) -> None:
-    """Let an error name these options as a caller of Python types them: `split=10.0` for `--split 10.0`.
+    """Let an error name these options as a caller of Python types them: `rate=HZ` for `--rate HZ` in its hint.
 
     Options of a command that a text spells out (`dynid excite ROBOT --loaded`) stay as they are.
     """
     by_flag = {flag_of(of).partition("/")[0]: of for of in options}
 
+    def named(found: re.Match[str]) -> str:
+        of = by_flag.get(found[1])
+        return found[0] if of is None or _of_a_command(found) else of.name + found[0].removeprefix(found[1])
+
     def typed(found: re.Match[str]) -> str:
-        flag, gap, value = found[1], found[2] or "", found[3] or ""
-        of = by_flag.get(flag)
-        if of is None or re.search(r"\bdynid \w+[^,:;()]*$", found.string[: found.start()]):
+        of, value = by_flag.get(found[1]), found[3] or ""
+        if of is None or _of_a_command(found):
             return found[0]
-        stated = declared(of) or Option()
-        if stated.read is not None and "=" in value:
-            name, _, column = value.partition("=")
+        after = f"{found[2] or ''}{value}"
+        name, equals, column = value.partition("=")
+        if equals and (declared(of) or Option()).read is not None:
             return f'{of.name}={{"{name}": "{column}"}}'
         if of.type == "bool":
-            return f"{of.name}=True{gap}{value}"
-        is_value = value and value not in _NO_VALUES
-        if not is_value:
-            return f"{of.name}={gap}{value}"
+            return f"{of.name}=True{after}"
+        if not value or value in _NO_VALUES:
+            return f"{of.name}={after}"
         quoted = value if re.fullmatch(r"[\d.e+-]+|[A-Z]+", value) else f'"{value}"'
-        listed = str(of.type).startswith(("Collection", "Sequence", "tuple"))
-        return f"{of.name}=[{quoted}]" if listed else f"{of.name}={quoted}"
+        several = str(of.type).startswith(("Collection", "Sequence", "tuple"))
+        return f"{of.name}=[{quoted}]" if several else f"{of.name}={quoted}"
 
-    for part in ("message", "where", "hint"):
+    pattern = r"(--[a-z][a-z-]*)(?:( )([^\s,;:()]+))?"
+    for part, spelled in (("message", named), ("where", named), ("hint", typed)):
         text = re.sub(r"--[a-z][^,()]*, in Python ", "", getattr(error, part))
-        setattr(error, part, re.sub(r"(--[a-z][a-z-]*)(?:( )([^\s,;:()]+))?", typed, text))
+        setattr(error, part, re.sub(pattern, spelled, text))
+
+
+def _of_a_command(found: re.Match[str]) -> bool:
+    """Whether an option belongs to a command that stands before it."""
+    return re.search(r"\bdynid \w+[^,:;()]*$", found.string[: found.start()]) is not None
 
 
 _NO_VALUES = frozenset(
-    {
-        "and",
-        "are",
-        "as",
-        "asks",
-        "exclude",
-        "for",
-        "gives",
-        "if",
-        "in",
-        "is",
-        "names",
-        "needs",
-        "of",
-        "or",
-        "sets",
-        "takes",
-        "to",
-        "was",
-        "with",
-        "would",
-    }
+    {"and", "are", "as", "asks", "exclude", "for", "gives", "if", "in", "is", "names", "needs", "of", "or", "sets"}
+    | {"takes", "to", "was", "with", "would"}
 )
 """Words after an option that are no value of it."""
 

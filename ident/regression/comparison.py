@@ -45,6 +45,19 @@ class TorqueSeries:
         everywhere = np.broadcast_to(self.used, self.measured.shape)
         return everywhere if self.resting is None else everywhere & ~self.resting
 
+    def part(self, start: int, stop: int) -> TorqueSeries:
+        """The samples from `start` to before `stop`."""
+        span = slice(start, stop)
+        return TorqueSeries(
+            self.time[span],
+            self.measured[:, span],
+            self.predicted[:, span],
+            self.velocity[:, span],
+            self.used[span],
+            None if self.resting is None else self.resting[:, span],
+            None if self.weights is None else self.weights[:, span],
+        )
+
     @property
     def residual(self) -> FloatArray:
         """Measured minus predicted torque (n, M) [N·m]; 0 where it does not count."""

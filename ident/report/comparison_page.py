@@ -60,12 +60,14 @@ def comparison_figure(errors: Sequence[Errors], unit: str) -> Figure:
     """A row per model: its error on every recording, and the mean."""
     runs: list[tuple[str, float]] = [(plain(label), value) for label, of in errors for value in of]
     means = [(plain(label), float(np.nanmean(of))) for label, of in errors]
+    circle = {"color": MEASURED, "symbol": "circle-open", "size": 6}
+    several = len(runs) > len(means)
     panel = Panel(
         "RMSE",
         "<b>RMSE of the held-out torque</b>, all joints together",
         [
-            _points("a recording", runs, unit, {"color": MEASURED, "symbol": "circle-open", "size": 6}),
-            _points("mean", means, unit, {"color": PREDICTED, "symbol": "diamond", "size": 9}),
+            *([_points("a recording", runs, unit, circle)] if several else []),
+            _points("mean" if several else "RMSE", means, unit, {"color": PREDICTED, "symbol": "diamond", "size": 9}),
         ],
         x={"title": {"text": unit}, "rangemode": "tozero"},
         y={
@@ -81,6 +83,8 @@ def comparison_figure(errors: Sequence[Errors], unit: str) -> Figure:
     )
     caption = "Each circle is one held-out recording. Models that differ less than their circles scatter may still "
     caption += "differ significantly: compare them recording by recording, as the table of differences does."
+    if not several:
+        caption = "On one held-out recording nobody can tell whether a difference is significant: name several."
     return panel_figure("rmse-plot", [[panel]], caption)
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 from collections.abc import Sequence
 from functools import cache
+from importlib.resources import files
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -95,16 +97,25 @@ def _float(value: Cell) -> float | None:
 
 
 @cache
+def plotly_library(bundle: str) -> Markup:
+    """The text of plotly.js 4.1.1 (MIT): its bundle `cartesian`, or `gl3d` with figures in space.
+
+    The whole library is three times as large. The bundles are those of the npm packages plotly.js-cartesian-dist-min
+    and plotly.js-gl3d-dist-min.
+    """
+    packed = files("ident.report").joinpath("assets", f"plotly-{bundle}.min.js.gz").read_bytes()
+    return Markup(gzip.decompress(packed).decode())
+
+
+@cache
 def page_templates(*packages: str) -> Environment:
     """The templates of these packages and, behind them, those of the report: its style, script and macros.
 
-    They know the number filters, `dash`, `table_html`, and `plotlyjs`, the plotting library as text. What they are
-    given is escaped.
+    They know the number filters, `dash`, `table_html`, and `plotlyjs(bundle)`, the plotting library as text. What they
+    are given is escaped.
     The same packages get the same environment, whose templates are compiled once: that is most of what a page costs.
     """
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-    from markupsafe import Markup
-    from plotly.offline import get_plotlyjs
 
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(package) for package in (*packages, "ident.report")]),
@@ -113,7 +124,7 @@ def page_templates(*packages: str) -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals |= {"dash": number_text.DASH, "plotlyjs": Markup(get_plotlyjs()), "table_html": table_html}
+    environment.globals |= {"dash": number_text.DASH, "plotlyjs": plotly_library, "table_html": table_html}
     for name in ("number", "percent", "percentage", "whole", "with_error", "half_interval", "setting"):
         environment.filters[name] = getattr(number_text, name)
     return environment

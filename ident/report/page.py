@@ -28,6 +28,7 @@ from ident.result.result_file import result_file_text
 
 SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     summary.section,
+    summary.errors_section,
     merge.section,
     torques.validation_section,
     torques.fit_section,

@@ -78,12 +78,14 @@ class ReportSection:
         anchor: its id within the page.
         template: name of its template.
         context: what the template is rendered with.
+        folded: whether it is folded under its heading when the page is opened.
     """
 
     title: str
     anchor: str
     template: str
     context: Mapping[str, Any]
+    folded: bool = True
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ from ident.identify.identify import identify as identify_recordings
 from ident.identify.preparation import compare_run
 from ident.model.regressor import RegressorKernel
 from ident.report.comparison_page import comparison_figure, comparison_page
-from ident.result.tables import Cell, Table, table_of_rows
+from ident.result.tables import Cell, Column, Table, table_of_rows
 from ident.signals.options import PreprocessChoices
 from ident.tasks.arguments import recordings_of
 from ident.tasks.options import CompareOptions
@@ -101,13 +101,13 @@ class MethodComparison:
     @property
     def errors(self) -> Table:
         """Relative errors [%] and RMSE over all joints [N·m], means over the held-out recordings; CPU time [s]."""
-        headings = [
+        headings: list[Column | tuple[str, str]] = [
             ("model", ""),
             ("fit", "%"),
             ("validation", "%"),
-            ("rmse", self.torque_unit),
-            ("rmse_low_speed", self.torque_unit),
-            ("rmse_high_speed", self.torque_unit),
+            Column("rmse", unit=self.torque_unit, label="RMSE"),
+            Column("rmse_low_speed", unit=self.torque_unit, label="RMSE low speed"),
+            Column("rmse_high_speed", unit=self.torque_unit, label="RMSE high speed"),
             ("time", "s"),
         ]
         rows: list[tuple[Cell, ...]] = [
@@ -126,25 +126,31 @@ class MethodComparison:
 
     @property
     def maxima(self) -> Table:
-        """Largest errors of each group of joints below and above `LOW_SPEED` [N·m]: mean and σ over the recordings."""
+        """Largest errors of each group of joints below and above `LOW_SPEED` [N·m]: mean over the recordings, and σ.
+
+        One recording has no σ.
+        """
         headings = [("model", "")]
         for group in self.groups:
             for speed in ("low", "high"):
                 names = (f"{group.name} {speed}", f"{group.name} {speed} std")
-                headings += [(name, self.torque_unit) for name in names]
+                headings += [(name, self.torque_unit) for name in (names if self._several else names[:1])]
         rows: list[tuple[Cell, ...]] = []
         for model in self.models:
             cells: list[Cell] = [model.label]
             for place in range(len(self.groups)):
                 for of_run in ("low_speed_max", "high_speed_max"):
                     values = [getattr(run, of_run)[place] for run in model.runs]
-                    cells += [_mean(values), _deviation(values)]
+                    cells += [_mean(values), *([_deviation(values)] if self._several else [])]
             rows.append(tuple(cells))
         return table_of_rows("Largest errors at low and at high speed", headings, rows)
 
     @property
     def differences(self) -> Table:
-        """RMSE of each model minus the first one's on the same recordings, with the 95 % interval of the mean [N·m]."""
+        """RMSE of each model minus the first one's on the same recordings, with the 95 % interval of the mean [N·m].
+
+        One recording has no interval, and no difference on it can be called significant.
+        """
         unit = self.torque_unit
         headings = [("model", ""), ("difference", unit), ("interval", unit), ("relative", "%"), ("significant", "")]
         rows: list[tuple[Cell, ...]] = []
@@ -155,7 +161,13 @@ class MethodComparison:
             answer = "" if interval is None else "yes" if paired.significant else "no"
             rows.append((model.label, paired.mean, interval, 100.0 * paired.mean / base if base else None, answer))
         first = self.models[0].label if self.models else ""
-        return table_of_rows(f"RMSE against {first}", headings, rows)
+        table = table_of_rows(f"RMSE against {first}", headings, rows)
+        return table if self._several else table.pick("model", "difference", "relative")
+
+    @property
+    def _several(self) -> bool:
+        """Whether recordings can be compared with each other."""
+        return len(self.recordings) > 1
 
     def difference(self, model: ComparedModel) -> PairedDifference:
         """RMSE of a model minus that of the first one, recording by recording [N·m]."""

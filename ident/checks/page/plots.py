@@ -193,7 +193,7 @@ def _density(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArr
 
 def shown_unit(unit: str) -> str:
     """A recorded unit as people write it."""
-    return "°C" if unit == UNITS["temperature"] else unit
+    return "°C" if unit == UNITS["temperature"] else unit.replace("^2", "²").replace("*", "·")
 
 
 def _colours(recording: Recording) -> dict[str, str]:

@@ -88,7 +88,6 @@ def _tiles(figures: ExcitationFigures) -> list[Tile]:
         Tile("Duration", f"{number(figures.duration, 4)} s", "from rest to rest"),
         Tile("Column-normalised condition", number(forecast.scaled_condition, 3), "independent of units"),
         Tile("Condition", number(forecast.condition, 3), "depends on units"),
-        Tile("log det", number(forecast.log_det, 4), "of the information matrix"),
         Tile("Largest limit utilisation", percent(figures.worst_use), _worst(figures)),
         Tile("Significant", str(significant) if known else number_text.DASH, _significance(known, count)),
     ]

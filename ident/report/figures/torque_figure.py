@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 
@@ -20,6 +21,12 @@ from ident.views.number_text import number, percent, whole
 PANEL = 150
 """Height of a panel [px]."""
 
+SMALL_PANEL, SMALL_COLUMNS, SMALL_POINTS = 66, 2, 400
+"""Of the figure at a glance: a panel's height [px], panels of a row, points of a line."""
+
+LINES = {"residual": (3, RESIDUAL, 1.0), "measured": (1, MEASURED, 2.0), "predicted": (2, PREDICTED, 1.2)}
+"""Line → its place in the legend, its colour and its width [px]; in the order in which they are drawn."""
+
 LOW_WEIGHT = 0.5
 """An equation that a robust estimate weighs less is marked as rejected."""
 
@@ -30,56 +37,115 @@ def torque_figure(
     anchor: str, result: Result, order: Sequence[int], series: Sequence[TorqueSeries], fit: Fit | None
 ) -> Figure | None:
     """One panel per joint, in the `order` of joint numbers; None where there is no sample to show."""
-    joints, series = result.joints, [segment for segment in series if len(segment.time)]
-    if not series or not joints:
+    shown = _judged(series)
+    if not shown or not result.joints:
         return None
-    timeline = lay_out([segment.time for segment in series])
-    times = [segment.time + offset for segment, offset in zip(series, timeline.offsets, strict=True)]
-    points = points_per_trace(len(joints))
-    borders = [(x, {"dash": "dot", "width": 1}) for x in timeline.borders]
-    panels = []
-    for joint in order:
-        unit = joint_unit("N·m", sliding=result.sliding[joint])
-        residuals = [
-            np.where(segment.counted[joint], segment.measured[joint] - segment.predicted[joint], np.nan)
-            for segment in series
+    points = points_per_trace(len(result.joints))
+    drawing = _Drawing.of(result, shown, points, PANEL)
+    rows = [
+        [
+            replace(
+                drawing.panel(joint, ("residual", "measured", "predicted"), first=joint == order[0]),
+                heading=drawing.heading(joint) + _errors(fit, joint, drawing.unit(joint)),
+                stacked_heading=drawing.heading(joint, 20) + _errors_in_short(fit, joint, drawing.unit(joint)),
+            )
         ]
-        lines = (
-            ("residual", 3, residuals, RESIDUAL, 1.0),
-            ("measured", 1, [segment.measured[joint] for segment in series], MEASURED, 2.0),
-            ("predicted", 2, [segment.predicted[joint] for segment in series], PREDICTED, 1.2),
+        for joint in order
+    ]
+    caption = _caption(shown, points, len(drawing.borders))
+    return panel_figure(anchor, rows, caption, linked=True, hovermode="x unified")
+
+
+def small_torque_figure(
+    anchor: str, result: Result, order: Sequence[int], series: Sequence[TorqueSeries], fit: Fit | None
+) -> Figure | None:
+    """Measured and predicted torque alone, two joints in a row: the same at a glance."""
+    shown = _judged(series)
+    if not shown or not result.joints:
+        return None
+    drawing = _Drawing.of(result, shown, SMALL_POINTS, SMALL_PANEL)
+    panels = [
+        replace(
+            drawing.panel(joint, ("measured", "predicted"), first=joint == order[0]),
+            y={},  # the unit is in the heading
+            heading=drawing.heading(joint, 20) + _errors_in_short(fit, joint, drawing.unit(joint)),
         )
-        traces = []
-        for label, rank, values, colour, width in lines:
-            x, y = broken_line(times, values, points)
-            traces.append(
-                curve_trace(
-                    x,
-                    y,
-                    {"color": colour, "width": width},
-                    f"%{{y:.4g}} {unit}",
-                    name=label,
-                    legendgroup=label,
-                    legendrank=rank,
-                    showlegend=joint == order[0],
-                )
-            )
-        traces += _rejected(joint, times, series, points, joint == order[0])
-        name = joints[joint]
-        panels.append(
-            Panel(
-                name,
-                f"<b>{plain(name)}</b>{_errors(fit, joint, unit)}",
-                traces,
-                f"<b>{plain(shortened(name, 20))}</b>{_errors_in_short(fit, joint, unit)}",
-                x={"title": {"text": "time [s]"}, "zeroline": False},
-                y={"title": {"text": unit}},
-                vertical=borders,
-                height=PANEL,
-            )
+        for joint in order
+    ]
+    rows = [panels[start : start + SMALL_COLUMNS] for start in range(0, len(panels), SMALL_COLUMNS)]
+    return panel_figure(anchor, rows, "", linked=True, hovermode="x unified")
+
+
+def _judged(series: Sequence[TorqueSeries]) -> list[TorqueSeries]:
+    """The segments without their ends, where filters are not valid and which no figure counts."""
+    ends = [np.flatnonzero(segment.used) for segment in series]
+    return [segment.part(used[0], used[-1] + 1) for segment, used in zip(series, ends, strict=True) if len(used)]
+
+
+@dataclass(frozen=True)
+class _Drawing:
+    """Segments on one axis of time, and how much of them is drawn.
+
+    Attributes:
+        result: names and units of the joints.
+        series: the segments.
+        times: (M,) of each [s], as shown.
+        borders: shown times at which a segment begins that does not follow the one before.
+        points: of a line, about.
+        height: of a panel [px].
+    """
+
+    result: Result
+    series: Sequence[TorqueSeries]
+    times: Sequence[FloatArray]
+    borders: tuple[float, ...]
+    points: int
+    height: int
+
+    @classmethod
+    def of(cls, result: Result, series: Sequence[TorqueSeries], points: int, height: int) -> Self:
+        timeline = lay_out([segment.time for segment in series])
+        times = [segment.time + offset for segment, offset in zip(series, timeline.offsets, strict=True)]
+        return cls(result, series, times, timeline.borders, points, height)
+
+    def unit(self, joint: int) -> str:
+        return joint_unit("N·m", sliding=self.result.sliding[joint])
+
+    def heading(self, joint: int, letters: int = 60) -> str:
+        return f"<b>{plain(shortened(self.result.joints[joint], letters))}</b>"
+
+    def panel(self, joint: int, lines: Sequence[str], *, first: bool) -> Panel:
+        traces = [self._trace(joint, label, first) for label in lines]
+        traces += _rejected(joint, self.times, self.series, self.points, first)
+        return Panel(
+            self.result.joints[joint],
+            "",
+            traces,
+            x={"title": {"text": "time [s]"}, "zeroline": False},
+            y={"title": {"text": self.unit(joint)}},
+            vertical=[(x, {"dash": "dot", "width": 1}) for x in self.borders],
+            height=self.height,
         )
-    caption = _caption(series, points, len(timeline.borders))
-    return panel_figure(anchor, [[panel] for panel in panels], caption, linked=True, hovermode="x unified")
+
+    def _trace(self, joint: int, label: str, first: bool) -> dict[str, Any]:
+        rank, colour, width = LINES[label]
+        values = [
+            np.where(segment.counted[joint], segment.measured[joint] - segment.predicted[joint], np.nan)
+            if label == "residual"
+            else getattr(segment, label)[joint]
+            for segment in self.series
+        ]
+        x, y = broken_line(self.times, values, self.points)
+        return curve_trace(
+            x,
+            y,
+            {"color": colour, "width": width},
+            f"%{{y:.4g}} {self.unit(joint)}",
+            name=label,
+            legendgroup=label,
+            legendrank=rank,
+            showlegend=first,
+        )
 
 
 def _rejected(
@@ -130,7 +196,7 @@ def _caption(series: Sequence[TorqueSeries], points: int, borders: int) -> str:
             "interval, which keeps all peaks."
         )
     if not all(bool(segment.counted.all()) for segment in series):
-        text.append("Samples not used (a joint at rest, the ends of a segment) have no residual.")
+        text.append("Samples not used (a joint at rest) have no residual.")
     if any(segment.weights is not None for segment in series):
         text.append(f"Rejected: the estimator gave the equation a weight below {LOW_WEIGHT:g}.")
     if borders:

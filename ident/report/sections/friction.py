@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,9 @@ COLUMNS = 2
 PANEL = 190
 SCATTER_POINTS = 1200
 PAGE_SCATTER_POINTS = 12_000
+SMALL_PANEL, SMALL_POINTS = 66, 150
+"""Of the figure at a glance: a panel's height [px], points of a joint."""
+
 CURVE_POINTS = 60
 """Per direction of motion."""
 
@@ -51,14 +55,7 @@ def _order(data: ReportData) -> list[int]:
 
 
 def _figure(data: ReportData) -> Figure | None:
-    result = data.result
-    if not any(series.counted.any() for series in data.fit):
-        return None
-    joints = [
-        joint
-        for joint in _order(data)
-        if any(result.friction[joint].coefficient(term.kind) is not None for term in DRAWN)
-    ]
+    joints = _drawn_joints(data)
     if not joints:
         return None
     points = min(SCATTER_POINTS, PAGE_SCATTER_POINTS // len(joints))
@@ -73,6 +70,28 @@ def _figure(data: ReportData) -> Figure | None:
         "the line from the parameters' covariance. Where points bend away from the line, the model lacks a term."
     )
     return panel_figure("friction-plot", rows, caption)
+
+
+def small_friction_figure(anchor: str, data: ReportData) -> Figure | None:
+    """The curves at a glance: lower panels with fewer points."""
+    joints = _drawn_joints(data)
+    if not joints:
+        return None
+    panels = []
+    for joint in joints:
+        panel = _panel(data, joint, SMALL_POINTS)
+        heading = f"{panel.heading} [{panel.y['title']['text']}]"  # in place of a title of the axis
+        panels.append(replace(panel, heading=heading, y={}, height=SMALL_PANEL))
+    rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
+    return panel_figure(anchor, rows, "")
+
+
+def _drawn_joints(data: ReportData) -> list[int]:
+    """Joints with friction to draw and samples to draw it with."""
+    if not any(series.counted.any() for series in data.fit):
+        return []
+    friction = data.result.friction
+    return [j for j in _order(data) if any(friction[j].coefficient(term.kind) is not None for term in DRAWN)]
 
 
 def _panel(data: ReportData, joint: int, points: int) -> Panel:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 
 from drivers.core.errors import DynidError
 from ident.model.true_parameters import truth_vector
-from ident.report.figures.figures import KIND_STYLES, Figure
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.report.figures.figures import KIND_STYLES, Figure, plain
 from ident.report.figures.interval_panel import IntervalSeries, interval_panel
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.section import ReportData, ReportSection
@@ -52,6 +54,9 @@ def reference_values(data: ReportData) -> ReferenceValues | None:
 
 REFERENCE_MARKER = "#7C828A"
 
+SMALL_PANEL, SMALL_COLUMNS, MOST_NAMES = 66, 3, 8
+"""Of the figure at a glance: a panel's height [px], panels of a row, parameters whose names have room below it."""
+
 
 def section(data: ReportData) -> ReportSection:
     """Base parameters with their error bars."""
@@ -89,12 +94,51 @@ def _threshold(result: Result) -> float | None:
     return float(value) if isinstance(value, int | float) and value > 0 else None
 
 
-def _figure(result: Result, reference: ReferenceValues | None) -> Figure | None:
-    """Values with their intervals: a panel per kind and unit, so that values of one panel can be compared."""
+def small_parameter_figure(anchor: str, data: ReportData) -> Figure | None:
+    """Values with their intervals side by side, a panel per kind and unit: the same at a glance."""
+    groups = _groups(data.result)
+    if not groups:
+        return None
+    panels = [_small_panel(kind, unit, entries) for (kind, unit), entries in groups.items()]
+    rows = [panels[start : start + SMALL_COLUMNS] for start in range(0, len(panels), SMALL_COLUMNS)]
+    return panel_figure(anchor, rows, "", showlegend=False)
+
+
+def _small_panel(kind: str, unit: str, entries: Sequence[BaseParameterResult]) -> Panel:
+    words, colour, symbol = KIND_STYLES[kind]
+    half = [WITHIN_95_PERCENT * (one.std or 0.0) if one.std is None or isfinite(one.std) else 0.0 for one in entries]
+    trace = {
+        "type": "scatter",
+        "mode": "markers",
+        "name": words,
+        "x": [plain(one.name) for one in entries],
+        "y": [one.value for one in entries],
+        "error_y": {"type": "data", "array": half, "thickness": 1.2, "width": 2, "color": colour},
+        "marker": {"color": colour, "symbol": symbol, "size": 4},
+        "hovertemplate": f"%{{x}}: %{{y:.4g}} ± %{{error_y.array:.2g}} {unit}<extra></extra>",
+    }
+    return Panel(
+        f"{words} [{unit}]",
+        f"<b>{words}</b> [{unit}]",
+        [trace],
+        x={"type": "category", "showgrid": False, "showticklabels": len(entries) <= MOST_NAMES, "tickangle": 0},
+        y={"zeroline": True},
+        height=SMALL_PANEL,
+    )
+
+
+def _groups(result: Result) -> dict[tuple[str, str], list[BaseParameterResult]]:
+    """Parameters with a value by kind and unit, whose values can be compared."""
     groups: dict[tuple[str, str], list[BaseParameterResult]] = {}
     for parameter in result.base_parameters:
         if parameter.value is not None:
             groups.setdefault((parameter.kind, parameter.unit), []).append(parameter)
+    return groups
+
+
+def _figure(result: Result, reference: ReferenceValues | None) -> Figure | None:
+    """Values with their intervals: a panel per kind and unit, so that values of one panel can be compared."""
+    groups = _groups(result)
     if not groups:
         return None
     known = {} if reference is None else reference.values

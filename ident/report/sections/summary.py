@@ -1,4 +1,4 @@
-"""Verdict, checks and key figures."""
+"""The first screen: verdict, checks, and the torques, friction and parameters at a glance."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from ident.assessment.validation import LOW_SPEED, Fit
+from ident.report.figures.torque_figure import small_torque_figure
 from ident.report.section import ReportData, ReportSection, Tile
+from ident.report.sections.friction import small_friction_figure
+from ident.report.sections.parameters import small_parameter_figure
 from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
 from ident.result.schema import Result
 from ident.verdict.check import PURPOSE_WORDS
@@ -14,12 +17,34 @@ from ident.views.number_text import DASH, number, percent, whole
 
 
 def section(data: ReportData) -> ReportSection:
-    """Verdict, checks, key figures, errors of each joint."""
+    """What one looks at first, unfolded."""
     result = data.result
+    held_out, delivered = bool(data.validation), result.delivered
+    errors = result.fit
+    if held_out:
+        errors = result.validation if delivered is None else delivered.validation_all_samples
+    figures = [
+        (
+            f"Measured against predicted torque, {'held-out data' if held_out else 'data of the fit'}",
+            "torques-validation" if held_out else "torques-fit",
+            small_torque_figure("torques-glance", result, data.worst_first, data.validation or data.fit, errors),
+        ),
+        ("Friction over velocity", "friction", small_friction_figure("friction-glance", data)),
+    ]
     context = {
         "verdict": result.verdict,
         "acceptance": result.acceptance,
         "purpose_words": PURPOSE_WORDS,
+        "figures": [(title, anchor, figure) for title, anchor, figure in figures if figure is not None],
+        "parameters": small_parameter_figure("parameters-glance", data),
+    }
+    return ReportSection("Summary", "summary", "summary.html.j2", context, folded=False)
+
+
+def errors_section(data: ReportData) -> ReportSection:
+    """Key figures, and the errors of each joint."""
+    result = data.result
+    context = {
         "tiles": _tiles(result),
         "rows": [_row(result, joint) for joint in data.worst_first],
         "low_speed": LOW_SPEED,
@@ -29,7 +54,7 @@ def section(data: ReportData) -> ReportSection:
         "essential": result.essential,
         "method": result.method,
     }
-    return ReportSection("Summary", "summary", "summary.html.j2", context)
+    return ReportSection("Errors", "errors", "errors.html.j2", context)
 
 
 def _tiles(result: Result) -> list[Tile]:

@@ -148,6 +148,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
 @pytest.mark.parametrize("name", PAGES)
 def test_page(page: BrowserPage, written: Callable[[str], Path], tmp_path: Path, name: str) -> None:
     page.open(written(name), PHONE)
+    check_folding(page)
     drawn = page.evaluate("document.querySelectorAll('.plot .main-svg').length")
     assert drawn >= page.evaluate("document.querySelectorAll('.plot').length") > 0
     check_layout(page)
@@ -162,6 +163,28 @@ def test_page(page: BrowserPage, written: Callable[[str], Path], tmp_path: Path,
     if name == "identification":
         check_parameters_print(page)
     assert page.problems == []
+
+
+def check_folding(page: BrowserPage) -> None:
+    """What is folded is drawn when a link, or the button, unfolds it."""
+    anchor = page.evaluate("""(() => {
+      const folded = Array.from(document.querySelectorAll("details.part")).find((one) => one.querySelector(".plot"));
+      return folded && document.querySelector(`nav a[href="#${folded.id}"]`) ? folded.id : "";
+    })()""")
+    if anchor:
+        assert page.evaluate(f"document.querySelectorAll('#{anchor} .main-svg').length") == 0
+        page.evaluate(f"document.querySelector('nav a[href=\"#{anchor}\"]').click()")
+        page.evaluate(UNFOLDED)
+        assert page.evaluate(f"document.querySelectorAll('#{anchor} .main-svg').length") > 0
+    page.evaluate("document.querySelectorAll('details').forEach((one) => { one.open = true; })")
+    page.evaluate(UNFOLDED)
+
+
+# A toggle is told a moment after it.
+UNFOLDED = """(async () => {
+  for (let turn = 0; turn < 3; turn++) await new Promise(requestAnimationFrame);
+  while (document.documentElement.dataset.drawn === undefined) await new Promise(requestAnimationFrame);
+})()"""
 
 
 def check_layout(page: BrowserPage) -> None:

@@ -66,7 +66,7 @@ def test_every_parameter_and_joint_is_in_a_table(usual, three_joint):
 
 def test_links_lead_to_sections(usual):
     links = [attributes["href"] for tag, attributes in usual.elements if tag == "a"]
-    assert links == ["#figures", "#arm", "#joints", "#tool", "#clearances", "#forecast"]
+    assert links == ["#figures", "#arm", "#limits", "#joints", "#tool", "#clearances", "#forecast", "#design"]
     assert {str(link)[1:] for link in links} <= set(usual.ids())
     assert len(usual.ids()) == len(set(usual.ids()))
 
