@@ -16,12 +16,12 @@ from drivers.core.errors import UsageError
 
 Backend = Literal["plotly", "matplotlib"]
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7C828A")
-"""Of lines: palette of Okabe and Ito, distinguishable by colour-blind readers."""
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7C828A", "#8C564B", "#6A5ACD", "#66A61E")
+"""Of lines: the palette of Okabe and Ito, distinguishable by colour-blind readers, and three more."""
 
 _DASHES = {"solid": "-", "dash": "--", "dot": ":"}
 _STYLES = [{"color": colour, "dash": dash} for dash, colour in product(_DASHES, COLOURS)]
-"""Colours once with each dash, so that 21 lines differ."""
+"""Colours once with each dash, so that 30 lines differ."""
 
 _MARKERS = {"diamond": "D", "square": "s", "triangle-down": "v", "triangle-up": "^", "x-thin": "x", "cross": "+"}
 _ROW, _GAP, _TOP, _BOTTOM, _WIDTH = 170, 50, 60, 60, 1000

@@ -343,7 +343,7 @@ TERMS: tuple[Term, ...] = (
         lambda at: at.direction * at.maths.power(at.load, at.shape),
         lambda at: at.direction_slope * np.abs(at.load) ** at.shape,
         "friction by load",
-        "#E69F00",
+        "#8C564B",
         "square-cross",
         dry=True,
         needs="load",
@@ -369,7 +369,7 @@ TERMS: tuple[Term, ...] = (
         "Ft",
         "N·m·(s/rad)^½",
         "friction by speed's root",
-        "#CC79A7",
+        "#AA3377",
         "star",
         "temperature-dependent friction",
         (
@@ -380,14 +380,14 @@ TERMS: tuple[Term, ...] = (
         ),
     ),
     _temperature_term(
-        "temperature_slope", "Fts", "N·m·(s/rad)^½/K", "friction by temperature", "#009E73", "star-diamond"
+        "temperature_slope", "Fts", "N·m·(s/rad)^½/K", "friction by temperature", "#66A61E", "star-diamond"
     ),
     _temperature_term(
         "temperature_curvature",
         "Ftc",
         "N·m·(s/rad)^½",
         "friction by temperature, curved",
-        "#56B4E9",
+        "#6A5ACD",
         "hexagram",
     ),
 )

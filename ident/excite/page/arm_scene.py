@@ -25,8 +25,11 @@ from ident.report.figures.figures import ACCENT, MEASURED, PREDICTED, RESIDUAL, 
 from ident.report.figures.panels import ROOM, WIDE_ROOM, legend_rows
 from ident.report.figures.traces import packed
 
-FRAMES = 100
+FRAMES = 80
 """Frames of the animation at most."""
+
+NEAR, FAR = 0.95, 1.25
+"""Of the camera along x and y, so that the arm fills a window, and a phone."""
 
 _SCENE_HEIGHT, _NARROW_SCENE_HEIGHT = 640, 600
 _GRID_COLOUR = "#A9AEB5"
@@ -101,7 +104,7 @@ def arm_figure(robot_file: RobotFile, motion: Motion, shown: Shown) -> AnimatedF
     names = [str(trace["name"]) for trace in data]
     layout = base_layout(
         _SCENE_HEIGHT,
-        scene=_scene(low, high),
+        scene=_scene(low, high, NEAR),
         updatemenus=[_buttons(wait)],
         sliders=[_slider(moments.time)],
         margin={"l": 0, "r": 0, "t": 30 + legend_rows(names, WIDE_ROOM), "b": 90},
@@ -110,6 +113,7 @@ def arm_figure(robot_file: RobotFile, motion: Motion, shown: Shown) -> AnimatedF
     # On a phone the slider has a line of its own below the buttons, and a finger turns the arm.
     narrow = {
         "height": _NARROW_SCENE_HEIGHT,
+        "scene": _scene(low, high, FAR),
         "margin": {"l": 0, "r": 0, "t": 60 + legend_rows(names, ROOM), "b": 150},
         "sliders": [{**_slider(moments.time), "x": 0.04, "len": 0.9, "pad": {"t": 75}}],
         "dragmode": "orbit",
@@ -221,15 +225,19 @@ def _bounds(origins: FloatArray, path: FloatArray) -> tuple[FloatArray, FloatArr
     return low - room, high + room
 
 
-def _scene(low: FloatArray, high: FloatArray) -> dict[str, Any]:
+def _scene(low: FloatArray, high: FloatArray, distance: float) -> dict[str, Any]:
     def axis(index: int) -> dict[str, Any]:
         return {
             "title": {"text": f"{'xyz'[index]} [m]"}, "range": [float(low[index]), float(high[index])],
             "gridcolor": _GRID_COLOUR, "zerolinecolor": _GRID_COLOUR, "showbackground": False, "nticks": 6,
         }  # fmt: skip
 
-    camera = {"eye": {"x": 1.5, "y": 1.5, "z": 0.7}, "center": {"x": 0.0, "y": 0.0, "z": -0.12}}
-    return {"aspectmode": "data", "camera": camera, "xaxis": axis(0), "yaxis": axis(1), "zaxis": axis(2)}
+    return {"aspectmode": "data", "camera": _camera(distance), "xaxis": axis(0), "yaxis": axis(1), "zaxis": axis(2)}
+
+
+def _camera(distance: float) -> dict[str, Any]:
+    eye = {"x": distance, "y": distance, "z": 0.5 * distance}
+    return {"eye": eye, "center": {"x": 0.0, "y": 0.0, "z": -0.08}}
 
 
 def _buttons(wait: float) -> dict[str, Any]:

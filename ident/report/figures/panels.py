@@ -24,6 +24,9 @@ HEADING, EDGE, TICKS, TITLE = 24, 6, 22, 18
 WIDE_ROOM, ROOM = 700, 300
 """For a legend in a window, beside the tool bar, and on a phone [px]."""
 
+UNDER_BAR = 26
+"""Height of the tool bar [px]."""
+
 LEGEND_MARK, LEGEND_LETTER, LEGEND_ROW = 50, 7, 19
 """Widths of an entry's line and of a letter, height of a row [px]."""
 
@@ -81,9 +84,12 @@ def panel_figure(
     shapes = [shape for k, panel in enumerate(panels, 1) for shape in _lines(panel, k)]
     entries = [str(trace.get("name", "")) for trace in data if trace.get("showlegend", layout.get("showlegend", True))]
     top, narrow_top = (least + legend_rows(entries, room) for least, room in ((TOP, WIDE_ROOM), (NARROW_TOP, ROOM)))
+    top += UNDER_BAR if legend_rows(entries, WIDE_ROOM) else 0
     wide, height = _arranged(rows, top, linked, stacked=False)
     below, narrow_height = _arranged([[panel] for panel in panels], narrow_top, linked, stacked=True)
     common = base_layout(height, shapes=shapes, **wide, **layout)
+    if legend_rows(entries, WIDE_ROOM):  # it would reach below the tool bar, so it stands under it
+        common["legend"] = {**common["legend"], "y": 1 - UNDER_BAR / height}
     narrow = narrow_layout(narrow_height)
     return Figure(
         anchor,
