@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from daq.importers.bag_commands import command_topic, read_commands
 from daq.importers.choices import ImportChoices
 from daq.importers.matching import JointMatch, match_joints, shares_joints
 from daq.importers.table import ForeignTable, Note, QuantityColumns, check_count, listed, parsing, printable
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import ImportFileError, UsageError
+from drivers.core.errors import ImportFileError
 from drivers.core.files import BAG_FILE, BAG_METADATA, check_input
 from drivers.core.reading_process import Progress
 from drivers.core.text import did_you_mean
@@ -64,15 +65,15 @@ def read_rosbag(
     Args:
         path: a bag's folder, its metadata.yaml, or a bare .db3 or .mcap file.
         joints: the robot's joint names; they are matched message by message, others are left out.
-        choices: `topic` where several carry JointState; `by_order` where the names differ.
+        choices: `topic` where several carry JointState; `columns` name the topic of the commands; `by_order` where the
+            names differ.
         progress: called with how many messages were read.
 
     Raises:
-        UsageError: `columns` are given; a bag has none.
+        UsageError: `columns` are something else than commands; a bag has none.
         ImportFileError: damaged, no such topic, a joint missing, a message whose fields differ in length.
     """
-    if choices.columns:
-        raise UsageError("a bag has no columns to map", where="--column", hint="choose a topic with --topic")
+    told = command_topic(choices.columns, joints)
     if path.name == METADATA:
         path = path.parent
     where = str(path)
@@ -82,7 +83,8 @@ def read_rosbag(
     if path.is_dir() and (path / METADATA).exists():
         check_input(path / METADATA, BAG_METADATA, ImportFileError)
     files = _openable(path, notes)
-    read = [_read_messages(file, choices.topic, where, progress) for file in files]
+    beside = "" if told is None else told[0]
+    read = [_read_messages(file, choices.topic, beside, where, progress) for file in files]
     topics = sorted({messages.topic for messages in read})
     if len(topics) > 1:
         raise _several(topics, where)
@@ -106,7 +108,17 @@ def read_rosbag(
         values = _gather(messages, field, selected, matches, place)
         if values is not None:
             quantities[field] = QuantityColumns(values, labels, ("",) * len(joints), labels)
-    return ForeignTable("ROS 2 bag", seconds, "s", quantities, tuple(notes))
+    table = ForeignTable("ROS 2 bag", seconds, "s", quantities, tuple(notes))
+    if told is None:
+        return table
+    commands = read_commands(files, *told, joints, by_order=choices.by_order, where=where)
+    return replace(
+        table,
+        quantities={**quantities, **commands.quantities},
+        notes=(*notes, *commands.notes),
+        target_time=(commands.stamps - stamps[0]) / SECOND,
+        target_time_unit="s",
+    )
 
 
 def _openable(path: Path, notes: list[Note]) -> tuple[Path, ...]:
@@ -133,7 +145,7 @@ def _openable(path: Path, notes: list[Note]) -> tuple[Path, ...]:
     return (path,)
 
 
-def _read_messages(path: Path, topic: str | None, where: str, progress: Progress) -> _Messages:
+def _read_messages(path: Path, topic: str | None, beside: str, where: str, progress: Progress) -> _Messages:
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 
@@ -144,7 +156,7 @@ def _read_messages(path: Path, topic: str | None, where: str, progress: Progress
     values_read = 0
     fields: dict[str, list[FloatArray]] = {field: [] for field in _FIELDS}
     with parsing(path, "a ROS 2 bag"), Reader(path) as reader:
-        connections = _chosen(reader.connections, topic, where)
+        connections = _chosen([one for one in reader.connections if one.topic != beside], topic, where)
         for _, stamp, raw in reader.messages(connections):
             message: Any = typestore.deserialize_cdr(raw, JOINT_STATE)
             values_read += sum(len(getattr(message, field)) for field in _FIELDS)

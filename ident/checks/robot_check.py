@@ -139,6 +139,12 @@ def _gain_warnings(robot_file: RobotFile) -> list[str]:
         warnings.append(
             f"the drive gain of {', '.join(unknown)} is unknown: recorded current cannot be turned into torque"
         )
+    unsigned = [drive.joint for drive in robot.drives if drive.signal == "magnitude"]
+    if unsigned:
+        warnings.append(
+            f"the signal of {', '.join(unsigned)} is a magnitude, which is no torque: identify a servo model from "
+            "commands and encoder (--method servo)"
+        )
     unsure = [drive.joint for drive in robot.drives if drive.gain is not None and drive.gain_std is None]
     if unsure:
         warnings.append(f"the drive gain of {', '.join(unsure)} has no standard deviation (gain_std)")
@@ -147,7 +153,7 @@ def _gain_warnings(robot_file: RobotFile) -> list[str]:
 
 def _needs_gain(robot_file: RobotFile, joint: str) -> bool:
     drive = robot_file.robot.drive(joint)
-    return drive.gain is None and drive.signal != "torque"
+    return drive.gain is None and drive.signal not in ("torque", "magnitude")
 
 
 def budget_object(budget: Budget) -> dict[str, float]:

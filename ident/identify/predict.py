@@ -119,7 +119,7 @@ def _signals(recording: Recording, robot_file: RobotFile) -> JointSignals:
     robot = robot_file.robot
     stream = recording.streams.get(JOINTS_STREAM)
     signals = {"torque", "current", *(robot.drive(name).signal for name in robot.joint_names)}
-    if stream is None or signals & set(stream.channels):
+    if stream is None or any(name in signals and not channel.magnitude for name, channel in stream.channels.items()):
         return read_joint_signals(recording, robot)
     positions = joint_positions(recording, robot)
     nothing = np.zeros_like(positions.position)

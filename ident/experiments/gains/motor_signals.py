@@ -24,9 +24,10 @@ def signal_of(robot: Robot) -> str:
             hint="all of them must give current, or all voltage",
         )
     signal = signals.pop()
-    if signal == "torque":
+    if signal in ("torque", "magnitude"):
+        what = "torque" if signal == "torque" else "a magnitude without its sign"
         raise DataError(
-            "the drives give torque, which has no gain to be identified",
+            f"the drives give {what}, which has no gain to be identified",
             where=f"{robot.name}: drives",
             hint="record motor currents and say 'signal: current'",
         )

@@ -183,3 +183,61 @@ def test_names_say_a_magnitude_where_the_robot_file_does_not(tmp_path: Path, rob
     torque = recording.streams[JOINTS_STREAM].channels["torque"]
     assert torque.magnitude
     assert torque.columns == NAMES
+
+
+def write_bag(folder: Path, kind: str, measured: Arrays, told: Arrays, order: tuple[int, ...] = (0, 1, 2)) -> Path:
+    """Joint states with stamps, and commands of one of three types, sent when `command_time` says."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = {name.split("/")[-1]: kind for name, kind in store.types.items()}
+
+    def header(time: float) -> object:
+        seconds, rest = divmod(round(time * 1e9), 10**9)
+        return types["Header"](stamp=types["Time"](sec=seconds, nanosec=rest), frame_id="")
+
+    names, empty = [NAMES[place] for place in order], np.zeros(0)
+
+    def command(time: float, values: np.ndarray) -> object:
+        values = values[list(order)]
+        if kind == "Float64MultiArray":
+            return types[kind](layout=types["MultiArrayLayout"](dim=[], data_offset=0), data=values)
+        if kind == "JointState":
+            return types[kind](header=header(time), name=names, position=values, velocity=empty, effort=empty)
+        span = types["Duration"](sec=0, nanosec=0)
+        point = types["JointTrajectoryPoint"](
+            positions=values, velocities=empty, accelerations=empty, effort=empty, time_from_start=span
+        )
+        return types[kind](header=header(time), joint_names=names, points=[point])
+
+    state = types["JointState"]
+    sent = [
+        (time, "/joint_states", state(header=header(time), name=list(NAMES), position=q, velocity=empty, effort=empty))
+        for time, q in zip(measured["t"] + 5.0, measured["q"], strict=True)
+    ]
+    sent += [
+        (time, "/told", command(time, values))
+        for time, values in zip(told["command_time"] + 5.0, told["command"], strict=True)
+    ]
+    with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        topics = {"/joint_states": state.__msgtype__, "/told": types[kind].__msgtype__}
+        opened = {name: writer.add_connection(name, type_name, typestore=store) for name, type_name in topics.items()}
+        for time, topic, message in sorted(sent, key=lambda one: one[0]):
+            writer.write(opened[topic], round(time * 1e9), store.serialize_cdr(message, topics[topic]))
+    return folder / "bag"
+
+
+@pytest.mark.parametrize("kind", ["JointState", "JointTrajectory", "Float64MultiArray"])
+def test_a_bag_s_commands_come_from_the_topic_that_is_named(tmp_path: Path, robot: RobotFile, kind: str) -> None:
+    measured, told = servo_samples()
+    path = write_bag(tmp_path, kind, measured, told, (0, 1, 2) if kind == "Float64MultiArray" else (2, 0, 1))
+    recording = import_file(path, robot, ImportChoices(columns={"target_position": "/told"}))
+    stream = recording.streams[COMMANDS_STREAM]
+    np.testing.assert_allclose(stream.time, told["command_time"], atol=1e-9)
+    np.testing.assert_array_equal(stream.channels["target_position"].values, told["command"])
+    with pytest.raises(ImportFileError, match=r"is not in the bag; .*: /joint_states, /told"):
+        import_file(path, robot, ImportChoices(columns={"target_position": "/tolled"}, topic="/joint_states"))
+    if kind != "Float64MultiArray":
+        with pytest.raises(ImportFileError, match="0 values of target_velocity for 3 joints"):
+            import_file(path, robot, ImportChoices(columns={"target_velocity": "/told"}))
