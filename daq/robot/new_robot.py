@@ -52,7 +52,8 @@ joints:   # limits, in the order of all arrays: motions are planned and supervis
 _REST = """\
 drives:   # joint torque = gain · signal, joint side, sign included
   # gain [N·m/A or N·m/V]: torque constant times gear ratio; gain_std: its standard deviation in the same unit.
-  # Where the arm gives joint torque, write instead: {{joint: {first}, signal: torque}}
+  # Where the arm gives joint torque, write instead: {{joint: {first}, signal: torque}}; where its current has no sign,
+  # {{joint: {first}, signal: magnitude}}.
   # inertia: false where torque is sensed behind the gearbox, so that the motor's inertia is not in it.
 {drives}
 
