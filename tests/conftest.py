@@ -5,11 +5,13 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from _pytest.assertion import rewrite
 from hypothesis import HealthCheck, settings
 from hypothesis.database import DirectoryBasedExampleDatabase
 from hypothesis.internal.conjecture import providers
@@ -42,6 +44,20 @@ def pytest_configure(config: pytest.Config) -> None:
     """Keep Hypothesis from drawing constants of the modules imported so far: examples would depend on earlier tests."""
     if config.getoption("--hypothesis-profile") != "soak":
         providers._get_local_constants = lambda: providers._local_constants
+
+
+def pytest_collection(session: pytest.Session) -> None:
+    """In a fresh clone, let the second worker begin with the last module, while the first one collects.
+
+    To rewrite asserts takes half of a first collection; what a worker has written the other one only reads.
+    """
+    if os.environ.get("PYTEST_XDIST_WORKER") != "gw1" or sys.dont_write_bytecode:
+        return
+    for path in sorted(REPOSITORY.glob("tests/**/test_*.py"), reverse=True):
+        folder = rewrite.get_cache_dir(path)
+        if not (cached := folder / f"{path.stem}{rewrite.PYC_TAIL}").exists() and rewrite.try_makedirs(folder):
+            source, code = rewrite._rewrite_test(path, session.config)
+            rewrite._write_pyc(session.config.stash[rewrite.assertstate_key], code, source, cached)
 
 
 def pytest_collection_finish() -> None:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import can
@@ -38,6 +39,8 @@ from sim_drivers.plant.plant import Plant
 RADIANS = 2 * np.pi / 524288
 """Of a count."""
 CHANNEL = "recorded"
+NODES = (1, 2, 3)
+"""Of the drives; six take twice as long to simulate."""
 LOOP_PERIOD = 2e-3
 """Of the drives' control loops [s], in which the plant's controller takes their references; half as often as usual."""
 
@@ -184,10 +187,12 @@ class Run:
 
 
 @functools.cache
-def _robot_on_virtual_bus(keys: str, serials: bool, coupling: str) -> RobotFile:
-    """A UR5e whose canopen402 connection is on a virtual bus."""
+def _robot_on_virtual_bus(keys: str, serials: bool, coupling: str, drives: int) -> RobotFile:
+    """The first joints of a UR5e, whose canopen402 connection is on a virtual bus."""
     arm = yaml.safe_load(load_robot("ur5e").text)
     arm["model"]["coupling"] = yaml.safe_load(coupling) or {}
+    del arm["poses"]
+    arm = _without(arm, {joint["name"] for joint in arm["joints"][drives:]})
     place = {"interface": "virtual", "channel": CHANNEL, "options": {}, "sync_rate": 100}
     arm["connections"] = {"canopen": arm["connections"]["canopen"] | place | (yaml.safe_load(keys) or {})}
     for node in arm["connections"]["canopen"]["nodes"].values() if serials else ():
@@ -195,14 +200,26 @@ def _robot_on_virtual_bus(keys: str, serials: bool, coupling: str) -> RobotFile:
     return parse_robot(yaml.safe_dump(arm, sort_keys=False), where="arm", folder=None)
 
 
+def _without(content: Any, names: set[str]) -> Any:
+    """The same content of a robot file without some joints."""
+    if isinstance(content, dict):
+        return {key: _without(value, names) for key, value in content.items() if key not in names}
+    if isinstance(content, list):
+        entries = (entry if isinstance(entry, dict) else {} for entry in content)
+        kept = [not names & {str(entry.get(key)) for key in ("joint", "name")} for entry in entries]
+        return [_without(entry, names) for entry, keep in zip(content, kept, strict=True) if keep]
+    return content
+
+
 @functools.cache
 def swing() -> Motion:
     """A second of a gentle motion around the simulated arm's first pose."""
-    sines = {"amplitude": [[0.1]] * 6, "frequency": [[1.5]] * 6, "offset": [0.0] * 6}
+    count = len(NODES)
+    sines = {"amplitude": [[0.1]] * count, "frequency": [[1.5]] * count, "offset": [0.0] * count}
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "swing.yaml"
         path.write_text(yaml.safe_dump({"robot": "ur5e", "kind": "sines", "duration": 1.0, "ramp": 0.5, **sines}))
-        return load_trajectory(path, load_robot("ur5e").robot).motion
+        return load_trajectory(path, _robot_on_virtual_bus("", False, "", count).robot).motion
 
 
 @contextmanager
@@ -213,8 +230,9 @@ def arm_on_bus(
     serials: bool = False,
     opened: bool = True,
     coupling: str = "",
+    drives: int = len(NODES),
 ) -> Iterator[Bench]:
-    """A simulated UR5e and its driver.
+    """The first joints of a simulated UR5e and their driver.
 
     Args:
         keys: further ones of the connection, as YAML.
@@ -222,9 +240,10 @@ def arm_on_bus(
         serials: whether the robot file has the drives' serial numbers.
         opened: whether the driver is.
         coupling: of the motors, as YAML.
+        drives: how many.
     """
     with simulated_time() as clock, patch.object(network, "LOOP_PERIOD", LOOP_PERIOD):
-        robot_file = _robot_on_virtual_bus(keys, serials, coupling)
+        robot_file = _robot_on_virtual_bus(keys, serials, coupling, drives)
         robot = robot_file.robot
         settings = parse_settings(dict(robot.connections["canopen"].model_extra or {}), robot.joint_names)
         plant = Plant(robot_file)

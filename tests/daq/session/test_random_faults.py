@@ -144,7 +144,7 @@ def test_any_faults_of_an_arm_with_a_signal_table_end_at_rest_and_with_a_reason(
 @settings(max_examples=1)
 @given(faults("CANopen drives"))
 def test_any_faults_of_cia402_drives_end_at_rest_and_with_a_reason(drawn: Faults) -> None:
-    with tempfile.TemporaryDirectory() as folder, arm_on_bus() as bench:
+    with tempfile.TemporaryDirectory() as folder, arm_on_bus(drives=6) as bench:
         commands, begun = Commands(bench.driver, bench.clock), bench.clock.now()
         for moment, line in drawn:
             bench.at(moment, line)
