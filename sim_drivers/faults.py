@@ -39,6 +39,11 @@ class ProtectiveStop:
 
 
 @dataclass(frozen=True)
+class LocalControl:
+    """The pendant takes the controller out of remote control: it takes no programs or stops from outside any more."""
+
+
+@dataclass(frozen=True)
 class Heat:
     """Warm the joint of index `joint` up by `celsius` [K]."""
 
@@ -157,6 +162,7 @@ Fault = (
     | Freeze
     | Cut
     | ProtectiveStop
+    | LocalControl
     | Heat
     | BlockJoint
     | Stick
@@ -271,6 +277,7 @@ FAULTS = (
     FaultEntry("freeze", (SECONDS,), Freeze, ARMS),
     FaultEntry("cut", (), Cut, ("UR controller",)),
     FaultEntry("protective-stop", (), ProtectiveStop, ("UR controller",)),
+    FaultEntry("local-control", (), LocalControl, ("UR controller",)),
     FaultEntry("mute", (IDENTIFIER, SECONDS), Mute, ("signal-table arm",)),
     FaultEntry("clock-jump", (JUMP,), ClockJump, ("UR controller", "signal-table arm")),
     FaultEntry("power-cycle", (JOINT,), PowerCycle, ("CANopen drives",)),

@@ -12,6 +12,7 @@ import numpy as np
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from daq.session.stuck_channels import MOST_TOGETHER, TOGETHER, WATCHED, JointSpeed, StuckChannel
+from daq.session.velocity_unit import VelocityUnit
 from drivers.core.arrays import FloatArray, IndexArray
 from drivers.core.units import joint_unit
 from drivers.gains import torque_at_joints
@@ -30,6 +31,7 @@ VALUE_AGES = {"position": (0.0, 1.0), "velocity": (0.0, 1.0), "torque": (0.0, 1.
 """Of each quantity with a limit, how old [s] the newest value may be at least, and where its rate is unknown."""
 
 
+OTHER_VELOCITY = "velocity channel"
 CURES = {
     "position": "keep the motion off the joint's limits, or correct them or the joint's zero in the robot file",
     "velocity": "lower --speed-scale, or correct the limit in the robot file",
@@ -38,6 +40,7 @@ CURES = {
     "tracking error": "is the arm blocked, its brake closed, or slower than this motion? then lower --speed-scale",
     "stale data": "look at cables and power; where this computer stalled, end other programs or use --realtime",
     "stuck": "look at the sensor, its cable and its drive",
+    OTHER_VELOCITY: "correct the unit, scale or sign of the velocity: in the drive, or in the connection's signals",
 }
 """What passed a limit, or was stuck → what to do about it."""
 
@@ -47,7 +50,7 @@ class Breach:
     """A limit that was passed.
 
     Attributes:
-        what: position, velocity, torque, temperature, tracking error, stale data, or what is stuck.
+        what: position, velocity, torque, temperature, tracking error, stale data, what is stuck, or `OTHER_VELOCITY`.
         joint: name of the joint, or of the stream for stale data.
         value, limit: in `unit`.
         time: of the source's clock [s]; nan where there is none.
@@ -71,6 +74,8 @@ class Breach:
         return CURES["stuck" if self.what.startswith("stuck") else self.what]
 
     def __str__(self) -> str:
+        if self.what == OTHER_VELOCITY:
+            return f"{self.what} of {self.joint}: it says {self.value:.3g} {self.unit}, but {self.cause}"
         said = f"{self.what} of {self.joint}: {self.value:.4g} {self.unit} passes {self.limit:.4g} {self.unit}"
         return f"{said} ({self.cause})" if self.cause else said
 
@@ -180,6 +185,7 @@ class Supervisor:
         self._unseen: dict[str, tuple[float, list[Batch]]] = {}
         self._stuck: dict[tuple[str, str], StuckChannel] = {}
         self._speed = JointSpeed(len(limits.joints))
+        self._velocity_units: dict[str, VelocityUnit] = {}
 
     def commanded(self, host_time: float, position: FloatArray) -> None:
         """Note a commanded position (n,) and when it was sent [s, host clock]."""
@@ -219,7 +225,9 @@ class Supervisor:
         return min(breaches, key=lambda entry: entry[0])[1] if breaches else None
 
     def stuck(self, batch: Batch) -> list[Breach]:
-        """The channels of a stream that repeat bit for bit and should not; for every batch, in order.
+        """The channels of a stream that repeat bit for bit and should not, or are not what they are called.
+
+        To be called for every batch, in order.
 
         It is looked at every `TOGETHER`, which costs less than looking at every sample.
         """
@@ -237,6 +245,8 @@ class Supervisor:
             time, whole = float(batch.time[-1]), len(joints) == len(self._limits.joints)
             if quantity == "position" and whole:
                 self._speed.add(time, values[-1])
+            if quantity == "velocity" and whole:
+                found += self._other_velocities(batch, values)
             way, cause = self._speed.position, "while the joint moves"
             if quantity == "temperature":
                 way, cause = np.full(len(self._limits.joints), time), "although it changed all the time before"
@@ -257,6 +267,17 @@ class Supervisor:
                 said = f"{values[-1, column]:.6g} {shown} repeats bit for bit {cause}"
                 supervised = self._depends_on(batch, quantity, joint)
                 found.append(Breach(f"stuck {quantity}", name, *channel.stood(column), time, unit, said, supervised))
+        return found
+
+    def _other_velocities(self, batch: Batch, values: FloatArray) -> list[Breach]:
+        """The joints whose velocity contradicts their positions."""
+        unit = self._velocity_units.setdefault(batch.stream, VelocityUnit(len(self._limits.joints)))
+        found = []
+        for joint in unit.add(values, self._speed.speed).tolist():
+            named = joint_unit("rad/s", sliding=self._limits.sliding[joint])
+            name, said, moved = self._limits.joints[joint], unit.mean[joint], unit.speed[joint]
+            cause = f"its position moves by {moved:.3g} {named}: another unit, scale or sign"
+            found.append(Breach(OTHER_VELOCITY, name, said, moved, float(batch.time[-1]), named, cause))
         return found
 
     def _aimed_at(self, batch: Batch) -> FloatArray:

@@ -102,6 +102,7 @@ class Controller:
 
     Attributes:
         lengths: upper arm, forearm, shoulder offset, wrist offset [m], as its configuration tells; 0 for unknown.
+        remote_control: whether programs and stops from outside are obeyed.
 
     Raises:
         UsageError: the arm has not six joints.
@@ -125,6 +126,7 @@ class Controller:
         accelerations = [joint.acceleration for joint in joints] if joints else [ACCELERATION_LIMIT] * count
         self.acceleration_limit = np.array(accelerations)
         self.lengths = [0.0] * 4
+        self.remote_control = True
         known = input_variables(version) | output_variables(version)
         self.values: dict[str, Value] = {name: zero(kind) for name, kind in known.items()}
         self.reference = Reference.at_rest(np.asarray(measured.target_position, dtype=np.float64))

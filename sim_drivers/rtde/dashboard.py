@@ -48,7 +48,7 @@ class DashboardSession:
             case "get serial number":
                 return SERIAL_NUMBER
             case "is in remote control":
-                return "true"
+                return "true" if controller.remote_control else "false"
             case "robotmode":
                 return "Robotmode: RUNNING"
             case "safetymode":
@@ -59,6 +59,8 @@ class DashboardSession:
                 return f"Program running: {'true' if playing else 'false'}"
             case "programstate":
                 return f"{'PLAYING' if playing else 'STOPPED'} rtde_control"
+            case "stop" | "power on" | "brake release" if not controller.remote_control:
+                return "Command is not allowed due to safety reasons"
             case "stop":
                 controller.stop_program()
                 return "Stopped"

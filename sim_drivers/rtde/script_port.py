@@ -55,5 +55,10 @@ class ScriptSession:
         if name != CONTROL_PROGRAM:
             self._controller.messages.append(f"the program '{name}' was not run: URScript is not interpreted")
             return
+        if not self._controller.remote_control:
+            self._controller.messages.append(
+                f"the program '{name}' was not run: the controller is not in remote control"
+            )
+            return
         offset = _OFFSET.search(body)
         self._controller.start_program(ControlScript(24 if offset is not None and offset[1] == "24" else 0))

@@ -27,6 +27,7 @@ from sim_drivers.faults import (
     Fault,
     Freeze,
     Heat,
+    LocalControl,
     ProtectiveStop,
     Refuse,
     Stick,
@@ -265,6 +266,8 @@ class RtdeServer(FaultyServer):
                         connection.close()
             case ProtectiveStop():
                 self.controller.protective_stop("on request")
+            case LocalControl():
+                self.controller.remote_control = False
             case Heat(joint, celsius):
                 self.controller.arm.heat(joint, celsius)
             case BlockJoint(joint):

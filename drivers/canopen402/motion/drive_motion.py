@@ -39,6 +39,8 @@ from drivers.core.errors import ConnectionLostError, DriverStateError, MotionRef
 
 STOP_LIMIT = 3.0
 """How long [s] the drives may go on without coming to rest or slowing down: then their voltage is switched off."""
+STANDING = 0.02
+"""How long [s] a stopped drive's position must stay where it is."""
 SLOWER = 0.9
 """Share of the speed before, from which on drives are slowing down."""
 OFF_LIMIT = 0.3
@@ -120,6 +122,7 @@ class DriveMotion:
         self._longest_stall = (
             STALL_LIMIT if mode == MODE_PROFILE_POSITION else min((BRIDGED + 0.5) * period, STALL_LIMIT)
         )
+        self._stood: list[tuple[float, float]] = []
         self._left: str | None = None
         self._dropped_out: int | None = None
 
@@ -235,6 +238,7 @@ class DriveMotion:
         if self._phase == "idle":
             return []
         self._phase = "stopping"
+        self._stood = [(math.inf, math.inf)] * len(self._ids)
         unconfirmed = self._send_until(sync_runs, self._at_rest, STOP_LIMIT)
         moving = [index for index in unconfirmed if self._speed(index) > 1.0]
         self._controlword = DISABLE_VOLTAGE
@@ -287,7 +291,15 @@ class DriveMotion:
         frame = self._latest.get(TPDO2 + self._ids[index])
         if frame is None or frame[0] <= asked or len(frame[2]) < _SPEED_BYTES:
             return False
-        return self._speed(index) <= 1.0
+        return self._speed(index) <= 1.0 and self._stands(index, heard)
+
+    def _stands(self, index: int, heard: Heard) -> bool:
+        """Whether a drive's position has stayed for `STANDING`: its velocity may have another unit than counts/s."""
+        since, position = self._stood[index]
+        if abs(heard.position - position) <= self._standstill[index] * STANDING:
+            return heard.time - since >= STANDING
+        self._stood[index] = heard.time, heard.position
+        return False
 
     def _is_off(self, index: int, asked: float) -> bool:
         heard = self.heard(index)

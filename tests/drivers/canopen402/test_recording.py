@@ -391,6 +391,19 @@ def test_limits_looser_than_the_drives_own_are_named_before_a_motion() -> None:
         assert before_a_motion(robot, bench.driver)[3].startswith("a stop slows down less than")
 
 
+def test_drives_whose_velocity_has_another_unit_stop_and_are_switched_off_at_rest(tmp_path: Path) -> None:
+    with arm_on_bus(opened=False) as bench:
+        for drive in bench.server.network.drives:  # tenths of a revolution per minute, and not counts per second
+            velocity = drive.objects.reader(0x606C, 0)
+            drive.objects.live(0x606C, 0, lambda velocity=velocity: round(velocity() * 600.0 / 524288))
+            drive.objects.set(0x605A, 0, 6)  # stays in quick stop until it is switched off
+        bench.driver.open()
+        run = bench.record(tmp_path, motion=swing())
+        assert_stopped(bench, run, "velocity channel of shoulder_pan_joint: it says ")
+        last = [max(index for index, row in enumerate(bench.measured) if row[joint].enabled) for joint in range(6)]
+        assert all(abs(bench.measured[index][joint].feedback.velocity) < 0.02 for joint, index in enumerate(last))
+
+
 def test_a_max_torque_that_does_not_carry_the_arm_stops_the_motion(tmp_path: Path) -> None:
     with arm_on_bus() as bench:
         shoulder, torques = bench.server.network.drives[1], []

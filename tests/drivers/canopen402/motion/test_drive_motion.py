@@ -10,7 +10,7 @@ from canopen_bench import RATE, READ, Bench, bench
 from scripted_drives import FRAME_TIME, RAMP, ScriptedDrive
 
 from drivers.can.receiver import POLL
-from drivers.canopen402.motion.drive_motion import OFF_LIMIT
+from drivers.canopen402.motion.drive_motion import OFF_LIMIT, STANDING
 from drivers.canopen402.motion.sdo_stop import PATIENCE, REPEAT
 from drivers.core.errors import ConnectionLostError, DriverStateError, MotionRefusedError
 
@@ -162,8 +162,9 @@ def test_stop_is_a_quick_stop_until_rest_and_then_off(stays: bool) -> None:
         one.enable()
         begun = one.clock.now()
         one.driver.stop()
-        # The next SYNC applies the quick stop, another one tells of the rest, one more of the voltage.
-        assert RAMP < one.clock.now() - begun <= RAMP + 3 / RATE + POLL
+        # The next SYNC applies the quick stop, another one tells of the rest, those within `STANDING` and the next one
+        # that the position stays, one more of the voltage.
+        assert RAMP + STANDING < one.clock.now() - begun <= RAMP + STANDING + 4 / RATE + POLL
         for drive in one.drives:
             assert drive.controlwords == [0x00, 0x06, 0x07, 0x0F, 0x02, 0x00]
             assert drive.states == [*ENABLING, "quick stop", "disabled"]
