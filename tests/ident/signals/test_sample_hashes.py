@@ -72,3 +72,11 @@ def test_samples_that_repeat_or_lack_a_value_do_not_count() -> None:
     position[10:20], torque[10:20] = position[10], torque[10]
     position[30] = np.nan
     assert len(sample_hashes(position, torque)) == 100 - 9 - 1
+
+
+def test_values_next_to_nothing_and_huge_ones_are_hashed() -> None:
+    position, torque = recorded(1, samples=100)
+    position[3:6] *= 1e-320
+    torque[3:6] *= 1e305
+    with np.errstate(all="raise"):
+        assert len(sample_hashes(position, torque)) >= 98
