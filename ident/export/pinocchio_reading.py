@@ -78,6 +78,8 @@ class _Tree:
 
     def __init__(self, arm: ExportedArm, model: Any, damping: FloatArray, friction: FloatArray) -> None:
         self.arm, self.model, self.data = arm, model, model.createData()
+        self._braked = model.copy()
+        self._braked_data = self._braked.createData()
         self.joints = [model.joints[model.getJointId(name)] for name in arm.model.link_names]
         self.place = [joint.idx_v for joint in self.joints]
         self.damping, self.friction = np.zeros(model.nv), np.zeros(model.nv)
@@ -113,10 +115,10 @@ class _Tree:
         """One step of the semi-implicit Euler method, implicit in friction, which stiff joints need."""
         import pinocchio as pin
 
-        inertia = self.inertia(q)
+        # (M + h·B)·v⁺ = M·v + h·(τ − bias), solved as the forward dynamics of an arm with h·B more armature.
         braking = self.damping + self.friction / np.maximum(np.abs(v), SLOW)
-        bias = pin.nonLinearEffects(self.model, self.data, q, v)
-        moved = np.linalg.solve(inertia + duration * np.diag(braking), inertia @ v + duration * (torque - bias))
+        self._braked.armature = self.model.armature + duration * braking
+        moved = v + duration * pin.aba(self._braked, self._braked_data, q, v, torque - braking * v)
         return pin.integrate(self.model, q, duration * moved), moved
 
 
