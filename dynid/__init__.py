@@ -19,7 +19,10 @@ arguments, units, errors and an example; docs/python.md goes through the tasks. 
 
 from __future__ import annotations
 
+import os
+import sys
 from importlib import import_module
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -105,6 +108,27 @@ _HOMES = {
     "sim_drivers.synthetic.measurement": ("simulate",),
 }
 """Module → its public names. Type checkers read the imports above, which a test holds against this table."""
+
+
+def _refuse_hidden_packages() -> None:
+    """Refuse to work with another package of the same name as one of ours, such as a folder beside the user's script.
+
+    Raises:
+        ImportError: names the package and the path that hides it.
+    """
+    home = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+    for name in ("drivers", "daq", "ident", "sim_drivers"):
+        module = sys.modules.get(name)
+        spec = find_spec(name) if module is None else module.__spec__
+        place = None if spec is None else spec.origin
+        if place is not None and os.path.dirname(os.path.dirname(os.path.abspath(place))) != home:
+            raise ImportError(
+                f"dynid's own package '{name}' is hidden by {os.path.abspath(place)}: rename that folder, "
+                "or run your script from another one"
+            )
+
+
+_refuse_hidden_packages()
 
 _MODULE_OF = {name: module for module, names in _HOMES.items() for name in names}
 

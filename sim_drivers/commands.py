@@ -8,7 +8,7 @@ import typer
 
 from daq.commands.completion import COMPLETIONS
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON
+from daq.commands.options import FORCE, JSON, VERBOSE
 
 app = CommandApp("Simulate")
 
@@ -19,6 +19,7 @@ def demo(
     robot: str = typer.Option("ur5e", "--robot", help="UR arm: built-in, or a robot file with a truth section."),
     duration: float = typer.Option(30.0, "--duration", help="Length of the identification motion [s]."),
     seed: int = typer.Option(1, "--seed", help="Seed of the motion and the noise."),
+    verbose: bool = VERBOSE,
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
@@ -31,7 +32,7 @@ def demo(
 
     with progress_line(quiet=as_json) as progress:
         shown = run_demo(out, robot, duration, seed, overwrite=force, progress=progress)
-    print_demo(shown, as_json)
+    print_demo(shown, as_json, verbose=verbose)
 
 
 @app.command("sim")

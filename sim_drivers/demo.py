@@ -17,6 +17,8 @@ from daq.recording.reader import read_recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError, WorkError
+from drivers.rtde.motion import require_ur_rtde
+from ident.commands.print_result import print_result
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior
@@ -107,6 +109,7 @@ def run_demo(
 
     Raises:
         RobotFileError: the robot file has no truth.
+        DriverStateError: ur_rtde is not installed.
         UsageError: no RTDE connection, a duration that is too short, or a folder that is a file.
         WorkError: a recording stopped before its end.
     """
@@ -118,6 +121,7 @@ def run_demo(
         check_output_folder(folder, RECORDINGS, robot_file.files, overwrite=overwrite)
     if not any(connection.driver == "rtde" for connection in robot_file.robot.connections.values()):
         raise UsageError(f"{robot} has no RTDE connection", hint="the demonstration works with ur5e, ur10 and ur10e")
+    require_ur_rtde("dynid demo")
     model = build_model(robot_file)
     base = base_parameters(model)
     truth = base.projection @ truth_vector(robot_file)
@@ -190,8 +194,8 @@ def _excitation(robot_file: RobotFile, choices: DesignChoices, seed: int) -> str
     return dump_trajectory(designed.family.trajectory(designed.variables, robot_file.robot.name, comment))
 
 
-def print_demo(demo: Demo, as_json: bool) -> None:
-    """Truth, estimate and error of every base parameter, and where the report is."""
+def print_demo(demo: Demo, as_json: bool, *, verbose: bool = False) -> None:
+    """The verdict and how many true values were met; with `verbose` truth and estimate of every base parameter."""
     estimates, deviations = demo.identification.solution.parameters, demo.identification.std
     names = demo.identification.base.names
     if as_json:
@@ -211,17 +215,27 @@ def print_demo(demo: Demo, as_json: bool) -> None:
             }
         )
         return
-    print_table(
-        f"{demo.result.robot}, simulated and recorded over RTDE: truth and estimate",
-        ("base parameter", "truth", "estimate", "error", "σ", "error/σ", "unit"),
-        [
-            (name, float(true), float(value), float(value - true), float(std), float((value - true) / std), stored.unit)
-            for name, true, value, std, stored in zip(
-                names, demo.truth, estimates, deviations, demo.result.base_parameters, strict=True
-            )
-        ],
-    )
-    print(f"\n{demo.samples} samples over RTDE, {demo.lost} lost.")
-    print(f"{demo.inside} of {len(names)} true values lie within their 95 % interval.")
-    print(demo.result.verdict)
-    print(f"\nOpen {demo.folder / REPORT_FILE} in a browser.")
+    print(f"{demo.result.robot}, simulated: {demo.samples} samples over RTDE, {demo.lost} lost")
+    print(f"{demo.inside} of {len(names)} true values lie within their 95 % interval")
+    report = demo.folder / REPORT_FILE
+    print_result(demo.result, report, verbose=verbose)
+    if verbose:
+        print_table(
+            f"\n{demo.result.robot}, simulated and recorded over RTDE: truth and estimate",
+            ("base parameter", "truth", "estimate", "error", "σ", "error/σ", "unit"),
+            [
+                (
+                    name,
+                    float(true),
+                    float(value),
+                    float(value - true),
+                    float(std),
+                    float((value - true) / std),
+                    stored.unit,
+                )
+                for name, true, value, std, stored in zip(
+                    names, demo.truth, estimates, deviations, demo.result.base_parameters, strict=True
+                )
+            ],
+        )
+    print(f"\nOpen {report} in a browser.")

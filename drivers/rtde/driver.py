@@ -24,7 +24,7 @@ from drivers.rtde.configuration import Configuration, read_configuration
 from drivers.rtde.connect import Connect, connect_tcp
 from drivers.rtde.dashboard import stop_program
 from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode
-from drivers.rtde.motion import JOINTS, MotionProcess
+from drivers.rtde.motion import JOINTS, MotionProcess, require_ur_rtde
 from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
 from drivers.rtde.settings import parse_settings
 from drivers.streams import Batch, ChannelLayout, StreamLayout
@@ -286,7 +286,13 @@ class RtdeDriver:
         return self._receiver.notices() + drained(self._notices)
 
     def command_rate(self) -> float:
-        """The controller's own rate, whatever that of the samples; 0 where it is closed."""
+        """The controller's own rate, whatever that of the samples; 0 where it is closed.
+
+        Raises:
+            DriverStateError: nothing can be commanded, since ur_rtde is not installed.
+        """
+        if self._take_control is MotionProcess:
+            require_ur_rtde(self._settings.host)
         return 0.0 if self._state == "closed" else self._receiver.version.maximum_rate
 
     def take_control(self) -> None:

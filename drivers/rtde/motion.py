@@ -18,13 +18,14 @@ import signal
 import struct
 import sys
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from typing import Protocol
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.child_process import started_without_interrupt
-from drivers.core.errors import ConnectionFailedError, ConnectionLostError
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 
 JOINTS = 6
 LOOKAHEAD = 0.1
@@ -109,6 +110,22 @@ class Worker(Protocol):
     def join(self, timeout: float | None = None) -> None: ...  # noqa: D102
 
     def kill(self) -> None: ...  # noqa: D102
+
+
+def require_ur_rtde(where: str) -> None:
+    """Refuse to move an arm where ur_rtde is not installed.
+
+    Raises:
+        DriverStateError: it is not; says how to have it.
+    """
+    if find_spec("rtde_control") is None:
+        version = f"{sys.version_info.major}.{sys.version_info.minor}"
+        raise DriverStateError(
+            f"moving a UR arm needs the package ur-rtde, which this Python {version} lacks; recording works without it",
+            where=where,
+            hint="install dynid with Python 3.11 or 3.12, for which there are wheels of ur-rtde, or build it: pip "
+            "install ur-rtde, with a C++ compiler and Boost",
+        )
 
 
 def take_control(host: str, rate: float) -> Control:

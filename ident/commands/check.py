@@ -8,7 +8,7 @@ from typing import NoReturn
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import JSON, ROBOT
+from daq.commands.options import JSON, ROBOT, VERBOSE
 from drivers.core.errors import InputError
 
 app = CommandApp("Robot")
@@ -21,6 +21,7 @@ def check(
     wire: str = typer.Option(None, "--wire", help="Connection to open; the first one if absent."),
     host: str = typer.Option(None, "--host", help="Address in place of the connection's own."),
     reset_faults: bool = typer.Option(False, "--reset-faults", help="Reset faults of CiA 402 drives; enables nothing."),
+    verbose: bool = VERBOSE,
     as_json: bool = JSON,
 ) -> None:
     """Check a robot file: kinematics, connections, load of the buses.
@@ -66,7 +67,7 @@ def check(
     connections = check_connections(robot_file, wire, host, SYSTEM_CLOCK, reset_faults=reset_faults) if connect else []
     if not as_json:
         for checked in connections:
-            print_connection(checked)
+            print_connection(checked, verbose=verbose)
         return
     content = {"robot": name, "ok": True, "warnings": found.warnings, "assumed": found.assumed}
     content |= description(robot_file)

@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, VERBOSE, takes
 from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, METHOD
 from ident.tasks.options import IdentifyOptions
 
@@ -24,6 +24,7 @@ def identify_recordings(
     max_error: float = MAX_ERROR,
     max_joint_error: float = MAX_JOINT_ERROR,
     max_rmse: float = MAX_RMSE,
+    verbose: bool = VERBOSE,
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
@@ -59,7 +60,6 @@ def identify_recordings(
     if as_json:
         print((folder / RESULT_FILE).read_text(encoding="utf-8"), end="")
     else:
-        print_result(result.result)
-        print(f"\n{folder / RESULT_FILE}\n{folder / REPORT_FILE}")
+        print_result(result.result, folder / REPORT_FILE, verbose=verbose)
     if result.acceptance is not None and not result.acceptance.passed:
         raise typer.Exit(1)

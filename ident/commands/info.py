@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, VERBOSE, takes
 from ident.tasks.options import InfoOptions
 
 app = CommandApp("Look")
@@ -19,6 +19,7 @@ def show_info(
     *,
     options: InfoOptions,
     page: Path = typer.Option(None, "--page", help="Folder for info.json and info.html, a page to look at."),
+    verbose: bool = VERBOSE,
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
@@ -46,6 +47,6 @@ def show_info(
     if as_json:
         print(quality.to_json())
         return
-    print_info(quality.figures, quality.file)
+    print_info(quality.figures, quality.file, verbose=verbose)
     if page is not None:
         print(f"\n{page / JSON_FILE}\n{page / PAGE_FILE}")

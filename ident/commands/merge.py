@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, VERBOSE, takes
 from ident.tasks.options import MergeOptions
 
 app = CommandApp("Identify")
@@ -19,6 +19,7 @@ def merge_models(
     *,
     out: Path = typer.Option(Path("merged-model"), "-o", "--out", help="Folder for result.json and report.html."),
     options: MergeOptions,
+    verbose: bool = VERBOSE,
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
@@ -43,5 +44,4 @@ def merge_models(
     if as_json:
         print(merged.to_json())
         return
-    print_result(merged.result)
-    print(f"\n{out / RESULT_FILE}\n{out / REPORT_FILE}")
+    print_result(merged.result, out / REPORT_FILE, verbose=verbose)

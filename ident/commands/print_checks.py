@@ -13,8 +13,12 @@ from drivers.core.text import percent_text
 from ident.checks.connection_check import CheckedConnection
 from ident.checks.recording_check import RecordingInfo
 from ident.checks.tool_pose import ToolPose
+from ident.commands.print_verdict import next_steps, print_next
 from ident.excite.sufficiency import Sufficiency, TimesNeeded
 from ident.regression.options import SIGNIFICANT_RSD
+
+MOST_CHECKS = 4
+"""Of a recording that are printed without `--verbose`; the most serious stand first."""
 
 
 def print_budget(name: str, budget: Budget) -> None:
@@ -49,8 +53,8 @@ def print_poses(poses: tuple[ToolPose, ...]) -> None:
     print_table("Tool in the base frame (compare with the pendant)", heads, rows)
 
 
-def print_connection(connection: CheckedConnection) -> None:
-    """Print the outcome of the check."""
+def print_connection(connection: CheckedConnection, *, verbose: bool = False) -> None:
+    """Print the outcome of the check; with `verbose` the first sample of every stream."""
     print(f"\nconnection {connection.name} ({connection.driver}) answers")
     for identity in connection.identities:
         shown = {key.replace("_", " "): value for key, value in identity.items() if value not in (None, "")}
@@ -67,7 +71,9 @@ def print_connection(connection: CheckedConnection) -> None:
     for stream in connection.streams:
         rate = "" if stream.rate_hz is None else f" at {stream.rate_hz:.4g} Hz"
         stated = f" (nominal: {stream.nominal_hz:.4g} Hz)" if stream.nominal_hz > 0 else ""
-        print(f"  stream {stream.name}{rate}{stated}; first sample:")
+        print(f"  stream {stream.name}{rate}{stated}: {', '.join(stream.first)}")
+        if not verbose:
+            continue
         alike: dict[tuple[str, ...], list[str]] = {}
         for quantity, values in stream.first.items():
             alike.setdefault(tuple(values), []).append(quantity)
@@ -83,20 +89,36 @@ def print_connection(connection: CheckedConnection) -> None:
         print("  consistent with the robot file")
 
 
-def print_info(info: RecordingInfo, file: str) -> None:
-    """Print the quality of a recording: streams, columns, motion, delay, expected error bars, checks."""
-    recording = info.recording
+def print_info(info: RecordingInfo, file: str, *, verbose: bool = False) -> None:
+    """Print the quality of a recording: verdict, streams, motion and what to do; with `verbose` all the rest."""
+    recording, verdict = info.recording, info.verdict
     state = "complete" if recording.complete else "NOT closed properly"
     print(f"{file}: {info.robot.name}, {state}, created {recording.created or 'at an unknown time'}")
-    print(f"As far as the recording goes: {info.verdict.headline}\n")
-    clock = ("samples", "seconds", "rate [Hz]", "jitter [ms]", "longest [ms]", "lost", "duplicates")
+    print(f"As far as the recording goes: {verdict.grades}")
+    _print_streams(info)
+    _print_motion(info)
+    if info.delay is not None and info.delay.best is not None and np.isfinite(info.delay.best):
+        print(f"delay: {info.delay.note}")
+    if info.sufficiency is not None:
+        _print_sufficiency(info.sufficiency, info.times)
+    for check in verdict.checks[: len(verdict.checks) if verbose else MOST_CHECKS]:
+        print(f"{check.severity}: {check.text} [{check.name}]")
+    if not verdict.checks:
+        print("Checks on this recording: no problems found.")
+    print_next(next_steps(verdict, f"dynid identify {file} -o model"), verdict, "All: --verbose, or --page FOLDER.")
+    if verbose:
+        _print_columns(info)
+        for event in recording.events:
+            print(f"{event.level} at {event.time:.3f} s, {event.source}: {event.message}")
+
+
+def _print_streams(info: RecordingInfo) -> None:
     print_table(
-        "Streams",
-        ("stream", "quantities", *clock),
+        "",
+        ("stream", "samples", "seconds", "rate [Hz]", "jitter [ms]", "longest [ms]", "lost", "duplicates"),
         [
             (
                 name,
-                ", ".join(recording.streams[name].channels),
                 quality.samples,
                 quality.duration,
                 quality.rate_hz,
@@ -108,6 +130,30 @@ def print_info(info: RecordingInfo, file: str) -> None:
             for name, quality in info.streams.items()
         ],
     )
+
+
+def _print_motion(info: RecordingInfo) -> None:
+    """Range, velocity and limit utilisation of each joint, and how well they excite the arm."""
+    if info.excitation is None:
+        return
+    travel, speed = info.motion_units
+    print_table(
+        "",
+        ("joint", f"range [{travel}]", f"velocity [{speed}]", "limit utilisation [%]"),
+        zip(
+            info.recording.streams[JOINTS_STREAM].channels["position"].columns,
+            info.excitation.position_range,
+            info.excitation.velocity_reached,
+            info.excitation.velocity_share_percent,
+            strict=False,
+        ),
+    )
+    print(f"column-normalised condition number: {info.excitation.scaled_condition:.1f}")
+
+
+def _print_columns(info: RecordingInfo) -> None:
+    """Range, noise and clipping of every column."""
+    recording = info.recording
     for (stream, quantity), qualities in info.columns.items():
         unit = recording.streams[stream].channels[quantity].unit
         print_table(
@@ -115,41 +161,17 @@ def print_info(info: RecordingInfo, file: str) -> None:
             ("column", "smallest", "largest", "noise", "step", "clipped [%]", "outliers"),
             [(c.name, c.smallest, c.largest, c.noise, c.step, c.clipped_percent, c.outliers) for c in qualities],
         )
-    if info.excitation is not None:
-        travel, speed = info.motion_units
-        print_table(
-            f"\nMotion: column-normalised condition number {info.excitation.scaled_condition:.1f}",
-            ("joint", f"range [{travel}]", f"velocity [{speed}]", "limit utilisation [%]"),
-            zip(
-                recording.streams[JOINTS_STREAM].channels["position"].columns,
-                info.excitation.position_range,
-                info.excitation.velocity_reached,
-                info.excitation.velocity_share_percent,
-                strict=False,
-            ),
-        )
-    if info.delay is not None and info.delay.best is not None:
-        print(f"\ndelay: {info.delay.note}")
-    if info.sufficiency is not None:
-        _print_sufficiency(info.sufficiency, info.times)
-    for event in recording.events:
-        print(f"{event.level} at {event.time:.3f} s, {event.source}: {event.message}")
-    if info.verdict.checks:
-        print("\nChecks on this recording:")
-        for check in info.verdict.checks:
-            print(f"  {check.severity}: {check.text} [{check.name}]")
-    else:
-        print("\nChecks on this recording: no problems found.")
 
 
 def _print_sufficiency(sufficiency: Sufficiency, times: TimesNeeded | None) -> None:
     expected = sufficiency.forecast
     known = [p.rsd_percent for p in expected.parameters if p.rsd_percent is not None]
-    text = f"\nInformation: log det {expected.log_det:.1f} over {sufficiency.seconds:.1f} s of motion"
     if known:
         significant = sum(value < SIGNIFICANT_RSD for value in known)
-        text += f"; predicted RSD below {SIGNIFICANT_RSD:g} % for {significant} of {len(known)} base parameters"
-    print(f"{text} (parameters and noise: {sufficiency.source})")
+        print(
+            f"predicted RSD below {SIGNIFICANT_RSD:g} % for {significant} of {len(known)} base parameters, from "
+            f"{sufficiency.seconds:.1f} s of motion (parameters and noise: {sufficiency.source})"
+        )
     if times is None:
         return
     if times.parameters:

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from daq.commands.console import print_table
 from drivers.core.text import in_percent, percent_text
 from ident.assessment.validation import Fit
+from ident.commands.print_verdict import next_steps, print_everything, print_next, print_purposes
+from ident.identify.data_split import labelled
 from ident.result.delivered import DELIVERED_WORDS
 from ident.result.schema import Result
 from ident.result.tables import Table
@@ -24,8 +27,42 @@ def print_tables(tables: Iterable[Table]) -> None:
                 print(table.note)
 
 
-def print_result(result: Result) -> None:
-    """The result as a person reads it at the terminal."""
+def print_result(result: Result, report: Path, *, verbose: bool = False) -> None:
+    """The result as a person reads it: the verdict first, with `verbose` all that was computed after it.
+
+    Args:
+        result: to be printed.
+        report: where its page is.
+        verbose: print the steps, parameters, errors and checks, too.
+    """
+    verdict, delivered = result.verdict, result.delivered
+    significant = sum(parameter.significant for parameter in result.base_parameters)
+    count = len(result.base_parameters)
+    print(f"{result.robot}, {result.method}: {significant} of {count} base parameters are significant")
+    print(verdict.grades)
+    print_purposes(verdict)
+    if delivered is not None:
+        for run in delivered.runs:
+            error = percent_text(run.all_samples.relative_error, 2)
+            print(f"{labelled(run.recording, run.overlap)}: torque error {error}")
+    _print_worst_joint(verdict)
+    if result.acceptance is not None:
+        print(result.acceptance)
+    use = f"dynid validate {report.parent} other.h5, dynid predict {report.parent} run.h5, dynid export {report.parent}"
+    print_next(next_steps(verdict, use), verdict, f"All figures: {report}, or --verbose.")
+    if verbose:
+        print()
+        _print_details(result)
+
+
+def _print_worst_joint(verdict: Verdict) -> None:
+    worst = verdict.joints[0] if verdict.joints else None
+    if worst is not None and worst.grade != "good":
+        print(f"Worst joint: {worst.joint}, {worst.grade}, because {worst.because}.")
+
+
+def _print_details(result: Result) -> None:
+    """All that was computed, as far as a terminal can show it."""
     for step in result.preprocessing:
         print(f"{step.name}: {step.text}")
     print(f"delay: {result.delay.note}")
@@ -43,9 +80,7 @@ def print_result(result: Result) -> None:
         f"\ncondition number {result.excitation.condition:.4g}, "
         f"column-normalised {result.excitation.scaled_condition:.4g}"
     )
-    print_verdict(result.verdict)
-    if result.acceptance is not None:
-        print(f"\n{result.acceptance}")
+    print_everything(result.verdict)
 
 
 def _print_errors(result: Result) -> None:
@@ -95,12 +130,6 @@ def _print_simulation(result: Result) -> None:
                 strict=True,
             ),
         )
-
-
-def print_verdict(verdict: Verdict) -> None:
-    """Headline, purposes, joints that are not good, checks."""
-    for line in verdict.lines:
-        print(line)
 
 
 def print_fit(title: str, joints: Sequence[str], unit: str, fit: Fit) -> None:

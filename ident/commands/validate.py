@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import JSON, takes
+from daq.commands.options import JSON, VERBOSE, takes
 from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE
 from ident.tasks.options import ValidateOptions
 
@@ -27,6 +27,7 @@ def validate_model(
     max_error: float = MAX_ERROR,
     max_joint_error: float = MAX_JOINT_ERROR,
     max_rmse: float = MAX_RMSE,
+    verbose: bool = VERBOSE,
     as_json: bool = JSON,
 ) -> None:
     """Judge a stored model on other recordings.
@@ -44,7 +45,7 @@ def validate_model(
     if as_json:
         _print_object(str(options.identified), validation)
     else:
-        _print_tables(validation)
+        _print_validation(validation, Path(str(options.identified)), verbose=verbose)
     if validation.acceptance is not None and not validation.acceptance.passed:
         raise typer.Exit(1)
 
@@ -76,22 +77,44 @@ def _print_object(result: str, validation: Validation) -> None:
     )
 
 
-def _print_tables(validation: Validation) -> None:
-    from ident.commands.print_result import print_fit, print_verdict
+def _print_validation(validation: Validation, model: Path, *, verbose: bool) -> None:
+    """The verdict and a row for each recording; with `verbose` the errors of every joint and model."""
+    from daq.commands.console import print_table
+    from drivers.core.text import in_percent
+    from ident.commands.print_result import print_fit
+    from ident.commands.print_verdict import next_steps, print_everything, print_next, print_purposes
     from ident.identify.data_split import labelled
     from ident.result.delivered import DELIVERED_WORDS
 
+    verdict = validation.verdict
+    print(verdict.grades)
+    print_purposes(verdict)
+    print()
+    print_table(
+        "",
+        ("recording", "error [%]", "in motion [%]", "worst joint", "its error [%]"),
+        [
+            (
+                labelled(one.recording, one.delivered.overlap),
+                in_percent(one.delivered.all_samples.relative_error),
+                in_percent(one.delivered.in_motion.relative_error),
+                one.verdict.joints[0].joint if one.verdict.joints else None,
+                None if not one.verdict.joints else in_percent(one.verdict.joints[0].error),
+            )
+            for one in validation.recordings
+        ],
+    )
+    if validation.acceptance is not None:
+        print(validation.acceptance)
+    print_next(next_steps(verdict, f"dynid predict {model} run.h5, dynid export {model}"), verdict, "All: --verbose.")
+    if not verbose:
+        return
     for recording in validation.recordings:
-        print(labelled(recording.recording, recording.delivered.overlap))
+        print(f"\n{labelled(recording.recording, recording.delivered.overlap)}")
         words, unit = DELIVERED_WORDS[validation.delivered.parameters], validation.torque_unit
         print_fit(f"{words} model, all samples", validation.joints, unit, recording.delivered.all_samples)
         print_fit(f"{words} model, in motion", validation.joints, unit, recording.delivered.in_motion)
         for name, fit in (("full", recording.full), ("essential", recording.essential)):
             if name != validation.delivered.parameters:
                 print_fit(f"{name} model, in motion", validation.joints, unit, fit)
-        print_verdict(recording.verdict)
-        print()
-    if len(validation.recordings) > 1:
-        print(f"All recordings together: {validation.verdict.headline}")
-    if validation.acceptance is not None:
-        print(validation.acceptance)
+        print_everything(recording.verdict)

@@ -244,18 +244,20 @@ def search_words(designed: Design) -> str:
 
 
 def search_state(result: SearchResult, criterion: str) -> str:
-    """Where a search is, in one line: time, the best motion, its worst error bar."""
-    limit = "" if result.limit is None else f" of {result.limit:.0f}"
-    begin = f"{result.seconds:.0f}{limit} s, {result.finished} starts finished"
+    """Where a search is, in one line of words: time, the best motion so far, its worst error bar."""
+    if result.limit is None:
+        begin = f"{result.seconds:.0f} s of search, {result.finished} starts finished"
+    else:
+        begin = f"{percent_text(min(result.seconds / result.limit, 1.0))} of {result.limit:.0f} s of search"
     best = result.best
     if best is None:
-        return f"{begin}, no feasible motion yet"
+        return f"{begin}: no motion within all limits yet"
     worst = (
         ""
         if best.worst is None
-        else f", expected worst error bar ±{percentage_text(best.worst.percent)} % ({best.worst.name})"
+        else f", worst error bar expected ±{percentage_text(best.worst.percent)} % ({best.worst.name})"
     )
-    return f"{begin}, feasible: {criterion} {np.exp(best.cost):.4g}, condition number {best.condition:.4g}{worst}"
+    return f"{begin}: the best motion so far has {criterion} {np.exp(best.cost):.4g}{worst}"
 
 
 def design_notes(designed: Design) -> list[tuple[str, str]]:

@@ -81,6 +81,16 @@ class Verdict:
     basis: str = ""
 
     @property
+    def grades(self) -> str:
+        """What it is good, usable and poor for, without the reasons, in one sentence."""
+        by_grade: dict[Grade, list[str]] = {}
+        for grade in GRADES:
+            if words := [PURPOSE_WORDS[name] for name, judged in self.purposes.items() if judged.grade == grade]:
+                by_grade[grade] = words
+        text = "; ".join(f"{_graded(grade)} for {_listed(words)}" for grade, words in by_grade.items())
+        return f"{text[:1].upper()}{text[1:]}."
+
+    @property
     def lines(self) -> list[str]:
         """For the terminal: the headline, what it rests on, purposes, the worst joints, checks."""
         reasons = [

@@ -161,3 +161,14 @@ def _remembered(name: str) -> Any:
 
 def _key(value: Any) -> Any:
     return value if isinstance(value, (str, int, float, tuple)) else id(value)
+
+
+@pytest.mark.parametrize("name", ["drivers", "daq", "ident", "sim_drivers"])
+def test_a_folder_that_hides_one_of_our_packages_is_named_with_its_path(tmp_path, monkeypatch, name):
+    folder = tmp_path / name
+    folder.mkdir()
+    (folder / "__init__.py").touch()
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    with pytest.raises(ImportError, match=re.escape(f"'{name}' is hidden by {folder / '__init__.py'}")):
+        dynid._refuse_hidden_packages()

@@ -105,7 +105,7 @@ def test_of_commands(arm, name, monkeypatch, capsys):
 
 
 def test_of_a_result(arm, capsys):
-    print_result(dynid.load_result(arm / "model").result)
+    print_result(dynid.load_result(arm / "model").result, arm / "report.html", verbose=True)
     assert turning_units(arm, capsys.readouterr().out) == []
     for file in ("report.html", "result.json"):
         assert turning_units(arm, (arm / "model" / file).read_text(encoding="utf-8")) == [], file

@@ -92,8 +92,9 @@ def test_info_writes_a_page_once(monkeypatch, capsys, folder):
 
 
 def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--validate", "val.h5", "-o", "model")
+    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--validate", "val.h5", "-o", "model", "-v")
     assert status == 0
+    assert "\nNext:\n" in "\n".join(out.splitlines()[:MOST_LINES])
     assert_one_verdict(folder / "model", out)
     assert "val.h5" in out
     assert "differs from measured torque by" in out
@@ -127,9 +128,15 @@ def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
     assert "nothing is held out" in err
     assert not (folder / "refused").exists()
     status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "run.h5")
+    assert (status, len(out.splitlines()) <= MOST_LINES) == (0, True)
+    status, out, _ = run(monkeypatch, capsys, folder, "validate", "model", "val.h5", "run.h5", "--verbose")
     assert status == 0
     assert "run.h5 (NOT held out: 100 % of its samples were used in the identification)" in out
     assert judged["verdict"]["headline"] in out
+
+
+MOST_LINES = 20
+"""Of what a command prints without --verbose."""
 
 
 def assert_one_verdict(model: Path, out: str) -> None:
@@ -149,6 +156,7 @@ def test_info_begins_with_its_verdict_and_remembers_the_import(monkeypatch, caps
     write_recording(folder / "noted.h5", noted)
     _, out, _ = run(monkeypatch, capsys, folder, "info", "noted.h5")
     assert "As far as the recording goes: Good for" in out.splitlines()[1]
+    assert len(out.splitlines()) <= 25
     assert "note: import: sort: time went backward 3 times [import-warning]" in out
     _, out, _ = run(monkeypatch, capsys, folder, "info", "noted.h5", "--json")
     assert [check["name"] for check in json.loads(out)["verdict"]["checks"]] == ["import-warning"]
@@ -317,17 +325,28 @@ def parts(folder) -> Path:
 def test_two_experiments_are_identified_and_merged(monkeypatch, capsys, parts):
     joint = load_robot("ur5e").robot.joint_names[5]
     status, out, _ = run(
-        monkeypatch, capsys, parts, "identify", "locked.h5", "--locked", joint, "-o", "arm", "--delay", "0"
+        monkeypatch, capsys, parts, "identify", "locked.h5", "--locked", joint, "-o", "arm", "--delay", "0", "-v"
     )
     assert status == 0
     assert f"experiment: locked: {joint} at" in out
     status, out, _ = run(
-        monkeypatch, capsys, parts, "identify", "run.h5", "--torques-of", f" {joint}, ", "-o", "wrist", "--delay", "0"
+        monkeypatch,
+        capsys,
+        parts,
+        "identify",
+        "run.h5",
+        "--torques-of",
+        f" {joint}, ",
+        "-o",
+        "wrist",
+        "--delay",
+        "0",
+        "-v",
     )
     assert status == 0
     assert f"torques of {joint}" in out
     status, out, _ = run(
-        monkeypatch, capsys, parts, "merge", "arm", "wrist/result.json", "--validate", "val.h5", "-o", "whole"
+        monkeypatch, capsys, parts, "merge", "arm", "wrist/result.json", "--validate", "val.h5", "-o", "whole", "-v"
     )
     assert status == 0
     assert "Models that were merged" in out

@@ -59,10 +59,10 @@ def test_predict_prints_one_object_and_overwrites_by_force_only(monkeypatch, cap
 
 
 def test_presliding_is_found_and_used_unless_told_not_to(monkeypatch, capsys, folder):
-    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "-o", "sliding")
+    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "-o", "sliding", "-v")
     assert status == 0
     assert "presliding: travel [rad] by Coulomb parameter" in out
-    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--no-presliding", "-o", "static")
+    status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--no-presliding", "-o", "static", "-v")
     assert status == 0
     assert "travel [rad]" not in out
     status, out, _ = run(monkeypatch, capsys, folder, "predict", "static", "val.h5", "-o", "static.h5", "--json")
