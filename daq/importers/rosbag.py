@@ -156,7 +156,9 @@ def _read_messages(path: Path, topic: str | None, beside: str, where: str, progr
     values_read = 0
     fields: dict[str, list[FloatArray]] = {field: [] for field in _FIELDS}
     with parsing(path, "a ROS 2 bag"), Reader(path) as reader:
-        connections = _chosen([one for one in reader.connections if one.topic != beside], topic, where)
+        connections = _chosen(
+            [connection for connection in reader.connections if connection.topic != beside], topic, where
+        )
         for _, stamp, raw in reader.messages(connections):
             message: Any = typestore.deserialize_cdr(raw, JOINT_STATE)
             values_read += sum(len(getattr(message, field)) for field in _FIELDS)

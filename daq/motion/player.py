@@ -89,8 +89,8 @@ class MotionSequence:
             outside = (own < -1e-9) | (own > motion.duration + 1e-9)
             if result is None:
                 result = [np.empty((len(times), len(values[0]))) for _ in values]
-            for order, (whole, part) in enumerate(zip(result, values, strict=True)):
-                whole[here] = part.T if order == 0 else np.where(outside[:, None], 0.0, part.T)
+            for order, (whole, value) in enumerate(zip(result, values, strict=True)):
+                whole[here] = value.T if order == 0 else np.where(outside[:, None], 0.0, value.T)
         if result is None:
             raise ValueError("no times to evaluate a path at")
         return result[0], result[1], result[2]

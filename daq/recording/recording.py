@@ -470,7 +470,7 @@ class Recording:
     def _repr_html_(self) -> str:
         rows = "".join(
             f"<tr><td>{escape(name)}</td><td>{len(stream.time)}</td><td>{_pace(stream)}</td>"
-            f"<td>{escape(', '.join(f'{one.quantity} [{one.unit}]' for one in stream.channels.values()))}</td></tr>"
+            f"<td>{escape(', '.join(f'{each.quantity} [{each.unit}]' for each in stream.channels.values()))}</td></tr>"
             for name, stream in self.streams.items()
         )
         head = "".join(f"<th>{heading}</th>" for heading in ("stream", "samples", "duration and rate", "signals"))

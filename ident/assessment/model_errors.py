@@ -119,7 +119,10 @@ def most_likely(refit: Refit, runs: Sequence[Prepared], independent: float, poor
         return []
     worth = (after - width) / total
     return simplest_first(
-        [replace(one, likelihood=one.likelihood * worth, std=one.std / float(np.sqrt(worth))) for one in deviations]
+        [
+            replace(deviation, likelihood=deviation.likelihood * worth, std=deviation.std / float(np.sqrt(worth)))
+            for deviation in deviations
+        ]
     )
 
 
@@ -157,9 +160,9 @@ def simplest_first(deviations: Sequence[Deviation]) -> list[Deviation]:
     """
     best = deviations[0]
     alike = [
-        one
-        for one in deviations
-        if one.unknown.kind == "gravity" and one.likelihood > best.likelihood - RIVAL_LIKELIHOOD
+        deviation
+        for deviation in deviations
+        if deviation.unknown.kind == "gravity" and deviation.likelihood > best.likelihood - RIVAL_LIKELIHOOD
     ]
     opposite = [one for one in alike if one.std == 0.0]
     first = opposite or sorted((one for one in alike if best in alike), key=lambda one: one.value)
@@ -176,7 +179,7 @@ def model_error_checks(model: DynamicModel, deviations: Sequence[Deviation]) -> 
     if not deviations or not reported(deviations[0]):
         return []
     best = deviations[0]
-    rivals = [one for one in deviations[1:] if one.unknown != best.unknown and reported(one)]
+    rivals = [deviation for deviation in deviations[1:] if deviation.unknown != best.unknown and reported(deviation)]
     equal = [rival for rival in rivals if rival.likelihood > best.likelihood - RIVAL_LIKELIHOOD]
     alone = {one.unknown: one for one in (*reversed(equal), best)}
     kinds = list(dict.fromkeys(one.unknown.kind for one in alone.values()))
@@ -245,13 +248,13 @@ def _compared(runs: Sequence[Prepared], deviation: Deviation) -> list[TorqueSeri
                 replace(segment, position=_moved(segment.position, unknown.joint, deviation.value))
                 for segment in segments
             ]
-        for part in compare_torques(
+        for compared in compare_torques(
             deviation.model, deviation.columns, deviation.parameters, segments, run.parallel_filter
         ):
-            scale = np.ones((len(part.predicted), 1))
+            scale = np.ones((len(compared.predicted), 1))
             if unknown.kind == "gain":
                 scale[unknown.joint] += deviation.value
-            series.append(replace(part, predicted=scale * part.predicted))
+            series.append(replace(compared, predicted=scale * compared.predicted))
     return series
 
 

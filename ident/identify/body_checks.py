@@ -105,9 +105,9 @@ def _error(identification: Identification, parameters: FloatArray) -> float:
     runs = [run.prepared for run in identification.runs]
     return fit_errors(
         [
-            part
+            compared
             for run in runs
-            for part in compare_torques(model, columns, parameters, run.segments, run.parallel_filter)
+            for compared in compare_torques(model, columns, parameters, run.segments, run.parallel_filter)
         ]
     ).relative_error
 

@@ -183,7 +183,9 @@ def _size_checks(identification: Identification) -> list[Check]:
 def _few_equations(identification: Identification, advised: int) -> str:
     """How much motion gives the equations that are advised."""
     solution, first = identification.solution, identification.runs[0].prepared
-    seconds = sum(int(part.used.sum()) / part.rate for run in identification.runs for part in run.prepared.segments)
+    seconds = sum(
+        int(segment.used.sum()) / segment.rate for run in identification.runs for segment in run.prepared.segments
+    )
     needed = seconds * advised / solution.rows
     if identification.choices.estimator.name == "energy":
         more = "or take shorter windows (--method energy:window=…)"

@@ -127,7 +127,7 @@ def _jitters(prepared: Prepared, lower: Prepared, torques: Sequence[int]) -> boo
 
 def _acceleration(prepared: Prepared) -> FloatArray:
     """Root mean square (n,) of the accelerations that count."""
-    values = np.concatenate([part.acceleration[:, part.used] for part in prepared.segments], axis=1)
+    values = np.concatenate([segment.acceleration[:, segment.used] for segment in prepared.segments], axis=1)
     return np.asarray(np.sqrt(np.mean(values**2, axis=1)))
 
 

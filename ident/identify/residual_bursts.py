@@ -67,9 +67,9 @@ def burst_checks(identification: Identification) -> list[Check]:
     shown, larger, several = [], 0.0, len({run.signals.label for runs, _ in halves for run in runs}) > 1
     for (runs, _), suspect in zip(halves, suspects, strict=True):
         series = [
-            part
+            compared
             for run in runs
-            for part in compare_torques(
+            for compared in compare_torques(
                 kernel.model, kernel.columns, parameters, run.prepared.segments, run.prepared.parallel_filter
             )
         ]

@@ -154,7 +154,7 @@ class IdentificationResult:
         """
         recording = recording_of(run)
         segments = predict_recording(self.model, stored_model(self.result).robot_file, recording).segments
-        residuals = [one.residual for one in segments if one.residual is not None]
+        residuals = [segment.residual for segment in segments if segment.residual is not None]
         if not residuals:
             raise DataError("no torque was recorded to compare with", where=recording.label)
         residual = np.concatenate(residuals)
@@ -245,7 +245,7 @@ def identify(options: IdentifyOptions) -> IdentificationResult:
     if limits is not None:
         result = result.model_copy(update={"acceptance": judge_acceptance(limits, result_figures(result))})
     recorded = recorded_runs(identification, recordings, held_out)
-    held_out_series = [part for run in identification.held_out for part in run.all_samples]
+    held_out_series = [all_sample for run in identification.held_out for all_sample in run.all_samples]
     return IdentificationResult(result, identification.fit_series, held_out_series, recorded)
 
 

@@ -96,7 +96,8 @@ class Validation:
         return error_table("Errors", self.joints, self.torque_unit, fits)
 
     def __repr__(self) -> str:
-        return f"<dynid.Validation on {', '.join(one.recording for one in self.recordings)}: {self.verdict.headline}>"
+        names = ", ".join(recording.recording for recording in self.recordings)
+        return f"<dynid.Validation on {names}: {self.verdict.headline}>"
 
     def __str__(self) -> str:
         accepted = "" if self.acceptance is None else f"\n\n{self.acceptance}"
@@ -140,7 +141,7 @@ def validate(options: ValidateOptions) -> Validation:
         )
         for recording, fits in zip(recordings, compared, strict=True)
     )
-    of_consistent = [part for fits in compared for part in fits.consistent_series or ()]
+    of_consistent = [consistent_sery for fits in compared for consistent_sery in fits.consistent_series or ()]
     verdict = model_verdict(result, checks, [run.errors for run in held_out])
     delivered = delivered_model(result.consistent, None if result.delivered is None else result.delivered.fit, held_out)
     figures = acceptance_figures(result, delivered.validation_all_samples, delivered.runs, verdict)
@@ -148,7 +149,7 @@ def validate(options: ValidateOptions) -> Validation:
         joints=tuple(result.joints),
         torque_unit=result.unit("N·m"),
         full=fit_errors([part for fits in compared for part in fits.series]),
-        essential=fit_errors([part for fits in compared for part in fits.essential_series]),
+        essential=fit_errors([essential_sery for fits in compared for essential_sery in fits.essential_series]),
         consistent=fit_errors(of_consistent) if of_consistent else None,
         delivered=delivered,
         verdict=verdict,

@@ -36,6 +36,6 @@ class HeartbeatClocks:
     def wait(self, clock: Clock) -> str:
         """What is wrong, once the clocks could be compared, or `COMPARING_LIMIT` has passed."""
         end = clock.now() + COMPARING_LIMIT
-        while not any(one.compared for one in self._rates) and clock.now() < end:
+        while not any(rate.compared for rate in self._rates) and clock.now() < end:
             clock.sleep(_POLL)
         return self.wrong

@@ -63,8 +63,10 @@ def mistake_checks(
 def _as_recorded(run: Prepared) -> Prepared:
     """The run with the torque of friction that was held."""
     segments = (
-        part if part.known_torque is None else replace(part, torque=part.torque + part.known_torque, known_torque=None)
-        for part in run.segments
+        segment
+        if segment.known_torque is None
+        else replace(segment, torque=segment.torque + segment.known_torque, known_torque=None)
+        for segment in run.segments
     )
     return replace(run, segments=tuple(segments))
 

@@ -209,9 +209,9 @@ class InstrumentalEstimator(TorqueEstimator):
         """Whether least squares differs by more than noise."""
         kernel = self.setup.kernel
         series = [
-            part
+            compared
             for run in runs
-            for part in compare_torques(
+            for compared in compare_torques(
                 kernel.model, kernel.columns, solution.parameters, run.segments, run.parallel_filter
             )
         ]

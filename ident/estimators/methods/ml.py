@@ -242,7 +242,9 @@ class MlEstimator(TorqueEstimator):
                 counted.append(torques.used & ~np.broadcast_to(left_out, torques.residual.shape))
         most = MOST if self.order is None else self.order
         return tuple(
-            whitening_filters([part[motor] for part in residuals], [part[motor] for part in counted], most, self.order)
+            whitening_filters(
+                [residual[motor] for residual in residuals], [part[motor] for part in counted], most, self.order
+            )
             for motor in range(kernel.model.dof)
         )
 

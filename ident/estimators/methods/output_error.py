@@ -132,18 +132,18 @@ class OutputErrorEstimator(TorqueEstimator):
         while len(changes) < ITERATIONS and (not changes or changes[-1] > SIMULATION_SETTLED):
             inverse = simulable_arm(self.setup, reduction, solution)
             try:
-                rows = tuple(part for run in runs for part in output_rows(inverse, run))
+                rows = tuple(output_row for run in runs for output_row in output_rows(inverse, run))
             except ModelError as error:
                 raise IdentificationError(
                     f"the identified arm cannot be simulated: {error.message}", hint="use --method wls"
                 ) from error
             factors = [QrAccumulator(plain.column_count + 1) for _ in plain.joints]
-            for part in rows:
-                for one in part:
+            for row in rows:
+                for one in row:
                     factors[one.motor].add(np.vstack([one.regressor, one.torque]))
             position_weights = _inverse_rms(rows)
             system = triangular(
-                np.vstack([w * part.factor() for w, part in zip(position_weights, factors, strict=True)])
+                np.vstack([w * factor.factor() for w, factor in zip(position_weights, factors, strict=True)])
             )
             solved = triangular_system(plain, system, weights, active, "output-error", len(changes) + 1)
             moved = np.abs(solved.solution.parameters - solution.parameters)[list(active)]
@@ -162,7 +162,7 @@ class OutputErrorEstimator(TorqueEstimator):
     def covariance(self, runs: Sequence[FilteredRun], estimation: Estimation) -> CorrectedCovariance:
         """Delete-block jackknife of the last linearised system."""
         assert isinstance(estimation, OutputEstimation)
-        series = [part.series() for part in estimation.rows]
+        series = [row.series() for row in estimation.rows]
         return moment_jackknife(
             series, estimation.rows, replace(estimation.solution, weights=estimation.position_weights)
         )
@@ -174,7 +174,7 @@ class OutputErrorEstimator(TorqueEstimator):
 
 def _inverse_rms(rows: Sequence[OutputRows]) -> FloatArray:
     """Weights (n,): one over the root mean square of each joint's error."""
-    series = [part.series() for part in rows]
+    series = [row.series() for row in rows]
     squares = sum(np.sum(part.residual**2, axis=1) for part in series)
     count = sum(int(part.used.sum()) for part in series)
     return np.asarray(np.sqrt(max(count, 1) / np.maximum(squares, np.finfo(float).tiny)))

@@ -41,11 +41,14 @@ def whitened_jackknife(
     for run in runs:
         for segment in run.segments:
             of_segment, weight = next(of_segments), next(weights)
-            for part in sample_equations(kernel, segment, run.parallel_filter, torques):
-                _, unroot = whitening.roots(part.motors)
-                root_weight = np.sqrt(weight[np.ix_(np.array(part.motors), part.samples)])
-                of_sample = of_segment[part.samples]
-                regressor, residual = part.regressor[:, active], part.residual(solution.parameters)
+            for sample_equation in sample_equations(kernel, segment, run.parallel_filter, torques):
+                _, unroot = whitening.roots(sample_equation.motors)
+                root_weight = np.sqrt(weight[np.ix_(np.array(sample_equation.motors), sample_equation.samples)])
+                of_sample = of_segment[sample_equation.samples]
+                regressor, residual = (
+                    sample_equation.regressor[:, active],
+                    sample_equation.residual(solution.parameters),
+                )
                 for block in np.unique(of_sample).tolist():
                     inside = of_sample == block
                     rows = whitened(regressor[:, :, inside], residual[:, inside], unroot, root_weight[:, inside])

@@ -62,16 +62,16 @@ def weighted_pass(
         for segment in run.segments:
             count = len(segment.used[:: run.parallel_filter.factor])
             weights, normalised = (np.full((kernel.model.dof, count), np.nan) for _ in range(2))
-            for part in sample_equations(kernel, segment, run.parallel_filter, torques):
-                root, unroot = whitening.roots(part.motors)
-                residual = unroot @ part.residual(parameters)
+            for sample_equation in sample_equations(kernel, segment, run.parallel_filter, torques):
+                root, unroot = whitening.roots(sample_equation.motors)
+                residual = unroot @ sample_equation.residual(parameters)
                 weight = np.ones_like(residual) if function is None else function(residual)
-                place = np.ix_(np.array(part.motors), part.samples)
+                place = np.ix_(np.array(sample_equation.motors), sample_equation.samples)
                 weights[place], normalised[place] = weight, residual
-                sums.add(part.motors, root, residual, weight)
-                accumulator.add(whitened(part.regressor, part.torque, unroot, np.sqrt(weight)))
+                sums.add(sample_equation.motors, root, residual, weight)
+                accumulator.add(whitened(sample_equation.regressor, sample_equation.torque, unroot, np.sqrt(weight)))
                 rows += int(np.count_nonzero(weight))
-                samples += len(part.samples)
+                samples += len(sample_equation.samples)
             all_weights.append(weights)
             all_normalised.append(normalised)
     columns = tuple(range(len(kernel.columns)))

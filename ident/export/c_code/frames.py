@@ -161,7 +161,7 @@ def _shortcut(graph: Graph, parent: JointFrame, frame: JointFrame) -> Shortcut |
 
 def _skew_rotation(s: Expression, c: Expression, joint: Joint) -> Matrix:
     """Rotation from the joint's frame to the parent's, its constant part included."""
-    steady, of_sine, of_cosine = (part.T for part in rotation_coefficients(joint))
+    steady, of_sine, of_cosine = (rotation_coefficient.T for rotation_coefficient in rotation_coefficients(joint))
     rows = [
         [s * float(of_sine[i, j]) + c * float(of_cosine[i, j]) + float(steady[i, j]) for j in range(3)]
         for i in range(3)

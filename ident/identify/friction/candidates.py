@@ -156,7 +156,11 @@ def greatest_speeds(model: DynamicModel, runs: Sequence[Prepared]) -> FloatArray
         [
             max(
                 REST_FLOOR,
-                *(float(np.max(np.abs(combined(motion, part.velocity)))) for run in runs for part in run.segments),
+                *(
+                    float(np.max(np.abs(combined(motion, segment.velocity))))
+                    for run in runs
+                    for segment in run.segments
+                ),
             )
             for motion in motions
         ]

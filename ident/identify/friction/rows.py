@@ -68,7 +68,7 @@ class FrictionRows:
 
     def __init__(self, plain: DynamicModel, base: BaseParameters, runs: Sequence[Prepared]) -> None:
         self._kernel = RegressorKernel(plain, base.columns)
-        count = sum(len(part.time) // run.parallel_filter.factor for run in runs for part in run.segments)
+        count = sum(len(segment.time) // run.parallel_filter.factor for run in runs for segment in run.segments)
         self.every = slice(None, None, max(1, -(-count // MOST_SAMPLES)))
         self._segments = [part for run in runs for part in self._kept(run)]
         names = [plain.parameters[column].name for column in base.columns]
@@ -79,8 +79,8 @@ class FrictionRows:
         for segment in run.segments:
             whole = replace(segment, reversing=None)
             parts = [
-                (part.regressor.copy(), part.torque.copy(), part.used)
-                for part in filtered_samples(self._kernel, whole, run.parallel_filter, segment.torque)
+                (filtered_sample.regressor.copy(), filtered_sample.torque.copy(), filtered_sample.used)
+                for filtered_sample in filtered_samples(self._kernel, whole, run.parallel_filter, segment.torque)
             ]
             if not parts:
                 continue
@@ -118,7 +118,7 @@ class FrictionRows:
         for of_motor, rows_of in zip(columns, blocks, strict=True):
             stacked = np.concatenate([*rows_of, np.zeros((len(of_motor) + 1, 0))], axis=1)
             joints.append(JointFactor(of_motor, triangular(stacked.T), stacked.shape[1]))
-        samples = sum(int(np.any(part.fitted, axis=0).sum()) for part in self._segments)
+        samples = sum(int(np.any(segment.fitted, axis=0).sum()) for segment in self._segments)
         return Reduction(tuple(joints), base.count, 1, samples, "QR of kept equations")
 
     def fold_sums(self, model: DynamicModel, base: BaseParameters, folds: Sequence[npt.NDArray[np.int64]]) -> FoldSums:
@@ -131,10 +131,10 @@ class FrictionRows:
         """
         size = base.count + 1
         sums = FoldSums(*(np.zeros((FOLDS, model.dof, size, size)) for _ in range(2)))
-        for part, fold in zip(self._segments, folds, strict=True):
-            for motor, (of_motor, rows) in enumerate(self._equations(model, base, part)):
+        for segment, fold in zip(self._segments, folds, strict=True):
+            for motor, (of_motor, rows) in enumerate(self._equations(model, base, segment)):
                 places = np.array([*of_motor, base.count])
-                for total, counts in ((sums.fitted, part.fitted[motor]), (sums.compared, part.compared[motor])):
+                for total, counts in ((sums.fitted, segment.fitted[motor]), (sums.compared, segment.compared[motor])):
                     for block in np.unique(fold[self.every]):
                         inside = rows[:, counts & (fold[self.every] == block)]
                         total[block, motor][places[:, None], places] += inside @ inside.T
@@ -159,16 +159,16 @@ class FrictionRows:
         columns: list[tuple[int, ...]] = [()] * dof
         grams: list[FloatArray] = []
         count = np.zeros((FOLDS, dof))
-        for part, fold in zip(self._segments, folds, strict=True):
-            signals = part.run_filter.apply(candidate_signals(model, part.segment, candidates))[:, self.every]
-            for motor, (of_motor, rows) in enumerate(self._equations(model, base, part)):
+        for segment, fold in zip(self._segments, folds, strict=True):
+            signals = segment.run_filter.apply(candidate_signals(model, segment.segment, candidates))[:, self.every]
+            for motor, (of_motor, rows) in enumerate(self._equations(model, base, segment)):
                 columns[motor] = of_motor
                 if len(grams) == motor:
                     grams.append(np.zeros((FOLDS, len(rows) + width, len(rows) + width)))
                 gram = grams[motor]
                 stacked = np.concatenate([rows[:-1], signals[motor::dof], rows[-1:]])
                 for block in np.unique(fold[self.every]):
-                    inside = stacked[:, part.fitted[motor] & (fold[self.every] == block)]
+                    inside = stacked[:, segment.fitted[motor] & (fold[self.every] == block)]
                     gram[block] += inside @ inside.T
                     count[block, motor] += inside.shape[1]
         return CandidateGrams(candidates, tuple(columns), tuple(grams), count, base.count)

@@ -106,7 +106,9 @@ def small_parameter_figure(anchor: str, data: ReportData) -> Figure | None:
 
 def _small_panel(kind: str, unit: str, entries: Sequence[BaseParameterResult]) -> Panel:
     words, colour, symbol = KIND_STYLES[kind]
-    half = [WITHIN_95_PERCENT * (one.std or 0.0) if one.std is None or isfinite(one.std) else 0.0 for one in entries]
+    half = [
+        WITHIN_95_PERCENT * (entry.std or 0.0) if entry.std is None or isfinite(entry.std) else 0.0 for entry in entries
+    ]
     trace = {
         "type": "scatter",
         "mode": "markers",

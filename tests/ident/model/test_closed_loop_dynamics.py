@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from loop_arms import four_bar_arm, spatial_arm, spherical_arm
+from regressor_differences import check_gradient
 
 from daq.robot.loader import RobotFile, parse_robot
 from daq.robot.obstacles import obstacles_of
@@ -18,8 +19,7 @@ from ident.model.energy import EnergyKernel, energy_base_parameters
 from ident.model.kinematics.linkages.closed_loops import ClosedLoops
 from ident.model.kinematics.loops import loop_ends
 from ident.model.pinocchio_model import pinocchio_model, pinocchio_regressor
-from ident.model.regressor import RegressorKernel, model_torque, regressor
-from ident.model.regressor_gradient import pull_back_regressor
+from ident.model.regressor import model_torque, regressor
 from ident.model.true_parameters import truth_vector
 
 pin = pytest.importorskip("pinocchio")
@@ -110,24 +110,7 @@ def test_the_kernel_is_pinocchio_s_regressor(make: Callable[[], RobotFile]) -> N
 def test_the_gradient_is_that_of_finite_differences(make: Callable[[], RobotFile]) -> None:
     model = replace(build_model(make()), smoothing=0.1)
     motion = np.array(random_states(model, 6, seed=7)) * 0.9
-    kernel = RegressorKernel(model, chunk=8)
-    packed = np.empty((kernel.row_count, 6))
-    weights = np.random.default_rng(0).standard_normal(packed.shape)
-
-    def total(motion: np.ndarray) -> np.ndarray:
-        kernel.evaluate(*motion, packed)
-        return np.einsum("rN,rN->N", weights, packed)
-
-    total(motion)
-    gradient = pull_back_regressor(kernel, *motion, weights)
-    step = 1e-6
-    for kind in range(3):
-        for joint in range(model.dof):
-            moved = [motion.copy() for _ in range(2)]
-            moved[0][kind, joint] += step
-            moved[1][kind, joint] -= step
-            difference = (total(moved[0]) - total(moved[1])) / (2 * step)
-            np.testing.assert_allclose(gradient[kind, joint], difference, atol=1e-7 * (1 + np.abs(gradient).max()))
+    check_gradient(model, motion, 2, 1e-7)
 
 
 @pytest.mark.parametrize("make", ARMS)

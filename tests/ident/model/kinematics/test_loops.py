@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from regressor_differences import check_gradient
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.obstacles import obstacles_of
@@ -19,8 +20,7 @@ from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.kinematics.loops import loop_ends, main_chain, place_tree
 from ident.model.kinematics.transmission import LinearTransmission
 from ident.model.pinocchio_model import pinocchio_model, pinocchio_regressor
-from ident.model.regressor import RegressorKernel, model_torque, regressor
-from ident.model.regressor_gradient import pull_back_regressor
+from ident.model.regressor import model_torque, regressor
 
 FOUR_BAR = """\
 name: four_bar
@@ -215,27 +215,8 @@ def test_motors_give_the_power_that_the_tree_s_joints_take(random_tree: Callable
 @pytest.mark.parametrize("seed", range(4))
 def test_the_gradient_is_that_of_finite_differences(random_tree: Callable[..., DynamicModel], seed: int) -> None:
     model = replace(random_transmission(random_tree(seed, 6), seed), smoothing=0.1)
-    generator = np.random.default_rng(seed)
     motion = np.array(random_states(model, 5, seed))
-    kernel = RegressorKernel(model, chunk=5)
-    packed = np.empty((kernel.row_count, 5))
-    weights = generator.standard_normal(packed.shape)
-
-    def total(motion: np.ndarray) -> np.ndarray:
-        kernel.evaluate(*motion, packed)
-        return np.einsum("rN,rN->N", weights, packed)
-
-    total(motion)
-    gradient = pull_back_regressor(kernel, *motion, weights)
-    step = 1e-6
-    for kind in range(3):
-        for joint in range(model.dof):
-            moved = [motion.copy() for _ in range(2)]
-            moved[0][kind, joint] += step
-            moved[1][kind, joint] -= step
-            difference = (total(moved[0]) - total(moved[1])) / (2 * step)
-            scale = 1.0 + np.abs(gradient).max()
-            np.testing.assert_allclose(gradient[kind, joint], difference, atol=3e-6 * scale)
+    check_gradient(model, motion, seed, 3e-6)
 
 
 def test_the_inertia_matrix_is_the_tree_s_between_the_active_joints() -> None:
