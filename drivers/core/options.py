@@ -206,14 +206,19 @@ def in_python(error: DynidError, options: Iterable[Field[Any]]) -> None:
             return f"{of.name}=True{after}"
         if not value or value in _NO_VALUES:
             return f"{of.name}={after}"
-        quoted = value if re.fullmatch(r"[\d.e+-]+|[A-Z]+", value) else f'"{value}"'
-        several = str(of.type).startswith(("Collection", "Sequence", "tuple"))
-        return f"{of.name}=[{quoted}]" if several else f"{of.name}={quoted}"
+        if str(of.type).startswith(("Collection", "Sequence", "tuple")):
+            return f"{of.name}=[{', '.join(map(_quoted, value.split(',')))}]"
+        return f"{of.name}={_quoted(value)}"
 
-    pattern = r"(--[a-z][a-z-]*)(?:( )([^\s,;:()]+))?"
+    pattern = r"(--[a-z][a-z-]*)(?:( )((?:[^\s,;:()]|,(?=\S))+))?"
     for part, spelled in (("message", named), ("where", named), ("hint", typed)):
         text = re.sub(r"--[a-z][^,()]*, in Python ", "", getattr(error, part))
         setattr(error, part, re.sub(pattern, spelled, text))
+
+
+def _quoted(value: str) -> str:
+    """A value as a caller of Python types it; a number and what a text leaves open as they are."""
+    return value if re.fullmatch(r"[\d.e+-]+|[A-Z]+", value) else f'"{value}"'
 
 
 def _of_a_command(found: re.Match[str]) -> bool:

@@ -78,7 +78,7 @@ def test_a_recording_that_supervision_stopped_is_answered(data_dir: Path, tmp_pa
 
 
 def test_a_torque_that_was_not_measured_is_named(arm: RobotFile) -> None:
-    with pytest.raises(DynidError, match=r"the torque of j2 does not change.*--torques-of j1,j3"):
+    with pytest.raises(DynidError, match=r'the torque of j2 does not change.*torques_of=\["j1", "j3"\]'):
         dynid.identify(odd_recording(arm, "together", "a torque zero", seconds=8.0, rate=50.0))
 
 

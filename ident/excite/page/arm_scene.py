@@ -28,7 +28,7 @@ from ident.report.figures.traces import packed
 FRAMES = 80
 """Frames of the animation at most."""
 
-NEAR, FAR = 0.95, 1.25
+NEAR, FAR = 1.1, 1.35
 """Of the camera along x and y, so that the arm fills a window, and a phone."""
 
 _SCENE_HEIGHT, _NARROW_SCENE_HEIGHT = 640, 600
@@ -237,7 +237,7 @@ def _scene(low: FloatArray, high: FloatArray, distance: float) -> dict[str, Any]
 
 def _camera(distance: float) -> dict[str, Any]:
     eye = {"x": distance, "y": distance, "z": 0.5 * distance}
-    return {"eye": eye, "center": {"x": 0.0, "y": 0.0, "z": -0.08}}
+    return {"eye": eye, "center": {"x": 0.0, "y": 0.0, "z": -0.2}}
 
 
 def _buttons(wait: float) -> dict[str, Any]:

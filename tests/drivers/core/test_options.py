@@ -11,7 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.core.errors import UsageError
-from drivers.core.options import Options, argument, keywords_of, option, read_delay, read_names, same_named
+from drivers.core.options import (
+    Options,
+    argument,
+    keywords_of,
+    option,
+    read_delay,
+    read_names,
+    same_named,
+    spoken_in_a_shell,
+)
 from drivers.core.ranges import Range
 
 
@@ -73,16 +82,42 @@ def grasp(options: Grasp) -> Grasp:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"force": 60.0}, r"--force 60 is not within 0 to 50 N.*10 is gentle"),
+        ({"force": 60.0}, r"^force 60 is not within 0 to 50 N.*10 is gentle"),
         ({"force": float("nan")}, "nan is not a finite number"),
-        ({"fingers": (1.0, 3.0)}, "--fingers 3 is not within"),
-        ({"style": "hook"}, "--style 'hook' does not exist.*pinch or power"),
+        ({"fingers": (1.0, 3.0)}, "^fingers 3 is not within"),
+        ({"style": "hook"}, "^style 'hook' does not exist.*pinch or power"),
         ({"joints": "thumb"}, "a list of joint names is needed"),
     ],
 )
-def test_a_value_that_is_not_allowed_is_refused_by_its_flag(given, message):
+def test_a_value_that_is_not_allowed_is_refused_by_its_name(given, message):
     with pytest.raises(UsageError, match=message):
         grasp("left", **given)
+    shown = message.replace("^", "--") if message.startswith("^") else message
+    with spoken_in_a_shell(), pytest.raises(UsageError, match=shown):
+        grasp("left", **given)
+
+
+@keywords_of(Grasp)
+def advise(options: Grasp) -> Grasp:
+    """Refuse, with advice."""
+    raise UsageError("--joints names nothing", hint=options.hand)
+
+
+@pytest.mark.parametrize(
+    ("hint", "typed"),
+    [
+        ("or give --force N", "or give force=N"),
+        ("--style pinch or --force 3", 'style="pinch" or force=3'),
+        ("leave it out: --joints a,b", 'leave it out: joints=["a", "b"]'),
+        ("--repair sort, in Python repair=['sort']", "repair=['sort']"),
+        ("see dynid grasp HAND --force 3", "see dynid grasp HAND --force 3"),
+        ("--others stay", "--others stay"),
+    ],
+)
+def test_advice_names_options_as_python_types_them(hint, typed):
+    with pytest.raises(UsageError, match=r"^joints names nothing") as refused:
+        advise(hint)
+    assert refused.value.hint == typed
 
 
 def test_a_function_has_the_arguments_and_the_texts_of_its_options():

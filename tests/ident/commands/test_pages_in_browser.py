@@ -256,7 +256,7 @@ def check_downloads(page: BrowserPage, folder: Path) -> None:
 
 def check_parameters_print(page: BrowserPage) -> None:
     """The table of 58 parameters takes four pages at most. What else is on the page is lost."""
-    others = "main > section:not(#parameters), #parameters figure"
+    others = "main > :not(#parameters), #parameters figure"
     page.evaluate(f"document.querySelectorAll('{others}').forEach((one) => one.remove())")
     printed = page.pdf()
     assert 1 <= len(re.findall(rb"/Type\s*/Page\b", printed)) <= MOST_PRINTED_PAGES
