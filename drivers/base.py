@@ -63,11 +63,13 @@ class Notice:
         time: of the source's clock [s]; nan where it has none.
         level: an `error` makes the session stop the arm.
         message: in words.
+        hint: what to do about an error; empty where there is nothing to say.
     """
 
     time: float
     level: Level
     message: str
+    hint: str = ""
 
 
 @dataclass(frozen=True)

@@ -291,7 +291,7 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
     if notice is not None and not (breach is not None and breach.time < notice.time):
         # Braking after a protective stop may itself pass a limit: what came first is the reason.
         course.breach_time = notice.time
-        raise SafetyStopError(notice.message)
+        raise SafetyStopError(notice.message, hint=notice.hint)
     if breach is not None:
         course.breach_time = breach.time
         raise SafetyStopError(str(breach), hint=course.cure(breach))

@@ -121,7 +121,9 @@ class Sources:
         for source in self._all:
             for notice in source.driver.notices():
                 shift = 0.0 if source is self._main else source.host_ahead - self._main.host_ahead
-                notices.append(Notice(notice.time + shift, notice.level, f"{source.name}: {notice.message}"))
+                notices.append(
+                    Notice(notice.time + shift, notice.level, f"{source.name}: {notice.message}", notice.hint)
+                )
         return notices
 
     def silence(self, stream: str, limit: float) -> str:

@@ -391,8 +391,8 @@ class RtdeDriver:
             column = rows[source.variable].astype(np.int64)
             changed = np.flatnonzero(np.diff(column, prepend=column[0] - 1 if before is None else before))
             for index in changed:
-                level, text = describe_mode(source.variable, int(column[index]))
-                self._notices.append(Notice(float(clock[index]), level, text))
+                level, text, hint = describe_mode(source.variable, int(column[index]))
+                self._notices.append(Notice(float(clock[index]), level, text, hint))
             self._last_mode[source.variable] = int(column[-1])
 
     def _require_movable(self) -> None:

@@ -54,8 +54,25 @@ NAMES: Mapping[str, Mapping[int, str]] = {
 _SOUND: Mapping[str, frozenset[int]] = {"robot_mode": frozenset({7}), "safety_mode": frozenset({1, 2})}
 
 
-def describe_mode(variable: str, value: int) -> tuple[Level, str]:
-    """How much a mode matters, and in words."""
+_HINTS: Mapping[str, Mapping[int, str]] = {
+    "robot_mode": {},
+    "safety_mode": {
+        3: "look for what it touched, release the stop on the pendant, and lower --speed-scale",
+        5: "close what the safeguard input watches",
+        6: "release the emergency stop",
+        7: "release the emergency stop",
+    },
+}
+_OTHERWISE = {
+    "robot_mode": "switch the arm on and release its brakes on the pendant",
+    "safety_mode": "the pendant's log says why",
+}
+
+
+def describe_mode(variable: str, value: int) -> tuple[Level, str, str]:
+    """How much a mode matters, in words, and what to do about it where it stops a session."""
     text = f"{variable.replace('_', ' ')}: {NAMES[variable].get(value, f'unknown ({value})')}"
     sound = _SOUND.get(variable)
-    return ("info" if sound is None or value in sound else "error"), text
+    if sound is None or value in sound:
+        return "info", text, ""
+    return "error", text, _HINTS[variable].get(value, _OTHERWISE[variable])

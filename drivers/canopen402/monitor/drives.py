@@ -12,7 +12,7 @@ from drivers.base import Level, Notice, drained
 from drivers.canopen402.monitor.heartbeat_clocks import HeartbeatClocks
 from drivers.canopen402.monitor.presence import Presence
 from drivers.canopen402.protocol import objects
-from drivers.canopen402.protocol.emcy import MASTER_MISSED, Emergency, decode_emergency
+from drivers.canopen402.protocol.emcy import HOW_TO_RESET, MASTER_MISSED, Emergency, decode_emergency
 from drivers.canopen402.protocol.state_machine import (
     FAULTY,
     FOLLOWING_ERROR,
@@ -25,6 +25,7 @@ from drivers.canopen402.protocol.state_machine import (
 from drivers.canopen402.samples.alignment import Aligned
 from drivers.core.arrays import FloatArray, IntArray
 
+FAULT = "fault"
 ALIGNMENT_PERIOD = 1.0
 """Missing and extra frames are reported at most once in so many seconds."""
 _MARKS = (
@@ -272,11 +273,12 @@ class DriveWatch:
             else:
                 grouped.setdefault(("info", state.value), []).append(joint)
         for (level, words), who in grouped.items():
-            self._notices.append(Notice(time, level, f"{self._who(who)}: {words}"))
+            hint = HOW_TO_RESET if words.startswith(FAULT) else ""
+            self._notices.append(Notice(time, level, f"{self._who(who)}: {words}", hint))
 
     def _fault_words(self, index: int) -> str:
         cause = self.cause(index)
-        return f"fault: {cause}" if cause else "fault (no EMCY so far)"
+        return f"{FAULT}: {cause}" if cause else f"{FAULT} (no EMCY so far)"
 
     def _who(self, joints: Sequence[str]) -> str:
         return "all joints" if len(joints) == len(self._joints) > 1 else ", ".join(joints)

@@ -216,7 +216,9 @@ def test_modes_become_notices_when_they_change(controller: Make, make_driver: Ma
     driver.open()
     driver.start()
     read_all(driver, 15)
-    found = [(round(notice.time, 3), notice.level, notice.message) for notice in driver.notices()]
+    notices = driver.notices()
+    assert all(bool(notice.hint) == (notice.level == "error") for notice in notices)
+    found = [(round(notice.time, 3), notice.level, notice.message) for notice in notices]
     assert sorted(found) == sorted(
         [
             (1.0, "info", "robot mode: running"),
