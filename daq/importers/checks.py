@@ -15,6 +15,7 @@ from daq.importers.units import REVOLUTE
 from daq.recording.recording import MOTOR_SIGNALS
 from daq.recording.repairs import DROP_DUPLICATES, DROP_NAN, DROP_REPEATS, OPPOSITE_TORQUE, SORT
 from daq.recording.stale_samples import stale_samples
+from daq.recording.unit_plausibility import near
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError
 from drivers.core.ranges import SAMPLING_RATE
@@ -61,6 +62,14 @@ def _checked_commands(
             where=where,
             hint="commands and samples need stamps of one clock; see their units, too",
         )
+    longer = (commands.time[-1] - commands.time[0]) / (time[-1] - time[0])
+    for unit in get_args(TimeUnit)[1:]:
+        if near(longer * REVOLUTE["time"][unit], 1.0):
+            raise ImportFileError(
+                f"the stamps last {longer:.4g} times as long as those of the samples: they look like {unit}",
+                where=where,
+                hint=f"state their unit, in a header like target_time [{unit}], or give all stamps in seconds",
+            )
     return commands
 
 

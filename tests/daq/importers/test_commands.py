@@ -106,6 +106,8 @@ def test_stamps_since_1970_are_counted_from_one_moment(tmp_path: Path, robot: Ro
         (lambda told: {"command": np.where(told["command"] > 0.99, np.nan, told["command"])}, ["NaN", "--repair drop"]),
         (lambda told: {"command": told["command"][:-3]}, ["differ in length", "target_time"]),
         (lambda told: {"command_time": np.array(["late"])}, ["real numbers"]),
+        (lambda told: {"command_time": 1e3 * told["command_time"]}, ["commands", "look like ms"]),
+        (lambda told: {"command": np.rad2deg(told["command"])}, ["the command looks like degrees"]),
     ],
 )
 def test_hostile_commands_are_refused_in_one_line(tmp_path: Path, robot: RobotFile, change, said: list[str]) -> None:

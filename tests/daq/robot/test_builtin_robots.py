@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from daq.robot.loader import RobotFile, builtin_robots, load_robot
+from daq.robot.loader import RobotFile, builtin_robots, load_robot, parse_robot
 from daq.robot.schema import TruthLink
+from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
+from ident.model.kinematics.urdf import urdf_inertias
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 
@@ -224,6 +227,21 @@ def test_up6_limits_are_the_paper_s_degrees() -> None:
         np.array([[-170, 170], [-90, 155], [-170, 190]]), abs=1e-3
     )
     assert np.rad2deg([joint.velocity for joint in joints]) == pytest.approx(np.array([140, 160, 170]), abs=1e-3)
+
+
+def test_so101_moves_the_links_of_its_urdf() -> None:
+    robot_file = load_robot("so101")
+    names = robot_file.robot.joint_names
+    bodies = dict(zip(names, urdf_inertias(robot_file.urdf_text or "", names, {}, "so101"), strict=True))
+    assert tuple(robot_file.robot.truth.links) == names
+    assert parse_robot(robot_file.text, where="a copy of it", folder=Path("/")).urdf_text == robot_file.urdf_text
+    with pytest.raises(RobotFileError, match=r"no built-in URDF is called 'so100\.urdf'"):
+        parse_robot(robot_file.text.replace("so101.urdf", "so100.urdf"), where="of another arm", folder=None)
+    for name, link in robot_file.robot.truth.links.items():
+        mass, centre, inertia = bodies[name] or (0.0, np.zeros(3), np.zeros((3, 3)))
+        assert mass == link.mass
+        np.testing.assert_allclose(centre, link.com, atol=1e-15)
+        np.testing.assert_allclose(inertia, inertia_matrix(link), atol=1e-15)
 
 
 def test_rocr6_regrouped_first_moments_have_the_size_of_table_2() -> None:
