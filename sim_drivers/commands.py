@@ -8,7 +8,7 @@ import typer
 
 from daq.commands.completion import COMPLETIONS
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, VERBOSE
+from daq.commands.options import FORCE, JSON, REALTIME, VERBOSE
 
 app = CommandApp("Simulate")
 
@@ -53,7 +53,7 @@ def sim(
         None, "--position", help="Where it stands at first, joint after joint, rad or m; default: mid-range."
     ),
     seed: int = typer.Option(1, "--seed", help="Of the noise."),
-    realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs permission)."),
+    realtime: bool = REALTIME,
     no_ui: bool = typer.Option(False, "--no-ui", help="No status line on standard error."),
     as_json: bool = typer.Option(False, "--json", help="As --no-ui; ports and pid are printed as JSON in any case."),
 ) -> None:

@@ -18,6 +18,8 @@ Given = TypeVar("Given")
 FORCE = typer.Option(False, "--force", help="Overwrite files that exist.")
 JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
 ROBOT = typer.Argument(help="Built-in robot or robot file.", autocompletion=COMPLETIONS["robot"])
+HOST = typer.Option(None, "--host", help="Address in place of the connection's own.")
+REALTIME = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs permission).")
 VERBOSE = typer.Option(False, "--verbose", "-v", help="Everything that was computed, not the outcome alone.")
 
 _TYPES = {"bool": bool, "int": int, "float": float, "Path": Path}

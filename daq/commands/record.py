@@ -10,7 +10,7 @@ import typer
 
 from daq.commands.completion import COMPLETIONS
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, ROBOT
+from daq.commands.options import FORCE, HOST, JSON, REALTIME, ROBOT
 from drivers.core.text import percent_text
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ app = CommandApp("Record")
 def record_command(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     robot: str = ROBOT,
     wire: str = typer.Option(None, "--wire", help="Connection of the robot file; its first one if absent."),
-    host: str = typer.Option(None, "--host", help="Address in place of the connection's own."),
+    host: str = HOST,
     trajectory: Path = typer.Option(
         None,
         "--trajectory",
@@ -45,7 +45,7 @@ def record_command(  # noqa: C901, PLR0912, PLR0915 — the steps, in their orde
     out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5)."),
     comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
     force: bool = FORCE,
-    realtime: bool = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs permission)."),
+    realtime: bool = REALTIME,
     no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
     as_json: bool = JSON,
 ) -> None:

@@ -8,7 +8,7 @@ from typing import NoReturn
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import JSON, ROBOT, VERBOSE
+from daq.commands.options import HOST, JSON, ROBOT, VERBOSE
 from drivers.core.errors import InputError
 
 app = CommandApp("Robot")
@@ -19,7 +19,7 @@ def check(
     robot: str = ROBOT,
     connect: bool = typer.Option(False, "--connect", help="Open the connection and listen; nothing is enabled."),
     wire: str = typer.Option(None, "--wire", help="Connection to open; the first one if absent."),
-    host: str = typer.Option(None, "--host", help="Address in place of the connection's own."),
+    host: str = HOST,
     reset_faults: bool = typer.Option(False, "--reset-faults", help="Reset faults of CiA 402 drives; enables nothing."),
     verbose: bool = VERBOSE,
     as_json: bool = JSON,

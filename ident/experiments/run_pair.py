@@ -17,7 +17,7 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray, IntArray
 from drivers.core.errors import DataError, UsageError
-from ident.assessment.delay.delay import search_delay
+from ident.assessment.delay.delay import DelaySearch, search_delay
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recording_checks import closing_checks
 from ident.model.base_parameters import BaseParameters, base_parameters
@@ -57,8 +57,7 @@ class RunPair:
         model, base, kernel: its model, base parameters and their regressor.
         runs: free, then loaded.
         active: base columns that the two runs together excite.
-        delay: of the torque [s], used for both runs.
-        delay_note: outcome of its search, in words.
+        delay: of the torque behind the position, the same for both runs.
     """
 
     robot_file: RobotFile
@@ -67,8 +66,7 @@ class RunPair:
     kernel: RegressorKernel
     runs: tuple[Run, Run]
     active: tuple[int, ...]
-    delay: float
-    delay_note: str
+    delay: DelaySearch
 
 
 @dataclass(frozen=True)
@@ -140,10 +138,10 @@ def prepare_pair(
     base = base_parameters(model)
     kernel = RegressorKernel(model, base.columns)
     first = prepare(motions[FREE], PreprocessChoices(delay=delay or 0.0))
-    choices, note = first.choices, "as given, not searched"
+    choices, search = first.choices, DelaySearch(used=first.choices.delay)
     if delay is None:
         search = search_delay(kernel, first.segments, first.parallel_filter)
-        choices, note = replace(choices, delay=search.used, joint_delays=search.joint_delays), search.note
+        choices = replace(choices, delay=search.used, joint_delays=search.joint_delays)
     runs = []
     for motion in motions:
         prepared = prepare(motion, choices)
@@ -153,7 +151,7 @@ def prepare_pair(
     active = excited_base_columns(
         stack_reductions([run.reduction for run in pair]), base, [run.prepared for run in pair]
     )
-    return RunPair(robot_file, model, base, kernel, pair, active, choices.delay, note)
+    return RunPair(robot_file, model, base, kernel, pair, active, search)
 
 
 def pair_warnings(pair: RunPair, recordings: Sequence[Recording]) -> list[str]:

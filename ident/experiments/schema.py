@@ -6,6 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from ident.assessment.delay.delay import DelaySearch
 from ident.experiments.gains.drive_gains import GainEstimate
 from ident.experiments.gains.up_and_down import SlowGain
 from ident.experiments.load.payload import BaseParameterChange, PayloadTests
@@ -42,13 +43,6 @@ class CentreOfMass(Stored):
 
     value: list[Number]
     std: list[Number]
-
-
-class DelayUsed(Stored):
-    """Torque against position [s]."""
-
-    used: float
-    note: str
 
 
 class RunError(Stored):
@@ -107,7 +101,7 @@ class PayloadResult(Stored):
     base_parameters: list[BaseParameterChange]
     tests: PayloadTests
     sentences: list[str]
-    delay: DelayUsed
+    delay: DelaySearch
     blocks: int
     block_length: int
     warnings: list[str]
@@ -128,7 +122,7 @@ class GainsResult(Stored):
     load: list[EstimatedValue]
     condition: Number
     gap: Number
-    delay: DelayUsed
+    delay: DelaySearch
     blocks: int
     block_length: int
     robot_file_text: str

@@ -7,17 +7,11 @@ import math
 import pytest
 from html_page import Page
 
+from ident.assessment.delay.delay import DelaySearch
 from ident.experiments.gains.drive_gains import GainEstimate
 from ident.experiments.gains.up_and_down import SlowGain
 from ident.experiments.load.payload import BaseParameterChange, PayloadTests
-from ident.experiments.schema import (
-    DelayUsed,
-    EstimatedValue,
-    GainsResult,
-    LoadParameter,
-    PayloadResult,
-    SlowGainsResult,
-)
+from ident.experiments.schema import EstimatedValue, GainsResult, LoadParameter, PayloadResult, SlowGainsResult
 from ident.model.load import KnownLoad
 from ident.regression.hypothesis_tests import SignificanceTest
 from ident.report.load_pages import gains_page, payload_page
@@ -54,7 +48,7 @@ def payload(**changes: object) -> PayloadResult:
         "base_parameters": [],
         "tests": PayloadTests(mass=None, values=None, load=None, known_load=None, unchanged=None),
         "sentences": ["a sentence"],
-        "delay": DelayUsed(used=0.0, note="none"),
+        "delay": DelaySearch(used=0.0, note="none"),
         "blocks": 9,
         "block_length": 8,
         "warnings": [HOSTILE],
@@ -73,7 +67,7 @@ def gains(*of: GainEstimate) -> GainsResult:
     return GainsResult(
         robot="arm", runs=["free.h5", "loaded.h5"], signal="current", unit="N·m/A", known=KNOWN, gains=list(of),
         covariance=[], base_parameters=[EstimatedValue(name="ZZ1", unit="kg·m²", value=1.0, std=None)], load=[],
-        condition=5.0, gap=math.inf, delay=DelayUsed(used=0.0, note="none"), blocks=9, block_length=8,
+        condition=5.0, gap=math.inf, delay=DelaySearch(used=0.0, note="none"), blocks=9, block_length=8,
         robot_file_text=f"drives: {HOSTILE}", warnings=[],
     )  # fmt: skip
 

@@ -113,7 +113,7 @@ def test_the_gains_part_of_the_error_bars_is_what_wrong_gains_do():
             for each in robot_file.robot.drives
         )
         other = robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update={"drives": drives})})
-        changed = identify_payload(free, loaded, None, other, reference.pair.delay)
+        changed = identify_payload(free, loaded, None, other, reference.pair.delay.used)
         moved[joint] = (changed.load.values - reference.load.values) / step
     relative = np.array([drive.gain_std / drive.gain for drive in robot_file.robot.drives])
     independent = np.sqrt(np.sum((moved * relative[:, None]) ** 2, axis=0))
@@ -159,7 +159,7 @@ def test_intervals_of_the_mass_hold_the_truth_whatever_the_gains(common):
             for drive, share in zip(file.robot.drives, relative * draw, strict=True)
         )
         other = file.model_copy(update={"robot": file.robot.model_copy(update={"drives": drives})})
-        found = identify_payload(free, loaded, None, other, reference.pair.delay)
+        found = identify_payload(free, loaded, None, other, reference.pair.delay.used)
         assert found.load.values[place] == pytest.approx(reference.load.values[place] + draw @ moves, abs=0.05)
 
 
