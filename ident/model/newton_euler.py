@@ -70,7 +70,7 @@ class Recursion:
         for index, joint in enumerate(joints):
             # One stack a link: ω, α, a, then the angular and the linear component of every joint axis below it.
             below = len(chains[index])
-            stack = np.zeros((3, 3 + 2 * below, chunk))
+            stack = np.empty((3, 3 + 2 * below, chunk))
             self._stacks.append(stack)
             axes = [
                 AxisMotion(
@@ -86,7 +86,7 @@ class Recursion:
             )
             self.frames.append(FrameMotion(stack[:, 0], stack[:, 1], stack[:, 2], axes))
         widest = max(stack.shape[1] for stack in self._stacks)
-        self._carried = np.zeros((3, widest, chunk))
+        self._carried = np.empty((3, widest, chunk))
         self._term = np.empty((widest, chunk))
         self._vector = np.empty((3, chunk))
         self._entry = np.empty((3, 3, chunk))

@@ -119,16 +119,17 @@ class JointParameterRow:
     factor: float
 
 
-def _motor_axes(model: DynamicModel, chain: Sequence[int]) -> list[tuple[tuple[int, Share], ...]]:
+def _motor_axes(
+    constant: list[list[float]], varies: list[list[bool]], chain: Sequence[int]
+) -> list[tuple[tuple[int, Share], ...]]:
     """For each motor, (index in the chain, factor) of the axes that make up its own; empty where it moves none."""
-    constant, varies = model.transmission.share_pattern()
     return [
         tuple(
-            (index, (motor, joint) if varies[motor, joint] else float(constant[motor, joint]))
+            (index, (motor, joint) if varying[joint] else shares[joint])
             for index, joint in enumerate(chain)
-            if varies[motor, joint] or constant[motor, joint] != 0.0
+            if varying[joint] or shares[joint] != 0.0
         )
-        for motor in range(model.dof)
+        for motor, (shares, varying) in enumerate(zip(constant, varies, strict=True))
     ]
 
 
@@ -177,7 +178,8 @@ class RegressorKernel:
         links = range(len(model.joints))
         self._chains = tuple(ancestors(model.joints, index) for index in links)
         selected = [[c for c in range(10 * link, 10 * link + 10) if c in position_of] for link in links]
-        axes = [_motor_axes(model, (*self._chains[link], link)) for link in links]
+        pattern = [part.tolist() for part in model.transmission.share_pattern()]
+        axes = [_motor_axes(*pattern, (*self._chains[link], link)) for link in links]
         of_joints = {c: joint_column(model, parameters[c]) for c in self.columns if parameters[c].kind != "inertial"}
 
         targets: list[list[tuple[int, tuple[tuple[int, Share], ...]]]] = [[] for _ in links]
