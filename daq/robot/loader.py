@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
 from daq.robot.loops import BASE as BASE
+from daq.robot.references import sliding_in, urdf_in
 from daq.robot.schema import Robot
 from daq.robot.urdf_robot import assumed_of_urdf, read_urdf_arm, robot_text_of_urdf, urdf_prismatic_joints
 from daq.robot.validation import validated_robot
@@ -139,7 +141,7 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
     Raises:
         RobotFileError: names the key path, the value and what is allowed.
     """
-    robot = _robot(text, where)
+    robot = _robot(text, where, folder, urdf_text)
     if robot.model.urdf is not None and urdf_text is None:
         urdf_text = _read_urdf(robot.model.urdf, folder, where)
     if robot.model.mdh is not None:
@@ -156,11 +158,14 @@ _read: dict[str, Robot] = {}
 """By text: reading the YAML takes 15 ms, and a recording's robot is read several times, under several names."""
 
 
-def _robot(text: str, where: str) -> Robot:
+def _robot(text: str, where: str, folder: Path | None, urdf_text: str | None) -> Robot:
     if (robot := _read.get(text)) is None:
         hint = "see a built-in one: dynid robot show ur5e --yaml"
         content = read_mapping(text, kind="a robot file", where=where, refusal=RobotFileError, hint=hint)
-        robot = validated_robot(content, where)
+        if urdf_text is None and (urdf := urdf_in(content)) is not None:
+            with suppress(RobotFileError):  # what is wrong with the robot file itself comes first
+                urdf_text = _read_urdf(urdf, folder, where)
+        robot = validated_robot(content, where, sliding_in(content) | urdf_prismatic_joints(urdf_text or "<robot/>"))
         if len(_read) >= _MOST_READ:
             del _read[next(iter(_read))]
         _read[text] = robot

@@ -1,4 +1,4 @@
-"""Numbers of a robot file that only make sense up to a size: beyond it they were written in degrees or millimetres."""
+"""Numbers of a robot file that only make sense up to a size: beyond it they are in degrees or mm."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from fractions import Fraction
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, ValidatorFunctionWrapHandler, WrapValidator
+from pydantic import AfterValidator, ValidationInfo, ValidatorFunctionWrapHandler, WrapValidator
 
 from daq.robot.section import Angle, Positive
 from drivers.core.ranges import POSITION_LIMIT, TABLE_ANGLE, VELOCITY_LIMIT
@@ -32,23 +32,37 @@ def _table_angle(value: float) -> float:
     return value
 
 
-def _position_limit(value: Any, parse: ValidatorFunctionWrapHandler) -> Any:
+def _position_limit(value: Any, parse: ValidatorFunctionWrapHandler, info: ValidationInfo) -> Any:
     position = parse(value)
-    if not POSITION_LIMIT.holds(position) and not (isinstance(value, str) and "pi" in value):
+    if POSITION_LIMIT.holds(position) or (isinstance(value, str) and "pi" in value):
+        return position
+    if _slides(info):
         raise ValueError(
-            f"{position:g} looks like degrees, or like millimetres of a sliding joint; positions are in rad or m: "
-            f"{position:g}° is {multiple_of_pi(position)}, {position:g} rad would be {position / math.pi:.2f}*pi"
+            f"{position:g} looks like millimetres; positions are in m: {position:g} mm is {position / 1e3:g}"
         )
-    return position
+    raise ValueError(
+        f"{position:g} looks like degrees; positions are in rad: {position:g}° is {multiple_of_pi(position)}, "
+        f"{position:g} rad would be {position / math.pi:.2f}*pi"
+    )
 
 
-def _velocity_limit(value: float) -> float:
-    if not VELOCITY_LIMIT.holds(value):
+def _velocity_limit(value: float, info: ValidationInfo) -> float:
+    if VELOCITY_LIMIT.holds(value):
+        return value
+    if _slides(info):
         raise ValueError(
-            f"{value:g} looks like degrees per second, or like mm/s of a sliding joint; velocities are in rad/s or "
-            f"m/s, up to {VELOCITY_LIMIT.most:g}: {value:g} °/s is {math.radians(value):.4g}"
+            f"{value:g} looks like mm/s; velocities are in m/s, up to {VELOCITY_LIMIT.most:g}: {value:g} mm/s is "
+            f"{value / 1e3:.4g}"
         )
-    return value
+    raise ValueError(
+        f"{value:g} looks like degrees per second; velocities are in rad/s, up to {VELOCITY_LIMIT.most:g}: "
+        f"{value:g} °/s is {math.radians(value):.4g}"
+    )
+
+
+def _slides(info: ValidationInfo) -> bool:
+    """Whether the joint that these limits are of slides, by the context of the validation (`sliding`: names)."""
+    return info.data.get("name") in (info.context or {}).get("sliding", ())
 
 
 TableAngle = Annotated[Angle, AfterValidator(_table_angle)]

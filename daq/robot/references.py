@@ -126,6 +126,19 @@ def rows_in(content: Mapping[Any, Any]) -> tuple[tuple[str, str], ...]:
     return tuple((joint, str(row.get("antecedent", BASE))) for joint, row in zip(joints, table, strict=True))
 
 
+def sliding_in(content: Mapping[Any, Any]) -> frozenset[str]:
+    """Names of the joints whose MDH rows in such a file say that they slide."""
+    table = _mapping(content.get("model")).get("mdh")
+    rows = [row for row in table if isinstance(row, Mapping)] if isinstance(table, list) else []
+    return frozenset(str(row.get("joint")) for row in rows if row.get("type") == "prismatic")
+
+
+def urdf_in(content: Mapping[Any, Any]) -> str | None:
+    """The path of the URDF that such a file names."""
+    urdf = _mapping(content.get("model")).get("urdf")
+    return urdf if isinstance(urdf, str) else None
+
+
 def _repeated(names: Sequence[str]) -> list[str]:
     return [name for name, count in Counter(names).items() if count > 1]
 

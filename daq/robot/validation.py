@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from pydantic import ValidationError
@@ -16,11 +16,12 @@ TODO = "TODO"
 """Prefix of a value that is still to be filled in (`dynid robot new` writes it)."""
 
 
-def validated_robot(content: Mapping[Any, Any], where: str) -> Robot:
+def validated_robot(content: Mapping[Any, Any], where: str, sliding: Collection[str]) -> Robot:
     """A robot from the keys of its file.
 
     Args:
         content: the file's keys.
+        sliding: names of the joints that slide, whose limits are in m.
         where: name of the file in error messages.
 
     Raises:
@@ -33,7 +34,7 @@ def validated_robot(content: Mapping[Any, Any], where: str) -> Robot:
     invalid: list[YamlProblem] = []
     robot = None
     try:
-        robot = Robot.model_validate(content)
+        robot = Robot.model_validate(content, context={"sliding": sliding})
     except ValidationError as error:
         invalid = list(schema_problems(error, Robot))
         messages = {problem.message for problem in invalid}

@@ -116,9 +116,10 @@ def _limit_warnings(robot_file: RobotFile) -> list[str]:
     without = [joint.name for joint in robot.joints if joint.torque is None]
     if without:
         warnings.append(f"no torque limit for {', '.join(without)}")
-    quick = [joint.name for joint in robot.joints if joint.acceleration > QUICKEST]
-    if quick:
-        warnings.append(f"the acceleration limit of {', '.join(quick)} is above {QUICKEST:g}: is it in °/s² or mm/s²?")
+    for sliding, unit in ((False, "°/s²"), (True, "mm/s²")):
+        quick = [one.name for one in robot.joints if one.acceleration > QUICKEST and one.sliding == sliding]
+        if quick:
+            warnings.append(f"the acceleration limit of {', '.join(quick)} is above {QUICKEST:g}: is it in {unit}?")
     return warnings
 
 

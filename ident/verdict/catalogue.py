@@ -61,7 +61,7 @@ _RECORDING = (
         "serious",
         ALL,
         "positions are in degrees or millimetres",
-        "Convert them to rad or m, or import with --degrees; else correct the limits of the robot file.",
+        "Convert them to rad (or m), or import with --degrees; else correct the limits of the robot file.",
     ),
     CheckKind(
         "wrong-time-axis",

@@ -50,7 +50,6 @@ from sim_drivers.synthetic.motion import random_fourier_motion
 from studies.checks.mistaken_recordings import less_known, turned
 from studies.synthetic import data_mistakes as mistakes
 
-tracking.LONGEST, open_loop.WINDOWS = 0.2, 1  # no check that is read here follows from a simulation
 PERIOD, DURATION, RATE = 10.0, 15.0, 100.0
 ONLY = tuple(one for one in os.environ.get("MISTAKES", "").split(",") if one)
 CHOICES = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), search_delay=False, presliding=False)
@@ -450,6 +449,7 @@ def delays(count: int) -> None:
 
 
 if __name__ == "__main__":
+    tracking.LONGEST, open_loop.WINDOWS = 0.2, 1  # no check that is read here follows from a simulation
     if sys.argv[1] == "delay":
         delays(int(sys.argv[2]))
         sys.exit()

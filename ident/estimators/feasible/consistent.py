@@ -157,7 +157,7 @@ def consistent_parameters(
         contradicted=contradicted,
         without=without,
         armatures=armatures(model, robot_file.robot, range(len(fit.values)), fit.values),
-        apparent_mass=apparent_mass(priors.links, system, target),
+        apparent_mass=apparent_mass(model, priors.links, system, target),
     )
 
 

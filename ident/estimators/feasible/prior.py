@@ -33,6 +33,10 @@ LEAST_RADIUS = 0.03
 DENSITY = 1000.0
 """[kg/m³] of assumed bodies where neither the data nor the arm's size shows how heavy they are."""
 
+MASS_DEVIATION, LENGTH_SHARE, WIDTH_DEVIATION = 1.0, 0.04, 0.5
+"""σ of a link's mass over the assumed one, of its centre over the arm's length, and of its widths. The mass that 24
+random arms show so is 0.3 to 1.4 of the true one, wrists of a tenth of the usual mass included."""
+
 TOOL_SHARE = 0.1
 """Of the arm's length: how far a tool or a gripper may move the last link's centre of mass."""
 
@@ -85,21 +89,55 @@ def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, 
     return LinkPriors(links, tuple(sources), np.maximum(masses, masses.mean()), _centre_std(model))
 
 
-def apparent_mass(links: FloatArray, system: FloatArray, target: FloatArray) -> float | None:
-    """Mass [kg] of all links if they were these (k, 10), all heavier or lighter by one factor; None if below 0.
+def apparent_mass(model: DynamicModel, links: FloatArray, system: FloatArray, target: FloatArray) -> float | None:
+    """Mass [kg] of all links if they were like these (k, 10), heavier or lighter by a factor; None if below 0.
 
-    The factor fits the data best; arguments as of `link_priors`. The joints' own parameters may take what they like, so
-    that only what is left of the links' torques shows it.
+    Arguments as of `link_priors`. The joints' own parameters may take what they like, so that only what is left of the
+    links' torques shows it.
     """
-    factor = _factor(links, system, target)
+    factor = _factor(model, links, system, target)
     return float(factor * np.sum(links[:, INERTIAL.index("M")])) if factor > 0 else None
 
 
-def _factor(links: FloatArray, system: FloatArray, target: FloatArray) -> float:
-    columns = np.column_stack([system[:, : links.size] @ links.ravel(), system[:, links.size :]])
+def _factor(model: DynamicModel, links: FloatArray, system: FloatArray, target: FloatArray) -> float:
+    """By how much the links are heavier on average, each link's mass, centre and widths being uncertain.
+
+    One factor for all of them would be that of the wrist, whose torques are measured best. It only gives the size of
+    the links' deviations, whose covariance generalised least squares then take into account.
+    """
+    total, own = system[:, : links.size] @ links.ravel(), system[:, links.size :]
+    columns = np.column_stack([total, own])
+    common = float(_fitted(columns, target)[0])
+    if common == 0.0:
+        return common
+    shift = max(LENGTH_SHARE * arm_length(model), LEAST_RADIUS)
+    spread = common * system[:, : links.size] @ _deviations(links, shift)
+    expected = np.hstack([np.zeros((spread.shape[1], columns.shape[1])), np.eye(spread.shape[1])])
+    weighted = np.vstack([np.hstack([columns, spread]), expected])
+    return float(_fitted(weighted, np.concatenate([target, np.zeros(len(expected))]))[0])
+
+
+def _fitted(columns: FloatArray, target: FloatArray) -> FloatArray:
     lengths = np.linalg.norm(columns, axis=0)
     lengths[lengths == 0] = 1.0
-    return float(np.linalg.lstsq(columns / lengths, target, rcond=None)[0][0] / lengths[0])
+    return np.asarray(np.linalg.lstsq(columns / lengths, target, rcond=None)[0] / lengths)
+
+
+def _deviations(links: FloatArray, shift: float) -> FloatArray:
+    """Changes (10·k, 7·k) of links (k, 10) by one σ each: of mass, of the centre by `shift` [m], and of the widths."""
+    changes = np.zeros((links.size, 7 * len(links)))
+    for link, body in enumerate(links):
+        pseudo, centre = pseudo_inertia(body), body[6:9] / body[9]
+        rates = [0.5 * MASS_DEVIATION * np.eye(4)]
+        for axis in range(3):
+            moved, widened = np.zeros((4, 4)), np.zeros((4, 4))
+            moved[axis, 3] = shift
+            widened[axis, [axis, 3]] = WIDTH_DEVIATION * np.array([1.0, -centre[axis]])
+            rates += [moved, widened]
+        for number, rate in enumerate(rates):
+            row, column = len(body) * link, len(rates) * link + number
+            changes[row : row + len(body), column] = standard_parameters(rate @ pseudo + pseudo @ rate.T)
+    return changes
 
 
 def _centre_std(model: DynamicModel) -> FloatArray:
@@ -171,7 +209,7 @@ def _assumed_links(model: DynamicModel, system: FloatArray, target: FloatArray) 
     radii = np.maximum(SLENDERNESS * arm_length(model) + TAPER * carried, LEAST_RADIUS)
     bars = np.array([_bars(ends, radius) for ends, radius in zip(children, radii.tolist(), strict=True)])
     mass, size = float(np.sum(bars[:, INERTIAL.index("M")])), mass_of_size(model)
-    density = _factor(bars, system, target)
+    density = _factor(model, bars, system, target)
     if size is None:
         return bars * (density if density > 0 else DENSITY)
     return bars * ((np.clip(density * mass, size.least, size.most) if density > 0 else size.expected) / mass)

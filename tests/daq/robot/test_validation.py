@@ -106,3 +106,19 @@ def test_what_is_written_with_pi_is_in_radians_whatever_its_size() -> None:
     assert parse_robot(text, where="arm.yaml", folder=None).robot.joints[0].position[0] == pytest.approx(-20 * math.pi)
     (problem,) = problems(filled(RIGHT | {"D": f"-{POSITION_LIMIT.most + 1}"}))
     assert "46" in problem.message
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"), [("D", "-400", "-400 mm is -0.4"), ("E", "250", "250 mm/s is 0.25")]
+)
+def test_limits_of_a_sliding_joint_are_in_metres(tmp_path, key: str, value: str, words: str) -> None:
+    """The kinematics say which joint slides: the rows of a table, or a URDF."""
+    text = filled(RIGHT | {key: value})
+    of_table = text.replace("{joint: j1, alpha: 0", "{joint: j1, type: prismatic, alpha: 0")
+    (tmp_path / "arm.urdf").write_text('<robot><joint name="j1" type="prismatic"/></robot>', encoding="utf-8")
+    rows = text[text.index("  mdh:") : text.index("joints:\n")]
+    for changed in (of_table, text.replace(rows, "  urdf: arm.urdf\n")):
+        with pytest.raises(RobotFileError) as caught:
+            parse_robot(changed, where="arm.yaml", folder=tmp_path)
+        assert words in caught.value.message
+        assert not {"°", "rad"} & set(caught.value.message.replace("°", " ° ").split())

@@ -45,7 +45,7 @@ ARMS = range(2)
 
 @cache
 def arm(seed: int, light: bool) -> RobotFile:
-    return random_arm(seed, link_side=light, wrist=0.3 if light else 1.0)
+    return random_arm(seed, link_side=light, wrist=0.1 if light else 1.0)
 
 
 @cache
@@ -85,6 +85,8 @@ def test_true_arms_have_plausible_bodies_that_simulate(seed: int, light: bool) -
     assert size.least < masses(identification).sum() < size.most
     assert masses(identification).sum() < 3.0 * true.sum()
     parameters = consistent.parameters
+    assert parameters.apparent_mass is not None
+    assert 0.2 < parameters.apparent_mass / true.sum() < 3.0  # whatever the wrist weighs
     inverse = InverseDynamics(identification.model, identification.base, parameters.base)
     inertia = np.diagonal(inverse.inertia(random_states(identification.model, 50)[0]), axis1=1, axis2=2)
     rates = friction_rates(identification.model, range(len(parameters.values)), parameters.values)
