@@ -157,10 +157,14 @@ def moved_shapes(terms: FrictionTerms, value: Value, share: float) -> FrictionTe
 
 
 def shifted_shapes(terms: FrictionTerms, changes: Mapping[tuple[str, int], float]) -> FrictionTerms:
-    """The terms with free shapes changed, by name and motor, within their ranges."""
+    """The terms with free shapes changed, by name and motor, within their ranges.
+
+    A shape is positive: its logarithm changes, by as much as the change is to first order.
+    """
     moved = terms
     for (name, motor), change in changes.items():
-        value = _within_range(terms, SHAPES[name], motor, terms.shape(name, motor) + change)
+        before = terms.shape(name, motor)
+        value = _within_range(terms, SHAPES[name], motor, float(before * np.exp(np.clip(change / before, -50.0, 50.0))))
         moved = moved.with_shape(name, motor, value, free=True)
     return moved
 

@@ -25,7 +25,7 @@ from ident.identify.options import ColumnOptions
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.comparison import TorqueSeries
-from ident.regression.estimate import Estimate, estimate_of
+from ident.regression.estimate import Estimate, jackknifed_estimate
 from ident.regression.jackknife import CorrectedCovariance
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import Experiment
@@ -289,10 +289,7 @@ class Identification:
     @property
     def estimate(self) -> Estimate:
         """Values and covariance, for merging."""
-        corrected = self.corrected
-        return estimate_of(
-            self.estimation.reduction, self.solution, corrected.covariance, corrected.blocks, corrected.within
-        )
+        return jackknifed_estimate(self.estimation.reduction, self.solution, self.corrected)
 
     @property
     def residual_tests(self) -> list[ResidualTests]:

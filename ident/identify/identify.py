@@ -42,7 +42,7 @@ from ident.identify.presliding import low_speed_error
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
-from ident.regression.estimate import estimate_of
+from ident.regression.estimate import jackknifed_estimate
 from ident.regression.jackknife import FilteredRun
 from ident.regression.least_squares import LeastSquares, LinearMethod, inverse_deviations, residual_deviations
 from ident.regression.observability import experiment_base, find_experiment, predictable_torques
@@ -155,7 +155,7 @@ def identify(  # noqa: PLR0915 — the steps, in their order
     )
 
     progress("physical consistency")
-    estimate = estimate_of(estimation.reduction, solution, corrected.covariance, corrected.blocks)
+    estimate = jackknifed_estimate(estimation.reduction, solution, corrected)
     consistent = _consistent_fit(found_consistent(model, base, estimate, robot_file), kernel, prepared)
 
     progress("validation")

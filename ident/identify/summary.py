@@ -159,7 +159,7 @@ def summarise(
         versions=software_versions(),
         verdict=Verdict("not judged yet"),
         experiments=[ExperimentResult.of(model, identification.experiment)],
-        estimate=EstimateResult.of(identification.estimate, base.names),
+        estimate=EstimateResult.of(identification.estimate, base.names, model.joint_names),
         convergence=convergence_result(identification),
         presliding=identification.presliding,
     )

@@ -7,12 +7,13 @@ together, and which combinations of the arm's standard parameters the values bel
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.linear_algebra.triangular import triangular
+from ident.regression.jackknife import CorrectedCovariance
 from ident.regression.least_squares import LeastSquares, excited_columns
 from ident.regression.observation_matrix import Reduction
 
@@ -30,7 +31,10 @@ class Estimate:
         taken_up: (a, b − a) how much of each base parameter without a value each estimated one absorbs, since the data
             confound them.
         blocks: of the jackknife behind the covariance.
-        within: (a, a) covariance without what changes between runs, where `covariance` holds that, too; else None.
+        within: (a, a) covariance without what changes between runs and for the friction's shapes as estimated, where
+            `covariance` holds these, too; else None.
+        shapes: kind and motor of the friction's estimated shapes (s,).
+        shape_covariance: (s, a + s) of these, as parameters of their sensitivities, with the values and each other.
     """
 
     active: tuple[int, ...]
@@ -40,6 +44,8 @@ class Estimate:
     taken_up: FloatArray
     blocks: int
     within: FloatArray | None = None
+    shapes: tuple[tuple[str, int], ...] = ()
+    shape_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     def combinations(self, projection: FloatArray) -> FloatArray:
         """What the values are values of (a, k), from that (b, k) of all base parameters of the experiment."""
@@ -47,13 +53,7 @@ class Estimate:
         return np.asarray(projection[list(self.active)] + self.taken_up @ projection[others])
 
 
-def estimate_of(
-    reduction: Reduction,
-    solution: LeastSquares,
-    covariance: FloatArray,
-    blocks: int,
-    within: FloatArray | None = None,
-) -> Estimate:
+def estimate_of(reduction: Reduction, solution: LeastSquares, covariance: FloatArray, blocks: int) -> Estimate:
     """The estimate that belongs to a solution.
 
     Args:
@@ -61,7 +61,6 @@ def estimate_of(
         solution: of it.
         covariance: (a, a) corrected.
         blocks: of its jackknife.
-        within: (a, a) the same without what changes between runs; None where that is all of it.
     """
     active = list(solution.active)
     factor = reduction.stacked(solution.weights)[:, : reduction.column_count]
@@ -74,7 +73,16 @@ def estimate_of(
         covariance=covariance,
         taken_up=_taken_up(factor, active, excited_columns(reduction)),
         blocks=blocks,
-        within=within,
+    )
+
+
+def jackknifed_estimate(reduction: Reduction, solution: LeastSquares, corrected: CorrectedCovariance) -> Estimate:
+    """The same with all that a jackknife says of its errors."""
+    return replace(
+        estimate_of(reduction, solution, corrected.covariance, corrected.blocks),
+        within=corrected.within,
+        shapes=corrected.shapes,
+        shape_covariance=corrected.shape_covariance,
     )
 
 

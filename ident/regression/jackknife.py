@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -54,9 +54,13 @@ class CorrectedCovariance:
         random_std: (a,) σ by the jackknife alone, where `covariance` holds more (`systematic_errors`); else None.
         repeatability: (a,) σ of friction between runs, part of `covariance` (`repeatability`); nan of bodies, None
             where it is not known.
-        within: (a, a) covariance without what changes between runs, where `covariance` holds that, too; else None.
+        within: (a, a) covariance without what changes between runs and for the friction's shapes as estimated, where
+            `covariance` holds these, too; else None.
         curvature: (a,) σ that uncertain shapes of friction add beyond the first order, which is all that `covariance`
             holds; None where nothing was added.
+        shapes: kind and motor of the friction's free shapes (s,).
+        shape_covariance: (s, a + s) of these, as parameters of their sensitivities, with the parameters and with each
+            other.
     """
 
     covariance: FloatArray
@@ -69,6 +73,8 @@ class CorrectedCovariance:
     repeatability: FloatArray | None = None
     within: FloatArray | None = None
     curvature: FloatArray | None = None
+    shapes: tuple[tuple[str, int], ...] = ()
+    shape_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
 
 @dataclass(frozen=True)

@@ -170,7 +170,10 @@ def with_repeatability(
     between = np.full(len(active), np.nan)
     between[friction] = std
     return replace(
-        corrected, covariance=corrected.covariance + added, repeatability=between, within=corrected.covariance
+        corrected,
+        covariance=corrected.covariance + added,
+        repeatability=between,
+        within=corrected.covariance if corrected.within is None else corrected.within,
     )
 
 

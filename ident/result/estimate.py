@@ -57,6 +57,17 @@ class ExperimentResult(Stored):
         return Experiment(tuple(names.index(name) for name in locked), poses, torques)
 
 
+class ShapeErrorResult(Stored):
+    """How the error of an estimated shape of friction is correlated with those of the parameters."""
+
+    kind: str = Field(description="of the shape: exponent or Stribeck velocity")
+    joint: str
+    covariance: list[Number] = Field(
+        description="(a + s,) of its sensitivity's parameter (coefficient times change of the shape) with the a "
+        "parameters, then with those of all s shapes"
+    )
+
+
 class EstimateResult(Stored):
     """The estimated values with their whole covariance, for merging; see ident.regression.estimate."""
 
@@ -64,8 +75,11 @@ class EstimateResult(Stored):
     root: list[list[Value]] = Field(description="(a, a) upper triangular; its square is the inverse covariance")
     covariance: list[list[Number]] = Field(description="(a, a) corrected for autocorrelated residuals")
     within: list[list[Number]] | None = Field(
-        default=None, description="(a, a) the same without what changes between runs; null where that is all of it"
+        default=None,
+        description="(a, a) the same without what changes between runs, for the friction's shapes as estimated; null "
+        "where that is all of it",
     )
+    shapes: list[ShapeErrorResult] = Field(default_factory=list, description="estimated shapes of friction, s of them")
     taken_up: dict[str, list[Value]] = Field(description="how an unexcited parameter is absorbed by each estimated one")
     blocks: int = Field(description="of the jackknife behind the covariance")
 
@@ -92,14 +106,18 @@ class EstimateResult(Stored):
         return rows
 
     @classmethod
-    def of(cls, estimate: Estimate, names: Sequence[str]) -> Self:
-        """The estimate by the names (b,) of the base parameters."""
+    def of(cls, estimate: Estimate, names: Sequence[str], joints: Sequence[str]) -> Self:
+        """The estimate by the names of the base parameters (b,), and of the joints with motors (n,)."""
         others = [column for column in range(len(names)) if column not in estimate.active]
         return cls(
             parameters=[names[column] for column in estimate.active],
             root=estimate.root.tolist(),
             covariance=estimate.covariance.tolist(),
             within=None if estimate.within is None else estimate.within.tolist(),
+            shapes=[
+                ShapeErrorResult(kind=kind, joint=joints[motor], covariance=row.tolist())
+                for (kind, motor), row in zip(estimate.shapes, estimate.shape_covariance, strict=True)
+            ],
             taken_up={
                 names[column]: shares.tolist()
                 for column, shares in zip(others, estimate.taken_up.T, strict=True)
@@ -108,12 +126,13 @@ class EstimateResult(Stored):
             blocks=estimate.blocks,
         )
 
-    def restored(self, values: Mapping[str, float | None], base: BaseParameters) -> Estimate:
+    def restored(self, values: Mapping[str, float | None], base: BaseParameters, model: DynamicModel) -> Estimate:
         """The estimate by the indices of base parameters.
 
         Args:
             values: of the base parameters by name; None where one was not estimated.
             base: of the experiment.
+            model: that they belong to.
 
         Raises:
             ResultFileError: its parts do not belong together.
@@ -136,7 +155,19 @@ class EstimateResult(Stored):
             taken_up=taken_up,
             blocks=self.blocks,
             within=None if self.within is None else _matrix(self.within),
+            shape_covariance=self._shape_covariance(model),
+            shapes=tuple((one.kind, model.joint_names.index(one.joint)) for one in self.shapes),
         )
+
+    def _shape_covariance(self, model: DynamicModel) -> FloatArray:
+        """(s, a + s); empty where no shape was estimated."""
+        names, width = model.joint_names, len(self.parameters) + len(self.shapes)
+        for one in self.shapes:
+            free = one.joint in names and model.terms.is_free(one.kind, names.index(one.joint))
+            if not free or len(one.covariance) != width:
+                raise ResultFileError("does not fit the model's friction", where="estimate.shapes", hint=AGAIN)
+        rows = [[np.inf if value is None else value for value in one.covariance] for one in self.shapes]
+        return np.array(rows, dtype=np.float64).reshape(len(rows), width)
 
 
 def _matrix(rows: Sequence[Sequence[float | None]]) -> FloatArray:

@@ -362,7 +362,8 @@ class Model(ExportedModel):
     ) -> FloatArray:
         """Standard deviation σ [N·m] of `torque` from that of the parameters, √diag(Y·Σ·Yᵀ); shape of `q`.
 
-        Σ is the stored covariance, corrected for autocorrelated residuals. That of the essential model is the full
+        Σ is the stored covariance, corrected for autocorrelated residuals, of parameters and estimated shapes of
+        friction together. That of the essential model is the full
         one's plus the outer product of what the pruning changed, since the dropped parameters are not exactly 0. σ is
         inf where a parameter of unknown variance acts. What the model lacks altogether is not in it: see `validation`
         for that. Arguments are those of `torque`.
@@ -381,6 +382,7 @@ class Model(ExportedModel):
             heat = None if kelvin is None else kelvin[:, chunk]
             columns = self._columns(position[:, chunk], velocity[:, chunk], acceleration[:, chunk], heat)
             self._require(columns)
+            columns = self._error_columns(columns, position[:, chunk], velocity[:, chunk], heat)
             deviations[:, chunk] = np.linalg.norm(np.swapaxes(columns[:, sure], 1, 2) @ root, axis=-1)
             if len(unsure):
                 acting = np.any(np.abs(columns[:, unsure]) > REGRESSOR_ROUNDING, axis=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -14,8 +15,11 @@ from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
 from ident.friction.table import REFERENCE_TEMPERATURE
 from ident.model.base_parameters import base_parameters
+from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.own_columns import own_column
 from ident.model.regressor import regressor
+from ident.regression.estimate import Estimate
 from ident.regression.observability import describe
 from ident.regression.pruning import pruned_covariance
 from ident.result.delivered import Parameters, delivered_parameters
@@ -175,9 +179,7 @@ class ModelParameters:
     def _consistent(self) -> ConsistentParameters:
         """The consistent parameters found again, with their covariance, which the file does not hold."""
         stored = self._stored
-        return consistent_parameters(
-            stored.model, self._base, stored_estimate(self.result, self._base), stored.robot_file
-        )
+        return consistent_parameters(stored.model, self._base, self._estimate, stored.robot_file)
 
     def _known_std(self) -> dict[str, float | None]:
         """Standard deviations by name; None where a result does not hold what they follow from."""
@@ -189,23 +191,37 @@ class ModelParameters:
 
     @cached_property
     def _deviations(self) -> tuple[list[int], FloatArray, list[int]]:
-        """Parameters of known variance, a root (a, a) of their covariance, and parameters of unknown variance."""
+        """Columns of `_error_columns` of known variance, a root of their covariance, and those of unknown variance."""
         active, covariance = self._covariance()
         known = np.isfinite(np.diag(covariance))
         powers, axes = np.linalg.eigh(covariance[np.ix_(known, known)])
         sure = [index for index, there in zip(active, known, strict=True) if there]
         unsure = [index for index in range(self._base.count) if index not in sure]
+        unsure += [index for index in active if index >= self._base.count and index not in sure]
         return sure, axes * np.sqrt(np.clip(powers, 0.0, None)), unsure
 
     def _covariance(self) -> tuple[tuple[int, ...], FloatArray]:
-        """Base parameters that were estimated, and their covariance (of the essential model its mean square error)."""
+        """Columns that were estimated, and their covariance (of the essential model its mean square error).
+
+        Those of the shapes come last. Friction at some speed is known far better than each of its parameters is, beside
+        a shape that moves all of them.
+        """
+        estimate = self._estimate
+        active, covariance, count = estimate.active, estimate.covariance, len(estimate.active)
+        shared = estimate.shape_covariance[:, :count]
         if self.kind == "consistent":
-            return tuple(range(self._base.count)), self._consistent.base_covariance
-        estimate = stored_estimate(self.result, self._base)
-        if self.kind == "full":
-            return estimate.active, estimate.covariance
-        difference = self._values[list(estimate.active)] - estimate.values
-        return estimate.active, pruned_covariance(estimate.covariance, difference)
+            found = self._consistent
+            active, covariance = tuple(range(self._base.count)), found.base_covariance
+            shared = np.where(np.isfinite(shared), shared, 0.0) @ found.base_moves.T
+        elif self.kind == "essential":
+            covariance = pruned_covariance(covariance, self._values[list(active)] - estimate.values)
+        shapes = range(self._base.count, self._base.count + len(estimate.shapes))
+        whole = np.block([[covariance, shared.T], [shared, estimate.shape_covariance[:, count:]]])
+        return (*active, *shapes), whole
+
+    @cached_property
+    def _estimate(self) -> Estimate:
+        return stored_estimate(self.result, self._stored)
 
     def _kelvin(self, temperature: npt.ArrayLike | None, count: int) -> FloatArray | None:
         """Temperatures (n, N) [K] of `count` samples, as given in °C; None where none are given nor needed."""
@@ -233,6 +249,27 @@ class ModelParameters:
         """Joint regressor (n, b, N); the kernel's rows are the motors'. At rest no temperature is needed."""
         heat = np.full_like(position, REFERENCE_TEMPERATURE) if kelvin is None else kelvin
         rows = regressor(self._stored.model, position, velocity, acceleration, self._base.columns, heat)
+        return self._at_joints(rows)
+
+    def _error_columns(
+        self, columns: FloatArray, position: FloatArray, velocity: FloatArray, kelvin: FloatArray | None
+    ) -> FloatArray:
+        """Joint regressor (n, b + s, N) with the derivatives by the friction's estimated shapes behind its columns."""
+        if not self._estimate.shapes:
+            return columns
+        model, heat = self._shape_model, np.full_like(position, REFERENCE_TEMPERATURE) if kelvin is None else kelvin
+        places = [own_column(model, range(len(model.parameters)), *shape) for shape in self._estimate.shapes]
+        rows = regressor(model, position, velocity, np.zeros_like(velocity), [p for p in places if p is not None], heat)
+        return np.concatenate([columns, self._at_joints(rows)], axis=1)
+
+    @cached_property
+    def _shape_model(self) -> DynamicModel:
+        """The model with a column for each shape that was estimated."""
+        model = self._stored.model
+        return replace(model, terms=replace(model.terms, sensitivities=True))
+
+    def _at_joints(self, rows: FloatArray) -> FloatArray:
+        """Rows (n, b, N) of the motors at the joints."""
         if self._stored.model.transmission.direct:
             return rows
         return np.asarray(np.einsum("mn,mbN->nbN", self._dynamics.coupling, rows))

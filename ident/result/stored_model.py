@@ -77,7 +77,7 @@ def stored_model(result: Result) -> StoredModel:
     return StoredModel(robot_file, model, experiments, base)
 
 
-def stored_estimate(result: Result, base: BaseParameters) -> Estimate:
+def stored_estimate(result: Result, of: StoredModel) -> Estimate:
     """The estimate of a result, with its covariance.
 
     Raises:
@@ -85,4 +85,5 @@ def stored_estimate(result: Result, base: BaseParameters) -> Estimate:
     """
     if result.estimate is None:
         raise ResultFileError("holds no covariance: it was written by an earlier dynid", hint=AGAIN)
-    return result.estimate.restored({entry.name: entry.value for entry in result.base_parameters}, base)
+    values = {entry.name: entry.value for entry in result.base_parameters}
+    return result.estimate.restored(values, of.base, of.model)

@@ -189,7 +189,7 @@ def _test(one: Result, other: Result) -> SignificanceTest | None:
 
     if one.estimate is None or other.estimate is None:
         return None
-    estimates = [stored_estimate(result, stored_model(result).base) for result in (one, other)]
+    estimates = [stored_estimate(result, stored_model(result)) for result in (one, other)]
     places = [_known_places(estimate) for estimate in estimates]
     common = [column for column in places[0] if column in places[1]]
     if not common:

@@ -53,6 +53,7 @@ class ConsistentParameters:
         known: (p,) whether the robot file names its value.
         base: (b,) the base parameters of `values`.
         base_covariance: (b, b).
+        base_moves: (b, a) derivative of `base` by the estimated values.
         sources: (k,) where each link's prior comes from.
         misfit: rise of the sum of squared residuals, each of unit variance, over that of the estimate.
         cost: whether noise explains that rise where the truth is consistent; None where no variance is known.
@@ -72,6 +73,7 @@ class ConsistentParameters:
     known: BoolArray
     base: FloatArray
     base_covariance: FloatArray
+    base_moves: FloatArray
     sources: tuple[str, ...]
     misfit: float
     cost: SignificanceTest | None
@@ -90,6 +92,7 @@ class FeasibleFit:
 
     Attributes:
         values: (p,) in column order.
+        moves: (p, a) their derivative by the estimated values.
         spread: (p, a) a root of their covariance: spread @ spread.T.
         std: (p,) standard deviations of what the data determine; nan for the rest.
         determined: (p,) share of each that the data determine.
@@ -101,6 +104,7 @@ class FeasibleFit:
     """
 
     values: FloatArray
+    moves: FloatArray
     spread: FloatArray
     std: FloatArray
     determined: FloatArray
@@ -148,6 +152,7 @@ def consistent_parameters(
         known=~problem.free,
         base=base.projection @ fit.values,
         base_covariance=of_base @ of_base.T,
+        base_moves=base.projection @ fit.moves,
         sources=priors.sources,
         misfit=fit.misfit,
         cost=cost,
@@ -267,13 +272,16 @@ def feasible_fit(problem: FeasibilityProblem, estimate: Estimate, projection: Fl
         problem.free,
     )
     values = problem.scale * minimum.y
-    spread = problem.scale[:, None] * _spread(minimum, scaled, estimate, problem.free)
+    moves = problem.scale[:, None] * _moves(minimum, scaled, estimate, problem.free)
+    # The minimum is a smooth function of the estimate, so its jackknife covariance carries over (delta method).
+    spread = moves @ _root(estimate.covariance)
     determined = np.zeros(len(values))
     determined[problem.free] = row_space(scaled[:, problem.free]).shares
     misfit = system @ values - target
     followed = solve_triangular(minimum.root, scaled[:, np.flatnonzero(problem.free)].T, trans="T")
     return FeasibleFit(
         values=values,
+        moves=moves,
         spread=spread,
         # The error of what a parameter is confounded with comes from the prior and has no σ.
         std=np.where(determined >= DETERMINED, np.linalg.norm(spread, axis=1), np.nan),
@@ -335,17 +343,18 @@ def _limits_hit(problem: FeasibilityProblem, minimum: NewtonMinimum) -> tuple[st
     return tuple(dict.fromkeys(name for name, hit in zip(names, near, strict=True) if hit))
 
 
-def _spread(minimum: NewtonMinimum, scaled: FloatArray, estimate: Estimate, free: BoolArray) -> FloatArray:
-    """(p, a) how the scaled parameters move with the estimate, times a root of its corrected covariance.
-
-    The minimum is a smooth function of the estimate, so its jackknife covariance carries over (delta method).
-    """
+def _moves(minimum: NewtonMinimum, scaled: FloatArray, estimate: Estimate, free: BoolArray) -> FloatArray:
+    """(p, a) derivative of the scaled parameters by the estimated values."""
     from scipy.linalg import solve_triangular
 
-    covariance = np.where(np.isfinite(estimate.covariance), estimate.covariance, 0.0)
-    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    moved = scaled[:, np.flatnonzero(free)].T @ (estimate.root @ (vectors * np.sqrt(np.clip(values, 0.0, None))))
-    spread = np.zeros((scaled.shape[1], len(values)))
-    halfway = solve_triangular(minimum.root, moved, trans="T")
-    spread[np.flatnonzero(free)] = solve_triangular(minimum.root, halfway)
-    return spread
+    moves = np.zeros((scaled.shape[1], len(estimate.values)))
+    halfway = solve_triangular(minimum.root, scaled[:, np.flatnonzero(free)].T @ estimate.root, trans="T")
+    moves[np.flatnonzero(free)] = solve_triangular(minimum.root, halfway)
+    return moves
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """(a, a) root of a covariance; variances that are not known count as 0."""
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    values, vectors = np.linalg.eigh(0.5 * (finite + finite.T))
+    return np.asarray(vectors * np.sqrt(np.clip(values, 0.0, None)))

@@ -221,9 +221,11 @@ class _Duals:
         return cls(_symmetric(matrices), weights[count:] / conditions.slacks(y))
 
     def _scaling(self, matrices: FloatArray) -> FloatArray:
-        """G⁻¹ (k, 4, 4) with W = G·Gᵀ the scaling point, W·Z·W = S."""
+        """G⁻¹ (k, 4, 4) with W = G·Gᵀ the scaling point, W·Z·W = S; LinAlgError where rounding left S or Z negative."""
         roots = np.linalg.cholesky(matrices)
         values, vectors = np.linalg.eigh(_symmetric(roots.transpose(0, 2, 1) @ self.matrices @ roots))
+        if not np.all(values > 0.0):
+            raise np.linalg.LinAlgError("not positive")
         return np.asarray(values[:, :, None] ** 0.25 * vectors.transpose(0, 2, 1) @ np.linalg.inv(roots))
 
     def ratio(self, conditions: Conditions, y: FloatArray) -> float:

@@ -17,6 +17,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
 from ident.assessment.arm_mass import arm_length, mass_of_size
 from ident.estimators.feasible.pseudo_inertia import pseudo_inertia, standard_parameters
+from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf import urdf_inertias
 from ident.model.parameters import INERTIAL, link_parameters
@@ -33,9 +34,8 @@ LEAST_RADIUS = 0.03
 DENSITY = 1000.0
 """[kg/m³] of assumed bodies where neither the data nor the arm's size shows how heavy they are."""
 
-MASS_DEVIATION, LENGTH_SHARE, WIDTH_DEVIATION = 1.0, 0.04, 0.5
-"""σ of a link's mass over the assumed one, of its centre over the arm's length, and of its widths. The mass that 24
-random arms show so is 0.3 to 1.4 of the true one, wrists of a tenth of the usual mass included."""
+LENGTH_SHARE, WIDTH_DEVIATION = 0.04, 0.5
+"""σ of a link's centre of mass over the arm's length, and of its widths, where the links' masses are estimated."""
 
 TOOL_SHARE = 0.1
 """Of the arm's length: how far a tool or a gripper may move the last link's centre of mass."""
@@ -90,50 +90,68 @@ def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, 
 
 
 def apparent_mass(model: DynamicModel, links: FloatArray, system: FloatArray, target: FloatArray) -> float | None:
-    """Mass [kg] of all links if they were like these (k, 10), heavier or lighter by a factor; None if below 0.
+    """Mass [kg] of all links if they were like these (k, 10), heavier or lighter; None if below 0.
 
-    Arguments as of `link_priors`. The joints' own parameters may take what they like, so that only what is left of the
-    links' torques shows it.
+    The torques show it by two estimates (`_factors`); the mass between them that is nearest to what arms of this size
+    weigh. Arguments as of `link_priors`. The joints' own parameters may take what they like, so that only what is left
+    of the links' torques shows it.
     """
-    factor = _factor(model, links, system, target)
-    return float(factor * np.sum(links[:, INERTIAL.index("M")])) if factor > 0 else None
+    least, most = np.sum(links[:, INERTIAL.index("M")]) * np.array(_factors(model, links, system, target))
+    size = mass_of_size(model)
+    if not least > 0.0:
+        return None
+    return float(np.sqrt(least * most) if size is None else np.clip(size.expected, least, most))
 
 
-def _factor(model: DynamicModel, links: FloatArray, system: FloatArray, target: FloatArray) -> float:
-    """By how much the links are heavier on average, each link's mass, centre and widths being uncertain.
+def _factors(model: DynamicModel, links: FloatArray, system: FloatArray, target: FloatArray) -> tuple[float, float]:
+    """By how much all links together are heavier, estimated in two ways, the smaller one first.
 
-    One factor for all of them would be that of the wrist, whose torques are measured best. It only gives the size of
-    the links' deviations, whose covariance generalised least squares then take into account.
+    Once all links are heavier by one factor, which is that of the wrist, whose torques are measured best. Then each has
+    its own, its centre and second moments being uncertain: of those that explain the data, with no mass below 0, the
+    ones that need the least deviations. These are wrong where links are not shaped as assumed.
     """
-    total, own = system[:, : links.size] @ links.ravel(), system[:, links.size :]
-    columns = np.column_stack([total, own])
-    common = float(_fitted(columns, target)[0])
-    if common == 0.0:
-        return common
+    from scipy.linalg import null_space
+    from scipy.optimize import lsq_linear
+
+    own, count = system[:, links.size :], len(links)
+    lengths = np.linalg.norm(own, axis=0)
+    own = own[:, lengths > 0] / lengths[lengths > 0]
+    together = np.column_stack([system[:, : links.size] @ links.ravel(), own])
+    longest = max(float(np.linalg.norm(together[:, 0])), np.finfo(float).tiny)
+    common = float(np.linalg.lstsq(together / [longest, *np.ones(own.shape[1])], target, rcond=None)[0][0]) / longest
+    if common <= 0.0:
+        return common, common
+    left = null_space(own.T).T @ np.column_stack([common * system[:, : links.size], target])
     shift = max(LENGTH_SHARE * arm_length(model), LEAST_RADIUS)
-    spread = common * system[:, : links.size] @ _deviations(links, shift)
-    expected = np.hstack([np.zeros((spread.shape[1], columns.shape[1])), np.eye(spread.shape[1])])
-    weighted = np.vstack([np.hstack([columns, spread]), expected])
-    return float(_fitted(weighted, np.concatenate([target, np.zeros(len(expected))]))[0])
-
-
-def _fitted(columns: FloatArray, target: FloatArray) -> FloatArray:
-    lengths = np.linalg.norm(columns, axis=0)
-    lengths[lengths == 0] = 1.0
-    return np.asarray(np.linalg.lstsq(columns / lengths, target, rcond=None)[0] / lengths)
+    changes = left[:, :-1] @ _deviations(links, shift)
+    masses = left[:, :-1] @ np.vstack([np.kron(np.eye(count)[link], links[link]) for link in range(count)]).T
+    # Unknowns: deviations, the links' factors and their mean; last the right-hand side.
+    rows = np.zeros((changes.shape[1] + count, changes.shape[1] + count + 2))
+    rows[: changes.shape[1], : changes.shape[1]] = np.eye(changes.shape[1])
+    weights = links[:, INERTIAL.index("M")]
+    known = np.minimum(1.0, weights / weights.mean())
+    rows[changes.shape[1] :, changes.shape[1] : -2] = np.diag(known)
+    rows[changes.shape[1] :, -2] = -known
+    measured = np.hstack([changes, masses, np.zeros((len(left), 1)), left[:, -1:]])
+    rest = triangular(np.vstack([measured, rows]))[changes.shape[1] :, changes.shape[1] :]
+    bounds = np.array([*np.zeros(count), -np.inf]), np.full(count + 1, np.inf)
+    factors = lsq_linear(rest[:, :-1], rest[:, -1], bounds, method="bvls").x[:count]
+    own_factors = common * float(factors @ weights) / float(weights.sum())
+    return min(common, own_factors), max(common, own_factors)
 
 
 def _deviations(links: FloatArray, shift: float) -> FloatArray:
-    """Changes (10·k, 7·k) of links (k, 10) by one σ each: of mass, of the centre by `shift` [m], and of the widths."""
-    changes = np.zeros((links.size, 7 * len(links)))
+    """Changes (10·k, 9·k) of links (k, 10) by one σ each: of the centre by `shift` [m], and of the second moments."""
+    changes = np.zeros((links.size, 9 * len(links)))
     for link, body in enumerate(links):
         pseudo, centre = pseudo_inertia(body), body[6:9] / body[9]
-        rates = [0.5 * MASS_DEVIATION * np.eye(4)]
+        rates = []
         for axis in range(3):
-            moved, widened = np.zeros((4, 4)), np.zeros((4, 4))
-            moved[axis, 3] = shift
-            widened[axis, [axis, 3]] = WIDTH_DEVIATION * np.array([1.0, -centre[axis]])
-            rates += [moved, widened]
+            rates.append(np.zeros((4, 4)))
+            rates[-1][axis, 3] = shift
+            for other in range(axis, 3):
+                rates.append(np.zeros((4, 4)))
+                rates[-1][axis, [other, 3]] = WIDTH_DEVIATION * np.array([1.0, -centre[other]])
         for number, rate in enumerate(rates):
             row, column = len(body) * link, len(rates) * link + number
             changes[row : row + len(body), column] = standard_parameters(rate @ pseudo + pseudo @ rate.T)
@@ -209,10 +227,10 @@ def _assumed_links(model: DynamicModel, system: FloatArray, target: FloatArray) 
     radii = np.maximum(SLENDERNESS * arm_length(model) + TAPER * carried, LEAST_RADIUS)
     bars = np.array([_bars(ends, radius) for ends, radius in zip(children, radii.tolist(), strict=True)])
     mass, size = float(np.sum(bars[:, INERTIAL.index("M")])), mass_of_size(model)
-    density = _factor(model, bars, system, target)
+    shown = apparent_mass(model, bars, system, target)
     if size is None:
-        return bars * (density if density > 0 else DENSITY)
-    return bars * ((np.clip(density * mass, size.least, size.most) if density > 0 else size.expected) / mass)
+        return bars * (DENSITY if shown is None else shown / mass)
+    return bars * ((size.expected if shown is None else np.clip(shown, size.least, size.most)) / mass)
 
 
 def _bars(ends: Sequence[FloatArray], radius: float) -> FloatArray:

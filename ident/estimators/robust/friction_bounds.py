@@ -2,8 +2,8 @@
 
 What dissipates does not drive: f_c, f_v, f_L and the Stribeck term are not negative. The paper names bounds f_max of
 every coefficient and no values; where they are asked for, no term of a joint's friction, its offset included, exceeds a
-share of the joint's torque limit (of the largest measured torque, where the robot file has none) at the highest speed
-and load torque of the data.
+share of the joint's torque limit (of the largest measured torque, where the robot file has none) at the highest load
+torque of the data and any speed up to their highest.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Setup
-from ident.friction.table import DISSIPATIVE_KINDS, TERMS, Operands
+from ident.friction.table import DISSIPATIVE_KINDS, SLOWEST, TERMS, Operands
 from ident.model.own_columns import own_column
 from ident.model.regressor import LoadTorqueKernel, RegressorKernel
 from ident.regression.least_squares import LeastSquares, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction
 
-BOUNDED = tuple(term for term in TERMS if term.kind != "stribeck" and term.needs != "temperature")
-"""Terms whose coefficient has an upper bound: neither those that vanish at high speed nor those of either sign."""
+BOUNDED = tuple(term for term in TERMS if term.needs != "temperature")
+"""Terms whose coefficient has an upper bound: those of one sign."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +81,8 @@ def friction_bounds(setup: Setup, kernel: RegressorKernel, share: float | None) 
         limit = share * (limits.get(name) or float(torque[motor]))
         for term in BOUNDED:
             place = own_column(model, kernel.columns, term.kind, motor)
-            at = Operands(speed[motor], 1.0, model.terms.shape_of(term.kind, motor), load[motor])
-            largest = float(term.signal(at))
+            shape = model.terms.shape_of(term.kind, motor)
+            largest = max(float(term.signal(Operands(at, 1.0, shape, load[motor]))) for at in (SLOWEST, speed[motor]))
             if place is None or not alone[place] or largest <= 0.0:
                 continue
             most[place] = limit / largest

@@ -66,7 +66,7 @@ def _stored(label: str, result: Result) -> StoredModel:
 def _input(label: str, result: Result, stored: StoredModel, base: BaseParameters) -> MergeInput:
     """Information of a result on the merged base parameters."""
     try:
-        estimate = stored_estimate(result, stored.base)
+        estimate = stored_estimate(result, stored)
     except ResultFileError as error:
         raise ResultFileError(error.message, where=_where(label, error.where), hint=error.hint) from error
     # P_i·π = (P_i restricted to the kept columns)·x, since the merged base parameters hold each of those once.

@@ -74,7 +74,10 @@ def merge_results(
     merged, between = _with_repeatability(base, inputs, merged)
     std = np.full(base.count, np.inf)
     std[list(merged.solution.active)] = np.sqrt(np.diag(merged.covariance))
-    inflation = np.divide(std, merged.solution.std, out=np.ones(base.count), where=np.isfinite(std))
+    inflation = np.ones(base.count)  # what changes between runs is no reason to leave a parameter out
+    inflation[list(merged.solution.active)] = (
+        np.sqrt(np.diag(within)) / merged.solution.std[list(merged.solution.active)]
+    )
     rows = sum(source.result.residuals.effective_rows or 0.0 for source in inputs)
     pruned = prune(
         merged.solution,
@@ -229,7 +232,7 @@ def _result(
             ],
             consistency=consistency,
         ),
-        estimate=EstimateResult.of(estimate, base.names),
+        estimate=EstimateResult.of(estimate, base.names, model.joint_names),
     )
     return result, consistent
 

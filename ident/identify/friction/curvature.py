@@ -23,7 +23,7 @@ from ident.friction.table import FRICTION_KINDS
 from ident.identify.friction.shapes import FreeShapes
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import CorrectedCovariance
-from ident.regression.least_squares import solve_weighted
+from ident.regression.least_squares import excited_columns, solve_weighted
 from ident.signals.prepared import Prepared
 
 DISTANCE = np.sqrt(3.0)
@@ -63,7 +63,10 @@ def with_curvature(
     def estimated(distance: float) -> FloatArray:
         moved = shifted_shapes(terms, {name: distance * std for name, std in known.items()})
         shifted = RegressorKernel(replace(kernel.model, terms=moved), kernel.columns)
-        return solve_weighted(reduce_torques(shifted, runs, torques), active, weights, "wls", 1).parameters[active]
+        system = reduce_torques(shifted, runs, torques)
+        if not set(active) <= set(excited_columns(system)):
+            raise IdentificationError("the friction vanishes at this shape")
+        return solve_weighted(system, active, weights, "wls", 1).parameters[active]
 
     try:
         here = solve_weighted(reduction, active, weights, "wls", 1).parameters[active]

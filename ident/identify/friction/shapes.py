@@ -58,6 +58,12 @@ class FreeShapes:
         """
         count = len(self.active) - len(self.names)
         kept = replace(corrected, covariance=corrected.covariance[:count, :count])
+        if self.names:
+            of_shapes = corrected.covariance[count:]
+            known = np.isfinite(np.diag(of_shapes[:, count:]))
+            shared = of_shapes[known, :count]
+            given = kept.covariance - shared.T @ np.linalg.pinv(of_shapes[known][:, count:][:, known]) @ shared
+            kept = replace(kept, within=given, shapes=self.names, shape_covariance=of_shapes)
         if corrected.random_std is not None:
             kept = replace(kept, random_std=corrected.random_std[:count])
         variances = np.diag(corrected.covariance)[count:]

@@ -15,10 +15,11 @@ from daq.recording.reader import read_recording
 from daq.recording.recording import Event
 from daq.recording.writer import write_recording
 from drivers.core.errors import ResultFileError
-from ident.identify.identification import IdentifyChoices
+from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
+from ident.result.model import Model
 from ident.result.result_file import file_sha256, read_result, result_json, write_result
 from ident.result.schema import Result
 from ident.result.units import UNITS
@@ -57,6 +58,23 @@ def test_a_result_comes_back_as_it_was(identified, tmp_path):
     assert read_result(tmp_path / "result.json") == result
     write_result(tmp_path / "again.json", read_result(tmp_path / "result.json"))
     assert (tmp_path / "again.json").read_text(encoding="utf-8") == text
+
+
+@pytest.mark.usefixtures("estimate_alone")
+def test_free_exponents_leave_the_torque_as_certain_as_it_is(three_joint):
+    """They move viscous and Coulomb friction against each other, and the torque hardly."""
+    motion = random_fourier_motion(build_model(three_joint), 5.0, 1, candidates=1)
+    recording = simulate_recording(three_joint, motion, 5.0, seed=1)
+    q, dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 50, 3))
+    deviations = {}
+    for term in ("", "+power"):
+        model = ModelChoices(friction=f"coulomb-viscous{term}")
+        found = identify([recording], [], IdentifyChoices(search_delay=False, presliding=False, model=model))
+        result = summarise(found, [recording], [])
+        for kind in ("full", "consistent"):
+            deviations[term, kind] = Model(result, kind).torque_std(q, dq, ddq)
+    for kind in ("full", "consistent"):
+        assert np.median(deviations["+power", kind] / deviations["", kind]) < 1.5
 
 
 def test_the_names_of_the_design_are_there(content):

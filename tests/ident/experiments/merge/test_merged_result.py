@@ -297,9 +297,9 @@ def test_what_changes_between_runs_is_apart_after_reading(results, tmp_path):
     apart = whole.model_copy(update={"within": (0.25 * np.array(whole.covariance)).tolist()})
     path = tmp_path / "result.json"
     path.write_text(result_json(results[0].model_copy(update={"estimate": apart})))
-    base = stored_model(results[0]).base
-    assert stored_estimate(results[0], base).within is None
-    read = stored_estimate(read_result(path), base)
+    stored = stored_model(results[0])
+    assert stored_estimate(results[0], stored).within is None
+    read = stored_estimate(read_result(path), stored)
     np.testing.assert_allclose(read.within, 0.25 * read.covariance)
 
 
