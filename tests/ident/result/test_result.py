@@ -62,19 +62,19 @@ def test_a_result_comes_back_as_it_was(identified, tmp_path):
 
 @pytest.mark.usefixtures("estimate_alone")
 def test_free_exponents_leave_the_torque_as_certain_as_it_is(three_joint):
-    """They move viscous and Coulomb friction against each other, and the torque hardly."""
+    """They move viscous and Coulomb friction against each other, and the torque at medium speed hardly."""
     motion = random_fourier_motion(build_model(three_joint), 5.0, 1, candidates=1)
     recording = simulate_recording(three_joint, motion, 5.0, seed=1)
-    q, dq, ddq = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 50, 3))
+    q = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 3))
     deviations = {}
     for term in ("", "+power"):
         model = ModelChoices(friction=f"coulomb-viscous{term}")
         found = identify([recording], [], IdentifyChoices(search_delay=False, presliding=False, model=model))
         result = summarise(found, [recording], [])
         for kind in ("full", "consistent"):
-            deviations[term, kind] = Model(result, kind).torque_std(q, dq, ddq)
+            deviations[term, kind] = np.mean(Model(result, kind).torque_std(q, 0.3 + 0.0 * q, 0.0 * q), axis=0)
     for kind in ("full", "consistent"):
-        assert np.median(deviations["+power", kind] / deviations["", kind]) < 1.5
+        assert np.median(deviations["+power", kind] / deviations["", kind]) < 1.2
 
 
 def test_the_names_of_the_design_are_there(content):
