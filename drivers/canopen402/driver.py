@@ -375,7 +375,8 @@ class Canopen402Driver:
             self._life = guard_requests(self._sender, ids, guarding.period, presence.ask, self._clock)
         else:
             presence = Heartbeats(count, settings.heartbeat)
-            self._clocks = HeartbeatClocks(count, settings.heartbeat)
+            if any(control.present for control in self._configured.controls):
+                self._clocks = HeartbeatClocks(count, settings.heartbeat)
             if settings.mode != "none":
                 self._life = heartbeat(self._sender, settings.own_id, settings.heartbeat, self._clock)
         controls = self._configured.controls
