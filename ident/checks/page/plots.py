@@ -23,7 +23,7 @@ MOST_COLUMNS = 32
 """Lines of one panel; of a channel with more columns, the first ones are shown."""
 
 MOST_POINTS = 3000
-PAGE_POINTS = 150_000
+PAGE_POINTS = 60_000
 """Of all signals together, and of one line at most."""
 
 SIGNAL_PANEL, INTERVAL_PANEL, SPECTRUM_PANEL = 170, 130, 260

@@ -25,7 +25,7 @@ from ident.report.figures.figures import ACCENT, MEASURED, PREDICTED, RESIDUAL, 
 from ident.report.figures.panels import ROOM, WIDE_ROOM, legend_rows
 from ident.report.figures.traces import packed
 
-FRAMES = 80
+FRAMES = 72
 """Frames of the animation at most."""
 
 NEAR, FAR = 1.1, 1.35
