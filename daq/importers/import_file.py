@@ -62,7 +62,8 @@ _READERS: Mapping[str, Reader] = {
 SUPPORTED = (*_READERS, "a ROS 2 bag's folder", "a LeRobot dataset's folder")
 """Endings that `import_file` reads."""
 
-_LIBRARIES = {".mat": "scipy.io", ".db3": "rosbags.rosbag2", ".mcap": "rosbags.rosbag2"}
+_OF_BAGS = ("rosbags.rosbag2", "rosbags.typesys.stores.ros2_humble")
+_LIBRARIES = {".mat": ("scipy.io",), ".db3": _OF_BAGS, ".mcap": _OF_BAGS}
 BAG_SPEED = 2e6
 """Bytes of a bag [B/s] that are surely read in so much processor time: messages are read one by one, 20 µs each."""
 DATASET_SPEED = 1e6
@@ -115,8 +116,8 @@ def import_file(
         given = "episode" if choices.episode is not None else "calibration"
         raise UsageError(f"--{given} is for LeRobot datasets", where=str(path), hint=f"there is no {INFO} in it")
     reader = _reader(path)
-    if path.suffix.lower() in _LIBRARIES:  # once, not in every reading process
-        import_module(_LIBRARIES[path.suffix.lower()])
+    for library in _LIBRARIES.get(path.suffix.lower(), ()):  # once, not in every reading process
+        import_module(library)
     time_limit = TIME_LIMIT
     if reader is read_rosbag:
         time_limit += sum(file.stat().st_size for file in bag_files(path) if file.is_file()) / BAG_SPEED

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import h5py
 import numpy as np
@@ -15,11 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from three_links import make_robot
 
+from daq.importers import import_file as import_file_module
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import SUPPORTED, import_file
 from daq.recording.repairs import REPAIRS
 from daq.robot.loader import RobotFile
 from drivers.core.errors import ImportFileError, InputError, UsageError
+from drivers.core.reading_process import Progress
 
 ROBOT = make_robot()
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -301,6 +304,11 @@ def accept_or_refuse(path: Path, choices: ImportChoices, robot: RobotFile = ROBO
     assert not problem or str(path) in problem
 
 
+def read_here(read: Callable[[Progress], Any], *_: object, progress: Progress, **limits: object) -> Any:
+    """In place of `read_apart`: 20 ms less for texts and numbers, on which no library crashes."""
+    return read(progress)
+
+
 MAGIC = {
     ".csv": [b"", b"t,q1,q2,q3\n", b"t q1 q2 q3\n0 0 0 0\n"],
     ".npz": [b"", b"PK\x03\x04", b"PK\x05\x06" + bytes(18), b"\x93NUMPY\x01\x00"],
@@ -328,7 +336,8 @@ def test_any_text_is_refused_in_our_words(content: str, degrees: bool) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.csv"
         path.write_bytes(content.encode())
-        accept_or_refuse(path, ImportChoices(degrees=degrees))
+        with patch.object(import_file_module, "read_apart", read_here):
+            accept_or_refuse(path, ImportChoices(degrees=degrees))
 
 
 SHAPES = st.sampled_from([(), (0,), (1,), (5,), (5, 1), (1, 5), (5, 3), (3, 5), (3, 3), (0, 3), (2, 3, 1)])
@@ -353,7 +362,8 @@ def test_any_arrays_are_refused_in_our_words(data: st.DataObject) -> None:
         path = Path(folder) / "run.npz"
         np.savez(path, **arrays)  # type: ignore[arg-type]
         repair = frozenset(data.draw(st.sets(st.sampled_from(list(REPAIRS)))))
-        accept_or_refuse(path, ImportChoices(effort="torque", repair=repair))
+        with patch.object(import_file_module, "read_apart", read_here):
+            accept_or_refuse(path, ImportChoices(effort="torque", repair=repair))
 
 
 @pytest.mark.parametrize("column", ["extra\x1b[2J", "q1\x07", "\x9bname", "a\u202eb"])
