@@ -145,7 +145,7 @@ def base_space(share: float, setup: Setup) -> Callable[[LeastSquares, QuadraticC
 
 
 def centred_reduction(plain: Reduction, parameters: FloatArray) -> Reduction:
-    """A system with the same columns and, at some parameters (b,), the same residuals, which it has its minimum at."""
+    """A system with the same columns that given parameters (b,) minimise, with the same residuals there."""
     joints = []
     sums = plain.residual_sums(parameters)
     for joint, residual in zip(plain.joints, sums, strict=True):

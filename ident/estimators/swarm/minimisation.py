@@ -37,9 +37,9 @@ class SearchBudget:
 
     def __post_init__(self) -> None:
         if self.generations < 1:
-            raise UsageError(f"{self.generations} generations are none", hint="at least 1")
+            raise UsageError(f"a search of {self.generations} generations", hint="at least 1 generation is needed")
         if self.seconds is not None and not self.seconds > 0.0:
-            raise UsageError(f"{self.seconds:g} s are no time to search")
+            raise UsageError(f"a search of {self.seconds:g} s", hint="give a time limit above 0 s")
 
 
 @dataclass(frozen=True, eq=False)

@@ -52,12 +52,12 @@ REFUSED: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "key twice": (
         replaced("joints:", "name: again\njoints:"),
         ", line 6, column 1",
-        ("key 'name' stands here twice",),
+        ("key 'name' appears twice",),
     ),
     "nested key twice": (
         replaced("velocity: 2}", "velocity: 2, velocity: 3}"),
         ", line 7",
-        ("'velocity' stands here twice",),
+        ("'velocity' appears twice",),
     ),
     "impossible date": (TWO_JOINTS + "description: 2026-99-99\n", ", line 11, column 14", ("cannot read the value",)),
     "foreign tag": (TWO_JOINTS + "description: !!python/name:os.system\n", ", line 11", ("could not determine",)),

@@ -134,7 +134,7 @@ def test_given_points_belong_to_the_initial_population() -> None:
         (lambda: ParticleSwarm(fastest=0.0), "velocity clamp 0"),
         (lambda: RandomWeight(0.9, 0.4), "no random weight"),
         (lambda: SearchBudget(0), "0 generations"),
-        (lambda: SearchBudget(1, seconds=-1.0), "no time"),
+        (lambda: SearchBudget(1, seconds=-1.0), "a search of"),
         (lambda: SearchBox(np.zeros(2), np.array([1.0, 0.0]), ("M1", "M2")), "search range of M2 is empty: 0 to 0"),
         (lambda: SearchBox(np.zeros(1), np.array([np.nan])), "variable 1 is empty"),
         (lambda: SearchBox.around(np.array([2.0, 0.0]), 0.1), "variable 2 is empty"),
