@@ -178,8 +178,8 @@ class RegressorKernel:
         links = range(len(model.joints))
         self._chains = tuple(ancestors(model.joints, index) for index in links)
         selected = [[c for c in range(10 * link, 10 * link + 10) if c in position_of] for link in links]
-        pattern = [part.tolist() for part in model.transmission.share_pattern()]
-        axes = [_motor_axes(*pattern, (*self._chains[link], link)) for link in links]
+        constant, varies = (shares.tolist() for shares in model.transmission.share_pattern())
+        axes = [_motor_axes(constant, varies, (*self._chains[link], link)) for link in links]
         of_joints = {c: joint_column(model, parameters[c]) for c in self.columns if parameters[c].kind != "inertial"}
 
         targets: list[list[tuple[int, tuple[tuple[int, Share], ...]]]] = [[] for _ in links]
