@@ -22,7 +22,7 @@ SLOW_STEP = 2.0
 SECONDS_BETWEEN_LINES = 5.0
 """Of the progress of one step where standard error is no terminal, so that a log stays short."""
 
-_NUMBER = re.compile(rf"[-+−±]?\d|{DASH}$|$")
+_NUMBER = re.compile(rf"(< )?[-+−±]?\d|{DASH}$|$")
 
 
 def print_json(content: Any) -> None:

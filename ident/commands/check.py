@@ -58,7 +58,7 @@ def check(
         print(f"{name}: the file is valid, {robot_file.robot.dof} joints")
         print(f"  base parameters: {count}, {inertial_count(robot_file)} of them inertial")
         for connection, budget in found.budgets.items():
-            print_budget(connection, budget)
+            print_budget(connection, budget, verbose=verbose)
         for assumption in found.assumed:
             print(f"  assumed: {assumption}")
         for warning in found.warnings:

@@ -21,13 +21,15 @@ MOST_CHECKS = 4
 """Of a recording that are printed without `--verbose`; the most serious stand first."""
 
 
-def print_budget(name: str, budget: Budget) -> None:
-    """Print the load of a bus."""
+def print_budget(name: str, budget: Budget, *, verbose: bool = False) -> None:
+    """Print the load of a bus; with `verbose` what a cycle consists of."""
     print(
         f"  connection {name}: bus load {percent_text(budget.load)} ({budget.bitrate / 1e3:g} kbit/s) at "
         f"{budget.rate:g} Hz with every stuffed bit; at most {budget.highest_rate():.0f} Hz, "
         f"{budget.highest_rate(TIGHT_SHARE):.0f} Hz for {percent_text(TIGHT_SHARE)}"
     )
+    if not verbose:
+        return
     cycle = Counter[tuple[str, int]]()
     for group in budget.cycle:
         cycle[group.meaning, group.data_bytes] += group.count
@@ -54,7 +56,7 @@ def print_poses(poses: tuple[ToolPose, ...]) -> None:
 
 
 def print_connection(connection: CheckedConnection, *, verbose: bool = False) -> None:
-    """Print the outcome of the check; with `verbose` the first sample of every stream."""
+    """Print the outcome of the check; with `verbose` its own limits and the first sample of every stream."""
     print(f"\nconnection {connection.name} ({connection.driver}) answers")
     for identity in connection.identities:
         shown = {key.replace("_", " "): value for key, value in identity.items() if value not in (None, "")}
@@ -64,7 +66,7 @@ def print_connection(connection: CheckedConnection, *, verbose: bool = False) ->
                 f"{key} {value:.10g}" if isinstance(value, float) else f"{key} {value}" for key, value in shown.items()
             )
         )
-    if connection.limits:
+    if connection.limits and verbose:
         joints = dict.fromkeys(joint for of_joints in connection.limits.values() for joint in of_joints)
         limits = [(joint, *(limit.get(joint) for limit in connection.limits.values())) for joint in joints]
         print_table("  limits of its own", ("", *connection.limits), limits)
@@ -105,7 +107,8 @@ def print_info(info: RecordingInfo, file: str, *, verbose: bool = False) -> None
         print(f"{check.severity}: {check.text} [{check.name}]")
     if not verdict.checks:
         print("Checks on this recording: no problems found.")
-    print_next(next_steps(verdict, f"dynid identify {file} -o model"), verdict, "All: --verbose, or --page FOLDER.")
+    steps = next_steps(verdict, f"dynid identify {file} -o model")
+    print_next(steps, verdict, "All figures: --verbose, or --page FOLDER.")
     if verbose:
         _print_columns(info)
         for event in recording.events:

@@ -106,7 +106,8 @@ def _print_validation(validation: Validation, model: Path, *, verbose: bool) -> 
     )
     if validation.acceptance is not None:
         print(validation.acceptance)
-    print_next(next_steps(verdict, f"dynid predict {model} run.h5, dynid export {model}"), verdict, "All: --verbose.")
+    steps = next_steps(verdict, f"dynid predict {model} run.h5, dynid export {model}")
+    print_next(steps, verdict, "All figures: --verbose.")
     if not verbose:
         return
     for recording in validation.recordings:

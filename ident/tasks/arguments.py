@@ -33,7 +33,7 @@ def recording_of(run: Run) -> Recording:
     if isinstance(run, (str, PathLike)):
         path = Path(run)
         if path.suffix.lower() in IMPORTED and path.exists():
-            hint = f'dynid.import_recording("{path}", robot)'
+            hint = f'dynid import {path} --robot ROBOT -o {path.stem}.h5, or dynid.import_recording("{path}", robot)'
             raise UsageError("is no recording, but can become one", where=str(path), hint=hint)
         return read_recording(path)
     kind = type(run).__name__

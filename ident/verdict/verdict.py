@@ -87,8 +87,7 @@ class Verdict:
         for grade in GRADES:
             if words := [PURPOSE_WORDS[name] for name, judged in self.purposes.items() if judged.grade == grade]:
                 by_grade[grade] = words
-        text = "; ".join(f"{_graded(grade)} for {_listed(words)}" for grade, words in by_grade.items())
-        return f"{text[:1].upper()}{text[1:]}."
+        return " ".join(f"{_for(grade, words)}." for grade, words in by_grade.items())
 
     @property
     def lines(self) -> list[str]:
