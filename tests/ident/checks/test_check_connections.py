@@ -145,7 +145,7 @@ def test_wrong_keys_are_refused_with_the_connections_name(three_joint, drivers):
 
 
 def test_the_command_prints_the_budget(monkeypatch, capsys):
-    status, out, _ = run(monkeypatch, capsys, "check", "ur5e")
+    status, out, _ = run(monkeypatch, capsys, "check", "ur5e", "--verbose")
     assert status == 0
     assert "connection canopen: bus load 95.9 % (1000 kbit/s) at 400 Hz" in out
     assert "6 × TPDO2 (8 bytes)" in out
@@ -238,7 +238,7 @@ def test_wire_without_connect_is_refused(monkeypatch, capsys):
 def test_the_command_shows_what_answered(monkeypatch, capsys, tmp_path, three_joint, drivers, clock):
     monkeypatch.setattr("drivers.core.clock.SYSTEM_CLOCK", clock)
     (tmp_path / "arm.yaml").write_text(three_joint.text + BENCH.split("  lost")[0])
-    status, out, _ = run(monkeypatch, capsys, "check", str(tmp_path / "arm.yaml"), "--connect")
+    status, out, _ = run(monkeypatch, capsys, "check", str(tmp_path / "arm.yaml"), "--connect", "--verbose")
     assert status == 0
     assert "connection bench (bench) answers" in out
     assert "joint j1, firmware 1.0, rated current 5, rated torque 50" in out
