@@ -3,8 +3,8 @@
     python -m studies.friction.ripple [NAME…]
     python -m studies.friction.ripple several
 
-`several`: a simulated UR10e whose friction and torque have one and a hundred periods per turn, of a tenth and of a
-third of each joint's Coulomb friction, recorded once and three times; another motion is held out.
+`several`: a simulated UR10e without and with a torque and a friction of one period per turn, each of a tenth of the
+joint's Coulomb friction, recorded once and three times; another motion is held out.
 
 Beside the default model, each joint gets cos nq, sin nq and the same times sign(q̇), for the harmonic n of a turn that
 predicts blocks of the identification data best, if it predicts them better than none; fitted to its residuals, judged
@@ -92,17 +92,15 @@ def line(name: str, found: Identification) -> str:
     return f"| {name} | {errors} | {', '.join(gains) or 'none'} |"
 
 
-def rippled(run: Recording, harmonic: int, share: float) -> Recording:
-    """A recording of simulated torques with a torque and a friction that follow the position, the same in all runs."""
+def rippled(run: Recording, share: float) -> Recording:
+    """A recording of simulated torques with a torque and a friction of one period per turn, the same in all runs."""
     stream = run.streams[JOINTS_STREAM]
     position = stream.channels["position"].values
     robot = run.robot().robot
     size = share * np.array([robot.truth.joints[name].coulomb for name in robot.joint_names])
     name = next(name for name in ("torque", "current") if name in stream.channels)
     gains = np.array([robot.drive(joint).gain or 1.0 for joint in robot.joint_names]) if name == "current" else 1.0
-    added = size * (
-        np.sin(harmonic * position + 1.0) + np.sign(np.gradient(position, axis=0)) * np.cos(harmonic * position)
-    )
+    added = size * (np.sin(position + 1.0) + np.sign(np.gradient(position, axis=0)) * np.cos(position))
     values = stream.channels[name].values + added / gains
     channels = {**stream.channels, name: replace(stream.channels[name], values=values)}
     return replace(run, streams={**run.streams, JOINTS_STREAM: replace(stream, channels=channels)})
@@ -112,12 +110,11 @@ def several() -> None:
     """Print what one and three runs of a simulated arm gain on another motion."""
     clean = [simulate("ur10e", duration=15.0, seed=seed, rate=100.0) for seed in (11, 12, 13, 14)]
     choices = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), search_delay=False, presliding=False)
-    for harmonic in (1, 100):
-        for share in (0.0, 0.1, 0.3):
-            *runs, other = [rippled(run, harmonic, share) for run in clean]
-            for count in (1, 3):
-                name = f"ur10e, n = {harmonic} of {100 * share:.0f} %, {count} run{'s' if count > 1 else ''}"
-                print(line(name, identify(runs[:count], [other], choices)), flush=True)
+    for share in (0.0, 0.1):
+        *runs, other = [rippled(run, share) for run in clean]
+        for count in (1, 3):
+            name = f"ur10e, n = 1 of {100 * share:.0f} %, {count} run{'s' if count > 1 else ''}"
+            print(line(name, identify(runs[:count], [other], choices)), flush=True)
 
 
 def main(names: list[str]) -> None:
