@@ -107,7 +107,7 @@ def test_json_is_one_strict_object(demo, capsys):
 
 @pytest.mark.slow
 def test_table_shows_truth_beside_estimate(demo, capsys):
-    print_demo(demo, as_json=False)
+    print_demo(demo, as_json=False, verbose=True)
     text = capsys.readouterr().out
     for name in demo.identification.base.names:
         assert name in text
