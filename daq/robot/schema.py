@@ -265,6 +265,17 @@ class TruthLink(Section):
     )
 
 
+class TruthServo(Section):
+    """A simulated position-controlled servo, joint side."""
+
+    stiffness: Positive = Field(description="gain of the position loop [N·m/rad]")
+    delay: NonNegative = Field(default=0.0, description="from a command to its effect [s]")
+    acceleration: Positive = Field(default=1e7, description="limit of the servo's own profile [rad/s²]")
+    torque_limit: Positive = Field(default=1e7, description="[N·m]")
+    load_friction: NonNegative = Field(default=0.0, description="share of the torque lost in the gear")
+    bias: Finite = Field(default=0.0, description="of the held position against the command [rad]")
+
+
 class TruthJoint(Section):
     """Friction and motor inertia of a simulated joint, joint side."""
 
@@ -279,6 +290,7 @@ class TruthJoint(Section):
     stribeck_velocity: Positive = Field(default=0.05, description="[rad/s] where the Stribeck term is down to 1/e")
     terms: dict[str, Finite] = Field(default_factory=dict, description="coefficients of further friction terms")
     pre_sliding: Positive = Field(default=5e-5, description="travel [rad] until a joint at rest breaks away")
+    servo: TruthServo | None = Field(default=None, description="of a joint that follows commanded positions")
     pair_inertia: NonNegative = Field(default=0.0, description="Iac of a coupled joint [kg·m²]")
     pair_viscous: Finite = Field(default=0.0, description="Fv of a coupled joint, signs as SR400 eq. 8 [N·m·s/rad]")
     pair_coulomb: Finite = Field(default=0.0, description="Fs of a coupled joint, signs as SR400 eq. 8 [N·m]")
@@ -345,6 +357,9 @@ class Robot(Section):
         default_factory=dict, description="standard parameter, or total_mass → its value or its range"
     )
     prior: Prior = Field(default_factory=Prior)
+    servo: dict[str, dict[str, Finite]] = Field(
+        default_factory=dict, description="joint → known parameters of a servo model (docs/servo.md)"
+    )
     workspace: Workspace = Field(default_factory=Workspace)
     poses: dict[str, tuple[Annotated[Angle, AfterValidator(within(NUMBER))], ...]] = Field(
         default_factory=dict, description="name → positions of all joints [rad or m], to compare with the pendant"

@@ -1,0 +1,1 @@
+"""Servo models: position-controlled joints identified from commanded and measured positions, without torque."""

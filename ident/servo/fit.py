@@ -1,0 +1,510 @@
+"""Fit of a servo arm: a start by linear regression, terms that held-out pieces ask for, values with 95 % intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import savgol_filter
+from scipy.stats import t as student
+
+from drivers.core.arrays import BoolArray, FloatArray, IndexArray
+from ident.servo.links import ServoLinks
+from ident.servo.motion import MotionLoad, ServoMotion, lanes_of, motion_load
+from ident.servo.rollout import Lanes, repeated
+from ident.servo.search import evaluate, joint_cost, normal_equations, robust_scale, search
+from ident.servo.terms import (
+    GROUPS,
+    INDEX,
+    TERMS,
+    from_search,
+    members,
+    start_values,
+    to_search,
+    with_group,
+    without_group,
+)
+
+PIECES = 160
+"""Pieces at most with which terms are chosen; the final fit takes `FINAL_PIECES`."""
+
+FINAL_PIECES = 300
+
+GAIN = 1.3
+"""What a term saves on held-out pieces, over what it costs on others: no t-test, since a limit of acceleration shows in
+few pieces, and there clearly."""
+
+LEAST_GAIN = 0.01
+"""Share of the cost of held-out pieces that a term must save."""
+
+ACCELERATIONS = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
+"""[rad/s²] Starts of a profile's limit."""
+
+FADING = (0.01, 0.05)
+"""[rad/s] Starts of the Stribeck velocity."""
+
+WIDEST = 3.0
+"""Ratio of an interval's end to the value beyond which a positive term cannot be told."""
+
+SMOOTHED = 0.14
+"""[s] span of the local polynomial through measured positions that gives accelerations for coupling."""
+
+FIRST_GROUP = "profile"
+"""The optional term that is settled with those that every joint has."""
+
+CLEAR = 3.0
+"""Times the median change of a held-out piece's cost from which on a change counts for `GAIN`."""
+
+RESTING = 5.0
+"""Encoder steps below which a joint is not commanded to move."""
+
+TORQUES = ("stiffness", "damping", "armature", "coulomb", "breakaway", "torque_limit")
+"""Terms that grow together where nothing ties the torques of a joint to N·m."""
+
+MOVING = 0.02
+"""[rad/s] of a joint in the regression that gives the start."""
+
+CONFIDENCE = 0.95
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class ServoFit:
+    """Parameters of an arm of servos.
+
+    Attributes:
+        values: (n, terms).
+        low, high: (n, terms) ends of the 95 % intervals; nan of terms that were not searched.
+        free: (n, terms) terms that were searched.
+        seen: (n, terms) whether the data tell the term; False where it is absent or held.
+        held: (n, terms) values that were given or assumed, not searched.
+        assumed: those of `held` that were assumed, as (joint, term).
+        moving: (n,) joints that are commanded to move.
+        covariance: per joint, of its searched terms in the search's coordinates.
+        gains: per joint, the share of the held-out cost that each optional term saved; kept ones only.
+        pieces: number of pieces of motion in the fit.
+    """
+
+    values: FloatArray
+    low: FloatArray
+    high: FloatArray
+    free: BoolArray
+    seen: BoolArray
+    held: BoolArray
+    assumed: frozenset[tuple[int, int]]
+    moving: BoolArray
+    covariance: tuple[FloatArray, ...]
+    gains: tuple[Mapping[str, float], ...]
+    pieces: int
+
+
+def fit_servo(
+    motions: Sequence[ServoMotion],
+    links: ServoLinks,
+    resolution: FloatArray,
+    given: Mapping[tuple[int, str], float],
+    progress: Progress,
+) -> ServoFit:
+    """Fit every joint.
+
+    Args:
+        motions: of one arm.
+        links: of the arm.
+        resolution: (n,) steps of the encoders [rad or m].
+        given: known values by joint and term, which are held.
+        progress: called with the name of each step.
+    """
+    joints = motions[0].position.shape[1]
+    zero = np.zeros(joints)
+    progress("links along the motion")
+    lanes = _lanes(motions, links, zero)
+    values, held = _start(motions, links), np.zeros((joints, len(TERMS)), dtype=np.bool_)
+    for (joint, name), value in given.items():
+        values[joint, INDEX[name]], held[joint, INDEX[name]] = value, True
+    free = np.zeros_like(held)
+    free[:, members("")] = True
+    free &= ~held
+    reach = np.array([max(np.ptp(motion.command[:, joint]) for motion in motions) for joint in range(joints)])
+    moving = reach > RESTING * resolution
+    free[~moving] = False
+    centre = to_search(values)
+    least = float(np.min(resolution))
+    weighted = set(links.weighted(np.concatenate([motion.position for motion in motions]).T).tolist())
+    chosen, judged = _split(lanes, PIECES)
+    progress("first fit")
+    gains: list[dict[str, float]] = [{} for _ in range(joints)]
+    values, free = _first_fit(chosen, judged, values, free, centre, np.flatnonzero(moving), held, least, gains)
+    heavy = np.array([joint in weighted for joint in range(joints)])
+    told = (heavy & moving) | held[:, [INDEX[name] for name in TORQUES]].any(axis=1)
+    values, free, held, assumed = _tied(values, free, held, centre, told, moving, given)
+    values = search(chosen, values, free, _scale(chosen, values, least), centre, 10)
+    for group in GROUPS:
+        able = [joint for joint in np.flatnonzero(moving).tolist() if not held[joint, members(group)].any()]
+        if group == "zero":
+            able = [joint for joint in able if joint in weighted]
+        if not able or group == FIRST_GROUP:
+            continue
+        progress(f"is there a {group}?" if group != "load" else "does friction follow the load?")
+        values, free, saved = _tried(chosen, judged, values, free, centre, able, group, least)
+        for joint, share in saved.items():
+            gains[joint][group] = share
+        if group == "zero" and saved:
+            zero = values[:, INDEX["zero"]].copy()
+            lanes = _lanes(motions, links, zero)
+            chosen, judged = _split(lanes, PIECES)
+    final = _pieces(lanes, FINAL_PIECES)
+    progress("final fit")
+    values = search(final, values, free, _scale(final, values, least), centre, 20)
+    values, free, pruned = _pruned(final, values, free, least, gains)
+    if pruned:
+        values = search(final, values, free, _scale(final, values, least), centre, 20)
+    seen = _intervals(final, values, free, least)[2][:, INDEX["stiffness"]]
+    loose = free[:, INDEX["stiffness"]] & ~seen
+    if loose.any():
+        values, free, held, more = _tied(values, free, held, centre, ~loose, moving, given)
+        assumed |= more
+        progress("final fit of joints whose torques nothing ties to N·m")
+        values = search(final, values, free, _scale(final, values, least), centre, 20)
+    low, high, seen, covariance = _intervals(final, values, free, least)
+    pieces = len(np.unique(final.piece))
+    return ServoFit(values, low, high, free, seen, held, assumed, moving, covariance, tuple(gains), pieces)
+
+
+def _lanes(motions: Sequence[ServoMotion], links: ServoLinks, zero: FloatArray) -> Lanes:
+    return lanes_of(motions, [measured_load(links, motion, zero) for motion in motions])
+
+
+def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray) -> MotionLoad:
+    """The links along a measured motion: gravity and inertia, and the torques between the joints."""
+    load = motion_load(links, motion, motion.time, motion.position, zero)
+    period = float(np.median(np.diff(motion.time)))
+    window = max(5, round(SMOOTHED / period) | 1)
+    if motion.position.shape[1] < 2 or window >= len(motion.time):
+        return load
+    velocity, acceleration = (
+        savgol_filter(motion.position, window, 3, deriv=order, delta=period, axis=0) for order in (1, 2)
+    )
+    coupling = links.coupling((motion.position + zero).T, velocity.T, acceleration.T)
+    between = np.stack([np.interp(motion.grid, motion.time, row) for row in coupling], axis=1)
+    return MotionLoad(load.torque + between, load.slope, load.inertia)
+
+
+def _start(motions: Sequence[ServoMotion], links: ServoLinks) -> FloatArray:
+    """Values from a regression of the position error on gravity, friction's direction and velocity."""
+    joints = motions[0].position.shape[1]
+    values = start_values(joints)
+    gravity = np.concatenate([links.gravity(motion.position.T) for motion in motions], axis=1)
+    errors, velocities = [], []
+    for motion in motions:
+        commanded = np.stack(
+            [np.interp(motion.time, motion.grid, column) for column in motion.command[motion.history :].T], axis=1
+        )
+        errors.append(commanded - motion.position)
+        velocities.append(np.gradient(motion.position, motion.time, axis=0))
+    error, velocity = np.concatenate(errors).T, np.concatenate(velocities).T
+    stiffness = np.full(joints, np.nan)
+    for joint in range(joints):
+        moving = np.abs(velocity[joint]) > MOVING
+        if np.count_nonzero(moving) < 50:
+            continue
+        columns = np.stack(
+            [gravity[joint], np.sign(velocity[joint]), velocity[joint], np.ones_like(velocity[joint])], axis=1
+        )[moving]
+        slope, friction, lag, _ = np.linalg.lstsq(columns, error[joint][moving], rcond=None)[0]
+        if slope > 0 and np.ptp(columns[:, 0]) * slope > 1e-3:
+            stiffness[joint] = 1.0 / slope
+        values[joint, INDEX["damping"]] = np.clip(lag, 5e-3, 0.5)
+        values[joint, INDEX["coulomb"]] = np.clip(friction, 1e-4, 0.2)
+    common = float(np.nanmedian(stiffness)) if np.isfinite(stiffness).any() else float(values[0, INDEX["stiffness"]])
+    common = float(np.clip(common, 1e-2, 1e5))
+    stiffness = np.where(np.isfinite(stiffness), np.clip(stiffness, common / 5, common * 5), common)
+    values[:, INDEX["stiffness"]] = stiffness
+    values[:, INDEX["damping"]] *= stiffness
+    values[:, INDEX["coulomb"]] *= stiffness
+    # A servo's loop is overdamped: half of its lag would be its inertia at critical damping.
+    values[:, INDEX["armature"]] = 0.1 * values[:, INDEX["damping"]] ** 2 / stiffness
+    return values
+
+
+def _split(lanes: Lanes, most: int) -> tuple[Lanes, Lanes]:
+    """Every other piece to fit, the others to judge."""
+    pieces = _chosen(lanes, most)
+    if len(pieces) < 2:
+        return lanes, lanes
+    return tuple(lanes.of(np.flatnonzero(np.isin(lanes.piece, pieces[part::2]))) for part in range(2))  # type: ignore[return-value]
+
+
+def _pieces(lanes: Lanes, most: int) -> Lanes:
+    return lanes.of(np.flatnonzero(np.isin(lanes.piece, _chosen(lanes, most))))
+
+
+def _chosen(lanes: Lanes, most: int) -> IndexArray:
+    """Pieces: half of them evenly spread, half those whose commands change fastest, which show the limits."""
+    pieces = np.unique(lanes.piece)
+    if len(pieces) <= most:
+        return pieces
+    even = pieces[np.linspace(0, len(pieces) - 1, most // 2).astype(np.intp)]
+    quickest = np.zeros(len(pieces))
+    change = np.abs(np.diff(lanes.command, axis=0)).mean(axis=0)
+    np.maximum.at(quickest, np.searchsorted(pieces, lanes.piece), change / np.maximum(_typical(change, lanes), 1e-12))
+    others = np.setdiff1d(np.arange(len(pieces)), np.searchsorted(pieces, even))
+    quick = pieces[others[np.argsort(-quickest[others], kind="stable")[: most - len(even)]]]
+    return np.sort(np.concatenate([even, quick]))
+
+
+def _typical(change: FloatArray, lanes: Lanes) -> FloatArray:
+    """(L,) mean over each lane's joint."""
+    sums = np.bincount(lanes.joint, weights=change)
+    return np.asarray((sums / np.bincount(lanes.joint))[lanes.joint], dtype=np.float64)
+
+
+def _scale(lanes: Lanes, values: FloatArray, least: float) -> FloatArray:
+    return robust_scale(evaluate(lanes, values)[0], lanes, len(values), least)
+
+
+def _tried(
+    chosen: Lanes,
+    judged: Lanes,
+    values: FloatArray,
+    free: BoolArray,
+    centre: FloatArray,
+    able: Sequence[int],
+    group: str,
+    least: float,
+) -> tuple[FloatArray, BoolArray, dict[int, float]]:
+    """Values and free terms with a group where it lowers the cost of pieces that it was not fitted to."""
+    scale = _scale(chosen, values, least)
+    trial, trial_free = with_group(values, free, able, group)
+    trial = _best_start(chosen, values, trial, able, group, scale)
+    trial_centre = np.where(trial_free & ~free, to_search(trial), centre)
+    trial = search(chosen, trial, trial_free, scale, trial_centre, 12)
+    saved = _savings(judged, values, trial, able, least)
+    rows = list(saved)
+    values, free = values.copy(), free.copy()
+    values[rows], free[rows] = trial[rows], trial_free[rows]
+    centre[rows] = trial_centre[rows]
+    return values, free, saved
+
+
+def _best_start(
+    lanes: Lanes, values: FloatArray, trial: FloatArray, able: Sequence[int], group: str, scale: FloatArray
+) -> FloatArray:
+    """The start of a group that costs each joint least."""
+    trial = trial.copy()
+    stiffness, coulomb = values[:, INDEX["stiffness"]], values[:, INDEX["coulomb"]]
+    trial[able, INDEX["breakaway"]] = np.where(group == "breakaway", 0.3 * coulomb, trial[:, INDEX["breakaway"]])[able]
+    if group == "saturation":
+        reach = np.zeros(len(values))
+        error = np.abs(lanes.command[lanes.history :] - lanes.start)
+        np.maximum.at(reach, lanes.joint, error.max(axis=0))
+        trial[able, INDEX["torque_limit"]] = (0.5 * stiffness * np.maximum(reach, 1e-3))[able]
+    if group != "breakaway":
+        return trial
+    name, starts = "stribeck_velocity", FADING
+    costs = []
+    for start in starts:
+        trial[able, INDEX[name]] = start
+        costs.append(joint_cost(evaluate(lanes, trial)[0], lanes, scale))
+    trial[able, INDEX[name]] = np.array(starts)[np.argmin(costs, axis=0)][able]
+    return trial
+
+
+def _piece_costs(residual: FloatArray, lanes: Lanes, scale: FloatArray) -> list[FloatArray]:
+    """Robust cost of each joint's pieces."""
+    relative = residual / scale[lanes.joint]
+    lane = np.nansum(2.0 * (np.sqrt(1.0 + relative**2) - 1.0), axis=0)
+    return [lane[lanes.joint == joint] for joint in range(len(scale))]
+
+
+def _first_fit(
+    chosen: Lanes,
+    judged: Lanes,
+    values: FloatArray,
+    free: BoolArray,
+    centre: FloatArray,
+    moving: IndexArray,
+    held: BoolArray,
+    least: float,
+    gains: list[dict[str, float]],
+) -> tuple[FloatArray, BoolArray]:
+    """Values of the terms that every joint has, without a profile and with each of several, whichever fits best.
+
+    A profile changes what all other terms have to explain: it is settled before they are.
+    """
+    limit = INDEX["acceleration_limit"]
+    able = moving[~held[moving, limit]]
+    scale = _scale(chosen, values, least)
+    plain = search(chosen, values, free, scale, centre, 10)
+    plain = search(chosen, plain, free, _scale(chosen, plain, least), centre, 15)
+    scale = _scale(chosen, plain, least)
+    trial, trial_free = with_group(values, free, able.tolist(), FIRST_GROUP)
+    # All starts side by side. The limit is held at first: all other terms would make up for a wrong one.
+    starts, many = np.tile(trial, (len(ACCELERATIONS), 1)), len(ACCELERATIONS)
+    rows = (np.arange(many)[:, None] * len(values) + able).ravel()
+    starts[rows, limit] = np.repeat(ACCELERATIONS, len(able))
+    wide = repeated(chosen, many, len(values))
+    centres = np.where(np.tile(trial_free & ~free, (many, 1)), to_search(starts), np.tile(centre, (many, 1)))
+    starts = search(wide, starts, np.tile(free, (many, 1)), np.tile(scale, many), centres, 8)
+    costs = joint_cost(evaluate(wide, starts)[0], wide, np.tile(scale, many)).reshape(many, -1)
+    cheapest = np.argmin(costs, axis=0) * len(values) + np.arange(len(values))
+    best, trial_centre = starts[cheapest], centres[cheapest]
+    best = search(chosen, best, trial_free, scale, trial_centre, 10)
+    best = search(chosen, best, trial_free, _scale(chosen, best, least), trial_centre, 15)
+    saved = _savings(judged, plain, best, able.tolist(), least)
+    rows = list(saved)
+    values, free = plain.copy(), free.copy()
+    values[rows], free[rows], centre[rows] = best[rows], trial_free[rows], trial_centre[rows]
+    for joint, share in saved.items():
+        gains[joint][FIRST_GROUP] = share
+    return values, free
+
+
+def _savings(
+    judged: Lanes, before: FloatArray, after: FloatArray, able: Sequence[int], least: float
+) -> dict[int, float]:
+    """Joints whose cost on held-out pieces falls clearly, and by what share."""
+    residual = evaluate(judged, before)[0]
+    scale = robust_scale(residual, judged, len(before), least)
+    old = _piece_costs(residual, judged, scale)
+    new = _piece_costs(evaluate(judged, after)[0], judged, scale)
+    saved = {}
+    for joint in able:
+        difference = old[joint] - new[joint]
+        total = float(difference.sum())
+        clear = difference[np.abs(difference) > CLEAR * np.median(np.abs(difference))]
+        helps = any(
+            float(changes[changes > 0].sum()) > -GAIN * float(changes[changes < 0].sum())
+            for changes in (difference, clear)
+        )
+        if helps and total > LEAST_GAIN * float(old[joint].sum()):
+            saved[joint] = total / float(old[joint].sum())
+    return saved
+
+
+def _pruned(
+    lanes: Lanes, values: FloatArray, free: BoolArray, least: float, gains: list[dict[str, float]]
+) -> tuple[FloatArray, BoolArray, bool]:
+    """Values and free terms without the optional terms of which all data together tell nothing."""
+    seen = _intervals(lanes, values, free, least)[2]
+    values, free, pruned = values.copy(), free.copy(), False
+    for group in GROUPS:
+        own = members(group)
+        for joint in range(len(values)):
+            if free[joint, own].any() and not seen[joint, own].any():
+                without_group(values, free, [joint], group)
+                gains[joint].pop(group, None)
+                pruned = True
+    return values, free, pruned
+
+
+def _tied(
+    values: FloatArray,
+    free: BoolArray,
+    held: BoolArray,
+    centre: FloatArray,
+    told: BoolArray,
+    moving: BoolArray,
+    given: Mapping[tuple[int, str], float],
+) -> tuple[FloatArray, BoolArray, BoolArray, frozenset[tuple[int, int]]]:
+    """Joints whose torque scale nothing shows get the stiffness of those that show it, the others' geometric mean.
+
+    Only gravity, or a term that is known, ties a position loop to N·m: without it, all of a joint's torques can grow
+    together. A joint that never moves gets all terms of the others.
+    """
+    stiffness = INDEX["stiffness"]
+    torques = [INDEX[name] for name in TORQUES]
+    showing = np.flatnonzero(told & moving & free[:, stiffness])
+    showing = np.flatnonzero(told & moving) if not len(showing) else showing
+    common = float(np.exp(np.mean(np.log(values[showing, stiffness])))) if len(showing) else TERMS[stiffness].start
+    values, free, held = values.copy(), free.copy(), held.copy()
+    assumed = set()
+    others = np.flatnonzero(moving)
+    for joint in np.flatnonzero(~told).tolist():
+        if not moving[joint]:
+            for index in members(""):
+                if (joint, TERMS[index].name) in given:
+                    continue
+                if TERMS[index].positive:
+                    values[joint, index] = float(np.exp(np.mean(np.log(values[others, index]))))
+                free[joint, index], held[joint, index] = False, True
+                assumed.add((joint, index))
+        if held[joint, stiffness] and (joint, TERMS[stiffness].name) in given:
+            continue
+        ratio = common / values[joint, stiffness]
+        values[joint, torques] *= ratio
+        centre[joint, torques] += np.log(ratio)
+        free[joint, stiffness], held[joint, stiffness] = False, True
+        assumed.add((joint, stiffness))
+    return values, free, held, frozenset(assumed)
+
+
+def _intervals(
+    lanes: Lanes, values: FloatArray, free: BoolArray, least: float
+) -> tuple[FloatArray, FloatArray, BoolArray, tuple[FloatArray, ...]]:
+    """Ends of the 95 % intervals (n, terms), whether the data tell each term, and each joint's covariance.
+
+    The sandwich over pieces (their errors are not independent within one), or, in directions that the data hardly show,
+    the curvature alone with the pieces' inflation.
+    """
+    low, high = np.full_like(values, np.nan), np.full_like(values, np.nan)
+    seen = np.zeros_like(free)
+    residual, tangents = evaluate(lanes, values, free)
+    scale = robust_scale(residual, lanes, len(values), least)
+    columns = np.flatnonzero(free.any(axis=0))
+    covariances = []
+    for joint in range(len(values)):
+        own = np.flatnonzero(free[joint])
+        if not len(own):
+            covariances.append(np.zeros((0, 0)))
+            continue
+        curvature = normal_equations(residual, tangents, lanes, joint, scale[joint], columns, own)[0]
+        scores = _scores(residual, tangents, lanes, joint, scale[joint], columns, own)
+        covariances.append(_covariance(curvature, scores))
+        reach = np.sqrt(np.diag(covariances[-1])) * student.ppf(0.5 + CONFIDENCE / 2, max(1, len(scores) - 1))
+        point = to_search(values)[joint]
+        for index, half in zip(own, reach, strict=True):
+            term = TERMS[index]
+            ends = np.tile(point, (2, 1))
+            ends[:, index] += np.array([-1.0, 1.0]) * min(float(half), 50.0)
+            low[joint, index], high[joint, index] = from_search(ends)[:, index]
+            seen[joint, index] = half < (np.log(WIDEST) if term.positive else term.spread)
+    return low, high, seen, tuple(covariances)
+
+
+def _scores(
+    residual: FloatArray,
+    tangents: FloatArray,
+    lanes: Lanes,
+    joint: int,
+    scale: float,
+    columns: IndexArray,
+    own: IndexArray,
+) -> FloatArray:
+    """(pieces, terms) gradient of each piece's cost."""
+    rows = np.searchsorted(columns, own)
+    chosen = np.flatnonzero(lanes.joint == joint)
+    error = np.nan_to_num(residual[:, chosen] / scale)
+    weighted = error / np.sqrt(1.0 + error**2) / scale
+    scores: FloatArray = np.einsum("sl,fsl->lf", weighted, tangents[rows][:, :, chosen])
+    return scores[np.isfinite(residual[:, chosen]).any(axis=0)]
+
+
+def _covariance(curvature: FloatArray, scores: FloatArray) -> FloatArray:
+    """Covariance of the terms; very large in directions that the data do not show."""
+    count, terms = scores.shape
+    lengths = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    normal = curvature / np.outer(lengths, lengths)
+    powers, axes = np.linalg.eigh(normal)
+    powers = np.maximum(powers, 1e-12)
+    turned = (scores / lengths) @ axes
+    spread = turned.T @ turned * (count / max(count - terms, 1))
+    inflation = float(np.median(np.diag(spread) / powers))
+    # No direction is known better than the curvature allows: where the data show nothing, the scores vanish, too.
+    widened = np.maximum(np.diag(spread), inflation * powers)
+    factor = np.sqrt(widened / np.maximum(np.diag(spread), 1e-300))
+    spread = spread * np.outer(factor, factor)
+    turned_back = axes / powers
+    covariance: FloatArray = turned_back @ spread @ turned_back.T / np.outer(lengths, lengths)
+    return np.clip(covariance, -1e6, 1e6)

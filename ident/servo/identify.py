@@ -1,0 +1,334 @@
+"""Identification of servo arms: recordings in, result out; and the same model on other recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Literal
+
+import numpy as np
+
+from daq.recording.command_quality import command_quality
+from daq.recording.commanded_motion import commanded_motion
+from daq.recording.quantisation import resolution
+from daq.recording.recording import Recording, software_versions
+from daq.robot.loader import RobotFile
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError, IdentificationError
+from drivers.core.reading_process import Progress
+from ident.identify.summary import values_sha256
+from ident.result.result_file import file_sha256
+from ident.servo.arm_rollout import roll_out_arm, rollout_errors
+from ident.servo.fit import ServoFit, fit_servo
+from ident.servo.links import ServoLinks, servo_links
+from ident.servo.motion import ServoMotion, servo_motions
+from ident.servo.references import command_paths, delay_and_lag, delayed_paths
+from ident.servo.result import (
+    MotionError,
+    References,
+    RolloutFit,
+    ServoJoint,
+    ServoParameter,
+    ServoRecording,
+    ServoResult,
+    ServoVerdict,
+)
+from ident.servo.terms import TERMS
+
+HELD_OUT = 0.3
+"""Share at the end of each recording that validates, where no other recording does."""
+
+LONGEST_LAG = 1.0
+"""[s] by which commands and positions may begin and end apart."""
+
+DEGREES = 20.0
+"""Ratio of positions to commands, or its inverse, from which on one of them is taken to be in degrees."""
+
+GOOD, USABLE = 3.0, 8.0
+"""Roll-out errors in encoder steps below which a model is good and usable, where it also beats delay and lag."""
+
+
+@dataclass(frozen=True, eq=False)
+class ServoIdentification:
+    """What an identification gives.
+
+    Attributes:
+        result: as result.json holds it.
+        motions: that were held out, or those of the fit where none were.
+        paths: their roll-outs (N, n) [rad or m].
+    """
+
+    result: ServoResult
+    motions: list[ServoMotion]
+    paths: list[FloatArray]
+
+
+def identify_servo(
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording],
+    robot_file: RobotFile | None,
+    given: dict[str, dict[str, float]],
+    progress: Progress,
+) -> ServoIdentification:
+    """Identify an arm of servos from commanded and measured positions.
+
+    Args:
+        recordings: of one arm.
+        held_out: that validate; the last 30 % of each of the others where there are none.
+        robot_file: in place of the recordings' own.
+        given: joint → parameter → known value.
+        progress: called with the name of each step.
+
+    Raises:
+        DataError: a recording has no commands, or its positions do not follow them.
+        RobotFileError: a link's mass is not known.
+        IdentificationError: no joint moves.
+    """
+    if not recordings:
+        raise DataError("no recording to identify from")
+    file = robot_file or recordings[0].robot()
+    robot, links = file.robot, servo_links(file)
+    progress("reading commands")
+    motions = [motion for recording in recordings for motion in read_motions(recording, file)]
+    if held_out:
+        judged = [motion for recording in held_out for motion in read_motions(recording, file)]
+        source = "recordings of their own"
+    else:
+        motions, judged = _divided(motions)
+        source = f"the last {HELD_OUT:.0%} of each recording"
+    steps = _encoder_steps(motions)
+    moving = np.array([max(np.ptp(motion.command[:, joint]) for motion in motions) for joint in range(robot.dof)])
+    if not np.any(moving > 5 * steps):
+        raise IdentificationError("no joint is commanded to move by more than five encoder steps")
+    fitted = fit_servo(motions, links, steps, _given(given, robot.joint_names), lambda step: progress(step))
+    progress("roll-out")
+    lag = delay_and_lag(motions)
+    fit, _ = judge(motions, links, fitted.values, lag, held_out=False)
+    validation, paths = judge(judged, links, fitted.values, lag, held_out=not _same_data(recordings, held_out))
+    joints = [_joint(fitted, row, name, links.model.sliding[row]) for row, name in enumerate(robot.joint_names)]
+    result = ServoResult(
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        robot=robot.name,
+        robot_file=file.text,
+        urdf=file.urdf_text or "",
+        joints=list(robot.joint_names),
+        sliding=list(links.model.sliding),
+        links=links.origin,
+        resolution=steps.tolist(),
+        step=motions[0].step,
+        servo=joints,
+        covariance=[matrix.tolist() for matrix in fitted.covariance],
+        searched=[[TERMS[index].name for index in np.flatnonzero(row)] for row in fitted.free],
+        fit=fit,
+        validation=validation,
+        validation_source=source,
+        recordings=[
+            *(_use(recording, file, "identification") for recording in recordings),
+            *(_use(recording, file, "validation") for recording in held_out),
+        ],
+        versions=software_versions(),
+        verdict=verdict(robot.joint_names, joints, validation, steps),
+    )
+    return ServoIdentification(result, judged, paths)
+
+
+def revalidate_servo(
+    result: ServoResult, recordings: Sequence[Recording], robot_file: RobotFile
+) -> ServoIdentification:
+    """The same model on other recordings: `validation` and `verdict` are theirs.
+
+    Raises:
+        DataError: a recording has no commands, or is of another arm.
+    """
+    links = servo_links(robot_file)
+    motions = [motion for recording in recordings for motion in read_motions(recording, robot_file)]
+    used = {use.sha256 for use in result.recordings if use.role == "identification"}
+    held_out = not any(_hash(recording) in used for recording in recordings)
+    fit, paths = judge(motions, links, result.values, delay_and_lag(motions), held_out=held_out)
+    steps = np.array(result.resolution)
+    changed = result.model_copy(
+        update={
+            "validation": fit,
+            "validation_source": "recordings of their own",
+            "verdict": verdict(tuple(result.joints), result.servo, fit, steps),
+        }
+    )
+    return ServoIdentification(changed, motions, paths)
+
+
+def read_motions(recording: Recording, robot_file: RobotFile) -> list[ServoMotion]:
+    """The motions of a recording, after its commands were compared with what the arm did.
+
+    Raises:
+        DataError: they do not belong together; says why, and what to do.
+    """
+    recorded = commanded_motion(recording, robot_file.robot)
+    quality, where = command_quality(recorded), recording.label
+    if quality.before > LONGEST_LAG or quality.after > LONGEST_LAG:
+        raise DataError(
+            f"{quality.before + quality.after:.1f} s of the motion have no commands",
+            where=where,
+            hint="cut the recording to where both are",
+        )
+    if quality.apart:
+        raise DataError(
+            f"positions follow their commands {quality.delay:+.2f} s later: the clocks of the two are apart",
+            where=where,
+            hint="import again with both stamps of one clock, or shift the commands' stamps by that much",
+        )
+    if quality.swapped:
+        pairs = ", ".join(f"{joint} follows the command of {other}" for joint, other in quality.swapped.items())
+        raise DataError(
+            f"{pairs}: columns are in another order", where=where, hint="import again with --column or --joints"
+        )
+    if quality.opposite:
+        raise DataError(
+            f"{', '.join(quality.opposite)} move against their commands",
+            where=where,
+            hint="import again with the sign of one of them turned",
+        )
+    scaled = {joint: ratio for joint, ratio in quality.ratios.items() if not 1 / DEGREES < ratio < DEGREES}
+    if scaled:
+        raise DataError(
+            f"{', '.join(scaled)} move {next(iter(scaled.values())):.3g} times as far as commanded: one is in degrees",
+            where=where,
+            hint="import again and name the units",
+        )
+    if quality.still:
+        raise DataError(
+            f"{', '.join(quality.still)} never move(s) although commanded to: a frozen encoder, or no torque",
+            where=where,
+            hint="record again; leave this recording out",
+        )
+    return servo_motions(recorded, where)
+
+
+def judge(
+    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, lag: tuple[float, float], *, held_out: bool
+) -> tuple[RolloutFit, list[FloatArray]]:
+    """Roll-out errors of motions beside the references, and the paths."""
+    paths = roll_out_arm(motions, links, values)
+    errors = rollout_errors(motions, paths)
+    command = rollout_errors(motions, command_paths(motions))
+    lagged = rollout_errors(motions, delayed_paths(motions, *lag))
+    seconds = np.array([motion.time[-1] for motion in motions])
+    labels = list(dict.fromkeys(motion.label for motion in motions))
+
+    def mean(rows: FloatArray) -> list[float]:
+        return [float(value) for value in np.average(rows, axis=0, weights=seconds)]
+
+    own = {label: [row for row, motion in enumerate(motions) if motion.label == label] for label in labels}
+    return (
+        RolloutFit(
+            rollout_error=mean(errors),
+            rollout_mean=float(np.mean(mean(errors))),
+            references=References(command=mean(command), delay_and_lag=mean(lagged)),
+            recordings=[
+                MotionError(
+                    recording=label, rollout_error=np.average(errors[rows], axis=0, weights=seconds[rows]).tolist()
+                )
+                for label, rows in own.items()
+            ],
+            held_out=held_out,
+            seconds=float(seconds.sum()),
+        ),
+        paths,
+    )
+
+
+def verdict(names: Sequence[str], joints: Sequence[ServoJoint], judged: RolloutFit, steps: FloatArray) -> ServoVerdict:
+    """A grade for rolling out motions, by held-out errors against encoder steps and references."""
+    error, lagged = np.array(judged.rollout_error), np.array(judged.references.delay_and_lag)
+    worse = [name for name, own, other in zip(names, error, lagged, strict=True) if own > other + 0.5 * steps.mean()]
+    mean, step = float(error.mean()), float(steps.mean())
+    gain = float(lagged.mean()) / mean if mean > 0 else np.inf
+    grade: Literal["good", "usable", "poor"] = (
+        "good" if mean < GOOD * step else "usable" if mean < USABLE * step or gain > 3 else "poor"
+    )
+    if gain < 1.2 or worse:
+        grade = "poor" if gain < 1 else "usable" if grade == "good" else grade
+    checks = []
+    if worse:
+        checks.append(f"{', '.join(worse)}: no better than one delay and lag for all joints")
+    loose = [joint.joint for joint in joints if joint.parameters["stiffness"].origin == "assumed"]
+    if loose:
+        checks.append(
+            f"{', '.join(loose)}: nothing ties the torques to N·m (no gravity); the stiffness is that of the other "
+            "joints, and their inertia and friction scale with it"
+        )
+    if not judged.held_out:
+        checks.append("not held out: these data are in the identification")
+    reach = (
+        f"roll-out error {1e3 * mean:.2g} mrad ({mean / step:.2g} encoder steps), {gain:.2g} times less than with one "
+        "delay and lag"
+    )
+    return ServoVerdict(grade=grade, headline=f"{grade.capitalize()} for simulation: {reach}.", checks=checks)
+
+
+def _joint(fitted: ServoFit, row: int, name: str, sliding: bool) -> ServoJoint:
+    parameters = {}
+    for index, term in enumerate(TERMS):
+        free, held = bool(fitted.free[row, index]), bool(fitted.held[row, index])
+        if not free and not held:
+            continue
+        unit = term.unit.replace("N·m/rad", "N/m").replace("N·m·s/rad", "N·s/m") if sliding else term.unit
+        if sliding:
+            unit = {"N·m": "N", "kg·m²": "kg", "rad": "m", "rad/s": "m/s", "rad/s²": "m/s²"}.get(unit, unit)
+        parameters[term.name] = ServoParameter(
+            value=float(fitted.values[row, index]),
+            unit=unit,
+            interval=(float(fitted.low[row, index]), float(fitted.high[row, index])) if free else None,
+            unidentifiable=(free and not bool(fitted.seen[row, index])) or (held and (row, index) in fitted.assumed),
+            origin="data" if free else "assumed" if (row, index) in fitted.assumed else "given",
+        )
+    note = "" if fitted.moving[row] else "does not move in these recordings"
+    return ServoJoint(joint=name, parameters=parameters, kept=dict(fitted.gains[row]), note=note)
+
+
+def _given(given: dict[str, dict[str, float]], names: Sequence[str]) -> dict[tuple[int, str], float]:
+    return {(list(names).index(joint), term): value for joint, terms in given.items() for term, value in terms.items()}
+
+
+def _divided(motions: Sequence[ServoMotion]) -> tuple[list[ServoMotion], list[ServoMotion]]:
+    """The first part of each motion, and the rest."""
+    first, last = [], []
+    for motion in motions:
+        cut = int(np.searchsorted(motion.time, (1 - HELD_OUT) * motion.time[-1]))
+        first.append(motion.between(0, cut))
+        last.append(motion.between(cut, len(motion.time)))
+    return first, last
+
+
+def _encoder_steps(motions: Sequence[ServoMotion]) -> FloatArray:
+    """(n,) [rad or m]; that of the other joints where one does not move."""
+    steps = []
+    for joint in range(motions[0].position.shape[1]):
+        step = resolution(np.concatenate([motion.position[:, joint] for motion in motions]))
+        steps.append(step if np.isfinite(step) and step > 0 else np.nan)
+    known = np.array(steps)
+    common = float(np.nanmedian(known)) if np.isfinite(known).any() else 1e-5
+    return np.maximum(np.where(np.isfinite(known), known, common), 1e-6)
+
+
+def _use(recording: Recording, file: RobotFile, role: str) -> ServoRecording:
+    recorded = commanded_motion(recording, file.robot)
+    seconds = float(recorded.time[-1] - recorded.time[0])
+    return ServoRecording.model_validate(
+        {
+            "file": recording.label,
+            "sha256": _hash(recording),
+            "role": role,
+            "seconds": seconds,
+            "rate_hz": (len(recorded.time) - 1) / seconds,
+        }
+    )
+
+
+def _hash(recording: Recording) -> str:
+    return values_sha256(recording) if recording.path is None else file_sha256(recording.path)
+
+
+def _same_data(recordings: Sequence[Recording], held_out: Sequence[Recording]) -> bool:
+    used = {_hash(recording) for recording in recordings}
+    return any(_hash(recording) in used for recording in held_out)

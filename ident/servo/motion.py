@@ -1,0 +1,203 @@
+"""Commanded and measured positions of a servo arm on a grid, cut into pieces that are rolled out side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from daq.recording.commanded_motion import TARGET, CommandedMotion
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
+from ident.servo.links import ServoLinks
+from ident.servo.rollout import Lanes
+
+STEP = 0.005
+"""[s] Longest step of a roll-out."""
+
+HISTORY = 0.5
+"""[s] of commands before a piece, for its delay."""
+
+SETTLING = 1.0
+"""[s] at the beginning of a piece that is not compared: its velocity and profile are not known."""
+
+PIECE = 3.0
+"""[s] of a piece that is compared."""
+
+GAP = 0.25
+"""[s] A longer pause between samples ends a motion."""
+
+SHORTEST = 3.0
+"""[s] of a motion that can be used."""
+
+THINNED = 4
+"""Inertia and the slope of gravity are evaluated at every fourth sample: they change slowly."""
+
+
+@dataclass(frozen=True, eq=False)
+class ServoMotion:
+    """A motion without gaps.
+
+    Attributes:
+        label: of its recording.
+        begin: of its first sample, in the recording's clock [s].
+        step: of the grid [s].
+        time: (N,) of the measured samples, from the first [s].
+        position: (N, n) measured [rad or m].
+        command: (history + K, n) on the grid, from `history` steps before the first sample [rad or m].
+        history: number of steps.
+    """
+
+    label: str
+    begin: float
+    step: float
+    time: FloatArray
+    position: FloatArray
+    command: FloatArray
+    history: int
+
+    @property
+    def grid(self) -> FloatArray:
+        """(K,) times [s]."""
+        return np.asarray(np.arange(len(self.command) - self.history) * self.step, dtype=np.float64)
+
+    def between(self, first: int, end: int) -> ServoMotion:
+        """The motion from one sample to before another; its commands go on to have a history."""
+        skipped = round(float(self.time[first]) / self.step)
+        begin = skipped * self.step
+        return replace(
+            self,
+            begin=self.begin + begin,
+            time=self.time[first:end] - begin,
+            position=self.position[first:end],
+            command=self.command[skipped : self.history + round(float(self.time[end - 1]) / self.step) + 2],
+        )
+
+
+def servo_motions(recorded: CommandedMotion, label: str) -> list[ServoMotion]:
+    """The motions of a recording, split where samples are missing.
+
+    Raises:
+        DataError: too short, too slow, or the commands do not cover the motion.
+    """
+    time = recorded.time
+    if len(time) < 2 or time[-1] - time[0] < SHORTEST:
+        seconds = float(time[-1] - time[0]) if len(time) else 0.0
+        raise DataError(f"lasts {seconds:.3g} s; a servo model needs {SHORTEST:g} s", where=label)
+    period = float(np.median(np.diff(time)))
+    if period > GAP / 2:
+        raise DataError(f"has {1 / period:.3g} samples a second; a servo model needs {2 / GAP:g}", where=label)
+    stamps = recorded.command_time
+    late, early = float(stamps[0] - time[0]), float(time[-1] - stamps[-1])
+    if max(late, early) > SETTLING:
+        side = f"begin {late:.2f} s after" if late > early else f"end {early:.2f} s before"
+        raise DataError(
+            f"its commands {side} its positions do: are both of one clock and one motion?",
+            where=label,
+            hint="cut the recording to where both are, or import it again with both stamps of one clock",
+        )
+    step = period / max(1, round(period / STEP))
+    motions = []
+    ends = [0, *(np.flatnonzero(np.diff(time) > max(GAP, 5 * period)) + 1).tolist(), len(time)]
+    for first, end in pairwise(ends):
+        own = time[first:end]
+        if end - first < 2 or own[-1] - own[0] < SHORTEST:
+            continue
+        history = int(np.ceil(HISTORY / step))
+        count = int(np.ceil((own[-1] - own[0]) / step)) + 2
+        times = own[0] + (np.arange(-history, count)) * step
+        values = recorded.commands[TARGET]
+        command = np.stack([np.interp(times, stamps, values[:, joint]) for joint in range(values.shape[1])], axis=1)
+        motions.append(
+            ServoMotion(label, float(own[0]), step, own - own[0], recorded.position[first:end].copy(), command, history)
+        )
+    if not motions:
+        raise DataError(f"has no {SHORTEST:g} s without a gap", where=label)
+    return motions
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLoad:
+    """What the links do to the joints along a motion's grid, (K, n) each.
+
+    Attributes:
+        torque: that gravity and the other joints ask for [N·m].
+        slope: derivative of gravity by each joint's own position [N·m/rad].
+        inertia: of the links about each joint [kg·m²].
+    """
+
+    torque: FloatArray
+    slope: FloatArray
+    inertia: FloatArray
+
+
+def motion_load(
+    links: ServoLinks, motion: ServoMotion, times: FloatArray, position: FloatArray, zero: FloatArray
+) -> MotionLoad:
+    """The links along positions (N, n) at times (N,); `zero` (n,) is added to them for gravity.
+
+    The torque is that of gravity at the moved position, less what a roll-out adds for `zero` itself.
+    """
+    moved = (position + zero).T
+    thin = np.unique(np.append(np.arange(0, len(times), THINNED), len(times) - 1))
+    gravity = links.gravity(moved)
+    _, slope, inertia = links.along(moved[:, thin])
+    grid = motion.grid
+
+    def on_grid(stamps: FloatArray, values: FloatArray) -> FloatArray:
+        return np.stack([np.interp(grid, stamps, row) for row in values], axis=1)
+
+    slopes = on_grid(times[thin], slope)
+    return MotionLoad(on_grid(times, gravity) - zero * slopes, slopes, on_grid(times[thin], inertia))
+
+
+def lanes_of(motions: Sequence[ServoMotion], loads: Sequence[MotionLoad], piece: float | None = PIECE) -> Lanes:
+    """Lanes of all joints of motions, cut into pieces [s]; whole where None.
+
+    Samples of a piece's first `SETTLING` seconds do not count.
+    """
+    step, joints = min(motion.step for motion in motions), motions[0].position.shape[1]
+    cuts = []
+    for motion, load in zip(motions, loads, strict=True):
+        end = float(motion.time[-1])
+        length = end if piece is None else piece
+        begin = 0.0
+        while begin < end - SETTLING:
+            cuts.append((motion, load, begin, min(begin + SETTLING + length, end)))
+            begin += length
+    steps = max(int(np.ceil((last - begin) / step)) + 2 for _, _, begin, last in cuts)
+    samples = max(int(np.count_nonzero((m.time >= begin) & (m.time <= last))) for m, _, begin, last in cuts)
+    history = max(motion.history for motion in motions)
+    width = len(cuts) * joints
+    command = np.empty((history + steps, width))
+    start, inertia = np.empty(width), np.empty((steps, width))
+    torque, slope = np.empty((steps, width)), np.empty((steps, width))
+    sample, measured = np.zeros((samples, width)), np.full((samples, width), np.nan)
+    for number, (motion, load, begin, last) in enumerate(cuts):
+        lanes = slice(number * joints, (number + 1) * joints)
+        inside = np.flatnonzero((motion.time >= begin) & (motion.time <= last))
+        origin = float(motion.time[inside[0]])
+        grid = (origin + np.arange(-history, steps) * step) / motion.step
+        rows = np.clip(np.rint(grid).astype(np.intp) + motion.history, 0, len(motion.command) - 1)
+        command[:, lanes] = motion.command[rows]
+        own = np.clip(rows[history:] - motion.history, 0, len(load.torque) - 1)
+        torque[:, lanes], slope[:, lanes], inertia[:, lanes] = load.torque[own], load.slope[own], load.inertia[own]
+        start[lanes] = motion.position[inside[0]]
+        sample[: len(inside), lanes] = ((motion.time[inside] - origin) / step)[:, None]
+        counted = motion.time[inside] - origin >= SETTLING
+        measured[: len(inside), lanes] = np.where(counted[:, None], motion.position[inside], np.nan)
+    return Lanes(
+        step,
+        np.tile(np.arange(joints), len(cuts)),
+        np.repeat(np.arange(len(cuts)), joints),
+        command,
+        history,
+        start,
+        inertia,
+        torque,
+        slope,
+        sample,
+        measured,
+    )

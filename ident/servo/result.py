@@ -1,0 +1,218 @@
+"""The result of a servo identification: result.json, kind "servo" (DESIGN.md "The result")."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ResultFileError
+from drivers.core.files import RESULT_FILE, read_text
+from ident.result.tables import Cell, Table, table_of_rows
+from ident.servo.terms import INDEX, TERMS
+from ident.stored import Stored, Value
+
+SERVO_SCHEMA = 1
+
+
+class ServoParameter(Stored):
+    """One parameter of a servo joint."""
+
+    value: Value
+    unit: str
+    interval: tuple[Value, Value] | None = Field(default=None, description="95 %; null where it was not searched")
+    unidentifiable: bool = Field(default=False, description="the data do not tell it; the value only fits them")
+    origin: Literal["data", "given", "assumed"] = "data"
+
+
+class ServoJoint(Stored):
+    """One joint as a servo; terms that the data did not ask for are left out."""
+
+    joint: str
+    parameters: dict[str, ServoParameter]
+    kept: dict[str, float] = Field(
+        default={}, description="optional terms, and the share of the cost of held-out pieces that each saved"
+    )
+    note: str = ""
+
+
+class References(Stored):
+    """Roll-out errors without the fit, per joint [rad or m]."""
+
+    command: list[Value] = Field(description="the command itself")
+    delay_and_lag: list[Value] = Field(description="the best delay and first-order lag for all joints together")
+    model_file: list[Value] | None = Field(
+        default=None, description="motor inertia, damping and friction of the robot file's truth; null without a gain"
+    )
+
+
+class MotionError(Stored):
+    """Roll-out error of one recording."""
+
+    recording: str
+    rollout_error: list[Value]
+
+
+class RolloutFit(Stored):
+    """Roll-out on commands alone, its first second left out; mean absolute errors per joint [rad or m]."""
+
+    rollout_error: list[Value]
+    rollout_mean: Value = Field(description="over the joints")
+    references: References
+    recordings: list[MotionError]
+    held_out: bool
+    seconds: Value
+
+
+class ServoRecording(Stored):
+    """A recording that was used."""
+
+    file: str
+    sha256: str
+    role: Literal["identification", "validation"]
+    seconds: Value
+    rate_hz: Value
+
+
+class ServoVerdict(Stored):
+    """How far the model can be trusted."""
+
+    grade: Literal["good", "usable", "poor"]
+    headline: str
+    checks: list[str] = Field(default=[])
+
+
+class ServoResult(Stored):
+    """The outcome of an identification by commands and encoders."""
+
+    dynid_schema: Literal[1] = 1
+    kind: Literal["servo"] = "servo"
+    created: str
+    robot: str
+    robot_file: str
+    urdf: str
+    joints: list[str]
+    sliding: list[bool]
+    method: Literal["servo"] = "servo"
+    links: str = Field(description="where the links' masses are from")
+    resolution: list[Value] = Field(description="steps of the encoders [rad or m]")
+    step: Value = Field(description="of the roll-out [s]")
+    servo: list[ServoJoint]
+    covariance: list[list[list[Value]]] = Field(
+        default=[],
+        description="per joint, of its searched terms in the order of `searched`; logarithms of positive ones",
+    )
+    searched: list[list[str]] = Field(default=[])
+    fit: RolloutFit
+    validation: RolloutFit | None
+    validation_source: str
+    recordings: list[ServoRecording]
+    versions: dict[str, str]
+    verdict: ServoVerdict
+
+    @property
+    def values(self) -> FloatArray:
+        """(n, terms) parameters; terms that were left out stand at their value for none."""
+        values = np.tile([term.absent for term in TERMS], (len(self.joints), 1))
+        for row, joint in enumerate(self.servo):
+            for name, parameter in joint.parameters.items():
+                values[row, INDEX[name]] = parameter.value
+        return values
+
+    @property
+    def parameters(self) -> Table:
+        """Every parameter with its 95 % interval."""
+        rows: list[list[Cell]] = []
+        for joint in self.servo:
+            for name, parameter in joint.parameters.items():
+                low, high = parameter.interval or (None, None)
+                told = {"given": "given", "assumed": "assumed"}.get(parameter.origin, "")
+                rows.append(
+                    [
+                        joint.joint,
+                        name.replace("_", " "),
+                        parameter.value,
+                        None if parameter.unidentifiable else low,
+                        None if parameter.unidentifiable else high,
+                        parameter.unit,
+                        told or ("unidentifiable" if parameter.unidentifiable else "identified"),
+                    ]
+                )
+        columns = [
+            ("joint", ""),
+            ("parameter", ""),
+            ("value", ""),
+            ("low", ""),
+            ("high", ""),
+            ("unit", ""),
+            ("origin", ""),
+        ]
+        return table_of_rows(f"Servo parameters of {self.robot}, 95 % intervals", columns, rows)
+
+    @property
+    def errors(self) -> Table:
+        """Roll-out errors of each joint beside the references, on held-out data where there are some."""
+        shown = self.validation or self.fit
+        return error_table(f"Roll-out errors of {self.robot}", self, shown)
+
+
+def error_table(title: str, result: ServoResult, shown: RolloutFit) -> Table:
+    """Roll-out errors of each joint beside the references [mrad or mm]."""
+    unit = "mm" if all(result.sliding) else "mrad, mm" if any(result.sliding) else "mrad"
+    references = shown.references
+    columns = [("joint", ""), ("rollout", unit), ("command", unit), ("delay_and_lag", unit)]
+    parts = [shown.rollout_error, references.command, references.delay_and_lag]
+    if references.model_file is not None:
+        columns.append(("model_file", unit))
+        parts.append(references.model_file)
+    columns.append(("encoder_step", unit))
+    parts.append(result.resolution)
+    rows: list[list[Cell]] = [[name, *(1e3 * part[row] for part in parts)] for row, name in enumerate(result.joints)]
+    return table_of_rows(title, columns, rows)
+
+
+def is_servo_file(path: Path) -> bool:
+    """Whether a result.json is that of a servo model; False where it cannot be read."""
+    try:
+        content = json.loads(read_text(path, RESULT_FILE, ResultFileError))
+    except (ValueError, RecursionError, ResultFileError):
+        return False
+    return isinstance(content, dict) and content.get("kind") == "servo"
+
+
+def read_servo_result(path: Path) -> ServoResult:
+    """Read the result.json of a servo model.
+
+    Raises:
+        ResultFileError: no such file, another kind of file, a newer schema, a missing key.
+    """
+    where = str(path)
+    try:
+        content = json.loads(read_text(path, RESULT_FILE, ResultFileError))
+    except (ValueError, RecursionError) as error:
+        raise ResultFileError(f"is not JSON: {error}", where=where) from error
+    if not isinstance(content, dict) or content.get("kind") != "servo":
+        raise ResultFileError("is not the result of dynid identify --method servo", where=where)
+    schema = content.get("dynid_schema")
+    if not isinstance(schema, int) or schema > SERVO_SCHEMA:
+        raise ResultFileError(
+            f"has schema version {schema}, this dynid reads up to {SERVO_SCHEMA}", where=where, hint="update dynid"
+        )
+    try:
+        result = ServoResult.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        key = ".".join(str(key) for key in first["loc"])
+        raise ResultFileError(first["msg"], where=f"{where}: {key}", hint="identify again") from error
+    unknown = {name for joint in result.servo for name in joint.parameters} - set(INDEX)
+    if unknown or len(result.servo) != len(result.joints):
+        raise ResultFileError(
+            f"names the unknown parameter '{min(unknown)}'" if unknown else "does not have one entry a joint",
+            where=f"{where}: servo",
+            hint="identify again",
+        )
+    return result

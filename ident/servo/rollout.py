@@ -1,0 +1,264 @@
+"""Roll-out of servo joints on commands, many pieces of motion side by side, with derivatives by their parameters.
+
+Every joint is one equation, with the rigid body's torques known along the motion: gear ratios are high, and the other
+joints act through gravity and coupling, which `ident.servo.arm_rollout` brings up to date between two roll-outs. The
+step is implicit in damping, stiffness and friction (soft threshold), so that sticking is exact and any step is stable.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.core.arrays import BoolArray, FloatArray, IndexArray
+from ident.servo.terms import INDEX, TERMS
+
+DELAY_SPAN = 1e-3
+"""[s] Half of the span of the difference that gives the derivative by a delay."""
+
+STEEPNESS_SPAN = 0.03
+"""The same of the logarithm of an acceleration limit."""
+
+UNLIMITED = 1e6
+"""[rad/s²] From this acceleration on, a profile is its target."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lanes:
+    """Pieces of motion of single joints, side by side on a grid of `step` seconds.
+
+    Attributes:
+        step: [s].
+        joint: (L,) index of each lane's joint.
+        piece: (L,) index of the piece of motion that it is of.
+        command: (history + K, L) commanded positions, from `history` steps before the piece [rad or m].
+        history: number of steps.
+        start: (L,) measured positions at the beginning.
+        inertia: (K, L) of the links about the joint [kg·m²].
+        load: (K, L) gravity and coupling, as the torque that the joint must give [N·m].
+        load_slope: (K, L) derivative of gravity by the joint's own position [N·m/rad].
+        sample: (S, L) where the measured samples are on the grid, as fractions of steps.
+        measured: (S, L) positions; nan where a sample does not count.
+    """
+
+    step: float
+    joint: IndexArray
+    piece: IndexArray
+    command: FloatArray
+    history: int
+    start: FloatArray
+    inertia: FloatArray
+    load: FloatArray
+    load_slope: FloatArray
+    sample: FloatArray
+    measured: FloatArray
+
+    def of(self, chosen: IndexArray) -> Lanes:
+        """Some of the lanes."""
+        return Lanes(
+            self.step,
+            self.joint[chosen],
+            self.piece[chosen],
+            self.command[:, chosen],
+            self.history,
+            self.start[chosen],
+            self.inertia[:, chosen],
+            self.load[:, chosen],
+            self.load_slope[:, chosen],
+            self.sample[:, chosen],
+            self.measured[:, chosen],
+        )
+
+
+def repeated(lanes: Lanes, times: int, joints: int) -> Lanes:
+    """The lanes several times side by side, as those of further joints: a few long steps cost less than many."""
+    wide = lanes.of(np.tile(np.arange(len(lanes.joint)), times))
+    offsets = np.repeat(np.arange(times) * joints, len(lanes.joint))
+    return replace(wide, joint=wide.joint + offsets)
+
+
+def roll_out(lanes: Lanes, values: FloatArray, free: IndexArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """Positions on the grid, and their derivatives.
+
+    Args:
+        lanes: K steps, L lanes.
+        values: (terms, L) parameters of each lane.
+        free: (F,) indices of the terms to derive by; none where None.
+
+    Returns:
+        (K, L) positions [rad or m]; (F, K, L) derivatives by the search's coordinates (logarithms of positive terms).
+    """
+    free = np.zeros(0, dtype=np.intp) if free is None else free
+    rows = {TERMS[term].name: row for row, term in enumerate(free)}
+    p = {name: values[index] for name, index in INDEX.items()}
+    goals, d_goals = _goals(lanes, p["delay"], p["acceleration_limit"], rows)
+    h, (count, width) = lanes.step, lanes.load.shape
+    position, velocity = lanes.start.copy(), np.zeros(width)
+    d_position, d_velocity = np.zeros((len(free), width)), np.zeros((len(free), width))
+    path, tangents = np.empty((count, width)), np.zeros((len(free), count, width))
+    for index in range(count):
+        path[index], tangents[:, index] = position, d_position
+        step = _step(lanes, p, index, goals[index], position, velocity)
+        if len(free):
+            d_error = -d_position
+            for row, derivative in d_goals.items():
+                d_error[row] += derivative[index]
+            d_velocity = _derived(lanes, p, rows, index, step, velocity, d_error, d_velocity)
+            d_position = d_position + h * d_velocity
+        velocity = step.velocity
+        position = position + h * velocity
+    return path, tangents
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """What one step computes, (L,) each: the drive's torque, whether it acts freely, and the velocity after it."""
+
+    outside: BoolArray
+    side: FloatArray
+    torque: FloatArray
+    acting: FloatArray
+    inertia: FloatArray
+    divisor: FloatArray
+    faded: FloatArray
+    static: FloatArray
+    moving: BoolArray
+    direction: FloatArray
+    velocity: FloatArray
+
+
+def _step(
+    lanes: Lanes,
+    p: dict[str, FloatArray],
+    index: int,
+    goal: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+) -> _Step:
+    h = lanes.step
+    error = goal - position - p["bias"]
+    outside, side = np.abs(error) > p["dead_band"], np.sign(error)
+    linear = p["stiffness"] * np.where(outside, error - side * p["dead_band"], 0.0)
+    torque = np.clip(linear, -p["torque_limit"], p["torque_limit"])
+    acting = np.where(outside & (np.abs(linear) < p["torque_limit"]), p["stiffness"], 0.0)
+    inertia = p["armature"] + lanes.inertia[index]
+    divisor = inertia + h * p["damping"] + h * h * acting
+    momentum = inertia * velocity + h * (torque - lanes.load[index] - p["zero"] * lanes.load_slope[index])
+    loaded = np.abs(torque)
+    static = p["breakaway"] + p["load_breakaway"] * loaded
+    faded = np.exp(-((velocity / p["stribeck_velocity"]) ** 2))
+    friction = h * (p["coulomb"] + p["load_friction"] * loaded + static * faded)
+    moving, direction = np.abs(momentum) > friction, np.sign(momentum)
+    after = np.where(moving, (momentum - direction * friction) / divisor, 0.0)
+    return _Step(outside, side, torque, acting, inertia, divisor, faded, static, moving, direction, after)
+
+
+def _derived(
+    lanes: Lanes,
+    p: dict[str, FloatArray],
+    rows: dict[str, int],
+    index: int,
+    step: _Step,
+    velocity: FloatArray,
+    d_error: FloatArray,
+    d_velocity: FloatArray,
+) -> FloatArray:
+    """Derivatives (F, L) of the velocity after a step, from those of the position error and of the velocity before."""
+    h, loaded = lanes.step, np.abs(step.torque)
+
+    def add(derivative: FloatArray, name: str, partial: FloatArray | float) -> None:
+        if name in rows:
+            derivative[rows[name]] += partial
+
+    add(d_error, "bias", -1.0)
+    add(d_error, "dead_band", -step.side * p["dead_band"])
+    d_torque = step.acting * d_error
+    free = step.acting > 0
+    add(d_torque, "stiffness", np.where(free, step.torque, 0.0))
+    add(d_torque, "torque_limit", np.where(step.outside & ~free, step.torque, 0.0))
+    slowness = 2.0 * (velocity / p["stribeck_velocity"]) ** 2
+    share = p["load_friction"] + p["load_breakaway"] * step.faded
+    d_friction = (h * np.sign(step.torque) * share) * d_torque
+    d_friction -= (h * step.static * step.faded * 2.0 * velocity / p["stribeck_velocity"] ** 2) * d_velocity
+    add(d_friction, "coulomb", h * p["coulomb"])
+    add(d_friction, "load_friction", h * p["load_friction"] * loaded)
+    add(d_friction, "breakaway", h * p["breakaway"] * step.faded)
+    add(d_friction, "load_breakaway", h * p["load_breakaway"] * loaded * step.faded)
+    add(d_friction, "stribeck_velocity", h * step.static * step.faded * slowness)
+    d_momentum = step.inertia * d_velocity + h * d_torque
+    add(d_momentum, "zero", -h * lanes.load_slope[index])
+    d_after = d_momentum - step.direction * d_friction
+    add(d_after, "armature", p["armature"] * (velocity - step.velocity))
+    add(d_after, "damping", -h * p["damping"] * step.velocity)
+    add(d_after, "stiffness", -h * h * step.acting * step.velocity)
+    return np.where(step.moving, d_after / step.divisor, 0.0)
+
+
+def at_samples(lanes: Lanes, path: FloatArray) -> FloatArray:
+    """Values (…, S, L) at the measured samples, between those on the grid (…, K, L)."""
+    before = np.clip(np.floor(lanes.sample).astype(np.intp), 0, path.shape[-2] - 2)
+    part = lanes.sample - before
+    lane = np.arange(path.shape[-1])
+    sampled: FloatArray = path[..., before, lane] * (1.0 - part) + path[..., before + 1, lane] * part
+    return sampled
+
+
+def _goals(
+    lanes: Lanes, delay: FloatArray, steepest: FloatArray, rows: dict[str, int]
+) -> tuple[FloatArray, dict[int, FloatArray]]:
+    """Goals (K, L) of the servos' profiles after each step, and their derivatives by the rows that are asked for.
+
+    A profile that switches between its limits has no smooth derivative: differences over a finite span stand for it.
+    """
+    shifted = [(delay, steepest)]
+    if "delay" in rows:
+        shifted += [(delay + DELAY_SPAN, steepest), (delay - DELAY_SPAN, steepest)]
+    if "acceleration_limit" in rows:
+        shifted += [(delay, steepest * np.exp(STEEPNESS_SPAN)), (delay, steepest * np.exp(-STEEPNESS_SPAN))]
+    times = len(shifted)
+    delays, limits = (np.concatenate([pair[part] for pair in shifted]) for part in range(2))
+    paths = _profile(np.tile(lanes.command, (1, times)), lanes.history, len(lanes.load), lanes.step, delays, limits)
+    parts = np.split(paths, times, axis=1)
+    derivatives = {}
+    if "delay" in rows:
+        derivatives[rows["delay"]] = (parts[1] - parts[2]) / (2 * DELAY_SPAN)
+    if "acceleration_limit" in rows:
+        derivatives[rows["acceleration_limit"]] = (parts[-2] - parts[-1]) / (2 * STEEPNESS_SPAN)
+    return parts[0], derivatives
+
+
+def profile_goals(lanes: Lanes, delay: FloatArray, steepest: FloatArray) -> FloatArray:
+    """Goals (K, L) of the servos' profiles after each step, for delays [s] and accelerations [rad/s²] (L,)."""
+    return _profile(lanes.command, lanes.history, len(lanes.load), lanes.step, delay, steepest)
+
+
+def _profile(
+    command: FloatArray, history: int, count: int, step: float, delay: FloatArray, steepest: FloatArray
+) -> FloatArray:
+    """Goals (K, L): as fast to the delayed commands as the acceleration allows, braking so as to stop there."""
+    lateness = delay / step
+    whole = np.floor(lateness)
+    late = lateness - whole
+    newer = history - whole.astype(np.intp)
+    lane, last = np.arange(command.shape[1]), len(command) - 1
+    unlimited = bool(np.all(steepest >= UNLIMITED))
+    half, most = 0.5 * step * steepest, step * steepest
+    goals = np.empty((count, command.shape[1]))
+    goal = command[np.clip(newer, 0, last), lane]
+    pace = np.zeros(command.shape[1])
+    for index in range(count):
+        first = command[np.clip(newer + index + 1, 0, last), lane]
+        second = command[np.clip(newer + index, 0, last), lane]
+        target = first + late * (second - first)
+        if unlimited:
+            goals[index] = target
+            continue
+        ahead = target - goal
+        distance = np.abs(ahead)
+        # never past the target in one step
+        braking = np.minimum(np.sqrt(2.0 * steepest * distance + half * half) - half, distance / step)
+        pace = np.clip(np.copysign(braking, ahead), pace - most, pace + most)
+        goal = goal + step * pace
+        goals[index] = goal
+    return goals

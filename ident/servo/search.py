@@ -1,0 +1,144 @@
+"""Output error of servo joints: robust Levenberg-Marquardt on roll-outs of all joints and pieces side by side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.core.arrays import BoolArray, FloatArray
+from ident.servo.rollout import Lanes, at_samples, roll_out
+from ident.servo.terms import TERMS, from_search, to_search
+
+DAMPING_START = 1e-2
+DAMPING_FACTOR = 4.0
+DAMPING_LIMIT = 1e6
+STILL = 1e-4
+"""Relative fall of a joint's cost at which its search ends."""
+
+_SPREAD = np.array([term.spread for term in TERMS])
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Parameters of all joints, with what their errors say.
+
+    Attributes:
+        values: (n, terms).
+        free: (n, terms) which of them were searched.
+        scale: (n,) robust scale of the errors [rad or m].
+        centre: (n, terms) of the weak prior, in the search's coordinates.
+        residual: (S, L) predicted less measured; nan where a sample does not count.
+        tangents: (F, S, L) derivatives by the columns that are free in some joint; empty if not asked for.
+        columns: (F,) indices of these terms.
+    """
+
+    values: FloatArray
+    free: BoolArray
+    scale: FloatArray
+    centre: FloatArray
+    residual: FloatArray
+    tangents: FloatArray
+    columns: np.ndarray
+
+
+def evaluate(lanes: Lanes, values: FloatArray, free: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
+    """Residuals (S, L) and their derivatives (F, S, L) by the terms that are free in some joint."""
+    columns = None if free is None else np.flatnonzero(free.any(axis=0))
+    path, tangents = roll_out(lanes, values[lanes.joint].T, columns)
+    residual = at_samples(lanes, path) - lanes.measured
+    if columns is None or not len(columns):
+        return residual, np.empty((0, *residual.shape))
+    return residual, at_samples(lanes, tangents)
+
+
+def joint_cost(residual: FloatArray, lanes: Lanes, scale: FloatArray) -> FloatArray:
+    """(n,) robust cost of each joint, in samples: pseudo-Huber."""
+    relative = residual / scale[lanes.joint]
+    lane = np.nansum(2.0 * (np.sqrt(1.0 + relative**2) - 1.0), axis=0)
+    return np.asarray(np.bincount(lanes.joint, weights=lane, minlength=len(scale)), dtype=np.float64)
+
+
+def robust_scale(residual: FloatArray, lanes: Lanes, joints: int, least: float) -> FloatArray:
+    """(n,) 1.5 times the median absolute error of each joint, at least the encoder's step [rad or m]."""
+    scale = np.full(joints, least)
+    for joint in range(joints):
+        own = np.abs(residual[:, lanes.joint == joint])
+        own = own[np.isfinite(own)]
+        if len(own):
+            scale[joint] = max(least, 1.5 * float(np.median(own)))
+    return scale
+
+
+def search(
+    lanes: Lanes,
+    values: FloatArray,
+    free: BoolArray,
+    scale: FloatArray,
+    centre: FloatArray,
+    evaluations: int,
+) -> FloatArray:
+    """Values (n, terms) that minimise each joint's robust cost plus its weak prior.
+
+    Args:
+        lanes: pieces of motion.
+        values: (n, terms) start.
+        free: (n, terms) to search.
+        scale: (n,) of the errors [rad or m].
+        centre: (n, terms) of the prior, in the search's coordinates.
+        evaluations: of roll-outs with derivatives, at most.
+    """
+    joints = len(values)
+    point = to_search(values)
+    damping = np.full(joints, DAMPING_START)
+    done = ~free.any(axis=1)
+    columns = np.flatnonzero(free.any(axis=0))
+    residual, tangents = evaluate(lanes, values, free)
+    cost = joint_cost(residual, lanes, scale) + _prior(point, centre, free)
+    for _ in range(evaluations):
+        step = np.zeros_like(point)
+        for joint in np.flatnonzero(~done).tolist():
+            own = np.flatnonzero(free[joint])
+            curvature, gradient = normal_equations(residual, tangents, lanes, joint, scale[joint], columns, own)
+            curvature += np.diag(1.0 / _SPREAD[own] ** 2)
+            gradient += (point[joint, own] - centre[joint, own]) / _SPREAD[own] ** 2
+            damped = curvature + damping[joint] * np.diag(np.diag(curvature))
+            move = -np.linalg.lstsq(damped, gradient, rcond=None)[0]
+            step[joint, own] = np.clip(move, -0.7 * _SPREAD[own], 0.7 * _SPREAD[own])
+        trial = to_search(np.where(free, from_search(point + step), values))
+        new_residual, new_tangents = evaluate(lanes, np.where(free, from_search(trial), values), free)
+        new_cost = joint_cost(new_residual, lanes, scale) + _prior(trial, centre, free)
+        better = (new_cost < cost) & ~done
+        done |= better & (cost - new_cost < STILL * cost)
+        damping = np.where(better, damping / DAMPING_FACTOR, damping * DAMPING_FACTOR)
+        done |= damping > DAMPING_LIMIT
+        point[better], cost[better] = trial[better], new_cost[better]
+        taken = better[lanes.joint]
+        residual[:, taken], tangents[:, :, taken] = new_residual[:, taken], new_tangents[:, :, taken]
+        if done.all():
+            break
+    return np.where(free, from_search(point), values)
+
+
+def normal_equations(
+    residual: FloatArray,
+    tangents: FloatArray,
+    lanes: Lanes,
+    joint: int,
+    scale: float,
+    columns: np.ndarray,
+    own: np.ndarray,
+) -> tuple[FloatArray, FloatArray]:
+    """Curvature and gradient of a joint's robust cost by its own terms (half of the derivatives)."""
+    rows = np.searchsorted(columns, own)
+    chosen = np.flatnonzero(lanes.joint == joint)
+    error = residual[:, chosen] / scale
+    counted = np.isfinite(error)
+    error = error[counted]
+    jacobian = tangents[np.ix_(rows, np.arange(tangents.shape[1]), chosen)][:, counted] / scale
+    weight = 1.0 / np.sqrt(1.0 + error**2)
+    return (jacobian * weight) @ jacobian.T, jacobian @ (weight * error)
+
+
+def _prior(point: FloatArray, centre: FloatArray, free: BoolArray) -> FloatArray:
+    return np.asarray(np.sum(np.where(free, ((point - centre) / _SPREAD) ** 2, 0.0), axis=1), dtype=np.float64)

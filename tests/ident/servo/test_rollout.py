@@ -1,0 +1,91 @@
+"""Roll-outs of servo joints: derivatives, sticking, profiles, and the choice of steps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ident.servo.rollout import Lanes, profile_goals, roll_out
+from ident.servo.search import evaluate
+from ident.servo.terms import GROUPS, INDEX, TERMS, from_search, members, start_values, to_search, with_group
+
+SMOOTH = [term.name for term in TERMS if term.name not in ("delay", "acceleration_limit")]
+"""Their derivatives are exact; those of delay and profile stand for a finite span."""
+
+
+def lanes(steps: int = 300, seed: int = 0, load: float = 0.37) -> Lanes:
+    """Three joints on sines, with gravity."""
+    generator = np.random.default_rng(seed)
+    step, history = 0.005, 60
+    times = np.arange(-history, steps) * step
+    rates, phases = generator.uniform(2.0, 8.0, 3), generator.uniform(0.0, 6.0, 3)
+    command = 0.3 * np.sin(rates * times[:, None] + phases)
+    joint = np.arange(3)
+    return Lanes(
+        step,
+        joint,
+        np.zeros(3, dtype=np.intp),
+        command,
+        history,
+        command[history],
+        np.full((steps, 3), 0.01),
+        np.full((steps, 3), load),
+        np.full((steps, 3), 0.2),
+        np.tile(np.arange(0, steps - 4, 4.0)[:, None], (1, 3)),
+        np.zeros((len(range(0, steps - 4, 4)), 3)),
+    )
+
+
+def every_term() -> tuple[np.ndarray, np.ndarray]:
+    """Values of three joints with all terms, and which are searched."""
+    values = start_values(3)
+    free = np.zeros(values.shape, dtype=np.bool_)
+    free[:, members("")] = True
+    for group in GROUPS:
+        values, free = with_group(values, free, range(3), group)
+    return values, free
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_derivatives_are_those_of_the_roll_out(name):
+    values, free = every_term()
+    moved, point, column = lanes(), to_search(values), INDEX[name]
+    tangents = evaluate(moved, values, free)[1][np.searchsorted(np.flatnonzero(free.any(axis=0)), column)]
+    ends = []
+    for shift in (1e-6, -1e-6):
+        there = point.copy()
+        there[:, column] += shift
+        ends.append(evaluate(moved, from_search(there))[0])
+    differences = (ends[0] - ends[1]) / 2e-6
+    # a joint that starts or stops sticking in another step is the exception
+    assert np.mean(np.abs(differences - tangents) < 1e-6 + 1e-4 * np.abs(tangents).max()) > 0.98
+
+
+def test_a_joint_sticks_where_its_friction_holds_it():
+    values = start_values(3)
+    values[:, INDEX["coulomb"]] = 1.0
+    still = lanes(load=0.5)
+    held = Lanes(**{**vars(still), "command": np.zeros_like(still.command), "start": np.zeros(3)})
+    assert np.all(roll_out(held, values.T)[0] == 0.0)
+
+
+def test_a_stiff_servo_without_friction_settles_on_command_and_load():
+    values = start_values(3)
+    values[:, INDEX["coulomb"]] = 1e-9
+    values[:, INDEX["bias"]] = 0.01
+    moved = lanes(steps=2000)
+    held = Lanes(**{**vars(moved), "command": np.full_like(moved.command, 0.2), "start": np.zeros(3)})
+    expected = 0.2 - 0.01 - 0.37 / values[:, INDEX["stiffness"]]
+    assert roll_out(held, values.T)[0][-1] == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_profile_keeps_its_acceleration_and_stops_at_its_target():
+    moved = lanes(steps=400)
+    command = np.where(np.arange(len(moved.command))[:, None] < moved.history + 20, 0.0, 1.0) * np.ones(3)
+    limits = np.array([5.0, 20.0, 80.0])
+    goals = profile_goals(Lanes(**{**vars(moved), "command": command}), np.zeros(3), limits)
+    acceleration = np.diff(goals, 2, axis=0) / moved.step**2
+    assert np.all(np.abs(acceleration).max(axis=0) <= limits * (1 + 1e-6))
+    assert goals[-1] == pytest.approx(np.ones(3), abs=1e-6)
+    # a step may pass it by what one step of braking covers
+    assert np.all(goals <= 1.0 + limits * moved.step**2)
