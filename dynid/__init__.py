@@ -68,10 +68,14 @@ if TYPE_CHECKING:
     from ident.tasks.prediction import predict as predict
     from ident.tasks.recording_quality import RecordingQuality as RecordingQuality
     from ident.tasks.recording_quality import info as info
+    from ident.tasks.servo import ServoModel as ServoModel
+    from ident.tasks.servo import identify_servo as identify_servo
+    from ident.tasks.servo import load_servo_model as load_servo_model
     from ident.tasks.validation import Validation as Validation
     from ident.tasks.validation import merge as merge
     from ident.tasks.validation import validate as validate
     from sim_drivers.synthetic.measurement import simulate as simulate
+    from sim_drivers.synthetic.servo import simulate_servo as simulate_servo
 
 _HOMES = {
     "daq.importers.import_file": ("import_recording",),
@@ -104,8 +108,10 @@ _HOMES = {
     "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),
     "ident.tasks.prediction": ("Prediction", "predict"),
     "ident.tasks.recording_quality": ("RecordingQuality", "info"),
+    "ident.tasks.servo": ("ServoModel", "identify_servo", "load_servo_model"),
     "ident.tasks.validation": ("Validation", "merge", "validate"),
     "sim_drivers.synthetic.measurement": ("simulate",),
+    "sim_drivers.synthetic.servo": ("simulate_servo",),
 }
 """Module → its public names. Type checkers read the imports above, which a test holds against this table."""
 

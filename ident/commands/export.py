@@ -41,9 +41,11 @@ def export(
     from daq.commands.console import print_json, progress_line
     from daq.output_files import check_outputs, written_together
     from drivers.core.errors import UsageError
+    from ident.commands.servo import export_servo_command
     from ident.export.c_code.names import source_paths
     from ident.result.delivered import Parameters
     from ident.result.model import load_model, result_path
+    from ident.servo.result import is_servo_file
     from ident.verdict.verdict import judge, together
 
     targets = [path for path in (urdf, mjcf, ros2_inertial, *(source_paths(c) if c else ())) if path is not None]
@@ -54,6 +56,9 @@ def export(
     if into is not None and urdf is None:
         raise UsageError("--into needs --urdf, the file to write")
     check_outputs(targets, [result_path(model), into], overwrite=force)
+    if is_servo_file(result_path(model)):
+        export_servo_command(model, mjcf, others=len(targets) > 1, force=force, as_json=as_json)
+        return
     exports = []
     with progress_line(quiet=as_json) as progress, written_together():
         progress("model")

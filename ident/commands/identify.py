@@ -37,6 +37,7 @@ def identify_recordings(
     from daq.robot.loader import load_robot
     from ident.commands.options import limits_option
     from ident.commands.print_result import print_result
+    from ident.commands.servo import identify_servo_command, is_servo
     from ident.result.friction_experiment import friction_path
     from ident.tasks.arguments import paths_of
     from ident.tasks.identification import identify
@@ -54,6 +55,10 @@ def identify_recordings(
     check_output_folder(folder, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:
+        if is_servo(options.method):
+            limited = any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse))
+            identify_servo_command(options, folder, progress, limited=limited, as_json=as_json)
+            return
         result = identify(**{**vars(options), "accept": limits, "progress": progress})
         progress("report")
         result.save(folder, overwrite=force)

@@ -35,9 +35,19 @@ def validate_model(
     Example: dynid validate model val.h5 --max-error 0.08
     """
     from daq.commands.console import progress_line
+    from drivers.core.errors import UsageError
     from ident.commands.options import limits_option
+    from ident.commands.servo import validate_servo_command
+    from ident.result.model import result_path
+    from ident.servo.result import is_servo_file
     from ident.tasks.validation import validate
 
+    path = result_path(str(options.identified))
+    if is_servo_file(path):
+        if any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse)):
+            raise UsageError("a servo model has no torque errors to limit", hint="leave --accept and --max-… out")
+        validate_servo_command(path, options.runs, as_json=as_json)
+        return
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:
         progress("prediction")

@@ -83,6 +83,12 @@ def chosen_method(text: str) -> MethodChoice:
         name, *chosen = _aliases()[name].split(":")
         pairs = chosen + pairs
     method = all_methods().get(name)
+    if name == "servo":
+        raise UsageError(
+            "servo identifies from commands and encoders, not from torques",
+            where="--method",
+            hint="dynid identify --method servo, and in Python dynid.identify_servo",
+        )
     if method is None:
         *others, last = all_methods()
         raise UsageError(f"no method is called '{name}'", where="--method", hint=f"{', '.join(others)} or {last}")

@@ -13,6 +13,7 @@ from daq.output_files import replace_files, warn_of_strange_files
 from drivers.core.errors import ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
 from ident.result.schema import RESULT_SCHEMA, Result
+from ident.stored import Stored
 
 _NUMBERS = re.compile(r"\[\n[-+.0-9eEnul,\s]+\]")
 """A list of nothing but numbers, which stands in one line."""
@@ -33,7 +34,12 @@ def result_file_text(result: Result) -> str:
 
 
 def result_json(result: Result) -> str:
-    """The JSON text, strict: null stands for what is not a number."""
+    """The JSON text of a result."""
+    return model_json(result)
+
+
+def model_json(result: Stored) -> str:
+    """The JSON text of any kind of result, strict: null stands for what is not a number."""
     text = json.dumps(json.loads(result.model_dump_json()), ensure_ascii=False, indent=1, allow_nan=False)
     return _NUMBERS.sub(lambda match: re.sub(r"\s+", " ", match[0]), text)
 
@@ -49,6 +55,12 @@ def read_result(path: Path) -> Result:
         content = json.loads(read_text(path, RESULT_FILE, ResultFileError))
     except (ValueError, RecursionError) as error:  # also a number of more than 4,300 digits
         raise ResultFileError(f"is not JSON: {error}", where=where) from error
+    if isinstance(content, dict) and content.get("kind") == "servo":
+        raise ResultFileError(
+            "is a servo model, which has no torques",
+            where=where,
+            hint="dynid validate and dynid export --mjcf take it, and in Python dynid.load_servo_model",
+        )
     if not isinstance(content, dict) or content.get("kind") != "result":
         raise ResultFileError("is not a result of dynid identify (no key 'kind': 'result')", where=where)
     schema = content.get("dynid_schema")

@@ -1,0 +1,116 @@
+"""Servo models at the command line: `identify --method servo`, and `validate` and `export` of what it wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import MISSING, fields
+from pathlib import Path
+
+from drivers.core.errors import UsageError
+from drivers.core.options import flag_of
+from ident.tasks.options import IdentifyOptions
+
+SERVO = "servo"
+"""Of --method: commands and encoders in place of torques."""
+
+_TAKEN = frozenset({"runs", "validation", "robot", "method", "progress"})
+"""Options of identify that a servo model has."""
+
+
+def is_servo(method: str) -> bool:
+    """Whether --method names the servo model.
+
+    Raises:
+        UsageError: with an option; it has none.
+    """
+    name, *rest = method.split(":")
+    if name == SERVO and rest:
+        raise UsageError("servo has no options", where="--method", hint="known values: `servo` of the robot file")
+    return name == SERVO
+
+
+def identify_servo_command(
+    options: IdentifyOptions, folder: Path, progress: Callable[[str], None], *, limited: bool, as_json: bool
+) -> None:
+    """Identify, write the folder, print.
+
+    Raises:
+        UsageError: an option that a servo model does not have.
+    """
+    from daq.output_files import REPORT_FILE, RESULT_FILE
+    from ident.tasks.servo import identify_servo
+
+    strange = [flag_of(of) for of in fields(options) if of.name not in _TAKEN and not _default(options, of.name)]
+    if limited:
+        strange.append("--accept, --max-…")
+    if strange:
+        raise UsageError(f"{', '.join(strange)} does nothing with --method servo", hint="leave it out")
+    model = identify_servo(options.runs, validation=options.validation, robot=options.robot, progress=progress)
+    progress("report")
+    model.save(folder)
+    if as_json:
+        print((folder / RESULT_FILE).read_text(encoding="utf-8"), end="")
+        return
+    _print(model.verdict, [model.errors, model.parameters])
+    print(f"\n{folder / RESULT_FILE}\n{folder / REPORT_FILE}")
+
+
+def validate_servo_command(path: Path, runs: object, *, as_json: bool) -> None:
+    """Judge a stored servo model on other recordings."""
+    from ident.tasks.servo import load_servo_model
+
+    judged = load_servo_model(path).validate(runs)  # type: ignore[arg-type]
+    if as_json:
+        from daq.commands.console import print_json
+
+        result = judged.result
+        assert result.validation is not None
+        print_json(
+            {
+                "result": str(path),
+                "joints": result.joints,
+                "validation": result.validation.model_dump(mode="json"),
+                "verdict": result.verdict.model_dump(mode="json"),
+            }
+        )
+        return
+    _print(judged.verdict, [judged.errors])
+
+
+def export_servo_command(path: Path, mjcf: Path | None, others: bool, *, force: bool, as_json: bool) -> None:
+    """Write a stored servo model as MJCF.
+
+    Raises:
+        UsageError: another format is asked for.
+    """
+    from ident.servo.mjcf import left_out
+    from ident.tasks.servo import load_servo_model
+
+    if mjcf is None or others:
+        raise UsageError("a servo model is exported as MJCF only", where=str(path), hint="--mjcf arm.xml")
+    model = load_servo_model(path)
+    model.export_mjcf(mjcf, overwrite=force)
+    words = list(left_out(model.result.values))
+    if as_json:
+        from daq.commands.console import print_json
+
+        print_json({"model": str(path), "files": [{"path": str(mjcf), "left_out": words}]})
+        return
+    print(f"{mjcf}: MJCF with position actuators; ctrl is the commanded position")
+    if words:
+        print(f"not in this file: {', '.join(words)}")
+
+
+def _default(options: IdentifyOptions, name: str) -> bool:
+    declared = next(of for of in fields(options) if of.name == name)
+    value = getattr(options, name)
+    if declared.default is not MISSING:
+        return bool(value == declared.default)
+    return declared.default_factory is not MISSING and bool(value == declared.default_factory())
+
+
+def _print(verdict: str, tables: list[object]) -> None:
+    from ident.commands.print_result import print_tables
+
+    print(verdict)
+    print_tables(tables)  # type: ignore[arg-type]

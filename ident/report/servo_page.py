@@ -1,0 +1,90 @@
+"""The page of a servo model: one self-contained HTML file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain
+from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.traces import broken_line, packed, points_per_trace
+from ident.report.html_file import page_templates
+from ident.report.section import Tile
+from ident.servo.identify import ServoIdentification
+from ident.servo.result import ServoResult
+
+ROLLOUT_CAPTION = (
+    "Measured positions of the held-out motions, and the model's on the same commands alone; the first second does not "
+    "count. Motions stand side by side."
+)
+
+
+def servo_page(result: ServoResult, identification: ServoIdentification | None) -> str:
+    """The page: verdict, errors beside the references, roll-outs, parameters.
+
+    Args:
+        result: of the identification.
+        identification: motions and roll-outs; None for a result that was read from a file.
+    """
+    return (
+        page_templates()
+        .get_template("servo_page.html.j2")
+        .render(
+            result=result,
+            tiles=_tiles(result),
+            rollout=None if identification is None else _rollout_figure(result, identification),
+        )
+    )
+
+
+def _tiles(result: ServoResult) -> list[Tile]:
+    shown = result.validation or result.fit
+    references = shown.references
+    unit = "mm" if all(result.sliding) else "mrad"
+
+    def mean(errors: list[float]) -> str:
+        return f"{1e3 * float(np.mean(errors)):.3g} {unit}"
+
+    return [
+        Tile("Roll-out error", mean(shown.rollout_error), "held out" if shown.held_out else "not held out"),
+        Tile("Encoder step", mean(result.resolution), "mean of the joints"),
+        Tile("Command itself", mean(references.command), "without a model"),
+        Tile("Delay and lag", mean(references.delay_and_lag), "one for all joints"),
+    ]
+
+
+def _rollout_figure(result: ServoResult, identification: ServoIdentification) -> Figure:
+    offsets = np.concatenate([[0.0], np.cumsum([motion.time[-1] + 1.0 for motion in identification.motions])])
+    times = [motion.time + offset for motion, offset in zip(identification.motions, offsets, strict=False)]
+    points = points_per_trace(len(result.joints))
+    rows = []
+    for joint, name in enumerate(result.joints):
+        traces: list[dict[str, Any]] = []
+        for label, colour, series in (
+            ("commanded", RESIDUAL, [_commanded(motion, joint) for motion in identification.motions]),
+            ("measured", MEASURED, [motion.position[:, joint] for motion in identification.motions]),
+            ("rolled out", PREDICTED, [path[:, joint] for path in identification.paths]),
+        ):
+            x, y = broken_line(times, series, points)
+            traces.append(
+                {
+                    "type": "scattergl",
+                    "mode": "lines",
+                    "name": label,
+                    "legendgroup": label,
+                    "showlegend": joint == 0,
+                    "line": {"color": colour, "width": 1},
+                    "x": packed(x),
+                    "y": packed(y),
+                }
+            )
+        unit = "m" if result.sliding[joint] else "rad"
+        last = joint == len(result.joints) - 1
+        x_axis = {"title": {"text": "time [s]"}} if last else {}
+        rows.append([Panel(name, f"<b>{plain(name)}</b>", traces, x=x_axis, y={"title": {"text": unit}})])
+    return panel_figure("rollout-plot", rows, ROLLOUT_CAPTION, linked=True)
+
+
+def _commanded(motion: Any, joint: int) -> Any:
+    return np.interp(motion.time, motion.grid, motion.command[motion.history :, joint])

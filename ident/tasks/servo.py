@@ -1,0 +1,220 @@
+"""Servo models in one call each: identify from commands and encoders, validate, roll out, export."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+
+from daq.output_files import REPORT_FILE, RESULT_FILE, check_outputs, replace_files, write_folder
+from daq.robot.loader import RobotFile, load_robot, parse_robot
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError, UsageError
+from ident.export.mujoco_reading import mujoco_installed
+from ident.report.servo_page import servo_page
+from ident.result.model import result_path
+from ident.result.result_file import model_json
+from ident.result.tables import Table
+from ident.servo.arm_rollout import roll_out_arm
+from ident.servo.identify import ServoIdentification, read_motions, revalidate_servo
+from ident.servo.identify import identify_servo as identify_recordings
+from ident.servo.links import servo_links
+from ident.servo.mjcf import ServoReplay, replay, servo_mjcf
+from ident.servo.result import ServoResult, read_servo_result
+from ident.servo.terms import INDEX, TERMS
+from ident.tasks.arguments import Run, Runs, recording_of, recordings_of
+
+
+class ServoModel:
+    """An arm of position-controlled servos, identified from commanded and measured positions.
+
+    Attributes:
+        result: all of it, as `result.json` holds it.
+        identification: the held-out motions and their roll-outs; None for a model that was read from a file.
+
+    Example:
+        >>> import dynid
+        >>> try:
+        ...     dynid.load_servo_model("no-such-model")
+        ... except dynid.ResultFileError as error:
+        ...     print(error.message)
+        no such file
+    """
+
+    def __init__(self, result: ServoResult, identification: ServoIdentification | None = None) -> None:
+        """Hold a result."""
+        self.result = result
+        self.identification = identification
+        self._robot = parse_robot(
+            result.robot_file, where=f"{result.robot} in the result", folder=None, urdf_text=result.urdf or None
+        )
+        self._links = servo_links(self._robot)
+
+    @property
+    def verdict(self) -> str:
+        """How far roll-outs can be trusted, in a sentence and what spoils it."""
+        verdict = self.result.verdict
+        return "\n".join([verdict.headline, *(f"  {check}" for check in verdict.checks)])
+
+    @property
+    def parameters(self) -> Table:
+        """Every parameter of every joint with its 95 % interval, or why there is none."""
+        return self.result.parameters
+
+    @property
+    def errors(self) -> Table:
+        """Roll-out errors beside the encoder's step and the references."""
+        return self.result.errors
+
+    def roll_out(self, run: Run) -> list[tuple[FloatArray, FloatArray]]:
+        """Times (N,) [s] and positions (N, n) [rad or m] of each gap-free motion of a recording, on its commands alone.
+
+        Raises:
+            DataError: the recording has no commands, or is of another arm.
+        """
+        motions = read_motions(recording_of(run), self._robot)
+        paths = roll_out_arm(motions, self._links, self.result.values)
+        return [(motion.begin + motion.time, path) for motion, path in zip(motions, paths, strict=True)]
+
+    def validate(self, runs: Runs) -> ServoModel:
+        """The same model judged on other recordings.
+
+        Raises:
+            DataError: a recording has no commands, or is of another arm.
+        """
+        judged = revalidate_servo(self.result, recordings_of(runs), self._robot)
+        return ServoModel(judged.result, judged)
+
+    def export_mjcf(self, path: str | PathLike[str], runs: Runs = (), *, overwrite: bool = False) -> ServoReplay | None:
+        """Write an MJCF with position actuators, and roll it out on recorded commands where MuJoCo is installed.
+
+        Args:
+            path: of the file.
+            runs: recordings for the replay; the held-out motions of the identification without.
+            overwrite: whether the file may exist.
+
+        Returns:
+            The replay; None without MuJoCo or without motions.
+
+        Raises:
+            UsageError: the path cannot be written.
+            ModelError: the arm has loops or coupled motors.
+        """
+        target = Path(path)
+        check_outputs([target], overwrite=overwrite)
+        text = servo_mjcf(self._robot, self._links, self.result.values)
+        motions = [motion for run in recordings_of(runs) for motion in read_motions(run, self._robot)]
+        if not motions and self.identification is not None:
+            motions = self.identification.motions
+        replayed = None
+        if motions and mujoco_installed():
+            paths = roll_out_arm(motions, self._links, self.result.values)
+            replayed = replay(text, self._links, self.result.values, motions, paths)
+        replace_files({target: text})
+        return replayed
+
+    def save(self, folder: str | PathLike[str]) -> None:
+        """Write `result.json` and `report.html` into a folder; replaces those in it.
+
+        Raises:
+            UsageError: it is a file, or cannot be written.
+            DiskError: the disk is full or fails.
+        """
+        write_folder(
+            Path(folder),
+            {RESULT_FILE: self.to_json() + "\n", REPORT_FILE: servo_page(self.result, self.identification)},
+        )
+
+    def to_json(self) -> str:
+        """The text of `result.json`."""
+        return model_json(self.result)
+
+    def __str__(self) -> str:
+        return f"{self.verdict}\n\n{self.errors}\n\n{self.parameters}"
+
+    def __repr__(self) -> str:
+        return f"<dynid.ServoModel {self.result.robot}, {len(self.result.joints)} joints>"
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{self.verdict}</pre>{self.errors._repr_html_()}{self.parameters._repr_html_()}"
+
+
+def _silent(step: str) -> None:
+    """Take a step's name and do nothing."""
+
+
+def identify_servo(
+    runs: Runs,
+    *,
+    validation: Runs = (),
+    robot: str | Path | RobotFile | None = None,
+    progress: Callable[[str], None] = _silent,
+) -> ServoModel:
+    """Identify an arm of servos from commanded and measured positions: `dynid identify --method servo`.
+
+    Args:
+        runs: a recording with `target_position`, or several of one arm; read already or paths.
+        validation: held-out recordings; the last 30 % of each of the others without any.
+        robot: in place of the recordings' own robot file; the links' masses are taken from it.
+        progress: called with the name of each step.
+
+    Raises:
+        DataError: a recording has no commands, or its positions do not follow them.
+        RobotFileError: a link's mass is not known, or `servo` names an unknown joint or parameter.
+        IdentificationError: no joint moves.
+
+    Example:
+        >>> import dynid
+        >>> try:
+        ...     dynid.identify_servo(dynid.simulate("ur5e", duration=2.0))
+        ... except dynid.DataError as error:
+        ...     print(error.message.partition(";")[0])
+        records no commanded position
+    """
+    recordings, held_out = recordings_of(runs), recordings_of(validation)
+    if not recordings:
+        raise UsageError("no recording to identify from")
+    robot_file = None if robot is None else load_robot(robot)
+    file = robot_file or recordings[0].robot()
+    identification = identify_recordings(recordings, held_out, robot_file, _given(file), progress)
+    return ServoModel(identification.result, identification)
+
+
+def load_servo_model(path: str | PathLike[str]) -> ServoModel:
+    """Read a servo model back.
+
+    Args:
+        path: a folder that `identify_servo(…).save` wrote, or its result.json.
+
+    Raises:
+        ResultFileError: no such file, or it holds no servo model.
+
+    Example:
+        >>> import dynid
+        >>> try:
+        ...     dynid.load_servo_model("no-such-model")
+        ... except dynid.ResultFileError as error:
+        ...     print(error.message)
+        no such file
+    """
+    return ServoModel(read_servo_result(result_path(path)))
+
+
+def _given(file: RobotFile) -> dict[str, dict[str, float]]:
+    """Known parameters of the robot file's `servo`.
+
+    Raises:
+        RobotFileError: an unknown joint or parameter, or a value that it cannot have.
+    """
+    given = file.robot.servo
+    for joint, terms in given.items():
+        where = f"{file.where}: servo.{joint}"
+        if joint not in file.robot.joint_names:
+            raise RobotFileError("is no joint with a motor", where=where, hint=", ".join(file.robot.joint_names))
+        for name, value in terms.items():
+            if name not in INDEX:
+                raise RobotFileError(f"'{name}' is no parameter of a servo", where=where, hint=", ".join(INDEX))
+            allowed = TERMS[INDEX[name]].allowed
+            if not allowed.holds(value):
+                raise RobotFileError(f"{value:g} is not within {allowed}", where=f"{where}.{name}")
+    return {joint: dict(terms) for joint, terms in given.items()}

@@ -1,0 +1,162 @@
+"""Servo models from simulated arms: the truth comes back, files are read again, wrong recordings are refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import command_line
+import numpy as np
+import pytest
+
+import dynid
+from daq.recording.recording import JOINTS_STREAM, Recording
+
+WEIGHTED = ("shoulder_lift", "elbow_flex", "wrist_flex")
+WEIGHTLESS = ("shoulder_pan", "gripper")
+
+
+@pytest.fixture(scope="module")
+def model() -> dynid.ServoModel:
+    run, other = (dynid.simulate_servo("so101", duration=30.0, seed=seed) for seed in (1, 2))
+    return dynid.identify_servo(run, validation=other)
+
+
+@pytest.fixture(scope="module")
+def folder(model, tmp_path_factory) -> Path:
+    place = tmp_path_factory.mktemp("servo") / "model"
+    model.save(place)
+    return place
+
+
+@pytest.fixture(scope="module")
+def short_run() -> Recording:
+    return dynid.simulate_servo("so101", duration=12.0, seed=3)
+
+
+def changed(run: Recording, **columns: np.ndarray) -> Recording:
+    """A recording with other values of some quantities."""
+    stream = run.streams[JOINTS_STREAM]
+    channels = {
+        name: dataclasses.replace(channel, values=columns.get(name, channel.values))
+        for name, channel in stream.channels.items()
+    }
+    return dataclasses.replace(run, streams={JOINTS_STREAM: dataclasses.replace(stream, channels=channels)})
+
+
+def test_a_held_out_motion_is_rolled_out_to_two_encoder_steps(model):
+    shown = model.result.validation
+    assert shown.held_out
+    assert model.result.verdict.grade == "good"
+    assert max(shown.rollout_error) < 2.0 * max(model.result.resolution)
+    assert shown.rollout_mean < 0.2 * np.mean(shown.references.delay_and_lag)
+
+
+def test_the_truth_comes_back_where_gravity_ties_the_torques(model):
+    truth = model._robot.robot.truth.joints
+    told = 0
+    for joint in model.result.servo:
+        if joint.joint not in WEIGHTED:
+            continue
+        true = truth[joint.joint]
+        for name, value in (
+            ("stiffness", true.servo.stiffness),
+            ("damping", true.viscous),
+            ("armature", true.motor_inertia),
+        ):
+            low, high = joint.parameters[name].interval
+            assert low / 1.6 < value < 1.6 * high, (joint.joint, name)
+            told += low <= value <= high
+        low, high = joint.parameters["acceleration_limit"].interval
+        assert 0.97 * low < true.servo.acceleration < 1.03 * high
+    assert told >= 5, "of nine parameters"
+
+
+def test_a_torque_that_nothing_ties_to_newton_metres_is_said_to_be_assumed(model):
+    joints = {joint.joint: joint for joint in model.result.servo}
+    for name in WEIGHTLESS:
+        stiffness = joints[name].parameters["stiffness"]
+        assert stiffness.unidentifiable
+        assert stiffness.origin == "assumed"
+        assert stiffness.interval is None
+        assert any(name in check for check in model.result.verdict.checks)
+
+
+def test_what_is_saved_is_read_again(model, folder):
+    again = dynid.load_servo_model(folder)
+    assert again.result == dynid.load_servo_model(folder / "result.json").result
+    assert again.verdict == model.verdict
+    assert again.parameters.names == model.parameters.names
+    np.testing.assert_array_equal(again.result.values, model.result.values)
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert "rollout-plot" in page
+    assert model.result.verdict.headline in page
+
+
+def test_the_commands_validate_and_export_take_it(folder, short_run, tmp_path, monkeypatch, capsys):
+    run = tmp_path / "run.h5"
+    dynid.write_recording(run, short_run)
+    status, output, error = command_line.run(monkeypatch, capsys, "validate", folder, run, "--json")
+    assert status == 0, error
+    judged = json.loads(output)["validation"]
+    assert judged["held_out"]
+    assert judged["rollout_mean"] < 4e-3
+    status, output, error = command_line.run(monkeypatch, capsys, "export", folder, "--mjcf", tmp_path / "arm.xml")
+    assert status == 0, error
+    assert "position actuators" in output
+    status, _, error = command_line.run(monkeypatch, capsys, "predict", folder, run)
+    assert status == 2
+    assert "servo model" in error
+    assert len(error.strip().splitlines()) <= 2
+
+
+def test_an_exported_arm_moves_in_mujoco_as_the_model_does(model, tmp_path):
+    pytest.importorskip("mujoco")
+    replay = model.export_mjcf(tmp_path / "arm.xml")
+    lagged = np.mean(model.result.validation.references.delay_and_lag)
+    assert replay.model_error < replay.shaped_error < 0.4 * lagged
+    assert replay.shaped_error < 0.6 * replay.error, "the profile is not in the file"
+    assert "friction that follows the load" in replay.left_out
+    with pytest.raises(dynid.UsageError, match="exists"):
+        model.export_mjcf(tmp_path / "arm.xml")
+
+
+@pytest.mark.parametrize("mistake", ["clock", "order", "frozen", "degrees", "sign", "short"])
+def test_a_recording_whose_commands_and_positions_do_not_belong_together_is_refused(mistake, short_run):
+    run = short_run
+    channels = run.streams[JOINTS_STREAM].channels
+    position, command = channels["position"].values.copy(), channels["target_position"].values.copy()
+    match mistake:
+        case "clock":
+            command, words = np.roll(command, 25, axis=0), "clocks"
+        case "order":
+            command, words = command[:, [0, 2, 1, 3, 4, 5]], "another order"
+        case "frozen":
+            position[:, 2], words = position[0, 2], "elbow_flex never"
+        case "degrees":
+            command, words = np.degrees(command), "degrees"
+        case "sign":
+            command[:, 1], words = -command[:, 1], "against"
+        case "short":
+            stream = run.streams[JOINTS_STREAM]
+            kept = {
+                name: dataclasses.replace(channel, values=channel.values[:100]) for name, channel in channels.items()
+            }
+            short = dataclasses.replace(stream, time=stream.time[:100], host_time=stream.host_time[:100], channels=kept)
+            with pytest.raises(dynid.DataError, match="needs 3 s"):
+                dynid.identify_servo(dataclasses.replace(run, streams={JOINTS_STREAM: short}))
+            return
+    with pytest.raises(dynid.DataError, match=words):
+        dynid.identify_servo(changed(run, position=position, target_position=command))
+
+
+def test_a_torque_method_names_the_servo_method_and_the_other_way_round(short_run, tmp_path, monkeypatch, capsys):
+    with pytest.raises(dynid.UsageError) as refused:
+        dynid.identify(dynid.simulate("ur5e", duration=2.0), method="servo")
+    assert "identify_servo" in str(refused.value)
+    run = tmp_path / "run.h5"
+    dynid.write_recording(run, short_run)
+    status, _, error = command_line.run(monkeypatch, capsys, "identify", run, "--method", "servo", "--friction", "auto")
+    assert status == 2
+    assert "--friction" in error
