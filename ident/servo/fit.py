@@ -13,7 +13,17 @@ from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.links import ServoLinks
 from ident.servo.motion import MotionLoad, ServoMotion, lanes_of, motion_load
 from ident.servo.rollout import Lanes, repeated
-from ident.servo.search import evaluate, joint_cost, normal_equations, robust_scale, search
+from ident.servo.search import (
+    BLOCKED_LITTLE,
+    EVERY_ERROR,
+    evaluate,
+    joint_cost,
+    lane_cost,
+    loss,
+    normal_equations,
+    robust_scale,
+    search,
+)
 from ident.servo.terms import (
     GROUPS,
     INDEX,
@@ -46,6 +56,9 @@ FADING = (0.01, 0.05)
 
 WIDEST = 3.0
 """Ratio of an interval's end to the value beyond which a positive term cannot be told."""
+
+FEWEST_PIECES = 1.2
+"""Pieces of motion from which a term must be told: with a single one, its error at the optimum is 0 by construction."""
 
 SMOOTHED = 0.14
 """[s] span of the local polynomial through measured positions that gives accelerations for coupling."""
@@ -139,7 +152,7 @@ def fit_servo(
     heavy = np.array([joint in weighted for joint in range(joints)])
     told = (heavy & moving) | held[:, [INDEX[name] for name in TORQUES]].any(axis=1)
     values, free, held, assumed = _tied(values, free, held, centre, told, moving, given)
-    values = search(chosen, values, free, _scale(chosen, values, least), centre, 10)
+    values = search(chosen, values, free, _scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
     for group in GROUPS:
         able = [joint for joint in np.flatnonzero(moving).tolist() if not held[joint, members(group)].any()]
         if group == "zero":
@@ -156,18 +169,18 @@ def fit_servo(
             chosen, judged = _split(lanes, PIECES)
     final = _pieces(lanes, FINAL_PIECES)
     progress("final fit")
-    values = search(final, values, free, _scale(final, values, least), centre, 20)
+    values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
     values, free, pruned = _pruned(final, values, free, least, gains)
     if pruned:
-        values = search(final, values, free, _scale(final, values, least), centre, 20)
+        values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
     seen = _intervals(final, values, free, least)[2][:, INDEX["stiffness"]]
     loose = free[:, INDEX["stiffness"]] & ~seen
     if loose.any():
         values, free, held, more = _tied(values, free, held, centre, ~loose, moving, given)
         assumed |= more
         progress("final fit of joints whose torques nothing ties to N·m")
-        values = search(final, values, free, _scale(final, values, least), centre, 20)
-    low, high, seen, covariance = _intervals(final, values, free, least)
+        values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
+    low, high, seen, _, covariance = _intervals(final, values, free, least)
     pieces = len(np.unique(final.piece))
     return ServoFit(values, low, high, free, seen, held, assumed, moving, covariance, tuple(gains), pieces)
 
@@ -279,8 +292,8 @@ def _tried(
     trial, trial_free = with_group(values, free, able, group)
     trial = _best_start(chosen, values, trial, able, group, scale)
     trial_centre = np.where(trial_free & ~free, to_search(trial), centre)
-    trial = search(chosen, trial, trial_free, scale, trial_centre, 12)
-    saved = _savings(judged, values, trial, able, least)
+    trial = search(chosen, trial, trial_free, scale, trial_centre, 12, BLOCKED_LITTLE)
+    saved = _savings(judged, values, trial, able, least, BLOCKED_LITTLE)
     rows = list(saved)
     values, free = values.copy(), free.copy()
     values[rows], free[rows] = trial[rows], trial_free[rows]
@@ -306,15 +319,14 @@ def _best_start(
     costs = []
     for start in starts:
         trial[able, INDEX[name]] = start
-        costs.append(joint_cost(evaluate(lanes, trial)[0], lanes, scale))
+        costs.append(joint_cost(evaluate(lanes, trial)[0], lanes, scale, BLOCKED_LITTLE))
     trial[able, INDEX[name]] = np.array(starts)[np.argmin(costs, axis=0)][able]
     return trial
 
 
-def _piece_costs(residual: FloatArray, lanes: Lanes, scale: FloatArray) -> list[FloatArray]:
+def _piece_costs(residual: FloatArray, lanes: Lanes, scale: FloatArray, shape: float) -> list[FloatArray]:
     """Robust cost of each joint's pieces."""
-    relative = residual / scale[lanes.joint]
-    lane = np.nansum(2.0 * (np.sqrt(1.0 + relative**2) - 1.0), axis=0)
+    lane = lane_cost(residual, lanes, scale, shape)
     return [lane[lanes.joint == joint] for joint in range(len(scale))]
 
 
@@ -336,8 +348,8 @@ def _first_fit(
     limit = INDEX["acceleration_limit"]
     able = moving[~held[moving, limit]]
     scale = _scale(chosen, values, least)
-    plain = search(chosen, values, free, scale, centre, 10)
-    plain = search(chosen, plain, free, _scale(chosen, plain, least), centre, 15)
+    plain = search(chosen, values, free, scale, centre, 10, EVERY_ERROR)
+    plain = search(chosen, plain, free, _scale(chosen, plain, least), centre, 15, EVERY_ERROR)
     scale = _scale(chosen, plain, least)
     trial, trial_free = with_group(values, free, able.tolist(), FIRST_GROUP)
     # All starts side by side. The limit is held at first: all other terms would make up for a wrong one.
@@ -346,13 +358,13 @@ def _first_fit(
     starts[rows, limit] = np.repeat(ACCELERATIONS, len(able))
     wide = repeated(chosen, many, len(values))
     centres = np.where(np.tile(trial_free & ~free, (many, 1)), to_search(starts), np.tile(centre, (many, 1)))
-    starts = search(wide, starts, np.tile(free, (many, 1)), np.tile(scale, many), centres, 8)
-    costs = joint_cost(evaluate(wide, starts)[0], wide, np.tile(scale, many)).reshape(many, -1)
+    starts = search(wide, starts, np.tile(free, (many, 1)), np.tile(scale, many), centres, 8, EVERY_ERROR)
+    costs = joint_cost(evaluate(wide, starts)[0], wide, np.tile(scale, many), EVERY_ERROR).reshape(many, -1)
     cheapest = np.argmin(costs, axis=0) * len(values) + np.arange(len(values))
     best, trial_centre = starts[cheapest], centres[cheapest]
-    best = search(chosen, best, trial_free, scale, trial_centre, 10)
-    best = search(chosen, best, trial_free, _scale(chosen, best, least), trial_centre, 15)
-    saved = _savings(judged, plain, best, able.tolist(), least)
+    best = search(chosen, best, trial_free, scale, trial_centre, 10, EVERY_ERROR)
+    best = search(chosen, best, trial_free, _scale(chosen, best, least), trial_centre, 15, EVERY_ERROR)
+    saved = _savings(judged, plain, best, able.tolist(), least, EVERY_ERROR)
     rows = list(saved)
     values, free = plain.copy(), free.copy()
     values[rows], free[rows], centre[rows] = best[rows], trial_free[rows], trial_centre[rows]
@@ -362,13 +374,13 @@ def _first_fit(
 
 
 def _savings(
-    judged: Lanes, before: FloatArray, after: FloatArray, able: Sequence[int], least: float
+    judged: Lanes, before: FloatArray, after: FloatArray, able: Sequence[int], least: float, shape: float
 ) -> dict[int, float]:
     """Joints whose cost on held-out pieces falls clearly, and by what share."""
     residual = evaluate(judged, before)[0]
     scale = robust_scale(residual, judged, len(before), least)
-    old = _piece_costs(residual, judged, scale)
-    new = _piece_costs(evaluate(judged, after)[0], judged, scale)
+    old = _piece_costs(residual, judged, scale, shape)
+    new = _piece_costs(evaluate(judged, after)[0], judged, scale, shape)
     saved = {}
     for joint in able:
         difference = old[joint] - new[joint]
@@ -387,12 +399,12 @@ def _pruned(
     lanes: Lanes, values: FloatArray, free: BoolArray, least: float, gains: list[dict[str, float]]
 ) -> tuple[FloatArray, BoolArray, bool]:
     """Values and free terms without the optional terms of which all data together tell nothing."""
-    seen = _intervals(lanes, values, free, least)[2]
+    wide = _intervals(lanes, values, free, least)[3]
     values, free, pruned = values.copy(), free.copy(), False
     for group in GROUPS:
         own = members(group)
         for joint in range(len(values)):
-            if free[joint, own].any() and not seen[joint, own].any():
+            if free[joint, own].any() and wide[joint, own][free[joint, own]].all():
                 without_group(values, free, [joint], group)
                 gains[joint].pop(group, None)
                 pruned = True
@@ -442,8 +454,8 @@ def _tied(
 
 def _intervals(
     lanes: Lanes, values: FloatArray, free: BoolArray, least: float
-) -> tuple[FloatArray, FloatArray, BoolArray, tuple[FloatArray, ...]]:
-    """Ends of the 95 % intervals (n, terms), whether the data tell each term, and each joint's covariance.
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, tuple[FloatArray, ...]]:
+    """Ends of the 95 % intervals (n, terms), which terms the data tell, which are too wide, and covariances.
 
     The sandwich over pieces (their errors are not independent within one), or, in directions that the data hardly show,
     the curvature alone with the pieces' inflation.
@@ -453,13 +465,13 @@ def _intervals(
     residual, tangents = evaluate(lanes, values, free)
     scale = robust_scale(residual, lanes, len(values), least)
     columns = np.flatnonzero(free.any(axis=0))
-    covariances = []
+    covariances, wide = [], np.zeros_like(free)
     for joint in range(len(values)):
         own = np.flatnonzero(free[joint])
         if not len(own):
             covariances.append(np.zeros((0, 0)))
             continue
-        curvature = normal_equations(residual, tangents, lanes, joint, scale[joint], columns, own)[0]
+        curvature = normal_equations(residual, tangents, lanes, joint, scale[joint], columns, own, BLOCKED_LITTLE)[0]
         scores = _scores(residual, tangents, lanes, joint, scale[joint], columns, own)
         covariances.append(_covariance(curvature, scores))
         reach = np.sqrt(np.diag(covariances[-1])) * student.ppf(0.5 + CONFIDENCE / 2, max(1, len(scores) - 1))
@@ -470,7 +482,20 @@ def _intervals(
             ends[:, index] += np.array([-1.0, 1.0]) * min(float(half), 50.0)
             low[joint, index], high[joint, index] = from_search(ends)[:, index]
             seen[joint, index] = half < (np.log(WIDEST) if term.positive else term.spread)
-    return low, high, seen, tuple(covariances)
+        single = _pieces_that_tell(tangents, residual, lanes, joint, columns, own) < FEWEST_PIECES
+        wide[joint, own], seen[joint, own] = ~seen[joint, own], seen[joint, own] & ~single
+    return low, high, seen, wide, tuple(covariances)
+
+
+def _pieces_that_tell(
+    tangents: FloatArray, residual: FloatArray, lanes: Lanes, joint: int, columns: IndexArray, own: IndexArray
+) -> FloatArray:
+    """(terms,) number of pieces that a term's information comes from, as if each gave the same."""
+    chosen = np.flatnonzero(lanes.joint == joint)
+    counted = np.isfinite(residual[:, chosen])
+    squares = tangents[np.searchsorted(columns, own)][:, :, chosen] ** 2
+    information = np.einsum("fsl,sl->fl", squares, counted.astype(np.float64))
+    return np.asarray(information.sum(axis=1) ** 2 / np.maximum((information**2).sum(axis=1), 1e-300), dtype=np.float64)
 
 
 def _scores(
@@ -486,7 +511,7 @@ def _scores(
     rows = np.searchsorted(columns, own)
     chosen = np.flatnonzero(lanes.joint == joint)
     error = np.nan_to_num(residual[:, chosen] / scale)
-    weighted = error / np.sqrt(1.0 + error**2) / scale
+    weighted = error * loss(error, BLOCKED_LITTLE)[1] / scale
     scores: FloatArray = np.einsum("sl,fsl->lf", weighted, tangents[rows][:, :, chosen])
     return scores[np.isfinite(residual[:, chosen]).any(axis=0)]
 

@@ -1,12 +1,15 @@
-"""Output error of servo joints: robust Levenberg-Marquardt on roll-outs of all joints and pieces side by side."""
+"""Output error of servo joints: robust Levenberg-Marquardt on roll-outs of all joints and pieces side by side.
+
+The loss of an error e (in scales) is Barron's ("A general and adaptive robust loss function", CVPR 2019) of shape α:
+2·(√(e² + 1) − 1) for α = 1, which every error pulls at, and 2·log(e²/2 + 1) for α = 0, which a joint that something
+blocked for seconds hardly pulls at.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from drivers.core.arrays import BoolArray, FloatArray
+from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.rollout import Lanes, at_samples, roll_out
 from ident.servo.terms import TERMS, from_search, to_search
 
@@ -19,29 +22,6 @@ STILL = 1e-4
 _SPREAD = np.array([term.spread for term in TERMS])
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """Parameters of all joints, with what their errors say.
-
-    Attributes:
-        values: (n, terms).
-        free: (n, terms) which of them were searched.
-        scale: (n,) robust scale of the errors [rad or m].
-        centre: (n, terms) of the weak prior, in the search's coordinates.
-        residual: (S, L) predicted less measured; nan where a sample does not count.
-        tangents: (F, S, L) derivatives by the columns that are free in some joint; empty if not asked for.
-        columns: (F,) indices of these terms.
-    """
-
-    values: FloatArray
-    free: BoolArray
-    scale: FloatArray
-    centre: FloatArray
-    residual: FloatArray
-    tangents: FloatArray
-    columns: np.ndarray
-
-
 def evaluate(lanes: Lanes, values: FloatArray, free: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
     """Residuals (S, L) and their derivatives (F, S, L) by the terms that are free in some joint."""
     columns = None if free is None else np.flatnonzero(free.any(axis=0))
@@ -52,10 +32,27 @@ def evaluate(lanes: Lanes, values: FloatArray, free: BoolArray | None = None) ->
     return residual, at_samples(lanes, tangents)
 
 
-def joint_cost(residual: FloatArray, lanes: Lanes, scale: FloatArray) -> FloatArray:
-    """(n,) robust cost of each joint, in samples: pseudo-Huber."""
-    relative = residual / scale[lanes.joint]
-    lane = np.nansum(2.0 * (np.sqrt(1.0 + relative**2) - 1.0), axis=0)
+EVERY_ERROR, BLOCKED_LITTLE = 1.0, 0.0
+"""Shapes of the loss: while the model is still wrong, and once it is nearly right."""
+
+
+def loss(error: FloatArray, shape: float) -> tuple[FloatArray, FloatArray]:
+    """The loss of errors (…) in scales, and the weights of their squares."""
+    if shape == BLOCKED_LITTLE:
+        inner = 0.5 * error**2 + 1.0
+        return 2.0 * np.log(inner), 1.0 / inner
+    root = np.sqrt(1.0 + error**2)
+    return 2.0 * (root - 1.0), 1.0 / root
+
+
+def lane_cost(residual: FloatArray, lanes: Lanes, scale: FloatArray, shape: float) -> FloatArray:
+    """(L,) robust cost of each lane, in samples."""
+    return np.asarray(np.nansum(loss(residual / scale[lanes.joint], shape)[0], axis=0), dtype=np.float64)
+
+
+def joint_cost(residual: FloatArray, lanes: Lanes, scale: FloatArray, shape: float) -> FloatArray:
+    """(n,) robust cost of each joint, in samples."""
+    lane = lane_cost(residual, lanes, scale, shape)
     return np.asarray(np.bincount(lanes.joint, weights=lane, minlength=len(scale)), dtype=np.float64)
 
 
@@ -77,6 +74,7 @@ def search(
     scale: FloatArray,
     centre: FloatArray,
     evaluations: int,
+    shape: float,
 ) -> FloatArray:
     """Values (n, terms) that minimise each joint's robust cost plus its weak prior.
 
@@ -87,6 +85,7 @@ def search(
         scale: (n,) of the errors [rad or m].
         centre: (n, terms) of the prior, in the search's coordinates.
         evaluations: of roll-outs with derivatives, at most.
+        shape: of the loss.
     """
     joints = len(values)
     point = to_search(values)
@@ -94,12 +93,12 @@ def search(
     done = ~free.any(axis=1)
     columns = np.flatnonzero(free.any(axis=0))
     residual, tangents = evaluate(lanes, values, free)
-    cost = joint_cost(residual, lanes, scale) + _prior(point, centre, free)
+    cost = joint_cost(residual, lanes, scale, shape) + _prior(point, centre, free)
     for _ in range(evaluations):
         step = np.zeros_like(point)
         for joint in np.flatnonzero(~done).tolist():
             own = np.flatnonzero(free[joint])
-            curvature, gradient = normal_equations(residual, tangents, lanes, joint, scale[joint], columns, own)
+            curvature, gradient = normal_equations(residual, tangents, lanes, joint, scale[joint], columns, own, shape)
             curvature += np.diag(1.0 / _SPREAD[own] ** 2)
             gradient += (point[joint, own] - centre[joint, own]) / _SPREAD[own] ** 2
             damped = curvature + damping[joint] * np.diag(np.diag(curvature))
@@ -107,7 +106,7 @@ def search(
             step[joint, own] = np.clip(move, -0.7 * _SPREAD[own], 0.7 * _SPREAD[own])
         trial = to_search(np.where(free, from_search(point + step), values))
         new_residual, new_tangents = evaluate(lanes, np.where(free, from_search(trial), values), free)
-        new_cost = joint_cost(new_residual, lanes, scale) + _prior(trial, centre, free)
+        new_cost = joint_cost(new_residual, lanes, scale, shape) + _prior(trial, centre, free)
         better = (new_cost < cost) & ~done
         done |= better & (cost - new_cost < STILL * cost)
         damping = np.where(better, damping / DAMPING_FACTOR, damping * DAMPING_FACTOR)
@@ -126,8 +125,9 @@ def normal_equations(
     lanes: Lanes,
     joint: int,
     scale: float,
-    columns: np.ndarray,
-    own: np.ndarray,
+    columns: IndexArray,
+    own: IndexArray,
+    shape: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Curvature and gradient of a joint's robust cost by its own terms (half of the derivatives)."""
     rows = np.searchsorted(columns, own)
@@ -136,7 +136,7 @@ def normal_equations(
     counted = np.isfinite(error)
     error = error[counted]
     jacobian = tangents[np.ix_(rows, np.arange(tangents.shape[1]), chosen)][:, counted] / scale
-    weight = 1.0 / np.sqrt(1.0 + error**2)
+    weight = loss(error, shape)[1]
     return (jacobian * weight) @ jacobian.T, jacobian @ (weight * error)
 
 

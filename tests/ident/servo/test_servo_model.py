@@ -12,6 +12,9 @@ import pytest
 
 import dynid
 from daq.recording.recording import JOINTS_STREAM, Recording
+from ident.servo.arm_rollout import roll_out_arm
+from ident.servo.mjcf import replay, servo_mjcf
+from ident.servo.terms import INDEX
 
 WEIGHTED = ("shoulder_lift", "elbow_flex", "wrist_flex")
 WEIGHTLESS = ("shoulder_pan", "gripper")
@@ -111,13 +114,23 @@ def test_the_commands_validate_and_export_take_it(folder, short_run, tmp_path, m
     assert len(error.strip().splitlines()) <= 2
 
 
-def test_an_exported_arm_moves_in_mujoco_as_the_model_does(model, tmp_path):
+def test_what_an_mjcf_holds_moves_in_mujoco_as_in_the_roll_out(model):
     pytest.importorskip("mujoco")
-    replay = model.export_mjcf(tmp_path / "arm.xml")
-    lagged = np.mean(model.result.validation.references.delay_and_lag)
-    assert replay.model_error < replay.shaped_error < 0.4 * lagged
-    assert replay.shaped_error < 0.6 * replay.error, "the profile is not in the file"
-    assert "friction that follows the load" in replay.left_out
+    values = model.result.values.copy()
+    values[:, [INDEX[name] for name in ("load_friction", "breakaway", "load_breakaway", "dead_band")]] = 0.0
+    motion = model.identification.motions[0].between(0, 500)
+    path = roll_out_arm([motion], model._links, values)[0]
+    same = dataclasses.replace(motion, position=path)
+    played = replay(servo_mjcf(model._robot, model._links, values), model._links, values, [same], [path])
+    assert played.shaped_error < 2e-3
+    assert played.left_out == ("the servos' profile",)
+
+
+def test_an_export_says_what_it_leaves_out_and_replaces_nothing_unasked(model, tmp_path):
+    pytest.importorskip("mujoco")
+    played = model.export_mjcf(tmp_path / "arm.xml")
+    assert "friction that follows the load" in played.left_out
+    assert played.model_error < played.shaped_error < played.error
     with pytest.raises(dynid.UsageError, match="exists"):
         model.export_mjcf(tmp_path / "arm.xml")
 
