@@ -29,7 +29,7 @@ JOINTS = 5
 def recordings(folder: Path) -> list[Recording]:
     """All recordings of the arm, by name."""
     robot = load_robot("so101")
-    return [import_file(path, robot, ImportChoices())[0] for path in sorted(folder.glob("*.npz"))]
+    return [import_file(path, robot, ImportChoices()) for path in sorted(folder.glob("*.npz"))]
 
 
 def main() -> None:

@@ -140,7 +140,7 @@ RENAMED = {
 }
 """Options whose names would be odd in Python."""
 
-OF_FILES = {"out", "json", "help", "force", "page", "comment", "up_and_down"}
+OF_FILES = {"out", "json", "help", "force", "verbose", "page", "comment", "up_and_down"}
 
 
 @pytest.mark.parametrize(

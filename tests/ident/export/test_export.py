@@ -34,7 +34,7 @@ def test_a_file_is_written_once_and_overwritten_when_asked(arm, tmp_path, write)
     with pytest.raises(UsageError, match=r"exists.*--force"):
         write(arm, path)
     assert path.read_text() == "mine"
-    write(arm, path, force=True)
+    write(arm, path, overwrite=True)
     assert path.read_text(encoding="utf-8") == first
     assert [entry.name for entry in tmp_path.iterdir()] == ["arm"]
 
@@ -61,9 +61,9 @@ def test_what_reads_back_as_another_model_is_not_written(arm, tmp_path, monkeypa
 @pytest.mark.parametrize("write", EXPORTERS)
 def test_targets_that_cannot_be_written_are_refused(arm, tmp_path, write):
     with pytest.raises(UsageError, match="is a folder"):
-        write(arm, tmp_path, force=True)
+        write(arm, tmp_path, overwrite=True)
     with pytest.raises(UsageError, match="no such folder"):
-        write(arm, tmp_path / "none" / "arm.urdf", force=True)
+        write(arm, tmp_path / "none" / "arm.urdf", overwrite=True)
 
 
 def test_without_mujoco_a_check_says_so(arm, tmp_path, monkeypatch):

@@ -153,7 +153,7 @@ def test_header_in_cpp(ur5e, tmp_path):
 def test_same_model_same_text(ur5e, tmp_path):
     write_c(ur5e, tmp_path / "arm")
     first = [(tmp_path / name).read_text() for name in ("arm.h", "arm.c")]
-    write_c(ur5e, tmp_path / "arm", force=True)
+    write_c(ur5e, tmp_path / "arm", overwrite=True)
     assert [(tmp_path / name).read_text() for name in ("arm.h", "arm.c")] == first
 
 
@@ -162,7 +162,7 @@ def test_a_source_does_not_compile_with_the_header_of_another_export(three_joint
     write_c(dynamics, tmp_path / "arm")
     header = (tmp_path / "arm.h").read_text()
     other = InverseDynamics(dynamics.model, dynamics.base, 2.0 * dynamics.parameters)
-    source = write_c(other, tmp_path / "arm", force=True).path
+    source = write_c(other, tmp_path / "arm", overwrite=True).path
     (tmp_path / "arm.h").write_text(header)
     with pytest.raises(AssertionError, match=r"arm\.h and arm\.c were not written together: export them again"):
         compile_c(source, tmp_path / "arm.o", "-c")
