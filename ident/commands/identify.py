@@ -37,7 +37,7 @@ def identify_recordings(
     from daq.robot.loader import load_robot
     from ident.commands.options import limits_option
     from ident.commands.print_result import print_result
-    from ident.commands.servo import identify_servo_command, is_servo
+    from ident.commands.servo import identify_servo_command, is_servo, print_servo
     from ident.result.friction_experiment import friction_path
     from ident.tasks.arguments import paths_of
     from ident.tasks.identification import identify
@@ -57,7 +57,8 @@ def identify_recordings(
     with progress_line(quiet=as_json) as progress:
         if is_servo(options.method):
             limited = any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse))
-            identify_servo_command(options, folder, progress, limited=limited, as_json=as_json)
+            servo = identify_servo_command(options, folder, progress, limited=limited, overwrite=force)
+            print_servo(servo, folder, verbose=verbose, as_json=as_json)
             return
         result = identify(**{**vars(options), "accept": limits, "progress": progress})
         progress("report")

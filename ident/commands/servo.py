@@ -5,10 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import MISSING, fields
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from drivers.core.errors import UsageError
 from drivers.core.options import flag_of
 from ident.tasks.options import IdentifyOptions
+
+if TYPE_CHECKING:
+    from ident.tasks.servo import ServoModel
 
 SERVO = "servo"
 """Of --method: commands and encoders in place of torques."""
@@ -30,14 +34,13 @@ def is_servo(method: str) -> bool:
 
 
 def identify_servo_command(
-    options: IdentifyOptions, folder: Path, progress: Callable[[str], None], *, limited: bool, as_json: bool
-) -> None:
-    """Identify, write the folder, print.
+    options: IdentifyOptions, folder: Path, progress: Callable[[str], None], *, limited: bool, overwrite: bool
+) -> ServoModel:
+    """Identify, and write the folder.
 
     Raises:
         UsageError: an option that a servo model does not have.
     """
-    from daq.output_files import REPORT_FILE, RESULT_FILE
     from ident.tasks.servo import identify_servo
 
     strange = [flag_of(of) for of in fields(options) if of.name not in _TAKEN and not _default(options, of.name)]
@@ -47,12 +50,20 @@ def identify_servo_command(
         raise UsageError(f"{', '.join(strange)} does nothing with --method servo", hint="leave it out")
     model = identify_servo(options.runs, validation=options.validation, robot=options.robot, progress=progress)
     progress("report")
-    model.save(folder)
+    model.save(folder, overwrite=overwrite)
+    return model
+
+
+def print_servo(model: ServoModel, folder: Path, *, verbose: bool, as_json: bool) -> None:
+    """The verdict and the errors; with `verbose` every parameter; or the JSON object alone."""
+    from daq.output_files import REPORT_FILE, RESULT_FILE
+
     if as_json:
         print((folder / RESULT_FILE).read_text(encoding="utf-8"), end="")
         return
-    _print(model.verdict, [model.errors, model.parameters])
-    print(f"\n{folder / RESULT_FILE}\n{folder / REPORT_FILE}")
+    _print(model.verdict, [model.errors, *([model.parameters] if verbose else [])])
+    print(f"\n{'' if verbose else 'Parameters with intervals: --verbose, or the report. '}{folder / REPORT_FILE}")
+    print(f"next: dynid validate {folder} OTHER.h5, dynid export {folder} --mjcf arm.xml")
 
 
 def validate_servo_command(path: Path, runs: object, *, as_json: bool) -> None:

@@ -45,6 +45,9 @@ LONGEST_LAG = 1.0
 DEGREES = 20.0
 """Ratio of positions to commands, or its inverse, from which on one of them is taken to be in degrees."""
 
+FAR_ZERO = 0.15
+"""[rad or m] of an encoder's zero against that of the URDF that is named."""
+
 GOOD, USABLE = 3.0, 8.0
 """Roll-out errors in encoder steps below which a model is good and usable, where it also beats delay and lag."""
 
@@ -248,14 +251,23 @@ def verdict(names: Sequence[str], joints: Sequence[ServoJoint], judged: RolloutF
     )
     if gain < 1.2 or worse:
         grade = "poor" if gain < 1 else "usable" if grade == "good" else grade
+    if not judged.held_out and grade == "good":
+        grade = "usable"
     checks = []
+    zeros = {joint.joint: joint.parameters["zero"].value for joint in joints if "zero" in joint.parameters}
+    far = [f"{name} by {value:.2g} rad" for name, value in zeros.items() if abs(value) > FAR_ZERO]
+    if far:
+        checks.append(
+            f"for gravity the encoder's zero is not that of the URDF: {', '.join(far)}; compare a pose of the arm with "
+            "its picture"
+        )
     if worse:
         checks.append(f"{', '.join(worse)}: no better than one delay and lag for all joints")
     loose = [joint.joint for joint in joints if joint.parameters["stiffness"].origin == "assumed"]
     if loose:
         checks.append(
-            f"{', '.join(loose)}: nothing ties the torques to N·m (no gravity); the stiffness is that of the other "
-            "joints, and their inertia and friction scale with it"
+            f"{', '.join(loose)}: nothing ties the torques to N·m (no gravity, or too little motion); the stiffness is "
+            "that of the other joints, and their inertia and friction scale with it"
         )
     if not judged.held_out:
         checks.append("not held out: these data are in the identification")

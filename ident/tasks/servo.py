@@ -6,7 +6,14 @@ from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
-from daq.output_files import REPORT_FILE, RESULT_FILE, check_outputs, replace_files, write_folder
+from daq.output_files import (
+    REPORT_FILE,
+    RESULT_FILE,
+    check_output_folder,
+    check_outputs,
+    replace_files,
+    write_folder,
+)
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError, UsageError
@@ -113,16 +120,21 @@ class ServoModel:
         replace_files({target: text})
         return replayed
 
-    def save(self, folder: str | PathLike[str]) -> None:
-        """Write `result.json` and `report.html` into a folder; replaces those in it.
+    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write `result.json` and `report.html` into a folder.
+
+        Args:
+            folder: made where it does not exist.
+            overwrite: whether its files may be replaced.
 
         Raises:
-            UsageError: it is a file, or cannot be written.
+            UsageError: the files exist, or cannot be written.
             DiskError: the disk is full or fails.
         """
+        place = Path(folder)
+        check_output_folder(place, (RESULT_FILE, REPORT_FILE), overwrite=overwrite)
         write_folder(
-            Path(folder),
-            {RESULT_FILE: self.to_json() + "\n", REPORT_FILE: servo_page(self.result, self.identification)},
+            place, {RESULT_FILE: self.to_json() + "\n", REPORT_FILE: servo_page(self.result, self.identification)}
         )
 
     def to_json(self) -> str:

@@ -26,16 +26,17 @@ JOINTS = 5
 """Without the jaw, whose recorded position is scaled."""
 
 
-def recordings(folder: Path) -> list[Recording]:
+def recordings(folder: Path) -> dict[str, Recording]:
     """All recordings of the arm, by name."""
     robot = load_robot("so101")
-    return [import_file(path, robot, ImportChoices()) for path in sorted(folder.glob("*.npz"))]
+    return {path.stem: import_file(path, robot, ImportChoices()) for path in sorted(folder.glob("*.npz"))}
 
 
 def main() -> None:
     """Print a row per recording."""
     folder = Path(os.environ["DYNID_DATA"]) / "so101"
-    every = recordings(folder)
+    named = recordings(folder)
+    every = list(named.values())
     count = int(sys.argv[1]) if len(sys.argv) > 1 else len(every)
     robot = load_robot("so101")
     print("| left out | " + " | ".join(robot.robot.joint_names[:JOINTS]) + " | mean | command | delay and lag |")
@@ -49,7 +50,7 @@ def main() -> None:
         rows.append([shown.rollout_error, shown.references.command, shown.references.delay_and_lag])
         own, command, lagged = (1e3 * np.array(row[:JOINTS]) for row in rows[-1])
         cells = [*own, own.mean(), command.mean(), lagged.mean()]
-        print(f"| {Path(every[number].label).stem} | " + " | ".join(f"{cell:.1f}" for cell in cells) + " |", flush=True)
+        print(f"| {list(named)[number]} | " + " | ".join(f"{cell:.1f}" for cell in cells) + " |", flush=True)
     mean = 1e3 * np.mean(np.array(rows)[:, :, :JOINTS], axis=0)
     cells = [*mean[0], mean[0].mean(), mean[1].mean(), mean[2].mean()]
     print("| **mean** | " + " | ".join(f"{cell:.1f}" for cell in cells) + " |")
