@@ -23,6 +23,9 @@ def export(
     ),
     c: Path = typer.Option(None, "--c", help="C99 code to write: `arm` for arm.h and arm.c."),
     c_float: bool = typer.Option(False, "--c-float", help="C code in float, not double."),
+    ranges: Path = typer.Option(
+        None, "--ranges", help="Of a servo model: JSON of ranges for domain randomisation, boxes and covariance."
+    ),
     parameters: str = typer.Option(
         None,
         "--parameters",
@@ -48,17 +51,21 @@ def export(
     from ident.servo.result import is_servo_file
     from ident.verdict.verdict import judge, together
 
-    targets = [path for path in (urdf, mjcf, ros2_inertial, *(source_paths(c) if c else ())) if path is not None]
+    files = (urdf, mjcf, ros2_inertial, ranges, *(source_paths(c) if c else ()))
+    targets = [path for path in files if path is not None]
     if not targets:
-        raise UsageError("names no file to write", hint="--urdf, --mjcf, --ros2-inertial or --c")
+        raise UsageError("names no file to write", hint="--urdf, --mjcf, --ros2-inertial, --c or --ranges")
     if c_float and c is None:
         raise UsageError("--c-float needs --c, the files to write")
     if into is not None and urdf is None:
         raise UsageError("--into needs --urdf, the file to write")
     check_outputs(targets, [result_path(model), into], overwrite=force)
     if is_servo_file(result_path(model)):
-        export_servo_command(model, mjcf, others=len(targets) > 1, force=force, as_json=as_json)
+        others = any(path is not None for path in (urdf, ros2_inertial, c))
+        export_servo_command(model, mjcf, ranges, others=others, force=force, as_json=as_json)
         return
+    if ranges is not None:
+        raise UsageError("--ranges is of a servo model", where=str(model), hint="dynid identify --method servo")
     exports = []
     with progress_line(quiet=as_json) as progress, written_together():
         progress("model")

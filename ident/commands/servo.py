@@ -88,28 +88,42 @@ def validate_servo_command(path: Path, runs: object, *, as_json: bool) -> None:
     _print(judged.verdict, [judged.errors])
 
 
-def export_servo_command(path: Path, mjcf: Path | None, others: bool, *, force: bool, as_json: bool) -> None:
-    """Write a stored servo model as MJCF.
+def export_servo_command(
+    path: Path, mjcf: Path | None, ranges: Path | None, *, others: bool, force: bool, as_json: bool
+) -> None:
+    """Write a stored servo model as MJCF, and ranges of its parameters.
 
     Raises:
         UsageError: another format is asked for.
     """
+    import json
+
+    from daq.output_files import replace_files
     from ident.servo.mjcf import left_out
     from ident.tasks.servo import load_servo_model
 
-    if mjcf is None or others:
-        raise UsageError("a servo model is exported as MJCF only", where=str(path), hint="--mjcf arm.xml")
+    if others:
+        raise UsageError("a servo model is exported as MJCF or ranges only", where=str(path), hint="--mjcf, --ranges")
     model = load_servo_model(path)
-    model.export_mjcf(mjcf, overwrite=force)
+    files: list[dict[str, object]] = []
     words = list(left_out(model.result.values))
+    if mjcf is not None:
+        model.export_mjcf(mjcf, overwrite=force)
+        files.append({"path": str(mjcf), "left_out": words})
+    if ranges is not None:
+        replace_files({ranges: json.dumps(model.ranges(), ensure_ascii=False, indent=1) + "\n"})
+        files.append({"path": str(ranges), "left_out": []})
     if as_json:
         from daq.commands.console import print_json
 
-        print_json({"model": str(path), "files": [{"path": str(mjcf), "left_out": words}]})
+        print_json({"model": str(path), "files": files})
         return
-    print(f"{mjcf}: MJCF with position actuators; ctrl is the commanded position")
-    if words:
-        print(f"not in this file: {', '.join(words)}")
+    if mjcf is not None:
+        print(f"{mjcf}: MJCF with position actuators; ctrl is the commanded position")
+        if words:
+            print(f"not in this file: {', '.join(words)}")
+    if ranges is not None:
+        print(f"{ranges}: 95 % boxes and covariance of every parameter, for domain randomisation")
 
 
 def _default(options: IdentifyOptions, name: str) -> bool:

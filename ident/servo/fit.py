@@ -519,7 +519,7 @@ def _scores(
 def _covariance(curvature: FloatArray, scores: FloatArray) -> FloatArray:
     """Covariance of the terms; very large in directions that the data do not show."""
     count, terms = scores.shape
-    lengths = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    lengths = np.sqrt(np.maximum(np.diag(curvature), 1e-150))
     normal = curvature / np.outer(lengths, lengths)
     powers, axes = np.linalg.eigh(normal)
     powers = np.maximum(powers, 1e-12)
@@ -528,7 +528,7 @@ def _covariance(curvature: FloatArray, scores: FloatArray) -> FloatArray:
     inflation = float(np.median(np.diag(spread) / powers))
     # No direction is known better than the curvature allows: where the data show nothing, the scores vanish, too.
     widened = np.maximum(np.diag(spread), inflation * powers)
-    factor = np.sqrt(widened / np.maximum(np.diag(spread), 1e-300))
+    factor = np.sqrt(widened / np.maximum(np.diag(spread), 1e-30))
     spread = spread * np.outer(factor, factor)
     turned_back = axes / powers
     covariance: FloatArray = turned_back @ spread @ turned_back.T / np.outer(lengths, lengths)

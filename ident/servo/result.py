@@ -160,6 +160,22 @@ class ServoResult(Stored):
         return error_table(f"Roll-out errors of {self.robot}", self, shown)
 
 
+def with_values(result: ServoResult, values: FloatArray) -> ServoResult:
+    """The result with other values (n, terms) of the parameters that it has."""
+    joints = [
+        joint.model_copy(
+            update={
+                "parameters": {
+                    name: parameter.model_copy(update={"value": float(values[row, INDEX[name]])})
+                    for name, parameter in joint.parameters.items()
+                }
+            }
+        )
+        for row, joint in enumerate(result.servo)
+    ]
+    return result.model_copy(update={"servo": joints})
+
+
 def error_table(title: str, result: ServoResult, shown: RolloutFit) -> Table:
     """Roll-out errors of each joint beside the references [mrad or mm]."""
     unit = "mm" if all(result.sliding) else "mrad, mm" if any(result.sliding) else "mrad"

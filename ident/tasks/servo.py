@@ -27,7 +27,8 @@ from ident.servo.identify import ServoIdentification, read_motions, revalidate_s
 from ident.servo.identify import identify_servo as identify_recordings
 from ident.servo.links import servo_links
 from ident.servo.mjcf import ServoReplay, replay, servo_mjcf
-from ident.servo.result import ServoResult, read_servo_result
+from ident.servo.ranges import drawn, servo_ranges
+from ident.servo.result import ServoResult, read_servo_result, with_values
 from ident.servo.terms import INDEX, TERMS
 from ident.tasks.arguments import Run, Runs, recording_of, recordings_of
 
@@ -119,6 +120,14 @@ class ServoModel:
             replayed = replay(text, self._links, self.result.values, motions, paths)
         replace_files({target: text})
         return replayed
+
+    def ranges(self) -> dict[str, object]:
+        """Ranges for domain randomisation: per joint the 95 % box of each parameter, and their covariance."""
+        return servo_ranges(self.result)
+
+    def drawn(self, seed: int) -> ServoModel:
+        """An arm that the recordings allow as well: parameters drawn from their covariance, within their intervals."""
+        return ServoModel(with_values(self.result, drawn(self.result, seed)))
 
     def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write `result.json` and `report.html` into a folder.

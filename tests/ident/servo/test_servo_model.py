@@ -108,6 +108,14 @@ def test_the_commands_validate_and_export_take_it(folder, short_run, tmp_path, m
     status, output, error = command_line.run(monkeypatch, capsys, "export", folder, "--mjcf", tmp_path / "arm.xml")
     assert status == 0, error
     assert "position actuators" in output
+    ranges = tmp_path / "ranges.json"
+    status, output, error = command_line.run(monkeypatch, capsys, "export", folder, "--ranges", ranges)
+    assert status == 0, error
+    joint = json.loads(ranges.read_text(encoding="utf-8"))["joints"][1]
+    assert np.shape(joint["covariance"]) == (len(joint["order"]),) * 2
+    status, _, error = command_line.run(monkeypatch, capsys, "export", folder, "--urdf", tmp_path / "arm.urdf")
+    assert status == 2
+    assert "ranges" in error
     status, _, error = command_line.run(monkeypatch, capsys, "predict", folder, run)
     assert status == 2
     assert "servo model" in error
@@ -133,6 +141,17 @@ def test_an_export_says_what_it_leaves_out_and_replaces_nothing_unasked(model, t
     assert played.model_error < played.shaped_error < played.error
     with pytest.raises(dynid.UsageError, match="exists"):
         model.export_mjcf(tmp_path / "arm.xml")
+
+
+def test_arms_that_the_data_allow_stay_within_the_intervals_and_differ(model):
+    arms = [model.drawn(seed).result for seed in range(3)]
+    for arm in arms:
+        for joint in arm.servo:
+            for name, parameter in joint.parameters.items():
+                if parameter.interval is not None and not parameter.unidentifiable:
+                    low, high = parameter.interval
+                    assert low <= parameter.value <= high, (joint.joint, name)
+    assert len({joint.parameters["damping"].value for arm in arms for joint in arm.servo}) == 3 * len(arms[0].servo)
 
 
 @pytest.mark.parametrize("mistake", ["clock", "order", "frozen", "degrees", "sign", "short"])
