@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from os import PathLike
 from pathlib import Path
 from typing import Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from daq.output_files import warn_of_strange_files
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import ResultFileError
-from drivers.core.files import RESULT_FILE, read_text
 from ident.friction.table import SHAPED, SHAPES, TEMPERATURE_KINDS
 from ident.result.friction import FrictionStep, JointFrictionResult, ParameterKind
+from ident.result.result_file import check_kind, read_content, stored
 from ident.stored import Number, Value
 
 FRICTION_FILE = "friction.json"
@@ -127,18 +125,7 @@ def read_friction_experiment(path: str | PathLike[str]) -> FrictionExperimentRes
         ResultFileError: no such file, or it is none.
     """
     file = friction_path(path)
-    where = str(file)
-    try:
-        content = json.loads(read_text(file, RESULT_FILE, ResultFileError))
-    except (ValueError, RecursionError) as error:
-        raise ResultFileError(f"is not JSON: {error}", where=where) from error
-    if not isinstance(content, dict) or content.get("kind") != "friction":
-        raise ResultFileError("is not a result of dynid friction (no key 'kind': 'friction')", where=where)
+    content = read_content(file)
+    check_kind(content, file, "friction", "dynid friction")
     warn_of_strange_files(file, content)
-    try:
-        return FrictionExperimentResult.model_validate(content)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(key) for key in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
-        raise ResultFileError(message, where=f"{where}: {key}" if key else where, hint="analyse again") from error
+    return stored(FrictionExperimentResult, content, file, "analyse again")

@@ -5,15 +5,19 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from daq.output_files import replace_files, warn_of_strange_files
 from drivers.core.errors import ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
 from ident.result.schema import RESULT_SCHEMA, Result
 from ident.stored import Stored
+
+Kind = TypeVar("Kind", bound=BaseModel)
 
 _NUMBERS = re.compile(r"\[\n[-+.0-9eEnul,\s]+\]")
 """A list of nothing but numbers, which stands in one line."""
@@ -50,32 +54,68 @@ def read_result(path: Path) -> Result:
     Raises:
         ResultFileError: no such file, no JSON, another kind of file, a newer schema, a missing key.
     """
-    where = str(path)
+    content = read_content(path)
+    if content.get("kind") == "servo":
+        raise ResultFileError(
+            "is a servo model, which has no torques",
+            where=str(path),
+            hint="dynid validate and dynid export --mjcf take it, and in Python dynid.load_servo_model",
+        )
+    check_kind(content, path, "result", "dynid identify")
+    check_schema(content, path, RESULT_SCHEMA)
+    warn_of_strange_files(path, content)
+    return stored(Result, content, path, "identify again")
+
+
+def read_content(path: Path) -> dict[str, Any]:
+    """The object of a JSON file of some result; empty where the JSON is no object.
+
+    Raises:
+        ResultFileError: no such file, or no JSON.
+    """
     try:
         content = json.loads(read_text(path, RESULT_FILE, ResultFileError))
     except (ValueError, RecursionError) as error:  # also a number of more than 4,300 digits
-        raise ResultFileError(f"is not JSON: {error}", where=where) from error
-    if isinstance(content, dict) and content.get("kind") == "servo":
-        raise ResultFileError(
-            "is a servo model, which has no torques",
-            where=where,
-            hint="dynid validate and dynid export --mjcf take it, and in Python dynid.load_servo_model",
-        )
-    if not isinstance(content, dict) or content.get("kind") != "result":
-        raise ResultFileError("is not a result of dynid identify (no key 'kind': 'result')", where=where)
+        raise ResultFileError(f"is not JSON: {error}", where=str(path)) from error
+    return content if isinstance(content, dict) else {}
+
+
+def check_kind(content: Mapping[str, Any], path: Path, kind: str, command: str) -> None:
+    """Refuse a result of another kind than the command writes.
+
+    Raises:
+        ResultFileError: it is one.
+    """
+    if content.get("kind") != kind:
+        raise ResultFileError(f"is not a result of {command} (no key 'kind': '{kind}')", where=str(path))
+
+
+def check_schema(content: Mapping[str, Any], path: Path, newest: int) -> None:
+    """Refuse a file of a later dynid.
+
+    Raises:
+        ResultFileError: it is one, or does not say.
+    """
     schema = content.get("dynid_schema")
-    if not isinstance(schema, int) or schema > RESULT_SCHEMA:
+    if not isinstance(schema, int) or schema > newest:
         raise ResultFileError(
-            f"has schema version {schema}, this dynid reads up to {RESULT_SCHEMA}", where=where, hint="update dynid"
+            f"has schema version {schema}, this dynid reads up to {newest}", where=str(path), hint="update dynid"
         )
-    warn_of_strange_files(path, content)
+
+
+def stored(kind: type[Kind], content: Mapping[str, Any], path: Path, hint: str) -> Kind:
+    """A result of a file's object.
+
+    Raises:
+        ResultFileError: a key is missing or wrong; names the first one.
+    """
     try:
-        return Result.model_validate(content)
+        return kind.model_validate(content)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(key) for key in first["loc"])
         message = first["msg"].removeprefix("Value error, ")
-        raise ResultFileError(message, where=f"{where}: {key}" if key else where, hint="identify again") from error
+        raise ResultFileError(message, where=f"{path}: {key}" if key else str(path), hint=hint) from error
 
 
 def file_sha256(path: Path) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.servo.links import ServoLinks
-from ident.servo.motion import SETTLING, MotionLoad, ServoMotion, lanes_of, motion_load
+from ident.servo.motion import SETTLING, MotionLoad, ServoMotion, lanes_of, motion_load, with_coupling
 from ident.servo.rollout import at_samples, roll_out
 from ident.servo.terms import INDEX
 
@@ -66,9 +66,7 @@ def path_load(links: ServoLinks, motion: ServoMotion, path: FloatArray, zero: Fl
     span = max(1, round(COUPLING_SPAN / motion.step))
     velocity = _averaged(np.gradient(path, motion.step, axis=0), span)
     acceleration = _averaged(np.gradient(velocity, motion.step, axis=0), span)
-    coupling = links.coupling((path[thin] + zero).T, velocity[thin].T, acceleration[thin].T)
-    between = np.stack([np.interp(motion.grid, times, row) for row in coupling], axis=1)
-    return MotionLoad(load.torque + between, load.slope, load.inertia)
+    return with_coupling(links, motion, load, times, (path[thin] + zero, velocity[thin], acceleration[thin]))
 
 
 def rollout_errors(motions: Sequence[ServoMotion], paths: Sequence[FloatArray]) -> FloatArray:

@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.links import ServoLinks
-from ident.servo.motion import MotionLoad, ServoMotion, lanes_of, motion_load
+from ident.servo.motion import MotionLoad, ServoMotion, lanes_of, motion_load, with_coupling
 from ident.servo.rollout import Lanes, repeated
 from ident.servo.search import (
     BLOCKED_LITTLE,
@@ -21,6 +21,7 @@ from ident.servo.search import (
     lane_cost,
     loss,
     normal_equations,
+    of_joint,
     robust_scale,
     search,
 )
@@ -55,10 +56,10 @@ FADING = (0.01, 0.05)
 """[rad/s] Starts of the Stribeck velocity."""
 
 WIDEST = 3.0
-"""Ratio of an interval's end to the value beyond which a positive term cannot be told."""
+"""Ratio of an interval's end to the value beyond which a positive term cannot be determined."""
 
 FEWEST_PIECES = 1.2
-"""Pieces of motion from which a term must be told: with a single one, its error at the optimum is 0 by construction."""
+"""Pieces of motion that must determine a term: with a single one, its error at the optimum is 0 by construction."""
 
 SMOOTHED = 0.14
 """[s] span of the local polynomial through measured positions that gives accelerations for coupling."""
@@ -150,8 +151,8 @@ def fit_servo(
     gains: list[dict[str, float]] = [{} for _ in range(joints)]
     values, free = _first_fit(chosen, judged, values, free, centre, np.flatnonzero(moving), held, least, gains)
     heavy = np.array([joint in weighted for joint in range(joints)])
-    told = (heavy & moving) | held[:, [INDEX[name] for name in TORQUES]].any(axis=1)
-    values, free, held, assumed = _tied(values, free, held, centre, told, moving, given)
+    scaled = (heavy & moving) | held[:, [INDEX[name] for name in TORQUES]].any(axis=1)
+    values, free, held, assumed = _tied(values, free, held, centre, scaled, moving, given)
     values = search(chosen, values, free, _scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
     for group in GROUPS:
         able = [joint for joint in np.flatnonzero(moving).tolist() if not held[joint, members(group)].any()]
@@ -199,9 +200,7 @@ def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray) -> M
     velocity, acceleration = (
         savgol_filter(motion.position, window, 3, deriv=order, delta=period, axis=0) for order in (1, 2)
     )
-    coupling = links.coupling((motion.position + zero).T, velocity.T, acceleration.T)
-    between = np.stack([np.interp(motion.grid, motion.time, row) for row in coupling], axis=1)
-    return MotionLoad(load.torque + between, load.slope, load.inertia)
+    return with_coupling(links, motion, load, motion.time, (motion.position + zero, velocity, acceleration))
 
 
 def _start(motions: Sequence[ServoMotion], links: ServoLinks) -> FloatArray:
@@ -306,21 +305,20 @@ def _best_start(
 ) -> FloatArray:
     """The start of a group that costs each joint least."""
     trial = trial.copy()
-    stiffness, coulomb = values[:, INDEX["stiffness"]], values[:, INDEX["coulomb"]]
-    trial[able, INDEX["breakaway"]] = np.where(group == "breakaway", 0.3 * coulomb, trial[:, INDEX["breakaway"]])[able]
     if group == "saturation":
+        stiffness = values[:, INDEX["stiffness"]]
         reach = np.zeros(len(values))
         error = np.abs(lanes.command[lanes.history :] - lanes.start)
         np.maximum.at(reach, lanes.joint, error.max(axis=0))
         trial[able, INDEX["torque_limit"]] = (0.5 * stiffness * np.maximum(reach, 1e-3))[able]
     if group != "breakaway":
         return trial
-    name, starts = "stribeck_velocity", FADING
-    costs = []
-    for start in starts:
-        trial[able, INDEX[name]] = start
+    trial[able, INDEX["breakaway"]] = 0.3 * values[able, INDEX["coulomb"]]
+    fading, costs = INDEX["stribeck_velocity"], []
+    for start in FADING:
+        trial[able, fading] = start
         costs.append(joint_cost(evaluate(lanes, trial)[0], lanes, scale, BLOCKED_LITTLE))
-    trial[able, INDEX[name]] = np.array(starts)[np.argmin(costs, axis=0)][able]
+    trial[able, fading] = np.array(FADING)[np.argmin(costs, axis=0)][able]
     return trial
 
 
@@ -416,7 +414,7 @@ def _tied(
     free: BoolArray,
     held: BoolArray,
     centre: FloatArray,
-    told: BoolArray,
+    scaled: BoolArray,
     moving: BoolArray,
     given: Mapping[tuple[int, str], float],
 ) -> tuple[FloatArray, BoolArray, BoolArray, frozenset[tuple[int, int]]]:
@@ -427,13 +425,13 @@ def _tied(
     """
     stiffness = INDEX["stiffness"]
     torques = [INDEX[name] for name in TORQUES]
-    showing = np.flatnonzero(told & moving & free[:, stiffness])
-    showing = np.flatnonzero(told & moving) if not len(showing) else showing
+    showing = np.flatnonzero(scaled & moving & free[:, stiffness])
+    showing = np.flatnonzero(scaled & moving) if not len(showing) else showing
     common = float(np.exp(np.mean(np.log(values[showing, stiffness])))) if len(showing) else TERMS[stiffness].start
     values, free, held = values.copy(), free.copy(), held.copy()
     assumed = set()
     others = np.flatnonzero(moving)
-    for joint in np.flatnonzero(~told).tolist():
+    for joint in np.flatnonzero(~scaled).tolist():
         if not moving[joint]:
             for index in members(""):
                 if (joint, TERMS[index].name) in given:
@@ -491,10 +489,8 @@ def _pieces_that_tell(
     tangents: FloatArray, residual: FloatArray, lanes: Lanes, joint: int, columns: IndexArray, own: IndexArray
 ) -> FloatArray:
     """(terms,) number of pieces that a term's information comes from, as if each gave the same."""
-    chosen = np.flatnonzero(lanes.joint == joint)
-    counted = np.isfinite(residual[:, chosen])
-    squares = tangents[np.searchsorted(columns, own)][:, :, chosen] ** 2
-    information = np.einsum("fsl,sl->fl", squares, counted.astype(np.float64))
+    error, derivative = of_joint(residual, tangents, lanes, joint, columns, own)
+    information = np.einsum("fsl,sl->fl", derivative**2, np.isfinite(error).astype(np.float64))
     return np.asarray(information.sum(axis=1) ** 2 / np.maximum((information**2).sum(axis=1), 1e-300), dtype=np.float64)
 
 
@@ -508,12 +504,11 @@ def _scores(
     own: IndexArray,
 ) -> FloatArray:
     """(pieces, terms) gradient of each piece's cost."""
-    rows = np.searchsorted(columns, own)
-    chosen = np.flatnonzero(lanes.joint == joint)
-    error = np.nan_to_num(residual[:, chosen] / scale)
+    measured, derivative = of_joint(residual, tangents, lanes, joint, columns, own)
+    error = np.nan_to_num(measured / scale)
     weighted = error * loss(error, BLOCKED_LITTLE)[1] / scale
-    scores: FloatArray = np.einsum("sl,fsl->lf", weighted, tangents[rows][:, :, chosen])
-    return scores[np.isfinite(residual[:, chosen]).any(axis=0)]
+    scores: FloatArray = np.einsum("sl,fsl->lf", weighted, derivative)
+    return scores[np.isfinite(measured).any(axis=0)]
 
 
 def _covariance(curvature: FloatArray, scores: FloatArray) -> FloatArray:

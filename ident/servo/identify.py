@@ -104,7 +104,7 @@ def identify_servo(
     moving = np.array([max(np.ptp(motion.command[:, joint]) for motion in motions) for joint in range(robot.dof)])
     if not np.any(moving > 5 * steps):
         raise IdentificationError("no joint is commanded to move by more than five encoder steps")
-    fitted = fit_servo(motions, links, steps, _given(given, robot.joint_names), lambda step: progress(step))
+    fitted = fit_servo(motions, links, steps, _given(given, robot.joint_names), progress)
     progress("roll-out")
     lag = delay_and_lag(motions)
     fit, _ = judge(motions, links, fitted.values, lag, held_out=False)

@@ -153,6 +153,28 @@ def motion_load(
     return MotionLoad(on_grid(times, gravity) - zero * slopes, slopes, on_grid(times[thin], inertia))
 
 
+def with_coupling(
+    links: ServoLinks,
+    motion: ServoMotion,
+    load: MotionLoad,
+    times: FloatArray,
+    moved: tuple[FloatArray, FloatArray, FloatArray],
+) -> MotionLoad:
+    """The load with the torques between the joints.
+
+    Args:
+        links: of the arm.
+        motion: whose grid it is.
+        load: gravity and inertia.
+        times: (N,) [s].
+        moved: positions with `zero` added, velocities and accelerations (N, n) at these times.
+    """
+    position, velocity, acceleration = moved
+    coupling = links.coupling(position.T, velocity.T, acceleration.T)
+    between = np.stack([np.interp(motion.grid, times, row) for row in coupling], axis=1)
+    return MotionLoad(load.torque + between, load.slope, load.inertia)
+
+
 def lanes_of(motions: Sequence[ServoMotion], loads: Sequence[MotionLoad], piece: float | None = PIECE) -> Lanes:
     """Lanes of all joints of motions, cut into pieces [s]; whole where None.
 

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field
 
+from daq.output_files import warn_of_strange_files
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ResultFileError
-from drivers.core.files import RESULT_FILE, read_text
+from ident.result.result_file import check_kind, check_schema, read_content, stored
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.servo.terms import INDEX, TERMS
 from ident.stored import Stored, Value
 
 SERVO_SCHEMA = 1
+KIND = "servo"
 
 
 class ServoParameter(Stored):
@@ -130,7 +131,7 @@ class ServoResult(Stored):
         for joint in self.servo:
             for name, parameter in joint.parameters.items():
                 low, high = parameter.interval or (None, None)
-                told = {"given": "given", "assumed": "assumed"}.get(parameter.origin, "")
+                determined = "unidentifiable" if parameter.unidentifiable else "identified"
                 rows.append(
                     [
                         joint.joint,
@@ -139,7 +140,7 @@ class ServoResult(Stored):
                         None if parameter.unidentifiable else low,
                         None if parameter.unidentifiable else high,
                         parameter.unit,
-                        told or ("unidentifiable" if parameter.unidentifiable else "identified"),
+                        determined if parameter.origin == "data" else parameter.origin,
                     ]
                 )
         columns = [
@@ -194,10 +195,9 @@ def error_table(title: str, result: ServoResult, shown: RolloutFit) -> Table:
 def is_servo_file(path: Path) -> bool:
     """Whether a result.json is that of a servo model; False where it cannot be read."""
     try:
-        content = json.loads(read_text(path, RESULT_FILE, ResultFileError))
-    except (ValueError, RecursionError, ResultFileError):
+        return read_content(path).get("kind") == KIND
+    except ResultFileError:
         return False
-    return isinstance(content, dict) and content.get("kind") == "servo"
 
 
 def read_servo_result(path: Path) -> ServoResult:
@@ -206,29 +206,16 @@ def read_servo_result(path: Path) -> ServoResult:
     Raises:
         ResultFileError: no such file, another kind of file, a newer schema, a missing key.
     """
-    where = str(path)
-    try:
-        content = json.loads(read_text(path, RESULT_FILE, ResultFileError))
-    except (ValueError, RecursionError) as error:
-        raise ResultFileError(f"is not JSON: {error}", where=where) from error
-    if not isinstance(content, dict) or content.get("kind") != "servo":
-        raise ResultFileError("is not the result of dynid identify --method servo", where=where)
-    schema = content.get("dynid_schema")
-    if not isinstance(schema, int) or schema > SERVO_SCHEMA:
-        raise ResultFileError(
-            f"has schema version {schema}, this dynid reads up to {SERVO_SCHEMA}", where=where, hint="update dynid"
-        )
-    try:
-        result = ServoResult.model_validate(content)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        key = ".".join(str(key) for key in first["loc"])
-        raise ResultFileError(first["msg"], where=f"{where}: {key}", hint="identify again") from error
+    content = read_content(path)
+    check_kind(content, path, KIND, "dynid identify --method servo")
+    check_schema(content, path, SERVO_SCHEMA)
+    warn_of_strange_files(path, content)
+    result = stored(ServoResult, content, path, "identify again")
     unknown = {name for joint in result.servo for name in joint.parameters} - set(INDEX)
     if unknown or len(result.servo) != len(result.joints):
         raise ResultFileError(
             f"names the unknown parameter '{min(unknown)}'" if unknown else "does not have one entry a joint",
-            where=f"{where}: servo",
+            where=f"{path}: servo",
             hint="identify again",
         )
     return result

@@ -119,6 +119,15 @@ def search(
     return np.where(free, from_search(point), values)
 
 
+def of_joint(
+    residual: FloatArray, tangents: FloatArray, lanes: Lanes, joint: int, columns: IndexArray, own: IndexArray
+) -> tuple[FloatArray, FloatArray]:
+    """Residuals (S, l) of a joint's lanes, and their derivatives (f, S, l) by its own terms among the `columns`."""
+    chosen = np.flatnonzero(lanes.joint == joint)
+    rows = np.searchsorted(columns, own)
+    return residual[:, chosen], tangents[np.ix_(rows, np.arange(tangents.shape[1]), chosen)]
+
+
 def normal_equations(
     residual: FloatArray,
     tangents: FloatArray,
@@ -130,12 +139,9 @@ def normal_equations(
     shape: float,
 ) -> tuple[FloatArray, FloatArray]:
     """Curvature and gradient of a joint's robust cost by its own terms (half of the derivatives)."""
-    rows = np.searchsorted(columns, own)
-    chosen = np.flatnonzero(lanes.joint == joint)
-    error = residual[:, chosen] / scale
-    counted = np.isfinite(error)
-    error = error[counted]
-    jacobian = tangents[np.ix_(rows, np.arange(tangents.shape[1]), chosen)][:, counted] / scale
+    measured, derivative = of_joint(residual, tangents, lanes, joint, columns, own)
+    counted = np.isfinite(measured)
+    error, jacobian = measured[counted] / scale, derivative[:, counted] / scale
     weight = loss(error, shape)[1]
     return (jacobian * weight) @ jacobian.T, jacobian @ (weight * error)
 
