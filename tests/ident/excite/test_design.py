@@ -6,9 +6,10 @@ import functools
 
 import numpy as np
 import pytest
+from arm_kinds import ARM_KINDS
 
 from daq.motion.limits import check_limits, check_rest
-from daq.robot.loader import builtin_robots, load_robot
+from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
 from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
@@ -208,7 +209,7 @@ def test_limits_that_exclude_every_motion_are_named():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", builtin_robots())
+@pytest.mark.parametrize("name", ARM_KINDS)
 def test_every_robot_has_a_feasible_motion_of_every_kind_however_short_the_time(name, kind):
     robot_file = load_robot(name)
     found = made(robot_file, SearchChoices(starts=None, time=1e-3, workers=1), kind=kind)

@@ -6,10 +6,11 @@ import re
 
 import numpy as np
 import pytest
+from arm_kinds import ARM_KINDS
 
 from daq.motion.motion_check import MotionCheck
 from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest, slow_move
-from daq.robot.loader import builtin_robots, load_robot, parse_robot
+from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import MotionRefusedError
 from ident.excite.constraints.workspace import box_distances
 from ident.excite.motion_check import ArmMotionCheck
@@ -178,7 +179,7 @@ def test_torque_is_predicted_and_too_much_refused() -> None:
         ArmMotionCheck(weak).trajectory(motion, "traj")
 
 
-@pytest.mark.parametrize("name", builtin_robots())
+@pytest.mark.parametrize("name", ARM_KINDS)
 def test_every_built_in_robot_has_poses_that_it_may_move_around(name) -> None:
     robot_file = load_robot(name)
     check, limits = ArmMotionCheck(robot_file), robot_file.robot.joints

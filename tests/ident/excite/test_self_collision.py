@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import yaml
+from arm_kinds import ARM_KINDS
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
 from daq.commands.confirmation import motion_lines
 from daq.motion.trajectories import PointToPoint
-from daq.robot.loader import builtin_robots, load_robot, parse_robot
+from daq.robot.loader import load_robot, parse_robot
 from daq.robot.workspace import Workspace
 from drivers.core.errors import RobotFileError
 from ident.checks.robot_check import check_robot
@@ -186,7 +187,7 @@ def test_pairs_that_are_close_by_construction_and_those_that_are_ignored_are_lef
     assert len(every) == len(set(every)) == 21
 
 
-@pytest.mark.parametrize("robot", builtin_robots())
+@pytest.mark.parametrize("robot", ARM_KINDS)
 def test_every_checked_pair_of_a_builtin_arm_can_be_kept_apart(robot):
     # A pair that is within the margin of a limit in every configuration would make every design fail.
     model, geometry, workspace = built_in(robot)

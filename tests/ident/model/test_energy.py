@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arm_kinds import ARM_KINDS
 
-from daq.robot.loader import builtin_robots, load_robot
+from daq.robot.loader import load_robot
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.energy import EnergyKernel, energy_base_parameters, motor_velocity
@@ -67,7 +68,7 @@ def test_every_column_balances_on_random_trees(random_tree, seed):
     assert_work_is_stored_or_lost(random_tree(seed + 50, dof=1 + seed % 8), seed)
 
 
-@pytest.mark.parametrize("name", builtin_robots())
+@pytest.mark.parametrize("name", ARM_KINDS)
 def test_every_column_balances_on_the_built_in_arms(name):
     """Closed loops and coupled motors included, where the file has them."""
     assert_work_is_stored_or_lost(build_model(load_robot(name)), seed=3)
@@ -82,7 +83,7 @@ def assert_same_base(model) -> None:
     assert energy.margin > 1e6
 
 
-@pytest.mark.parametrize("name", builtin_robots())
+@pytest.mark.parametrize("name", ARM_KINDS)
 def test_base_parameters_are_those_of_the_dynamic_model(name):
     assert_same_base(build_model(load_robot(name)))
 

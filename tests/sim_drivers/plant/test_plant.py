@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from arm_kinds import ARM_KINDS
 
-from daq.robot.loader import builtin_robots, load_robot, parse_robot
+from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
@@ -15,7 +16,7 @@ from sim_drivers.can_signals.arm import MEASURED
 from sim_drivers.plant.plant import Plant, PlantSettings
 from sim_drivers.synthetic.motion import random_fourier_motion
 
-SIMULATED = [name for name in builtin_robots() if load_robot(name).robot.truth.links]
+SIMULATED = [name for name in ARM_KINDS if load_robot(name).robot.truth.links]
 FREE = PlantSettings(controller="none")
 START = np.array([0.4, -1.1, 0.9, -0.3, 0.7, 0.2])
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arm_kinds import ARM_KINDS
 
 from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM
 from daq.recording.writer import write_recording
-from daq.robot.loader import builtin_robots, load_robot, parse_robot
+from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
@@ -17,7 +18,7 @@ from ident.signals.joint_signals import read_joint_signals
 from sim_drivers.synthetic.measurement import simulate_recording
 from sim_drivers.synthetic.motion import random_fourier_motion
 
-SIMULATED = [name for name in builtin_robots() if load_robot(name).robot.truth.links]
+SIMULATED = [name for name in ARM_KINDS if load_robot(name).robot.truth.links]
 
 
 @pytest.fixture(scope="module")

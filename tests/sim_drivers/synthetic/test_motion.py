@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from arm_kinds import ARM_KINDS
 
-from daq.robot.loader import builtin_robots, load_robot
+from daq.robot.loader import load_robot
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
@@ -17,7 +18,7 @@ from sim_drivers.synthetic.motion import LIMIT_SHARE, random_fourier_motion
 DENSE = 4000  # points a period, ten times what the motion was scaled on
 
 
-@pytest.mark.parametrize("name", builtin_robots())
+@pytest.mark.parametrize("name", ARM_KINDS)
 @pytest.mark.parametrize("period", [3.0, 20.0])
 def test_limits_hold_on_a_dense_grid(name, period):
     model = build_model(load_robot(name))

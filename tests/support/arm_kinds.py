@@ -1,0 +1,9 @@
+"""Built-in arms of which no two differ in the size of their links alone: for tests whose cases cost seconds."""
+
+from __future__ import annotations
+
+from daq.robot.loader import builtin_robots
+
+LIKE_ANOTHER = {"ur3e", "ur16e", "ur20"}  # as ur5e and ur10e
+
+ARM_KINDS = [name for name in builtin_robots() if name not in LIKE_ANOTHER]
