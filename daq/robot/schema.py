@@ -266,14 +266,34 @@ class TruthLink(Section):
 
 
 class TruthServo(Section):
-    """A simulated position-controlled servo, joint side."""
+    """A simulated position-controlled servo, joint side; torques at the nominal voltage and the ambient temperature."""
 
     stiffness: Positive = Field(description="gain of the position loop [N·m/rad]")
+    gain_d: NonNegative = Field(default=0.0, description="gain against velocity [N·m·s/rad]")
     delay: NonNegative = Field(default=0.0, description="from a command to its effect [s]")
+    jitter: NonNegative = Field(default=0.0, description="commands come up to so much later, each anew [s]")
     acceleration: Positive = Field(default=1e7, description="limit of the servo's own profile [rad/s²]")
-    torque_limit: Positive = Field(default=1e7, description="[N·m]")
+    torque_limit: Positive = Field(default=1e7, description="of the full duty cycle, or of the current [N·m]")
+    no_load_speed: Positive | None = Field(
+        default=None,
+        description="of the full duty cycle: back-EMF grows with speed, and torque with the supply; none: the current "
+        "is controlled [rad/s]",
+    )
+    stall_current: NonNegative = Field(default=0.0, description="drawn from the supply at the torque limit [A]")
+    dead_band: NonNegative = Field(default=0.0, description="position error that has no effect [rad]")
+    encoder_step: NonNegative = Field(default=0.0, description="of the position that the loop sees [rad]")
     load_friction: NonNegative = Field(default=0.0, description="share of the torque lost in the gear")
     bias: Finite = Field(default=0.0, description="of the held position against the command [rad]")
+    backlash: NonNegative = Field(
+        default=0.0, description="play between motor and joint; the encoder is behind it [rad]"
+    )
+    gear_stiffness: Positive = Field(default=500.0, description="where the play is used up [N·m/rad]")
+    joint_friction: Annotated[float, Field(ge=0, le=1)] = Field(
+        default=0.2, description="share of the Coulomb friction behind the play, on the joint's side"
+    )
+    resistance_slope: Finite = Field(default=0.0, description="of the winding, relative; copper has 0.00393 [1/K]")
+    torque_slope: Finite = Field(default=0.0, description="of torque over current, relative, with the winding [1/K]")
+    viscous_slope: Finite = Field(default=0.0, description="of viscous friction, relative, with the housing [1/K]")
 
 
 class TruthJoint(Section):
@@ -309,6 +329,14 @@ class TruthThermal(Section):
     housing_to_ambient: Positive = Field(default=1.5, description="[W/K]")
 
 
+class TruthSupply(Section):
+    """The supply that all servos of a simulated arm share."""
+
+    nominal: Positive = Field(description="at which torque limits and no-load speeds hold [V]")
+    voltage: Positive = Field(description="without load [V]")
+    resistance: NonNegative = Field(default=0.0, description="of source and cable [Ω]")
+
+
 class TruthNoise(Section):
     """Errors of the simulated sensors."""
 
@@ -329,6 +357,7 @@ class Truth(Section):
     links: dict[str, TruthLink] = Field(default_factory=dict, description="joint → the link that it moves")
     joints: dict[str, TruthJoint] = Field(default_factory=dict)
     thermal: TruthThermal = Field(default_factory=TruthThermal)
+    supply: TruthSupply | None = Field(default=None, description="of servos; their nominal voltage without")
     noise: TruthNoise = Field(default_factory=TruthNoise)
 
 

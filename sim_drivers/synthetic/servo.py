@@ -1,24 +1,23 @@
-"""Recordings of a simulated servo arm: commands and encoder, all joints coupled, dry friction exact in every step."""
+"""Recordings of a simulated servo arm: commands in, encoder out."""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
+from daq.motion.trajectories import Motion
+from daq.motion.trajectory_file import load_trajectory
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream, software_versions
 from daq.robot.loader import RobotFile, load_robot
-from daq.robot.schema import TruthJoint, TruthServo
+from daq.robot.schema import TruthServo
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import RobotFileError, UsageError
+from drivers.core.errors import UsageError
 from drivers.streams import UNITS
-from ident.model.rigid_arm import rigid_arm
-from ident.model.true_parameters import true_model, truth_vector
-from ident.simulation.dry_friction import dry_friction
-
-STEP = 0.002
-"""[s] of the simulation."""
+from sim_drivers.plant.sensors import quantised
+from sim_drivers.plant.servo import ServoArm, true_servos
 
 REACH = 0.45
 """[rad or m] of the commands about the middle of the range, at most."""
@@ -28,21 +27,27 @@ TONES = 4
 
 
 def simulate_servo(
-    robot: str | Path | RobotFile, duration: float = 30.0, seed: int = 0, rate: float | None = None
+    robot: str | Path | RobotFile,
+    duration: float = 30.0,
+    seed: int = 0,
+    rate: float | None = None,
+    motion: str | PathLike[str] | None = None,
 ) -> Recording:
     """Record a simulated servo arm: slow sines, steps and a chirp to 3 Hz of all joints, a third of the time each.
 
-    The recording holds `position`, quantised by the encoder, and `target_position`; no current and no torque.
+    The recording holds `position`, quantised by the encoder, and `target_position`; `temperature` of the housings where
+    the truth's drives depend on it; no current and no torque.
 
     Args:
         robot: built-in name, robot file whose `truth.joints` have a `servo`, or the result of `load_robot`.
         duration: of the recording [s].
-        seed: of the commands.
+        seed: of the commands, and of when they come.
         rate: of commands and samples [Hz]; the robot file's where absent.
+        motion: trajectory file, or CSV of positions, that is played in place of the commands above, from rest to rest.
 
     Raises:
         RobotFileError: no such robot, or its truth has no servos.
-        UsageError: a duration or a rate that is not positive.
+        UsageError: a duration or a rate that is not positive, or a motion of another arm.
 
     Example:
         >>> import dynid
@@ -54,19 +59,45 @@ def simulate_servo(
         if value is not None and not 0 < value < float("inf"):
             raise UsageError(f"{name} {value:g} is not a positive number")
     file = load_robot(robot)
+    true_servos(file.robot, file.where)
     noise = file.robot.truth.noise
     frequency = noise.rate if rate is None else rate
-    time = np.arange(max(2, round(duration * frequency))) / frequency
-    command = servo_commands(file, time, seed)
-    position = simulated_servo(file, time, command)
-    if noise.encoder_resolution > 0:
-        position = np.round(position / noise.encoder_resolution) * noise.encoder_resolution
-    names = file.robot.joint_names
+    if motion is None:
+        time = np.arange(max(2, round(duration * frequency))) / frequency
+        command = servo_commands(file, time, seed)
+    else:
+        played: Motion = load_trajectory(Path(motion), file.robot).motion
+        time = np.arange(max(2, round(played.duration * frequency) + 1)) / frequency
+        command = played.evaluate(np.minimum(time, played.duration))[0].T.copy()
+    return record_servo(file, time, command, seed)
+
+
+def record_servo(
+    file: RobotFile, time: FloatArray, command: FloatArray, seed: int, celsius: float | None = None
+) -> Recording:
+    """Record a simulated servo arm on commands (N, n) [rad or m] that are held between their times (N,) [s].
+
+    Args:
+        file: its truth has a servo for every joint.
+        time: of commands and samples.
+        command: (N, n).
+        seed: of the commands' jitter.
+        celsius: of windings and housings at first; the ambient one where None.
+
+    Raises:
+        RobotFileError: a joint has no true servo.
+    """
+    noise, names = file.robot.truth.noise, file.robot.joint_names
+    position, housing = simulated_servo(file, time, command, seed, celsius)
     unit = file.robot.column_unit(UNITS["position"], names)
+    position = quantised(position, noise.encoder_resolution)
     channels = {
         "position": Channel("position", position, unit, names, "simulated encoder"),
         "target_position": Channel("target_position", command, unit, names, "commands of a simulated arm"),
     }
+    if any(s.resistance_slope or s.torque_slope or s.viscous_slope for s in true_servos(file.robot, file.where)):
+        shown = quantised(housing, noise.temperature_resolution)
+        channels["temperature"] = Channel("temperature", shown, UNITS["temperature"], names, "simulated sensor")
     return Recording(
         robot_text=file.text,
         urdf_text=file.urdf_text or "",
@@ -96,60 +127,46 @@ def servo_commands(file: RobotFile, time: FloatArray, seed: int) -> FloatArray:
     return commands
 
 
-def simulated_servo(file: RobotFile, time: FloatArray, command: FloatArray) -> FloatArray:
-    """Positions (N, n) of the true arm on commands (N, n) that are held between their times (N,).
+def simulated_servo(
+    file: RobotFile, time: FloatArray, command: FloatArray, seed: int = 0, celsius: float | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Positions and housing temperatures (N, n) of the true arm on commands (N, n), held between their times (N,).
 
     Raises:
         RobotFileError: a joint has no true servo.
     """
-    robot = file.robot
-    truths = [robot.truth.joints.get(name, TruthJoint()) for name in robot.joint_names]
-    servos = [truth.servo for truth in truths if truth.servo is not None]
-    if len(servos) < len(truths):
-        raise RobotFileError("some joint has no servo", where=f"{file.where}: truth.joints")
-    model = true_model(file)
-    inertial = truth_vector(file, model)[: 10 * len(model.joints)]
-    arm = rigid_arm(model, inertial, np.array([truth.motor_inertia for truth in truths]))
-    damping = np.array([truth.viscous for truth in truths])
-    coulomb = np.array([truth.coulomb for truth in truths])
-    breakaway = np.array([truth.stribeck for truth in truths])
-    fading = np.array([truth.stribeck_velocity for truth in truths])
-
-    def of(name: str) -> FloatArray:
-        return np.array([getattr(servo, name) for servo in servos], dtype=np.float64)
-
-    stiffness, limit, share, bias = of("stiffness"), of("torque_limit"), of("load_friction"), of("bias")
-    count = int(np.ceil(time[-1] / STEP)) + 1
-    targets = _targets(servos, time, command, count)
-    position, velocity = command[0].copy(), np.zeros(len(truths))
-    guess, path = np.zeros(len(truths)), np.empty((count, len(truths)))
+    arm = ServoArm(file, command[0].copy(), celsius)
+    count = int(np.ceil(time[-1] / arm.step)) + 1
+    arrived = _arrived(true_servos(file.robot, file.where), time, seed)
+    goals = _goals(true_servos(file.robot, file.where), arrived, command, count, arm.step)
+    path, warmth = np.empty((count, command.shape[1])), np.empty((count, command.shape[1]))
     for index in range(count):
-        path[index] = position
-        linear = stiffness * (targets[index] - position - bias)
-        torque = np.clip(linear, -limit, limit)
-        acting = np.where(np.abs(linear) < limit, stiffness, 0.0)
-        matrix = arm.inertia(position) + np.diag(STEP * damping + STEP**2 * acting)
-        momentum = arm.inertia(position) @ velocity + STEP * (torque - arm.bias(position, velocity))
-        free = np.linalg.solve(matrix, momentum)
-        friction = coulomb + share * np.abs(torque) + breakaway * np.exp(-((velocity / fading) ** 2))
-        response = np.asarray(STEP * np.linalg.inv(matrix), dtype=np.float64)
-        guess = dry_friction(response, free, np.maximum(friction, 1e-9), guess)
-        velocity = free - response @ guess
-        position = position + STEP * velocity
-    grid = np.arange(count) * STEP
-    return np.stack([np.interp(time, grid, column) for column in path.T], axis=1)
+        path[index], warmth[index] = arm.position, arm.heat.housing
+        arm.advance(goals[index])
+    grid = np.arange(count) * arm.step
+    return tuple(np.stack([np.interp(time, grid, column) for column in rows.T], axis=1) for rows in (path, warmth))  # type: ignore[return-value]
 
 
-def _targets(servos: list[TruthServo], time: FloatArray, command: FloatArray, count: int) -> FloatArray:
-    """Goals (count, n) of the servos' profiles, which stop at the delayed command as fast as they may."""
+def _arrived(servos: list[TruthServo], time: FloatArray, seed: int) -> FloatArray:
+    """(N, n) when each command takes effect [s]: all servos are late by the same part of their jitter."""
+    late = np.random.default_rng([seed, 1]).uniform(0.0, 1.0, len(time))
+    return np.stack([time + servo.delay + servo.jitter * late for servo in servos], axis=1)
+
+
+def _goals(servos: list[TruthServo], arrived: FloatArray, command: FloatArray, count: int, step: float) -> FloatArray:
+    """Goals (count, n) of the servos' profiles, which stop at the latest command as fast as they may."""
     goals = np.empty((count, len(servos)))
     for joint, servo in enumerate(servos):
-        goal, pace, most = float(command[0, joint]), 0.0, servo.acceleration * STEP
-        latest = np.searchsorted(time, np.arange(1, count + 1) * STEP - servo.delay, side="right") - 1
-        for index, target in enumerate(command[np.clip(latest, 0, len(time) - 1), joint].tolist()):
+        goal, pace, most = float(command[0, joint]), 0.0, servo.acceleration * step
+        # A command that a later one overtakes has no effect.
+        order = np.argsort(arrived[:, joint], kind="stable")
+        newest = np.maximum.accumulate(order)
+        latest = np.searchsorted(arrived[order, joint], np.arange(1, count + 1) * step, side="right") - 1
+        chosen = np.where(latest < 0, 0, newest[np.maximum(latest, 0)])
+        for index, target in enumerate(command[chosen, joint].tolist()):
             distance = abs(target - goal)
-            speed = min((2 * servo.acceleration * distance + most**2 / 4) ** 0.5 - most / 2, distance / STEP)
+            speed = min((2 * servo.acceleration * distance + most**2 / 4) ** 0.5 - most / 2, distance / step)
             pace = min(max(speed if target > goal else -speed, pace - most), pace + most)
-            goal += STEP * pace
+            goal += step * pace
             goals[index, joint] = goal
     return goals

@@ -1,0 +1,228 @@
+"""A simulated arm of position-controlled servos: what a position command becomes, step by step.
+
+Joint j, with duty d, share s of the supply's nominal voltage, winding and housing ΔW and ΔH above the ambient air:
+
+    e = goal − encoder − bias, less the dead band        d = clip(stiffness·e / torque_limit, ±1)
+    drive τ = c/r·s·torque_limit·d                       c = 1 + torque_slope·ΔW,  r = 1 + resistance_slope·ΔW
+    back-EMF and derivative gain: (c²/r·torque_limit/no_load_speed + gain_d)·q̇
+    friction: viscous·(1 + viscous_slope·ΔH)·q̇, and dry: coulomb + load_friction·|τ| + stribeck·exp(−(q̇/v_s)²)
+
+A servo without `no_load_speed` controls its current: r and s do not matter, and there is no back-EMF. The voltage
+sags by the current that the duty cycles draw. Where a joint has play, motor and joint are two bodies, which a stiff
+gear holds together at its ends; the encoder is the joint's. Each step solves all bodies together, implicitly in
+stiffness and damping, with dry friction exact (`ident.simulation.dry_friction`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from daq.robot.loader import RobotFile
+from daq.robot.schema import Robot, TruthJoint, TruthServo, TruthSupply
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import RobotFileError
+from ident.model.rigid_arm import rigid_arm
+from ident.model.true_parameters import true_model, truth_vector
+from ident.simulation.dry_friction import dry_friction
+from sim_drivers.plant.thermal import JointHeat
+
+STEP = 0.002
+"""[s] of an arm without play."""
+
+STEP_WITH_PLAY = 0.001
+"""[s] of an arm with play."""
+
+HEATING_STEPS = 50
+"""Steps between two changes of temperatures."""
+
+GEAR_DAMPING = 0.5
+"""Damping ratio of a gear at the end of its play."""
+
+
+def true_servos(robot: Robot, where: str) -> list[TruthServo]:
+    """The servo of every joint.
+
+    Raises:
+        RobotFileError: a joint has none.
+    """
+    servos = [robot.truth.joints.get(name, TruthJoint()).servo for name in robot.joint_names]
+    without = [name for name, servo in zip(robot.joint_names, servos, strict=True) if servo is None]
+    if without:
+        raise RobotFileError(f"no servo for joint(s) {', '.join(without)}", where=f"{where}: truth.joints")
+    return [servo for servo in servos if servo is not None]
+
+
+class ServoArm:
+    """State of a simulated servo arm; arrays (n,), joint side.
+
+    Args:
+        file: its truth has a servo for every joint.
+        position: (n,) at which it stands at first [rad or m].
+        celsius: of windings and housings at first; the truth's ambient one where None.
+
+    Attributes:
+        step: of `advance` [s].
+        torque: (n,) of the drives in the last step [N·m or N].
+        current: (n,) of the motors in the last step, with its sign; 0 without a `stall_current` [A].
+        heat: temperatures of windings and housings.
+        supply: share of the nominal voltage.
+    """
+
+    def __init__(self, file: RobotFile, position: FloatArray, celsius: float | None = None) -> None:
+        robot = file.robot
+        servos = true_servos(robot, file.where)
+        truths = [robot.truth.joints[name] for name in robot.joint_names]
+        self._supply = robot.truth.supply or TruthSupply(nominal=1.0, voltage=1.0)
+
+        def of(name: str) -> FloatArray:
+            return np.array([getattr(servo, name) for servo in servos], dtype=np.float64)
+
+        def joint(name: str) -> FloatArray:
+            return np.array([getattr(truth, name) for truth in truths], dtype=np.float64)
+
+        self._stiffness, self._limit, self._bias = of("stiffness"), of("torque_limit"), of("bias")
+        self._dead_band, self._encoder, self._stall = of("dead_band"), of("encoder_step"), of("stall_current")
+        self._voltage = np.array([servo.no_load_speed is not None for servo in servos])
+        self._back = np.array([0.0 if s.no_load_speed is None else s.torque_limit / s.no_load_speed for s in servos])
+        self._gain_d, self._share, self._behind = of("gain_d"), of("load_friction"), of("joint_friction")
+        self._slopes = of("resistance_slope"), of("torque_slope"), of("viscous_slope")
+        self._viscous, self._coulomb = joint("viscous"), joint("coulomb")
+        self._breakaway, self._fading = joint("stribeck"), joint("stribeck_velocity")
+        # A loop that sees steps, or a joint behind play, does not see the motor move within a step.
+        self._implicit = np.where((self._encoder > 0) | (of("backlash") > 0), 0.0, self._stiffness)
+        armature = joint("motor_inertia")
+        play = of("backlash")
+        count, self._loose = len(servos), np.flatnonzero(play > 0)
+        self._half_play, self._gear = play[self._loose] / 2, of("gear_stiffness")[self._loose]
+        self._rotor = armature[self._loose]
+        self._gear_damping = 2.0 * GEAR_DAMPING * np.sqrt(self._gear * self._rotor)
+        self._driven = np.arange(count)
+        self._driven[self._loose] = count + np.arange(len(self._loose))
+        model = true_model(file)
+        inertial = truth_vector(file, model)[: 10 * len(model.joints)]
+        armature[self._loose] = 0.0
+        self._arm = rigid_arm(model, inertial, armature)
+        self.step = STEP_WITH_PLAY if len(self._loose) else STEP
+        self._dof = count
+        self._bodies = np.concatenate([position, position[self._loose]])
+        self._rates = np.zeros(len(self._bodies))
+        self._guess = np.zeros(len(self._bodies))
+        self.torque, self.current = np.zeros(count), np.zeros(count)
+        self.supply = self._supply.voltage / self._supply.nominal
+        self.heat = JointHeat(robot.truth.thermal, count, HEATING_STEPS * self.step)
+        if celsius is not None:
+            self.heat.winding[:] = self.heat.housing[:] = celsius
+        losses = self._stall * self._supply.nominal / self._limit**2
+        given = robot.truth.thermal.copper_loss
+        self._copper = np.array([given.get(name, loss) for name, loss in zip(robot.joint_names, losses, strict=True)])
+        self._warmth = np.zeros((2, count))
+        self._steps = 0
+        self._change_temperature()
+
+    @property
+    def position(self) -> FloatArray:
+        """(n,) of the joints [rad or m]."""
+        return self._bodies[: self._dof]
+
+    @property
+    def velocity(self) -> FloatArray:
+        """(n,) of the joints [rad/s or m/s]."""
+        return self._rates[: self._dof]
+
+    @property
+    def motor(self) -> FloatArray:
+        """(n,) of the motors, joint side: ahead of the joints by the play at most, and what the gears yield."""
+        return self._bodies[self._driven]
+
+    def advance(self, goal: FloatArray) -> None:
+        """One step with the goals (n,) of the servos' profiles at its end [rad or m]."""
+        h, n = self.step, self._dof
+        position, velocity = self._bodies[:n], self._rates[:n]
+        seen = np.where(self._encoder > 0, _quantised(position, self._encoder), position)
+        error = goal - seen - self._bias
+        acting = np.abs(error) > self._dead_band
+        linear = self._stiffness * np.where(acting, error - np.sign(error) * self._dead_band, 0.0)
+        duty = np.clip(linear / self._limit, -1.0, 1.0)
+        strength = self._strength * np.where(self._voltage, self.supply, 1.0)
+        torque = strength * self._limit * duty
+        stiffness = np.where(acting & (np.abs(duty) < 1.0), strength * self._implicit, 0.0)
+        matrix = self._matrix(position)
+        momentum = matrix @ self._rates
+        momentum[:n] -= h * self._arm.bias(position, velocity)
+        momentum[self._driven] += h * torque
+        diagonal = np.zeros(len(self._rates))
+        diagonal[self._driven] += h * (self._damping_now + self._gain_d)
+        diagonal[:n] += h * h * stiffness
+        matrix.flat[:: len(matrix) + 1] += diagonal
+        self._close_play(matrix, momentum)
+        response: FloatArray = np.linalg.inv(matrix)
+        free, weights = response @ momentum, np.asarray(h * response, dtype=np.float64)
+        self._guess = dry_friction(weights, free, self._friction(torque), self._guess)
+        before = self._rates
+        self._rates = free - weights @ self._guess
+        self._bodies = self._bodies + h * self._rates
+        self.torque = torque - self._back_now * self._rates[self._driven]
+        self.current = self.torque / (self._limit * self._constant) * self._stall
+        drawn = float(np.sum(np.maximum(self.current * duty, 0.0)))
+        sagging = max(self._supply.voltage - self._supply.resistance * drawn, 0.1 * self._supply.voltage)
+        self.supply = sagging / self._supply.nominal
+        rubbing = np.abs(self._guess * before)
+        self._warmth += self._copper * (self.torque / self._constant) ** 2, rubbing[self._driven]
+        self._steps += 1
+        if self._steps % HEATING_STEPS == 0:
+            self.heat.advance(self._warmth[0] / HEATING_STEPS * self._resistance, self._warmth[1] / HEATING_STEPS)
+            self._warmth[:] = 0.0
+            self._change_temperature()
+
+    def _matrix(self, position: FloatArray) -> FloatArray:
+        """Inertia matrix of joints, and of the motors that have play."""
+        inertia = self._arm.inertia(position)
+        if not len(self._loose):
+            return inertia
+        n, count = self._dof, len(self._rates)
+        matrix = np.zeros((count, count))
+        matrix[:n, :n] = inertia
+        matrix[range(n, count), range(n, count)] = self._rotor
+        return matrix
+
+    def _close_play(self, matrix: FloatArray, momentum: FloatArray) -> None:
+        """Add the gears whose play will be used up at the end of the step."""
+        h, n = self.step, self._dof
+        for index, joint in enumerate(self._loose.tolist()):
+            motor = n + index
+            gap = self._bodies[motor] - self._bodies[joint]
+            coming = gap + h * (self._rates[motor] - self._rates[joint])
+            if abs(coming) <= self._half_play[index]:
+                continue
+            beyond = gap - np.copysign(self._half_play[index], coming)
+            spring = h * self._gear_damping[index] + h * h * self._gear[index]
+            for row, sign in ((motor, 1.0), (joint, -1.0)):
+                momentum[row] -= sign * h * self._gear[index] * beyond
+                matrix[row, motor] += sign * spring
+                matrix[row, joint] -= sign * spring
+
+    def _friction(self, torque: FloatArray) -> FloatArray:
+        """Dry friction (bodies,) [N·m]."""
+        rates = self._rates[self._driven]
+        breakaway = self._breakaway * np.exp(-((rates / self._fading) ** 2))
+        limits = np.zeros(len(self._rates))
+        limits[self._driven] = self._coulomb + self._share * np.abs(torque) + breakaway
+        behind = self._behind[self._loose] * self._coulomb[self._loose]
+        limits[self._driven[self._loose]] -= behind
+        limits[self._loose] = behind
+        return np.maximum(limits, 1e-9)
+
+    def _change_temperature(self) -> None:
+        winding, housing = self.heat.winding - self.heat.ambient, self.heat.housing - self.heat.ambient
+        resistance, constant, viscous = self._slopes
+        self._resistance = np.maximum(1.0 + resistance * winding, 0.1)
+        self._constant = np.maximum(1.0 + constant * winding, 0.1)
+        loss = np.where(self._voltage, self._resistance, 1.0)
+        self._strength = self._constant / loss
+        self._back_now = self._constant**2 / loss * self._back
+        self._damping_now = self._back_now + self._viscous * np.maximum(1.0 + viscous * housing, 0.0)
+
+
+def _quantised(values: FloatArray, steps: FloatArray) -> FloatArray:
+    """Values (n,) rounded to their own steps; where a step is 0 the result is not used."""
+    return np.asarray(np.rint(values / np.where(steps > 0, steps, 1.0)) * steps)
