@@ -18,7 +18,7 @@ from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError, WorkError
 from drivers.rtde.motion import require_ur_rtde
-from ident.commands.print_result import print_result
+from ident.commands.printing.result import print_result
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior

@@ -32,10 +32,10 @@ def import_recording(
     from dataclasses import asdict, replace
 
     from daq.commands.console import print_json, progress_line
+    from daq.importers.formats.lerobot import is_lerobot
     from daq.importers.import_file import import_episodes, import_file
-    from daq.importers.lerobot import is_lerobot
     from daq.output_files import check_output_folder, check_outputs
-    from daq.recording.stream_quality import stream_quality
+    from daq.recording.quality.stream_quality import stream_quality
     from daq.recording.writer import write_recording
     from daq.robot.loader import load_robot
 

@@ -192,8 +192,8 @@ def _report_session(
     from dataclasses import asdict
 
     from daq.commands.console import print_json
+    from daq.recording.quality.stream_quality import StreamQuality, stream_quality
     from daq.recording.reader import read_recording
-    from daq.recording.stream_quality import StreamQuality, stream_quality
     from drivers.core.errors import RecordingError
 
     qualities: dict[str, StreamQuality] = {}

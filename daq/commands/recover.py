@@ -31,8 +31,8 @@ def recover_command(
 
     from daq.commands.console import print_json, progress_line
     from daq.output_files import intended_name, unfinished_files
+    from daq.recording.quality.stream_quality import stream_quality
     from daq.recording.recover import half_written, recover
-    from daq.recording.stream_quality import stream_quality
 
     intended = intended_name(file)
     target = out if out is not None else intended.with_name(f"{intended.stem}-recovered.h5")

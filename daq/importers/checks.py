@@ -12,9 +12,9 @@ from daq.importers.assembly import ImportedSamples, rows
 from daq.importers.choices import ImportChoices, TimeUnit
 from daq.importers.table import Note, printable
 from daq.importers.units import REVOLUTE
+from daq.recording.quality.stale_samples import stale_samples
 from daq.recording.recording import MOTOR_SIGNALS
 from daq.recording.repairs import DROP_DUPLICATES, DROP_NAN, DROP_REPEATS, OPPOSITE_TORQUE, SORT
-from daq.recording.stale_samples import stale_samples
 from daq.recording.unit_plausibility import near
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError

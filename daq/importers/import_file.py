@@ -21,12 +21,12 @@ import numpy as np
 from daq.importers.assembly import ImportedSamples, assemble
 from daq.importers.checks import check_samples
 from daq.importers.choices import ImportChoices
-from daq.importers.csv import read_csv
-from daq.importers.lerobot import INFO, is_lerobot, parquet_reader, read_lerobot
-from daq.importers.mat import read_hdf5, read_mat
-from daq.importers.npz import read_npz
+from daq.importers.formats.csv import read_csv
+from daq.importers.formats.lerobot import INFO, is_lerobot, parquet_reader, read_lerobot
+from daq.importers.formats.mat import read_hdf5, read_mat
+from daq.importers.formats.npz import read_npz
+from daq.importers.formats.rosbag import bag_files, read_rosbag
 from daq.importers.plausibility import check_units
-from daq.importers.rosbag import bag_files, read_rosbag
 from daq.importers.table import ForeignTable, parsing, printable
 from daq.recording.recording import (
     COMMANDS_STREAM,

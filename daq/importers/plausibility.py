@@ -11,8 +11,8 @@ from daq.importers.assembly import ImportedSamples, Quantity
 from daq.importers.checks import sample_place
 from daq.importers.choices import ImportChoices
 from daq.importers.table import Note, listed
-from daq.recording.command_quality import command_quality
 from daq.recording.commanded_motion import TARGET, CommandedMotion
+from daq.recording.quality.command_quality import command_quality
 from daq.recording.unit_plausibility import DEGREES, beyond_reach, displacement_ratios, near, other_unit
 from daq.robot.schema import Robot
 from drivers.core.errors import ImportFileError

@@ -1,1 +1,1 @@
-"""The recording: its HDF5 file, written, read, rescued and judged."""
+"""The recording: its HDF5 file, written, read and rescued."""

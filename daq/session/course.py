@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from daq.recording.clocks import ClockLog
+from daq.recording.quality.clocks import ClockLog
 from daq.recording.recording import JOINTS_STREAM
 from daq.session.command_gate import CommandGate
 from daq.session.supervisor import Breach

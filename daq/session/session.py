@@ -17,7 +17,7 @@ from types import FrameType
 import numpy as np
 
 from daq.motion.player import MotionSequence, Player, Punctuality, dry_run
-from daq.recording.clocks import ClockLog
+from daq.recording.quality.clocks import ClockLog
 from daq.recording.recorder import Recorder
 from daq.robot.schema import Robot
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from daq.recording.command_quality import EARLIEST, SLOWEST, CommandQuality, command_quality
 from daq.recording.commanded_motion import CommandedMotion
+from daq.recording.quality.command_quality import EARLIEST, SLOWEST, CommandQuality, command_quality
 from daq.recording.unit_plausibility import DEGREES, near
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from daq.recording.quality.signal_quality import ColumnQuality, channel_quality
+from daq.recording.quality.stale_samples import fresh_recording, stale_rows
+from daq.recording.quality.stream_quality import StreamQuality, stream_quality
+from daq.recording.quality.unsigned_signal import unsigned_joints
 from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, MOTOR_SIGNALS, Recording
 from daq.recording.repairs import DROP_REPEATS
-from daq.recording.signal_quality import ColumnQuality, channel_quality
-from daq.recording.stale_samples import fresh_recording, stale_rows
-from daq.recording.stream_quality import StreamQuality, stream_quality
 from daq.recording.unit_plausibility import other_unit
-from daq.recording.unsigned_signal import unsigned_joints
 from drivers.core.text import percent_text, percentage_text
 from ident.assessment.time_axis import time_axis_checks
 from ident.verdict.catalogue import raised

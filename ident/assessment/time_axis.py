@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.recording.clocks import ClockEstimate, ClockFit
+from daq.recording.quality.clocks import ClockEstimate, ClockFit
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.unit_plausibility import displacement_ratios
 from ident.verdict.catalogue import raised

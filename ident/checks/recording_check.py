@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from daq.recording.commanded_motion import CommandedMotion, commanded_motion
+from daq.recording.quality.signal_quality import ColumnQuality
+from daq.recording.quality.stream_quality import StreamQuality
 from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Recording
-from daq.recording.signal_quality import ColumnQuality
-from daq.recording.stream_quality import StreamQuality
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.core.errors import DataError, DynidError

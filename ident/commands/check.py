@@ -39,7 +39,7 @@ def check(
     from ident.checks.connection_check import check_connections
     from ident.checks.robot_check import budget_object, check_robot
     from ident.checks.robot_description import description, inertial_count
-    from ident.commands.print_checks import print_budget, print_connection, print_poses
+    from ident.commands.printing.checks import print_budget, print_connection, print_poses
     from ident.model.base_parameters import base_parameters
     from ident.model.dynamic_model import build_model
 

@@ -29,7 +29,7 @@ def compare_methods(
     from daq.commands.console import progress_line
     from daq.output_files import REPORT_FILE, check_output_folder
     from daq.robot.loader import load_robot
-    from ident.commands.print_result import print_tables
+    from ident.commands.printing.result import print_tables
     from ident.tasks.arguments import paths_of
     from ident.tasks.comparison import COMPARISON_FILE, compare
 

@@ -25,7 +25,7 @@ def compare_models(
     from dataclasses import asdict
 
     from daq.commands.console import print_json
-    from ident.commands.print_result import print_tables
+    from ident.commands.printing.result import print_tables
     from ident.tasks.difference import diff
 
     difference = diff(first, second)

@@ -36,7 +36,7 @@ def identify_recordings(
     from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
     from daq.robot.loader import load_robot
     from ident.commands.options import limits_option
-    from ident.commands.print_result import print_result
+    from ident.commands.printing.result import print_result
     from ident.commands.servo import identify_servo_command, is_servo, print_servo
     from ident.result.friction_experiment import friction_path
     from ident.tasks.arguments import paths_of

@@ -31,7 +31,7 @@ def show_info(
     from daq.output_files import check_output_folder
     from daq.robot.loader import load_robot
     from ident.checks.page.page import JSON_FILE, PAGE_FILE
-    from ident.commands.print_checks import print_info
+    from ident.commands.printing.checks import print_info
     from ident.tasks.arguments import paths_of
     from ident.tasks.recording_quality import info
 

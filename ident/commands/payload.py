@@ -86,7 +86,7 @@ def identify_drive_gains(*, options: GainsOptions, out: Path = OUT, force: bool 
 
 def _print_load(result: PayloadResult) -> None:
     """The load as a person reads it at the terminal."""
-    from ident.commands.print_result import print_tables
+    from ident.commands.printing.result import print_tables
     from ident.experiments.payload_summary import consistent_load_sentences
     from ident.views.load_tables import payload_tables
 
@@ -99,7 +99,7 @@ def _print_load(result: PayloadResult) -> None:
 
 def _print_gains(result: GainsResult | SlowGainsResult) -> None:
     """The gains as a person reads them at the terminal."""
-    from ident.commands.print_result import print_tables
+    from ident.commands.printing.result import print_tables
     from ident.experiments.schema import GainsResult
     from ident.views.load_tables import gains_tables
 

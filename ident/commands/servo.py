@@ -135,7 +135,7 @@ def _default(options: IdentifyOptions, name: str) -> bool:
 
 
 def _print(verdict: str, tables: list[object]) -> None:
-    from ident.commands.print_result import print_tables
+    from ident.commands.printing.result import print_tables
 
     print(verdict)
     print_tables(tables)  # type: ignore[arg-type]

@@ -91,8 +91,8 @@ def _print_validation(validation: Validation, model: Path, *, verbose: bool) -> 
     """The verdict and a row for each recording; with `verbose` the errors of every joint and model."""
     from daq.commands.console import print_table
     from drivers.core.text import in_percent
-    from ident.commands.print_result import print_fit
-    from ident.commands.print_verdict import next_steps, print_everything, print_next, print_purposes
+    from ident.commands.printing.result import print_fit
+    from ident.commands.printing.verdict import next_steps, print_everything, print_next, print_purposes
     from ident.identify.data_split import labelled
     from ident.result.delivered import DELIVERED_WORDS
 

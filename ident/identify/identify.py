@@ -26,8 +26,9 @@ from ident.identify.body_checks import refuse_denied
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import check_torques, split_data
 from ident.identify.friction.curvature import with_curvature
+from ident.identify.friction.fit import fit_friction
+from ident.identify.friction.presliding import low_speed_error
 from ident.identify.friction.shapes import with_free_shapes
-from ident.identify.friction_fit import fit_friction
 from ident.identify.held_friction import hold_temperatures
 from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
 from ident.identify.identification import (
@@ -38,7 +39,6 @@ from ident.identify.identification import (
     apply_model_choices,
 )
 from ident.identify.preparation import PreparedData, compare_run, prepare_data
-from ident.identify.presliding import low_speed_error
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from daq.recording.command_quality import command_quality
 from daq.recording.commanded_motion import commanded_motion
-from daq.recording.quantisation import resolution
+from daq.recording.quality.command_quality import command_quality
+from daq.recording.quality.quantisation import resolution
 from daq.recording.recording import Recording, software_versions
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray

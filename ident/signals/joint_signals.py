@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from daq.recording.commanded_motion import command_stream
-from daq.recording.outliers import without_outliers
-from daq.recording.quantisation import encoder_step
+from daq.recording.quality.outliers import without_outliers
+from daq.recording.quality.quantisation import encoder_step
+from daq.recording.quality.stale_samples import StaleSamples, fresh_recording
 from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Channel, Recording, Stream
-from daq.recording.stale_samples import StaleSamples, fresh_recording
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
@@ -28,7 +28,7 @@ JOINT_QUANTITIES = ("position", "velocity", "current", "voltage", "torque")
 
 @dataclass(frozen=True)
 class ReplacedSamples:
-    """Samples of a recorded quantity that were outliers (`daq.recording.outliers`).
+    """Samples of a recorded quantity that were outliers (`daq.recording.quality.outliers`).
 
     Attributes:
         quantity: as recorded: position, current, …

@@ -19,7 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from daq.recording.outliers import CleanSignal, without_outliers
+from daq.recording.quality.outliers import CleanSignal, without_outliers
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray

@@ -21,7 +21,7 @@ from daq.session.command_gate import CommandGate, GateLimits
 from daq.session.supervisor import Limits, Supervisor
 from drivers.core.errors import SafetyStopError, UsageError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
-from ident.commands.print_result import print_result
+from ident.commands.printing.result import print_result
 
 ARM = """
 name: {name}

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from daq.recording.quality.stream_quality import LOST_FROM, StreamQuality
 from daq.recording.recording import Recording, Stream
-from daq.recording.stream_quality import LOST_FROM, StreamQuality
 from drivers.core.arrays import FloatArray
 from drivers.core.units import common_unit
 from drivers.streams import UNITS

@@ -15,9 +15,9 @@ import pytest
 import scipy.io
 from kinematic_arm import ROBOT_FILE
 
-from daq.importers import mat as mat_module
 from daq.importers import table as table_module
 from daq.importers.choices import ImportChoices
+from daq.importers.formats import mat as mat_module
 from daq.importers.import_file import SUPPORTED, import_file
 from daq.recording import hdf5_bounds
 from drivers.core import reading_process

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from simulated_clock import SimulatedClock
 
-from daq.recording.clocks import ClockLog
+from daq.recording.quality.clocks import ClockLog
 from daq.session.course import Course
 from daq.session.supervisor import CURES, Breach
 

@@ -9,10 +9,10 @@ import pytest
 
 from daq.recording.recording import JOINTS_STREAM
 from drivers.core.errors import ResultFileError
+from ident.identify.friction.presliding import low_speed_error
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.predict import predict_recording
-from ident.identify.presliding import low_speed_error
 from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters

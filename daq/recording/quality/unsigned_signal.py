@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from daq.recording.quantisation import resolution
+from daq.recording.quality.quantisation import resolution
 from drivers.core.arrays import FloatArray
 
 OTHER_SIGN = 1e-3

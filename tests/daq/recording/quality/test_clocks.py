@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_clock import SimulatedClock
 
-from daq.recording.clocks import REPORT_PERIOD, ClockFit, ClockLog, describe_clock
+from daq.recording.quality.clocks import REPORT_PERIOD, ClockFit, ClockLog, describe_clock
 from drivers.streams import Batch
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.recording.stream_quality import Gap, stream_quality
+from daq.recording.quality.stream_quality import Gap, stream_quality
 
 
 def test_an_even_stream():

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
-from daq.importers.npz import table_of_arrays
+from daq.importers.formats.npz import table_of_arrays
 from daq.importers.table import ForeignTable, check_count, parsing
 from daq.recording.hdf5_bounds import MOST_ENTRIES, Hdf5Bounds
 from drivers.core.errors import ImportFileError

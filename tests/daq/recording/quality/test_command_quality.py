@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.recording.command_quality import command_quality
 from daq.recording.commanded_motion import TARGET, CommandedMotion
-from daq.recording.unsigned_signal import unsigned_joints
+from daq.recording.quality.command_quality import command_quality
+from daq.recording.quality.unsigned_signal import unsigned_joints
 
 STEP = 1.534e-3
 JOINTS = ("a", "b", "c")

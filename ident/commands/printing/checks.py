@@ -13,7 +13,7 @@ from drivers.core.text import percent_text
 from ident.checks.connection_check import CheckedConnection
 from ident.checks.recording_check import RecordingInfo
 from ident.checks.tool_pose import ToolPose
-from ident.commands.print_verdict import next_steps, print_next
+from ident.commands.printing.verdict import next_steps, print_next
 from ident.excite.sufficiency import Sufficiency, TimesNeeded
 from ident.regression.options import SIGNIFICANT_RSD
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.recording.stale_samples import StaleSamples, stale_samples
+from daq.recording.quality.stale_samples import StaleSamples, stale_samples
 from drivers.core.arrays import FloatArray
 
 RATE = 200.0

@@ -8,7 +8,7 @@ from pathlib import Path
 from daq.commands.console import print_table
 from drivers.core.text import in_percent, percent_text
 from ident.assessment.validation import Fit
-from ident.commands.print_verdict import next_steps, print_everything, print_next, print_purposes
+from ident.commands.printing.verdict import next_steps, print_everything, print_next, print_purposes
 from ident.identify.data_split import labelled
 from ident.result.delivered import DELIVERED_WORDS
 from ident.result.schema import Result

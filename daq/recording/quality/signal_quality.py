@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from daq.recording.outliers import without_outliers
-from daq.recording.quantisation import quantisation_step
+from daq.recording.quality.outliers import without_outliers
+from daq.recording.quality.quantisation import quantisation_step
 from daq.recording.recording import Channel
 from drivers.core.arrays import FloatArray
 
@@ -37,7 +37,7 @@ class ColumnQuality:
         clipped_percent: samples that stay at the smallest or largest value for `CLIPPED_RUN` samples or more [%]; of a
             magnitude at the largest only.
         filled_percent: samples that are exactly 0 between values far from it: drop-outs that were filled [%].
-        outliers: samples far from what their neighbours say (`daq.recording.outliers`).
+        outliers: samples far from what their neighbours say (`daq.recording.quality.outliers`).
         outliers_stay: whether they are too many for exceptions, and are left in the signal.
     """
 

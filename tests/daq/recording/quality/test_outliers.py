@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.recording.outliers import FAR, TOO_MANY, without_outliers
+from daq.recording.quality.outliers import FAR, TOO_MANY, without_outliers
 
 RATE = 500.0
 TIME = np.arange(5000) / RATE

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.recording.quantisation import quantisation_step
+from daq.recording.quality.quantisation import quantisation_step
+from daq.recording.quality.signal_quality import channel_quality, white_noise
 from daq.recording.recording import Channel
-from daq.recording.signal_quality import channel_quality, white_noise
 
 TIME = np.arange(5000) / 500.0
 

@@ -20,11 +20,11 @@ from ident.friction.solver import Value, settle
 from ident.friction.terms import NO_TERMS, FrictionTerms, LoadTorque, no_terms
 from ident.identify.friction.candidates import FOLDS, candidates_of, greatest_speeds, motor_motion
 from ident.identify.friction.delivered import delivered_errors, falls
+from ident.identify.friction.presliding import find_travels
 from ident.identify.friction.rows import FrictionRows
 from ident.identify.friction.selection import FrictionSearch
 from ident.identify.identification import FrictionFit, IdentifyChoices
 from ident.identify.preparation import PreparedData, compare_run
-from ident.identify.presliding import find_travels
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import combined

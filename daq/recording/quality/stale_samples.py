@@ -16,9 +16,9 @@ from typing import Literal
 import numpy as np
 
 from daq.recording.commanded_motion import TARGET, command_stream, held
-from daq.recording.quantisation import resolution
+from daq.recording.quality.quantisation import resolution
+from daq.recording.quality.signal_quality import white_noise
 from daq.recording.recording import JOINTS_STREAM, Recording
-from daq.recording.signal_quality import white_noise
 from drivers.core.arrays import BoolArray, FloatArray
 
 MEASURED = ("position", "velocity", "current", "voltage", "torque")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from daq.recording.quantisation import quantisation_step
+from daq.recording.quality.quantisation import quantisation_step
 from drivers.core.arrays import BoolArray, FloatArray, IntArray
 from drivers.core.ranges import STAMP
 

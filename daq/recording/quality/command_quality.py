@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from daq.recording.commanded_motion import TARGET, CommandedMotion
-from daq.recording.quantisation import resolution
+from daq.recording.quality.quantisation import resolution
 from drivers.core.arrays import FloatArray, IndexArray
 
 GRID = 0.01

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from daq.importers.bag_commands import command_topic, read_commands
 from daq.importers.choices import ImportChoices
+from daq.importers.formats.bag_commands import command_topic, read_commands
 from daq.importers.matching import JointMatch, match_joints, shares_joints
 from daq.importers.table import ForeignTable, Note, QuantityColumns, check_count, listed, parsing, printable
 from drivers.core.arrays import FloatArray

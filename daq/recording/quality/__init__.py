@@ -1,0 +1,1 @@
+"""Judgement of a recording: clocks, sampling, noise, outliers, and whether it follows its commands."""

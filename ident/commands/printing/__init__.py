@@ -1,0 +1,1 @@
+"""What commands print for people: results, verdicts, and checks of robots and recordings."""
