@@ -1,4 +1,4 @@
-"""A simulated arm that differs from its robot file: with a load on its tool, or with unknown drive gains.
+"""A simulated arm that differs from its robot file: a load on its tool, unknown drive gains, other servos.
 
 Only `RobotFile.robot`, from which recordings are computed, is changed. The text, which recordings carry, stays as it
 was: an identification sees the arm that the user believes to have.
@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from daq.robot.loader import RobotFile
-from daq.robot.schema import TruthLink
+from daq.robot.schema import Truth, TruthJoint, TruthLink, TruthSupply
 from drivers.core.errors import RobotFileError, UsageError
 from ident.model.dynamic_model import build_model
 
@@ -49,8 +49,7 @@ def with_load(robot_file: RobotFile, mass: float, com: Sequence[float], inertia:
     x, y, z = centre.tolist()
     xx, xy, xz, _, yy, yz, _, _, zz = np.asarray(tensor).ravel().tolist()
     loaded = TruthLink(mass=total, com=(x, y, z), inertia=(xx, xy, xz, yy, yz, zz))
-    truth = robot.truth.model_copy(update={"links": {**robot.truth.links, last: loaded}})
-    return robot_file.model_copy(update={"robot": robot.model_copy(update={"truth": truth})})
+    return _with_truth(robot_file, robot.truth.model_copy(update={"links": {**robot.truth.links, last: loaded}}))
 
 
 def with_payload(robot_file: RobotFile, text: str) -> RobotFile:
@@ -82,6 +81,62 @@ def with_gains(robot_file: RobotFile, factors: Mapping[str, float]) -> RobotFile
         for drive in robot.drives
     )
     return robot_file.model_copy(update={"robot": robot.model_copy(update={"drives": drives})})
+
+
+def with_servos(
+    robot_file: RobotFile, supply: TruthSupply | None = None, joint: Mapping[str, float] | None = None, **servo: float
+) -> RobotFile:
+    """The arm with other truths of all its servos: fields of `TruthServo`, and of `TruthJoint` in `joint`.
+
+    Args:
+        robot_file: its truth has a servo for every joint.
+        supply: of all servos; that of the file where None.
+        joint: fields of every joint, such as `stribeck`.
+        servo: fields of every servo, such as `backlash`.
+    """
+    truth = robot_file.robot.truth
+    joints = {
+        name: one
+        if one.servo is None
+        else TruthJoint.model_validate(
+            {**one.model_dump(exclude={"servo"}), **(joint or {}), "servo": {**one.servo.model_dump(), **servo}}
+        )
+        for name, one in truth.joints.items()
+    }
+    return _with_truth(robot_file, truth.model_copy(update={"joints": joints, "supply": supply or truth.supply}))
+
+
+UNIT_DIFFERENCES = ("stiffness", "torque_limit", "load_friction", "gain_d")
+"""Fields of a servo that differ from one unit of a type to the next; and, of its joint: motor inertia and friction."""
+
+
+def another_unit(robot_file: RobotFile, spread: float, seed: int) -> RobotFile:
+    """Another unit of the same type of servo arm: gains, inertias and friction differ by a factor each.
+
+    Args:
+        robot_file: its truth has a servo for every joint.
+        spread: standard deviation of the factors' logarithms.
+        seed: of the factors.
+    """
+    generator = np.random.default_rng(seed)
+    truth = robot_file.robot.truth
+    joints = {}
+    for name, one in truth.joints.items():
+        factors = np.exp(spread * generator.standard_normal(len(UNIT_DIFFERENCES) + 3)).tolist()
+        servo = one.servo and one.servo.model_copy(
+            update={
+                field: getattr(one.servo, field) * factor
+                for field, factor in zip(UNIT_DIFFERENCES, factors, strict=False)
+            }
+        )
+        own = ("motor_inertia", "viscous", "coulomb")
+        update = {field: getattr(one, field) * factor for field, factor in zip(own, factors[-3:], strict=True)}
+        joints[name] = one.model_copy(update={**update, "servo": servo})
+    return _with_truth(robot_file, truth.model_copy(update={"joints": joints}))
+
+
+def _with_truth(robot_file: RobotFile, truth: Truth) -> RobotFile:
+    return robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update={"truth": truth})})
 
 
 def _tensor(six: Sequence[float]) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

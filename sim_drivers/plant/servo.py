@@ -155,8 +155,8 @@ class ServoArm:
         diagonal[:n] += h * h * stiffness
         matrix.flat[:: len(matrix) + 1] += diagonal
         self._close_play(matrix, momentum)
-        response: FloatArray = np.linalg.inv(matrix)
-        free, weights = response @ momentum, np.asarray(h * response, dtype=np.float64)
+        response = np.linalg.inv(matrix)
+        free, weights = np.asarray(response @ momentum, dtype=np.float64), np.asarray(h * response, dtype=np.float64)
         self._guess = dry_friction(weights, free, self._friction(torque), self._guess)
         before = self._rates
         self._rates = free - weights @ self._guess

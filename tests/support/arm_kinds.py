@@ -4,6 +4,6 @@ from __future__ import annotations
 
 from daq.robot.loader import builtin_robots
 
-LIKE_ANOTHER = {"ur3e", "ur16e", "ur20"}  # as ur5e and ur10e
+LIKE_ANOTHER = {"ur3e", "ur16e", "ur20", "openarm"}  # as ur5e, ur10e and panda
 
 ARM_KINDS = [name for name in builtin_robots() if name not in LIKE_ANOTHER]

@@ -241,6 +241,20 @@ def test_up6_limits_are_the_paper_s_degrees() -> None:
     assert np.rad2deg([joint.velocity for joint in joints]) == pytest.approx(np.array([140, 160, 170]), abs=1e-3)
 
 
+def test_openarm_is_the_public_model_with_its_hand() -> None:
+    robot_file = load_robot("openarm")
+    names = robot_file.robot.joint_names
+    for name, body in zip(names, urdf_inertias(robot_file.urdf_text or "", names, {}, "openarm"), strict=True):
+        link = robot_file.robot.truth.links[name]
+        assert body is not None
+        np.testing.assert_allclose([body[0], *body[1]], [link.mass, *link.com], rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(body[2], inertia_matrix(link), rtol=1e-7, atol=1e-11)
+    # joints 1 to 7 of enactic/openarm_mujoco, v1/openarm.xml, and hand and fingers
+    masses = [1.14166846, 0.27750927, 1.07386334, 0.63485346, 0.6156588, 0.47520277, 0.46597713]
+    total = sum(link.mass for link in robot_file.robot.truth.links.values())
+    assert total == pytest.approx(sum(masses) + 0.35 + 2 * 0.03602545, rel=1e-6)
+
+
 def test_so101_moves_the_links_of_its_urdf() -> None:
     robot_file = load_robot("so101")
     names = robot_file.robot.joint_names

@@ -6,32 +6,18 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import RobotFile, load_robot
-from daq.robot.schema import TruthServo, TruthSupply
+from daq.robot.schema import TruthSupply
 from drivers.core.errors import RobotFileError
+from sim_drivers.plant.altered_arm import another_unit, with_servos
 from sim_drivers.plant.servo import ServoArm
-from sim_drivers.synthetic.servo import record_servo
+from sim_drivers.synthetic.servo import record_servo, true_values
 
 PAN, LIFT = 0, 1
 
 
 @pytest.fixture(scope="module")
 def file() -> RobotFile:
-    return load_robot("so101")
-
-
-def with_servos(
-    file: RobotFile, supply: TruthSupply | None = None, joint: dict[str, float] | None = None, **servo: float
-) -> RobotFile:
-    """The arm with other truths of all its joints and servos."""
-    truth = file.robot.truth
-    joints = {
-        name: one.model_copy(
-            update={**(joint or {}), "servo": TruthServo(**{**one.servo.model_dump(), "bias": 0.0, **servo})}
-        )
-        for name, one in truth.joints.items()
-    }
-    changed = truth.model_copy(update={"joints": joints, "supply": supply})
-    return file.model_copy(update={"robot": file.robot.model_copy(update={"truth": changed})})
+    return with_servos(load_robot("so101"), bias=0.0)
 
 
 def held(arm: ServoArm, goal: np.ndarray, seconds: float) -> np.ndarray:
@@ -134,3 +120,26 @@ def test_a_joint_without_a_servo_is_named(file):
     without = file.model_copy(update={"robot": file.robot.model_copy(update={"truth": truth})})
     with pytest.raises(RobotFileError, match="elbow_flex"):
         ServoArm(without, np.zeros(6))
+
+
+def test_another_unit_differs_by_its_spread_and_only_in_servos(file):
+    other, same = another_unit(file, 0.1, 1), another_unit(file, 0.0, 1)
+    assert same.robot.truth == file.robot.truth
+    factors = [
+        getattr(other.robot.truth.joints[name], field) / getattr(joint, field)
+        for name, joint in file.robot.truth.joints.items()
+        for field in ("motor_inertia", "viscous", "coulomb")
+    ]
+    assert 0.05 < np.std(np.log(factors)) < 0.2
+    assert other.robot.truth.links == file.robot.truth.links
+    assert other.text == file.text
+
+
+def test_true_values_are_those_of_the_supply_and_count_back_emf_as_damping(file):
+    low = with_servos(file, TruthSupply(nominal=12.0, voltage=9.0), no_load_speed=4.0, jitter=0.01, gain_d=0.3)
+    values, joint = true_values(low, 0.02)["elbow_flex"], low.robot.truth.joints["elbow_flex"]
+    assert joint.servo is not None
+    assert values["stiffness"] == pytest.approx(0.75 * joint.servo.stiffness)
+    assert values["torque_limit"] == pytest.approx(0.75 * joint.servo.torque_limit)
+    assert values["damping"] == pytest.approx(joint.viscous + 0.3 + joint.servo.torque_limit / 4.0)
+    assert values["delay"] == pytest.approx(joint.servo.delay + 0.005 + 0.01)
