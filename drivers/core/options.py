@@ -13,7 +13,7 @@ import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import Field, dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -113,6 +113,11 @@ def flag_of(of: Field[Any]) -> str:
     """A field's flag on the command line, as in `--offset/--no-offset`."""
     stated = declared(of)
     return (stated.flag if stated is not None else "") or f"--{of.name.replace('_', '-')}"
+
+
+def default_of(of: Field[Any]) -> Any:
+    """A field's default; `dataclasses.MISSING` where it has none."""
+    return of.default if of.default_factory is MISSING else of.default_factory()
 
 
 class Options:

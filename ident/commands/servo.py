@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.core.errors import UsageError
-from drivers.core.options import flag_of
+from drivers.core.options import default_of, flag_of
 from ident.tasks.options import IdentifyOptions
 
 if TYPE_CHECKING:
@@ -43,7 +43,9 @@ def identify_servo_command(
     """
     from ident.tasks.servo import identify_servo
 
-    strange = [flag_of(of) for of in fields(options) if of.name not in _TAKEN and not _default(options, of.name)]
+    strange = [
+        flag_of(of) for of in fields(options) if of.name not in _TAKEN and getattr(options, of.name) != default_of(of)
+    ]
     if limited:
         strange.append("--accept, --max-…")
     if strange:
@@ -124,14 +126,6 @@ def export_servo_command(
             print(f"not in this file: {', '.join(words)}")
     if ranges is not None:
         print(f"{ranges}: 95 % boxes and covariance of every parameter, for domain randomisation")
-
-
-def _default(options: IdentifyOptions, name: str) -> bool:
-    declared = next(of for of in fields(options) if of.name == name)
-    value = getattr(options, name)
-    if declared.default is not MISSING:
-        return bool(value == declared.default)
-    return declared.default_factory is not MISSING and bool(value == declared.default_factory())
 
 
 def _print(verdict: str, tables: list[object]) -> None:

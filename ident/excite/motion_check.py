@@ -12,7 +12,7 @@ import numpy as np
 from daq.motion.motion_check import MotionFigures, SmallestClearance
 from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import BoolArray, FloatArray
 from drivers.core.errors import MotionRefusedError
 from drivers.core.text import percent_text
 from ident.excite.constraints.collision_geometry import link_name
@@ -101,6 +101,17 @@ class ArmMotionCheck:
             MotionRefusedError: as above.
         """
         return self._check(motion, APPROACH_RATE, "the approach to the start pose", from_here=True)
+
+    def clear(self, position: FloatArray) -> BoolArray:
+        """Whether an arm at rest in poses (n, N) keeps what a motion must keep: distances and torques (N,)."""
+        still = np.zeros_like(position)
+        path = JointPath(np.arange(position.shape[1], dtype=np.float64), position, still, still)
+        fine = np.ones(position.shape[1], dtype=bool)
+        for watched in self._watched(path):
+            fine &= watched.distance >= watched.kept - TOLERANCE
+        for limits in self._torque:
+            fine &= np.all(np.abs(limits.use_over_time(path)) <= 1.0 + TOLERANCE, axis=0)
+        return fine
 
     def _check(self, motion: Motion, rate: float, where: str, *, from_here: bool) -> MotionFigures:
         time = _grid(motion, rate, where)

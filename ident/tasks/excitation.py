@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from daq.motion.trajectories import Motion
+from daq.motion.trajectories import Motion, PointToPoint
 from daq.motion.trajectory_file import PointsTrajectory, dump_trajectory, parse_trajectory
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
 from daq.output_files import check_outputs, replace_files
@@ -24,6 +24,8 @@ from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
 from ident.excite.constraints.workspace import surroundings_warning
 from ident.excite.design import Design, design
 from ident.excite.forecast import ExcitationFigures, excitation_figures
+from ident.excite.gravity_choices import GravityChoices
+from ident.excite.gravity_poses import GravityMotion, gravity_motion
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.page.page import write_page
 from ident.excite.prior import PriorKnowledge, find_prior
@@ -32,7 +34,7 @@ from ident.excite.sweep_choices import SweepChoices
 from ident.excite.velocity_sweep import JointSweep, velocity_sweep
 from ident.result.model import result_path
 from ident.result.tables import Table, table_of_rows
-from ident.tasks.options import ExciteOptions, SweepOptions
+from ident.tasks.options import ExciteOptions, GravityMotionOptions, SweepOptions
 
 
 class ExcitationTrajectory:
@@ -42,6 +44,7 @@ class ExcitationTrajectory:
         robot_file: the arm.
         text: of the trajectory file.
         motion: what is played.
+        prior: what is known of the arm beforehand: parameters and torque noise.
         design: its options and figures; None of a trajectory that was read.
 
     Example:
@@ -57,7 +60,7 @@ class ExcitationTrajectory:
     ) -> None:
         """Hold a checked trajectory."""
         self.robot_file, self.text, self.motion, self.design = robot_file, text, motion, design
-        self._prior = prior
+        self.prior = prior
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -82,7 +85,7 @@ class ExcitationTrajectory:
     @cached_property
     def figures(self) -> ExcitationFigures:
         """Condition number, predicted error bars, and limit utilisation."""
-        return excitation_figures(self.robot_file, self.motion, self._prior)
+        return excitation_figures(self.robot_file, self.motion, self.prior)
 
     @property
     def summary(self) -> str:
@@ -137,7 +140,7 @@ class ExcitationTrajectory:
         """
         check_outputs([Path(path)], overwrite=overwrite)
         notes = [] if self.design is None else design_notes(self.design)
-        write_page(Path(path), self.robot_file, self.motion, self._prior, self.figures, notes)
+        write_page(Path(path), self.robot_file, self.motion, self.prior, self.figures, notes)
 
     def __repr__(self) -> str:
         return f"<dynid.ExcitationTrajectory of {self.robot_file.robot.name}, {self.duration:.4g} s>"
@@ -274,6 +277,33 @@ def design_notes(designed: Design) -> list[tuple[str, str]]:
     ]
 
 
+@keywords_of(GravityMotionOptions)
+def design_gravity_motion(options: GravityMotionOptions) -> tuple[ExcitationTrajectory, GravityMotion]:
+    """Design a motion for gravity: poses, each passed slowly upwards and downwards (`dynid excite --for gravity`).
+
+    Returns:
+        The motion, and what it is expected to tell.
+
+    Raises:
+        UsageError: an option is not possible for this arm, or no pose is clear of everything.
+        MotionRefusedError: no free way leads from pose to pose.
+
+    Example:
+        >>> import dynid
+        >>> motion, expected = dynid.design_gravity_motion("up6", poses=8)
+        >>> motion.duration < 300.0, expected.silent
+        (True, ('S',))
+    """
+    robot_file = load_robot(options.robot)
+    known = None if options.prior is None else result_path(options.prior)
+    prior = find_prior(robot_file, known)
+    choices = same_named(options, GravityChoices)
+    designed = gravity_motion(robot_file, ArmMotionCheck(robot_file, known), prior, choices)
+    comment = f"designed by dynid excite --for gravity: {len(designed.poses)} poses, each passed slowly from both sides"
+    text, motion = _points_text(robot_file, designed.motion, comment)
+    return ExcitationTrajectory(robot_file, text, motion, prior), designed
+
+
 @keywords_of(SweepOptions)
 def design_sweep(options: SweepOptions) -> tuple[ExcitationTrajectory, tuple[JointSweep, ...]]:
     """Design a motion for friction: one joint at a time, forth and back, its speed rising and falling again.
@@ -289,13 +319,20 @@ def design_sweep(options: SweepOptions) -> tuple[ExcitationTrajectory, tuple[Joi
     known = None if options.prior is None else result_path(options.prior)
     choices = same_named(options, SweepChoices, joints=tuple(options.joints))
     sweep = velocity_sweep(robot_file, ArmMotionCheck(robot_file, known), choices)
+    comment = "designed by dynid sweep: one joint at a time, forth and back, for friction"
+    text, motion = _points_text(robot_file, sweep.motion, comment)
+    return ExcitationTrajectory(robot_file, text, motion, find_prior(robot_file, known)), sweep.joints
+
+
+def _points_text(robot_file: RobotFile, motion: PointToPoint, comment: str) -> tuple[str, Motion]:
+    """The trajectory file's text of a motion, and the motion as read back from it."""
     trajectory = PointsTrajectory(
         robot=robot_file.robot.name,
-        comment="designed by dynid sweep: one joint at a time, forth and back, for friction",
+        comment=comment,
         kind="points",
-        points=tuple(map(tuple, sweep.motion.points.tolist())),
-        durations=tuple(sweep.motion.durations.tolist()),
+        points=tuple(map(tuple, motion.points.tolist())),
+        durations=tuple(motion.durations.tolist()),
+        dwell=motion.dwell,
     )
     text = dump_trajectory(trajectory)
-    motion = parse_trajectory(text, robot_file.robot, where="the sweep", folder=None).motion
-    return ExcitationTrajectory(robot_file, text, motion, find_prior(robot_file, known)), sweep.joints
+    return text, parse_trajectory(text, robot_file.robot, where="the designed motion", folder=None).motion

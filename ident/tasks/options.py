@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from drivers.core.errors import UsageError
 from drivers.core.options import Options, argument, option, read_names, read_numbers
 from ident.excite.choices import DesignChoices, SearchOptions
+from ident.excite.gravity_choices import GravityChoices
 from ident.excite.sweep_choices import SweepChoices
 from ident.identify.options import ColumnOptions
 from ident.regression.options import PERCENT, EssentialOptions, ExperimentChoices, ReversalOptions
@@ -393,6 +394,20 @@ class ExciteOptions(SearchOptions, DesignChoices):
             raise UsageError(
                 "--time and --starts exclude each other", hint="--starts does not depend on the machine's speed"
             )
+
+
+@dataclass(frozen=True)
+class GravityMotionOptions(GravityChoices):
+    """Arguments of `design_gravity_motion`."""
+
+    robot: str | Path | RobotFile = field(metadata=_ROBOT)
+    _: KW_ONLY
+    prior: str | Path | None = option(
+        None,
+        "Model folder or result.json with prior parameters and noise.",
+        meaning="model folder or result.json that predicts torque and its noise; the robot file's truth where None.",
+        command_type=Path,
+    )
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,183 @@
+"""What a motion can be for (`dynid excite --for`): one table. A further purpose is one more entry of `PURPOSES`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import TYPE_CHECKING, Any, cast
+
+from drivers.core.errors import UsageError
+from drivers.core.options import Options, default_of, flag_of, option, same_named
+from ident.excite.gravity_choices import PoseCount
+from ident.tasks.options import ExciteOptions, GravityMotionOptions
+
+if TYPE_CHECKING:
+    from ident.tasks.excitation import ExcitationTrajectory
+
+FULL, GRAVITY = "full", "gravity"
+
+
+@dataclass(frozen=True)
+class DesignedMotion:
+    """A motion of any purpose, with what the command says of it.
+
+    Attributes:
+        trajectory: to be written.
+        title: of the table.
+        headings, rows: of the table.
+        lines: below the table.
+        object: what `--json` has beside file, page, robot and warnings.
+    """
+
+    trajectory: ExcitationTrajectory
+    title: str
+    headings: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    lines: Sequence[str]
+    object: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Purpose:
+    """What a motion is for.
+
+    Attributes:
+        summary: for the help.
+        options: whose fields it heeds; another option that is given is refused.
+        design: makes the motion; the second argument shows progress.
+    """
+
+    summary: str
+    options: type[Options]
+    design: Callable[[ExciteCommandOptions, Callable[[str], None]], DesignedMotion]
+
+
+def design_full(options: ExciteCommandOptions, progress: Callable[[str], None]) -> DesignedMotion:
+    """Design an excitation of all parameters."""
+    from drivers.core.text import percent_text
+    from ident.regression.options import SIGNIFICANT_RSD
+    from ident.tasks.excitation import design_excitation, search_state, search_words
+
+    progress("search")
+    given = vars(same_named(options, ExciteOptions))
+    trajectory = design_excitation(
+        **{**given, "progress": lambda result: progress(search_state(result, options.criterion))}
+    )
+    design, forecast = trajectory.design, trajectory.figures.forecast
+    assert design is not None
+    columns = trajectory.limits.columns
+    lines = ["Ctrl-C ended the search; this is the best feasible motion so far."] if design.search.interrupted else []
+    lines.append(trajectory.summary)
+    known = [p.rsd_percent for p in forecast.parameters if p.rsd_percent is not None]
+    if known:
+        significant = sum(value < SIGNIFICANT_RSD for value in known)
+        lines.append(
+            f"predicted RSD below {percent_text(SIGNIFICANT_RSD / 100.0)} for {significant} of {len(known)} base "
+            f"parameters (white noise; {trajectory.figures.prior})"
+        )
+    if forecast.unexcited:
+        lines.append(f"not excited: {', '.join(forecast.unexcited)}")
+    lines.append(search_words(design))
+    return DesignedMotion(
+        trajectory,
+        "Limit utilisation [%]",
+        [column.name for column in columns],
+        list(zip(*(column.cells for column in columns), strict=True)),
+        lines,
+        {
+            "choices": asdict(design.choices),
+            "cost": design.cost,
+            "search": {
+                "finished_starts": design.search.finished,
+                "seconds": design.search.seconds,
+                "interrupted": design.search.interrupted,
+            },
+            "limits": dict(zip(design.limits, design.use.tolist(), strict=True)),
+            "figures": asdict(trajectory.figures),
+        },
+    )
+
+
+def design_gravity(options: ExciteCommandOptions, progress: Callable[[str], None]) -> DesignedMotion:
+    """Design poses that are passed slowly from both sides."""
+    from ident.tasks.excitation import design_gravity_motion
+
+    progress("poses")
+    trajectory, designed = design_gravity_motion(**vars(same_named(options, GravityMotionOptions)))
+    robot = trajectory.robot_file.robot
+    rows = [
+        [joint.name, float(low), float(high), float(2.0 * half), float(sigma), joint.unit("N·m")]
+        for joint, low, high, half, sigma in zip(
+            robot.joints,
+            designed.poses.min(axis=0),
+            designed.poses.max(axis=0),
+            designed.half_stroke,
+            designed.sigma,
+            strict=True,
+        )
+    ]
+    lines = [
+        f"{trajectory.duration:.0f} s: {len(designed.poses)} poses, each passed upwards and downwards in "
+        f"{designed.pass_time:.2g} s, the first one again at the end",
+        f"σ is that of the gravity torque to expect (white noise; {trajectory.prior.source})",
+    ]
+    if designed.silent:
+        lines.append(f"gravity does not act on {', '.join(designed.silent)}: only friction and offset")
+    if designed.undetermined:
+        lines.append(f"not determined: {', '.join(designed.undetermined)}")
+    if designed.dropped:
+        lines.append(f"{designed.dropped} more poses were chosen, but no free way leads to them")
+    return DesignedMotion(
+        trajectory,
+        "Poses",
+        ("joint", "from", "to", "pass", "expected σ", "unit"),
+        rows,
+        lines,
+        {
+            "duration": trajectory.duration,
+            "poses": designed.poses.tolist(),
+            "pass_length": (2.0 * designed.half_stroke).tolist(),
+            "pass_time": designed.pass_time,
+            "expected_sigma": designed.sigma.tolist(),
+            "silent": list(designed.silent),
+            "undetermined": list(designed.undetermined),
+        },
+    )
+
+
+PURPOSES = {
+    FULL: Purpose("all parameters", ExciteOptions, design_full),
+    GRAVITY: Purpose("gravity compensation", GravityMotionOptions, design_gravity),
+}
+"""Purposes by their name."""
+
+
+@dataclass(frozen=True)
+class ExciteCommandOptions(PoseCount, ExciteOptions):
+    """Options of `dynid excite`: those of every purpose."""
+
+    purpose: str = option(
+        FULL,
+        f"What the motion is for: {', '.join(f'{name} ({one.summary})' for name, one in PURPOSES.items())}.",
+        flag="--for",
+        one_of=tuple(PURPOSES),
+        panel="",
+    )
+
+
+def purpose_of(options: ExciteCommandOptions) -> Purpose:
+    """The purpose that the options name.
+
+    Raises:
+        UsageError: an option that it does not heed is given.
+    """
+    purpose = PURPOSES[options.purpose]
+    heeded = {of.name for of in fields(cast("Any", purpose.options))} | {"purpose"}
+    strange = [
+        flag_of(of).partition("/")[0]
+        for of in fields(options)
+        if of.name not in heeded and getattr(options, of.name) != default_of(of)
+    ]
+    if strange:
+        raise UsageError(f"{', '.join(strange)} does nothing with --for {options.purpose}", hint="leave it out")
+    return purpose
