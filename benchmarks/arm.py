@@ -18,7 +18,7 @@ from ident.model.pinocchio_model import PINOCCHIO_ORDER
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from ident.signals.prepared import Segment
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 
 PERIOD = 20.0
 """Of the motion [s]; every data set samples one period evenly, so that no sample is there twice."""

@@ -18,7 +18,7 @@ from ident.regression.least_squares import ordinary_least_squares
 from ident.regression.observation_matrix import JointFactor, Reduction, estimate_condition, reduce_segments
 from ident.signals.filters import no_filter
 from ident.signals.prepared import Segment
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 
 CONDITION = 1e6
 

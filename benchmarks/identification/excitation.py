@@ -21,10 +21,9 @@ from benchmarks.agreement import check
 from benchmarks.peers import PinocchioLoop
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
-from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import Criterion, RegressorCriterion
-from ident.excite.design import design
+from ident.excite.design import build_problem, design
 from ident.excite.path import JointPath
 from ident.excite.prior import PriorKnowledge
 from ident.excite.search.problem import DesignProblem

@@ -13,8 +13,7 @@ from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 COMPARED = """\
 method_NAME_vs_ols: from prepared data (UR5e, 20,000 samples at 500 Hz, decimated by the parallel filter) to parameters,

@@ -7,8 +7,7 @@ from daq.robot.loader import load_robot
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 COMPARED = """\
 full_pipeline_ur5e_seconds: identify() with its default choices on 60 s of the simulated UR5e at its own rate, the last

@@ -9,7 +9,7 @@ from benchmarks.timing import medians
 from daq.robot.loader import load_robot
 from ident.model.dynamic_model import build_model
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 
 COMPARED = """\
 plant_vs_real_time: the simulated UR5e under its PID, steps of 1 ms; every 2 ms a new target and a measurement. Seconds

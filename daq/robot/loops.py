@@ -13,8 +13,7 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from daq.robot.magnitudes import TableAngle
-from daq.robot.section import Angle, Finite, Section
+from daq.robot.section import Angle, Finite, Section, TableAngle
 
 BASE = "base"
 """Name of the fixed link in an `antecedent`."""

@@ -15,7 +15,6 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, 
 from daq.robot.lengths import with_lengths
 from daq.robot.loops import BASE as BASE
 from daq.robot.loops import Loop, check_coupling, check_drives, check_pairs, passive_joints
-from daq.robot.magnitudes import PositionLimit, TableAngle, VelocityLimit
 from daq.robot.prior import Known, Prior, known_problems
 from daq.robot.references import OF_JOINTS, JointNames, name_problems, row_problems
 from daq.robot.section import (
@@ -25,9 +24,12 @@ from daq.robot.section import (
     NonNegative,
     NotTruthValue,
     Place,
+    PositionLimit,
     Positive,
     Section,
+    TableAngle,
     Vector3,
+    VelocityLimit,
     within,
 )
 from daq.robot.workspace import Mounting, Workspace

@@ -12,8 +12,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from daq.robot.magnitudes import TableAngle
-from daq.robot.section import Finite, NonNegative, Section, Vector3
+from daq.robot.section import Finite, NonNegative, Section, TableAngle, Vector3
 from drivers.core.validation import describe
 
 DEFAULT_LINK_RADIUS = 0.05

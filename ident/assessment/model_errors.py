@@ -10,8 +10,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.assessment.refit import Deviation, Kind, Refit, Unknown
 from ident.model.dynamic_model import DynamicModel
-from ident.regression.autocorrelation import independent_share, residual_autocorrelation
-from ident.regression.comparison import TorqueSeries, compare_torques
+from ident.regression.comparison import TorqueSeries, compare_torques, independent_share, residual_autocorrelation
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.signals.prepared import Prepared, Segment
 from ident.verdict.catalogue import raised

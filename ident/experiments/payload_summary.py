@@ -30,8 +30,8 @@ from ident.experiments.schema import (
 )
 from ident.model.load import FIRST_MOMENTS, KnownLoad, LoadColumns
 from ident.model.parameters import INERTIAL
-from ident.regression.gain_uncertainty import gain_deviations
 from ident.regression.hypothesis_tests import LEVEL, WITHIN_95_PERCENT, SignificanceTest
+from ident.regression.systematic_errors import gain_deviations
 from ident.result.units import parameter_unit
 
 FRAME_TEXT = "tool frame: origin at workspace.tool, axes of the last joint's frame"

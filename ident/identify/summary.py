@@ -24,11 +24,11 @@ from ident.identify.held_result import with_held_friction
 from ident.identify.identification import Identification, PreparedRun
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.regression.gain_uncertainty import gain_deviations, gain_sensitivity, relative_gain_std
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import describe
 from ident.regression.pruning import Pruned, partial_f, relative_std
+from ident.regression.systematic_errors import gain_deviations, gain_sensitivity, relative_gain_std
 from ident.result.consistent_model import consistent_model, link_results
 from ident.result.estimate import EstimateResult, ExperimentResult
 from ident.result.friction import friction_note, friction_results

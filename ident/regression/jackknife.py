@@ -27,8 +27,7 @@ import numpy.typing as npt
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.model.regressor import RegressorKernel
-from ident.regression.autocorrelation import independent_share, residual_autocorrelation
-from ident.regression.comparison import TorqueSeries
+from ident.regression.comparison import TorqueSeries, independent_share, residual_autocorrelation
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import filtered_samples
 from ident.signals.filters import ZeroPhaseFilter

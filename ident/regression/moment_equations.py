@@ -20,8 +20,7 @@ import numpy.typing as npt
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.model.regressor import RegressorKernel
-from ident.regression.autocorrelation import independent_share
-from ident.regression.comparison import TorqueSeries
+from ident.regression.comparison import TorqueSeries, independent_share
 from ident.regression.jackknife import BlockSums, CorrectedCovariance, MotionBlocks, motion_blocks, tolerant_moves
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import FilteredSamples, filtered_samples

@@ -1,18 +1,23 @@
-"""The program that ur_rtde 1.6.5 uploads (`rtde_control.script`), as far as it is simulated.
+"""The program that ur_rtde 1.6.5 uploads (`rtde_control.script`), as far as it is simulated, and the port it comes by.
 
 Command n arrives in input_int_register_0. Realtime commands are obeyed every period; another command is obeyed once,
 output_int_register_0 becomes 2 when it is done, and 1 again after command 0. Register 0 stays 1 while a blocking
 command runs, as the script leaves it; the script reads no other command until then.
+
+URScript is not interpreted: of a program on the script port (30003) only its name and its register offset are read. The
+real port also sends the controller's state; this one is silent, as ur_rtde does not listen.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from drivers.core.errors import ConnectionLostError
 from sim_drivers.rtde.controller import Controller
 from sim_drivers.rtde.joint_motion import ACCELERATION_RANGE, JointMotion, MoveJ, ServoJ, VelocityRamp
 from sim_drivers.rtde.variables import JOINTS, Value
@@ -26,6 +31,11 @@ REALTIME = frozenset((6, 9, 10, 11, 24, 25, 26, 27, 38, 58, 66, 67, 68, 69, 70, 
 """Commands that the script obeys every period, simulated or not."""
 
 PROGRESS_STARTED, PROGRESS_FINISHED = 0, -1
+CONTROL_PROGRAM = "rtde_control"
+LONGEST_SCRIPT = 250_000
+_HEADER = re.compile(r"^(?:def|sec)\s+(\w+)\s*\(\s*\)\s*:", re.MULTILINE)
+_END = re.compile(r"^end[ \t\r]*\n", re.MULTILINE)
+_OFFSET = re.compile(r"reg_offset_int\s*=[^\n]*\n\s*(\d+)")
 
 
 class ControlScript:
@@ -222,3 +232,47 @@ _ACTIONS: Mapping[int, Callable[[ControlScript, Controller], None]] = {
     IS_STEADY: ControlScript._is_steady,
     STOP_SCRIPT: ControlScript._stop_script,
 }
+
+
+class ScriptSession:
+    """One client of the script port."""
+
+    def __init__(self, controller: Controller) -> None:
+        self.closing = False
+        self._controller = controller
+        self._pending = ""
+
+    def greeting(self) -> bytes:
+        """No greeting."""
+        return b""
+
+    def close(self) -> None:
+        """A program continues when its client disconnects."""
+
+    def receive(self, chunk: bytes) -> bytes:
+        """Start every program that is complete with this chunk.
+
+        Raises:
+            ConnectionLostError: a program does not end.
+        """
+        self._pending += chunk.decode("utf-8", errors="replace")
+        while (end := _END.search(self._pending)) is not None:
+            body, self._pending = self._pending[: end.start()], self._pending[end.end() :]
+            header = _HEADER.search(body)
+            if header is not None:
+                self._start(header[1], body)
+        if len(self._pending) > LONGEST_SCRIPT:
+            raise ConnectionLostError("a script does not end")
+        return b""
+
+    def _start(self, name: str, body: str) -> None:
+        if name != CONTROL_PROGRAM:
+            self._controller.messages.append(f"the program '{name}' was not run: URScript is not interpreted")
+            return
+        if not self._controller.remote_control:
+            self._controller.messages.append(
+                f"the program '{name}' was not run: the controller is not in remote control"
+            )
+            return
+        offset = _OFFSET.search(body)
+        self._controller.start_program(ControlScript(24 if offset is not None and offset[1] == "24" else 0))

@@ -34,9 +34,9 @@ from sim_drivers.faults import (
 )
 from sim_drivers.plant.arm import SimulatedArm
 from sim_drivers.rtde.connection import ClientConnection, Session
+from sim_drivers.rtde.control_script import ScriptSession
 from sim_drivers.rtde.controller import Controller
 from sim_drivers.rtde.dashboard import DashboardSession
-from sim_drivers.rtde.script_port import ScriptSession
 from sim_drivers.rtde.secondary import SecondarySession
 from sim_drivers.rtde.session import RtdeSession
 from sim_drivers.rtde.variables import JOINTS, parse_version

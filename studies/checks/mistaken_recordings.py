@@ -35,14 +35,12 @@ from ident.identify.identification import Identification, IdentifyChoices, Model
 from ident.identify.identify import identify
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
-from ident.regression.autocorrelation import independent_share, residual_autocorrelation
-from ident.regression.comparison import compare_torques
+from ident.regression.comparison import compare_torques, independent_share, residual_autocorrelation
 from ident.regression.least_squares import excited_columns, weighted_least_squares
 from ident.regression.observability import experiment_base
 from ident.signals.pipeline import PreprocessChoices
 from ident.signals.prepared import Prepared, Segment
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 UR10 = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")

@@ -45,8 +45,7 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.simulation import open_loop, tracking
 from ident.verdict.check import SEVERITIES, Check
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks.mistaken_recordings import less_known, turned
 from studies.synthetic import data_mistakes as mistakes
 

@@ -29,8 +29,7 @@ from ident.assessment.residual_tests import ResidualTests
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks.mistaken_recordings import arms
 
 ASSUMPTIONS = ("linearity", "independence", "constant_variance", "normality")

@@ -34,8 +34,7 @@ from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.model import Model
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.synthetic.random_points import random_points_motion
 
 Play = Literal["periodic", "points"]

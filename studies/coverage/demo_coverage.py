@@ -25,7 +25,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 from studies.synthetic.controlled_run import record_plant
 
 PERIODS = {"identification": (15.0, 2), "validation": (10.0, 1)}

@@ -50,8 +50,7 @@ from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 from sim_drivers.plant.plant import Plant, PlantSettings
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.coverage.reversals import public_recordings
 from studies.synthetic.controlled_run import record_plant
 

@@ -24,7 +24,7 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 from studies.papers.aubo_coverage import Errors, found_errors
 from studies.synthetic.controlled_run import record_plant
 

@@ -25,8 +25,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import CorrectedCovariance
 from ident.regression.repeatability import with_repeatability
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 CASES = ((2, 0.0), (3, 0.0), (2, 0.1), (3, 0.1), (5, 0.05))
 """Runs, and the standard deviation of friction between them over itself."""

@@ -17,9 +17,8 @@ import numpy.typing as npt
 
 from daq.motion.trajectories import Motion, RestToRest
 from daq.robot.loader import RobotFile, load_robot
-from ident.excite.build import DEVIATION_FLOOR
 from ident.excite.choices import CriterionName, DesignChoices
-from ident.excite.design import design
+from ident.excite.design import DEVIATION_FLOOR, design
 from ident.excite.prior import find_prior
 from ident.excite.search.search import SearchChoices
 from ident.identify.identification import IdentifyChoices, ModelChoices
@@ -27,8 +26,7 @@ from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.papers.up6_excitation import DURATION, PAPER
 
 RAMP = 2.0

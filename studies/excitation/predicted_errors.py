@@ -30,8 +30,7 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.result.result_file import write_result
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 EARLIER_PERIOD, EARLIER_DURATION = 10.0, 30.0
 PERIOD, RAMP = 20.0, 2.0

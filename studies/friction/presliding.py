@@ -28,7 +28,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 from studies.friction.friction_models import choices_of, errors
 from studies.models.consistency import public
 from studies.synthetic.controlled_run import record_plant

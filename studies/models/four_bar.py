@@ -32,8 +32,7 @@ from ident.model.kinematics.loops import loop_ends, place_tree
 from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 ARM = Path(__file__).parents[2] / "examples" / "four_bar.yaml"
 RATE = 500.0

@@ -21,7 +21,7 @@ from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
 from ident.friction.table import temperature_coefficients
 from ident.model.dynamic_model import build_model
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 from studies.synthetic.controlled_run import record_plant
 
 COULOMB = (4.2, 4.4, 4.6, 0.38, 0.51, 0.36)

@@ -36,8 +36,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from ident.signals.pipeline import PreprocessChoices
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.papers.sr400_table4 import with_paper_load
 from studies.synthetic.random_points import random_points_motion
 

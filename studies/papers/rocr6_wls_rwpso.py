@@ -42,7 +42,7 @@ from ident.signals.smoothing.five_point import five_point_cubic
 from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_smoother
 from ident.signals.smoothing.noise_levels import likeliest_cutoff
 from ident.simulation.forward_arm import ForwardArm
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 
 ROCR6 = load_robot("rocr6")
 MODEL = replace(build_model(ROCR6), motor_inertia=(False,) * 6)

@@ -33,7 +33,7 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.parameters import INERTIAL, link_parameters
 from ident.model.true_parameters import truth_vector
-from ident.regression.gain_uncertainty import gain_sensitivity, relative_gain_std
+from ident.regression.systematic_errors import gain_sensitivity, relative_gain_std
 from sim_drivers.plant.altered_arm import with_gains, with_load
 from sim_drivers.synthetic.measurement import simulate_recording
 from studies.synthetic.random_points import random_points_motion

@@ -26,8 +26,7 @@ from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, load_effect
 from sim_drivers.plant.altered_arm import with_gains, with_load
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 INTERVAL = 1.96
 DURATION = 20.0

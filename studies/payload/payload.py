@@ -23,8 +23,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, moved_origin
 from ident.model.parameters import MASS
 from sim_drivers.plant.altered_arm import with_load
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 INTERVAL = 1.96
 FIGURES = ("mass", "x", "y", "z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")

@@ -32,7 +32,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 
 ROBOT = "ur5e"
 RATE = 500.0

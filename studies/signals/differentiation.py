@@ -44,8 +44,7 @@ from ident.signals.smoothing.five_point import five_point_cubic, passes_for
 from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_filter, kalman_smoother
 from ident.signals.smoothing.noise_levels import likeliest_cutoff
 from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_golay
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks.mistaken_recordings import arms
 
 WAYS: tuple[Differentiation, ...] = get_args(Differentiation)

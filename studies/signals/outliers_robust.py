@@ -29,8 +29,7 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 ROBOTS = ("ur5e", "rocr6", "panda")
 METHODS = ("ols", "wls", "irls", "irls:weights=huber", "irls:weights=tukey")

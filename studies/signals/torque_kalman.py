@@ -24,8 +24,7 @@ from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import true_model, truth_vector
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.friction.friction_models import choices_of
 from studies.models.consistency import public
 

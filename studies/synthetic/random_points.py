@@ -8,7 +8,7 @@ import numpy as np
 
 from daq.motion.trajectories import QUINTIC_ACCELERATION, QUINTIC_VELOCITY, PointToPoint
 from daq.robot.schema import Robot
-from sim_drivers.synthetic.motion import LIMIT_SHARE
+from sim_drivers.synthetic.measurement import LIMIT_SHARE
 
 
 def random_points_motion(robot: Robot, seed: int, moves: int, moving: Collection[str] = ()) -> PointToPoint:

@@ -19,8 +19,8 @@ from drivers.core import ranges
 from drivers.core.errors import DataError, RobotFileError, UsageError
 from drivers.core.options import Options, declared
 from drivers.core.ranges import Range, check_option
-from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
+from ident.excite.design import build_problem
 from ident.identify.identification import IdentifyChoices
 from ident.model.load import KnownLoad
 from ident.result.consistent_model import LinkResult

@@ -8,7 +8,7 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile
 from ident.model.dynamic_model import build_model
 from sim_drivers.plant.plant import Plant, PlantSettings
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 
 PERIOD = 10.0
 FOLLOWED = 0.02

@@ -8,8 +8,7 @@ import yaml
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, parse_robot
 from ident.model.dynamic_model import build_model
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 MASS_OVER_REACH = 49.0
 GRAVITY = 9.81

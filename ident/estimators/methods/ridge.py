@@ -16,8 +16,7 @@ from ident.estimators.method import Method, within
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
 from ident.linear_algebra.triangular import triangular
-from ident.regression.autocorrelation import independent_share, residual_autocorrelation
-from ident.regression.comparison import compare_torques
+from ident.regression.comparison import compare_torques, independent_share, residual_autocorrelation
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun
 from ident.regression.least_squares import LeastSquares, weighted_least_squares
 from ident.regression.moment_equations import SegmentRows, moment_jackknife

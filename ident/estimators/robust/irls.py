@@ -15,7 +15,7 @@ from ident.estimators.robust.weight_functions import WeightName, weight_function
 from ident.estimators.robust.whitened_equations import Whitening, sample_equations, whitened
 from ident.estimators.torque_estimator import reduce_torques
 from ident.model.regressor import RegressorKernel
-from ident.regression.autocorrelation import independent_share
+from ident.regression.comparison import independent_share
 from ident.regression.estimate import estimate_of
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun, motion_blocks, tolerant_moves
 from ident.regression.least_squares import LeastSquares, ordinary_least_squares

@@ -19,7 +19,7 @@ from drivers.core.arrays import FloatArray
 from ident.estimators.robust.weight_functions import WeightFunction
 from ident.estimators.robust.weighted_pass import Pass, weighted_pass
 from ident.model.regressor import RegressorKernel
-from ident.regression.autocorrelation import independent_share, lag_one
+from ident.regression.comparison import independent_share, lag_one
 from ident.regression.least_squares import LeastSquares, rounding_floor, weighted_least_squares
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared

@@ -13,7 +13,7 @@ from ident.experiments.friction.single_joint import JointPeriod
 from ident.friction.terms import FrictionConditions
 from ident.identify.friction.candidates import Candidate
 from ident.model.dynamic_model import DynamicModel
-from ident.regression.autocorrelation import lag_one
+from ident.regression.comparison import lag_one
 
 POSITION_BLOCKS = 24
 """Blocks of the jackknife over positions."""

@@ -39,7 +39,7 @@ from ident.friction.terms import FrictionTerms, friction_terms, no_terms
 from ident.identify.friction.candidates import CANDIDATE_KINDS, FOLDS, Candidate, CandidateGrams, term_candidates
 from ident.identify.friction.selection import FrictionSearch
 from ident.model.dynamic_model import DynamicModel
-from ident.regression.autocorrelation import independent_share
+from ident.regression.comparison import independent_share
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import BlockSums, block_length, jackknife_covariance, tolerant_moves
 from ident.regression.least_squares import LEAST_TORQUE

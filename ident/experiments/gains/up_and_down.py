@@ -35,7 +35,7 @@ from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.load import FIRST_MOMENTS, KnownLoad, load_effect
 from ident.model.parameters import INERTIAL
 from ident.model.regressor import regressor
-from ident.regression.autocorrelation import lag_one
+from ident.regression.comparison import lag_one
 from ident.regression.jackknife import block_length, jackknife_covariance
 from ident.regression.options import SIGNIFICANT_RSD
 from ident.regression.total_least_squares import NullVector, null_vector, null_vector_moves, signal_noise

@@ -24,8 +24,8 @@ from ident.linear_algebra.triangular import triangular
 from ident.model.load import FIRST_MOMENTS, KnownLoad, load_effect, moved_origin
 from ident.model.parameters import INERTIAL, MASS
 from ident.regression.estimate import Estimate
-from ident.regression.gain_uncertainty import gain_covariances
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
+from ident.regression.systematic_errors import gain_covariances
 
 LEAST_MASS = 1e-3
 """[kg] of the assumed load where no mass was identified."""

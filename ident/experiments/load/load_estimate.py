@@ -12,10 +12,10 @@ from ident.experiments.run_pair import FREE, LOADED, BlockGrams, RunPair, block_
 from ident.model.load import KnownLoad, LoadColumns, load_columns
 from ident.model.parameters import MASS
 from ident.regression.estimate import Estimate, estimate_of
-from ident.regression.gain_uncertainty import gain_deviations, gain_sensitivity, relative_gain_std
 from ident.regression.jackknife import BlockSums, jackknife_covariance, least_squares_moves
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import JointFactor, Reduction
+from ident.regression.systematic_errors import gain_deviations, gain_sensitivity, relative_gain_std
 from ident.regression.total_least_squares import signal_noise
 
 

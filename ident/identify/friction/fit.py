@@ -31,8 +31,7 @@ from ident.model.joint_columns import combined
 from ident.model.own_columns import gravity_of, load_change, own_column
 from ident.model.presliding import dry_friction
 from ident.model.regressor import RegressorKernel
-from ident.regression.autocorrelation import independent_share, residual_autocorrelation
-from ident.regression.comparison import TorqueSeries
+from ident.regression.comparison import TorqueSeries, independent_share, residual_autocorrelation
 from ident.regression.jackknife import distinct_samples
 from ident.regression.least_squares import (
     LeastSquares,

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.robot.loader import parse_robot
-from daq.robot.magnitudes import multiple_of_pi
 from daq.robot.schema import MdhRow
+from daq.robot.section import multiple_of_pi
 from drivers.core.errors import RobotFileError
 from drivers.core.ranges import POSITION_LIMIT, VELOCITY_LIMIT
 

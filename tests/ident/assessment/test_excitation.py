@@ -11,8 +11,7 @@ from daq.recording.recording import JOINTS_STREAM
 from ident.assessment.excitation import ExcitationReached, excitation_reached
 from ident.assessment.recorded_motion import recorded_motion
 from ident.model.dynamic_model import build_model
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 
 def recording_of(robot_file, motion, seconds: float = 12.0):

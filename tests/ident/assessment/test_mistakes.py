@@ -27,8 +27,7 @@ from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import truth_vector
 from ident.regression.observability import whole_arm
 from ident.signals.prepared import Segment
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 BOTH = Columns((0, 1, 2), (1.0, 1.0, 1.0))
 

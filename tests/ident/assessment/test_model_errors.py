@@ -18,8 +18,7 @@ from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 MODEL_ERRORS = {"inconsistent-gain", "inconsistent-length", "joint-zero", "gravity-direction"}
 

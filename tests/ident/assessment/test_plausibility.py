@@ -15,8 +15,7 @@ from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 
 @pytest.mark.parametrize("name", ["ur5e", "rocr6", "aubo_i5", "panda"])

@@ -17,8 +17,7 @@ from ident.excite.sufficiency import OWN_TORQUE, motion_sufficiency
 from ident.model.dynamic_model import build_model
 from ident.regression.observation_matrix import reduce_segments
 from ident.signals.pipeline import prepare
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
-from ident.assessment.time_axis import time_axis, time_axis_checks
+from ident.assessment.recording_checks import time_axis, time_axis_checks
 
 NAMES = ("j1", "j2")
 RATE = 200.0

@@ -19,8 +19,7 @@ from ident.checks.page.page import JSON_FILE, MOST_GAPS, PAGE_FILE, render_page,
 from ident.checks.page.plots import MOST_COLUMNS
 from ident.checks.recording_check import info_object, recording_info
 from ident.model.dynamic_model import build_model
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 
 def values(packed: Mapping[str, str]) -> np.ndarray[Any, np.dtype[np.float32]]:

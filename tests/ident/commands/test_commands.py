@@ -18,8 +18,7 @@ from daq.recording.recording import Event
 from daq.recording.writer import write_recording
 from daq.robot.loader import load_robot
 from ident.model.dynamic_model import build_model
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 RATE = 125.0
 

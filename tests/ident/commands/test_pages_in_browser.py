@@ -33,8 +33,7 @@ from ident.report import ReportData, TruthTable, write_result_folder
 from ident.tasks.identification import identify
 from ident.tasks.loads import drive_gains, payload
 from ident.tasks.prediction import predict
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 pytestmark = [pytest.mark.realtime, pytest.mark.slow]
 

@@ -41,8 +41,7 @@ from ident.regression.jackknife import FilteredRun
 from ident.regression.least_squares import excited_columns, ordinary_least_squares
 from ident.signals.filters import butterworth, no_filter
 from ident.signals.pipeline import PreprocessChoices
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 

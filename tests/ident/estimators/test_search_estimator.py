@@ -15,8 +15,7 @@ from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.regression.least_squares import ordinary_least_squares, weighted_least_squares
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.signals.options import PreprocessChoices
 from sim_drivers.plant.plant import Plant, PlantSettings
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 from studies.synthetic.controlled_run import record_plant
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")

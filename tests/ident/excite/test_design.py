@@ -11,10 +11,9 @@ from arm_kinds import ARM_KINDS
 from daq.motion.limits import check_limits, check_rest
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
-from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
 from ident.excite.criteria import RegressorCriterion
-from ident.excite.design import Design, design
+from ident.excite.design import Design, build_problem, design
 from ident.excite.path import JointPath
 from ident.excite.prior import find_prior
 from ident.excite.search.acceptance import DENSER

@@ -7,8 +7,8 @@ import pytest
 
 from daq.motion.trajectories import RestToRest
 from daq.robot.loader import load_robot
-from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
+from ident.excite.design import build_problem
 from ident.excite.forecast import excitation_figures
 from ident.excite.prior import PriorKnowledge, find_prior
 

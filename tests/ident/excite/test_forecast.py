@@ -16,7 +16,7 @@ from ident.excite.prior import find_prior
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque, regressor
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 
 RATE = 200.0  # of the three-joint arm's truth
 

@@ -7,8 +7,8 @@ import pytest
 from toy_design import BEST, maker, slow_problem, toy_problem
 
 from daq.robot.loader import load_robot
-from ident.excite.build import build_problem
 from ident.excite.choices import DesignChoices
+from ident.excite.design import build_problem
 from ident.excite.prior import find_prior
 from ident.excite.search.search import SearchChoices, search
 

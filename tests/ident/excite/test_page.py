@@ -20,7 +20,7 @@ from ident.excite.page.plots import shown_part
 from ident.excite.prior import PriorKnowledge, find_prior
 from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 
 NOTES = [("Kind", "fourier"), ("Criterion", "condition: 4.2")]
 WORKSPACE = "workspace:\n  tool: [0.4, 0, 0.1]\n  radius: [0.05, 2]\n  height: [-1, 2]\n"

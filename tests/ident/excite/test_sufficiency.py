@@ -20,8 +20,7 @@ from ident.excite.sufficiency import OWN_TORQUE, Sufficiency, motion_sufficiency
 from ident.model.dynamic_model import build_model
 from ident.regression.options import SIGNIFICANT_RSD
 from ident.tasks.options import InfoOptions
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 
 def recording_of(robot_file: RobotFile, seconds: float, seed: int = 1) -> Recording:

@@ -10,8 +10,7 @@ import pytest
 
 from daq.robot.loader import load_robot
 from ident.model.dynamic_model import build_model
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 

@@ -9,9 +9,8 @@ from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
-from ident.regression.gain_uncertainty import gain_covariances, gain_deviations
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from ident.regression.systematic_errors import gain_covariances, gain_deviations
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 

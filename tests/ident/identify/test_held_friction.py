@@ -15,8 +15,7 @@ from ident.model.true_parameters import true_model
 from ident.result.model import load_model
 from ident.tasks.identification import identify
 from ident.tasks.validation import validate
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 DURATION = 12.0
 

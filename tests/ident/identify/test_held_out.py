@@ -17,8 +17,7 @@ from ident.assessment.validation import Fit
 from ident.identify.held_out import COSTLY_RATIO, consistency_cost
 from ident.model.dynamic_model import build_model
 from ident.result.delivered import delivered_parameters
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 
 def with_stream(recording: Recording, change: Callable[[Stream], Stream]) -> Recording:

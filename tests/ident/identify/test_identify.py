@@ -29,8 +29,7 @@ from ident.regression.options import ExperimentChoices
 from ident.regression.velocity_reversals import STICKING_SHARE
 from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 SLIGHTLY = 3e-3
 """Share of a random motion's amplitude that is motion, but slower than what counts as such."""

@@ -16,8 +16,7 @@ from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.result.result_file import read_result, result_json
 from ident.signals.pipeline import PreprocessChoices
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 
 @pytest.fixture(scope="module")

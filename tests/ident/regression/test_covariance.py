@@ -31,8 +31,7 @@ from ident.regression.least_squares import LeastSquares, excited_columns, ordina
 from ident.regression.observation_matrix import reduce_segments
 from ident.signals.filters import no_filter
 from ident.signals.pipeline import Segment
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 

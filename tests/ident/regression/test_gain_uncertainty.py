@@ -12,10 +12,9 @@ from drivers.core.errors import UsageError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
-from ident.regression.gain_uncertainty import gain_sensitivity, relative_gain_std
 from ident.regression.least_squares import ordinary_least_squares, weighted_least_squares
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from ident.regression.systematic_errors import gain_sensitivity, relative_gain_std
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 

@@ -14,8 +14,7 @@ from ident.model.true_parameters import true_model, truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.repeatability import RunDeviations, repeatability
 from ident.result.friction import friction_note
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from tests.ident.identify.test_friction import ARM
 
 JOINTS, SEEDS = 6, 200

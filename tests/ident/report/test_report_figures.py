@@ -23,8 +23,7 @@ from ident.report.section import ReportData
 from ident.report.sections import correlation, friction
 from ident.result.schema import Result
 from ident.tasks.identification import IdentificationResult, identify
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 
 def values(packed: Mapping[str, str]) -> np.ndarray[Any, np.dtype[np.float32]]:

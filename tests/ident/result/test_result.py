@@ -23,8 +23,7 @@ from ident.result.model import Model
 from ident.result.result_file import file_sha256, read_result, result_json, write_result
 from ident.result.schema import Result
 from ident.result.units import UNITS
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 
 @pytest.fixture(scope="module")

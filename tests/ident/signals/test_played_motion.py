@@ -15,8 +15,7 @@ from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.regression.options import ExperimentChoices
 from ident.signals.played_motion import MOTION_BEGINS, MOTION_ENDS, played_window
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 APPROACH = 4.0
 

@@ -36,8 +36,7 @@ from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
 from ident.verdict.catalogue import CATALOGUE
 from sim_drivers.plant.altered_arm import with_load
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.synthetic.data_mistakes import (
     contact,
     filled_with_zeros,

@@ -19,7 +19,7 @@ from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import build_model
 from sim_drivers.canopen.network import DriveNetwork
 from sim_drivers.plant.plant import Plant
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 
 RATE = 250
 PERIOD = 1 / RATE

@@ -14,7 +14,7 @@ from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 from sim_drivers.can_signals.arm import MEASURED
 from sim_drivers.plant.plant import Plant, PlantSettings
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion
 
 SIMULATED = [name for name in ARM_KINDS if load_robot(name).robot.truth.links]
 FREE = PlantSettings(controller="none")

@@ -12,7 +12,7 @@ from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from sim_drivers.synthetic.motion import CANDIDATES
+from sim_drivers.synthetic.measurement import CANDIDATES
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 
 from drivers.rtde import protocol
 from sim_drivers.plant.control import Reference
-from sim_drivers.rtde.control_script import ControlScript
+from sim_drivers.rtde.control_script import ControlScript, ScriptSession
 from sim_drivers.rtde.controller import DRIFT_ACCELERATION, NORMAL, PROTECTIVE_STOP, Controller
 from sim_drivers.rtde.joint_motion import JointMotion, MoveJ, ServoJ, VelocityRamp
-from sim_drivers.rtde.script_port import ScriptSession
 from sim_drivers.rtde.session import RtdeSession
 from sim_drivers.rtde.variables import PackageRecipe, parse_version
 

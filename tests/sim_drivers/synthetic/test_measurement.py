@@ -15,8 +15,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 from ident.signals.joint_signals import read_joint_signals
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 SIMULATED = [name for name in ARM_KINDS if load_robot(name).robot.truth.links]
 

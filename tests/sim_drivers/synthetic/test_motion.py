@@ -13,7 +13,7 @@ from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel, motion_factor
-from sim_drivers.synthetic.motion import LIMIT_SHARE, random_fourier_motion
+from sim_drivers.synthetic.measurement import LIMIT_SHARE, random_fourier_motion
 
 DENSE = 4000  # points a period, ten times what the motion was scaled on
 

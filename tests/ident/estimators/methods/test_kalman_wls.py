@@ -12,8 +12,7 @@ from ident.estimators.methods.kalman_wls import filtered_torque, stationary_gain
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 
 @pytest.mark.parametrize("ratio", [1e-3, 0.1, 10.0])

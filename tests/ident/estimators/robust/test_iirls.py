@@ -18,8 +18,7 @@ from ident.model.regressor import RegressorKernel, regressor
 from ident.model.true_parameters import true_model, truth_vector
 from ident.report import ReportData
 from ident.report.sections.convergence import section
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from tests.ident.conftest import THREE_JOINT
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")

@@ -18,8 +18,7 @@ from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.options import ExperimentChoices
 from ident.report import ReportData
 from ident.report.page import render_report
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 

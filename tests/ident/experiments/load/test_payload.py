@@ -17,8 +17,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, load_effect
 from ident.model.parameters import INERTIAL
 from ident.regression.hypothesis_tests import chi_square_test
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 SEEDS = range(4)
 

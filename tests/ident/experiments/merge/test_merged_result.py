@@ -26,8 +26,7 @@ from ident.report.section import ReportData
 from ident.result.result_file import read_result, result_json, write_result
 from ident.result.stored_model import stored_estimate, stored_model
 from sim_drivers.plant.altered_arm import with_load
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 SECONDS = 40.0
 
