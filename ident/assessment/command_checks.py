@@ -1,20 +1,45 @@
-"""Checks of a recording's commands, for a servo model: do the positions follow them?"""
+"""Checks of a recording's commands: do the positions follow them, so that a servo model can be identified?"""
 
 from __future__ import annotations
 
 from daq.recording.commanded_motion import CommandedMotion
 from daq.recording.quality.command_quality import EARLIEST, SLOWEST, CommandQuality, command_quality
 from daq.recording.unit_plausibility import DEGREES, near
-from ident.verdict.catalogue import raised
+from drivers.core.errors import DataError
+from ident.verdict.catalogue import CATALOGUE, raised
 from ident.verdict.check import Check
 
 LEAST_UNCOVERED = 0.25
 """Time with samples but without commands [s] that is reported."""
 
+MOST_UNCOVERED = 1.0
+"""The same [s] beyond which a servo model is not identified."""
+
+OTHER_UNIT = 20.0
+"""Ratio of the changes of positions and commands, or its inverse, from which on the two are in different units."""
+
 
 def command_checks(motion: CommandedMotion, of: str = "") -> list[Check]:
     """What is wrong with commands beside measured positions; `of` begins the sentences."""
+    return _checks(motion, command_quality(motion), of)
+
+
+def refuse_unusable_commands(motion: CommandedMotion, where: str) -> None:
+    """Refuse commands that no servo model can be identified from.
+
+    Raises:
+        DataError: positions do not follow their commands, or the commands end long before them.
+    """
     quality = command_quality(motion)
+    for check in _checks(motion, quality):
+        short = check.name == "commands-short" and max(quality.before, quality.after) > MOST_UNCOVERED
+        if check.severity == "serious" or short:
+            raise DataError(check.text, where=where, hint=CATALOGUE[check.name].remedy)
+        if check.name == "encoder-stuck":
+            raise DataError(check.text, where=where, hint="record again, or leave this recording out")
+
+
+def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> list[Check]:
     checks = _cover_checks(motion, quality, of)
     if quality.apart:
         late = quality.delay > 0
@@ -29,13 +54,7 @@ def command_checks(motion: CommandedMotion, of: str = "") -> list[Check]:
     if quality.opposite:
         text = f"{of}{', '.join(quality.opposite)} move against their commands; are their signs right?"
         checks.append(raised("command-order", text, quality.opposite))
-    for factor, unit in (
-        (DEGREES, "positions look like degrees, their commands like radians"),
-        (1 / DEGREES, "commands look like degrees, the positions like radians"),
-    ):
-        joints = [joint for joint, ratio in quality.ratios.items() if near(ratio, factor)]
-        if joints:
-            checks.append(raised("command-unit", f"{of}by their change the {unit}: {', '.join(joints)}", joints))
+    checks += _unit_checks(quality, of)
     if quality.still:
         text = (
             f"{of}the position of {', '.join(quality.still)} never changes while its target goes on: check the "
@@ -56,4 +75,23 @@ def _cover_checks(motion: CommandedMotion, quality: CommandQuality, of: str) -> 
         if missing > LEAST_UNCOVERED:
             said = place.format(f"{missing:.3g}")
             checks.append(raised("commands-short", f"{of}the commands {said} the samples, which last {whole:.4g} s"))
+    return checks
+
+
+def _unit_checks(quality: CommandQuality, of: str) -> list[Check]:
+    checks = []
+    for large, unit in (
+        (True, "positions look like degrees, their commands like radians"),
+        (False, "commands look like degrees, the positions like radians"),
+    ):
+        ratios = {joint: ratio if large else 1 / ratio for joint, ratio in quality.ratios.items()}
+        apart = {joint: ratio for joint, ratio in ratios.items() if ratio > OTHER_UNIT}
+        degrees = [joint for joint, ratio in apart.items() if near(ratio, DEGREES)]
+        if degrees:
+            checks.append(raised("command-unit", f"{of}by their change the {unit}: {', '.join(degrees)}", degrees))
+        others = [joint for joint in apart if joint not in degrees]
+        if others:
+            listed = ", ".join(f"{joint} {quality.ratios[joint]:.3g}" for joint in others)
+            text = f"{of}positions and their commands are in different units, by the ratio of their changes: {listed}"
+            checks.append(raised("command-unit", text, others))
     return checks

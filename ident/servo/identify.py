@@ -10,13 +10,13 @@ from typing import Literal
 import numpy as np
 
 from daq.recording.commanded_motion import commanded_motion
-from daq.recording.quality.command_quality import command_quality
 from daq.recording.quality.quantisation import resolution
 from daq.recording.recording import Recording, software_versions
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.reading_process import Progress
+from ident.assessment.command_checks import refuse_unusable_commands
 from ident.identify.summary import values_sha256
 from ident.result.result_file import file_sha256
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
@@ -38,12 +38,6 @@ from ident.servo.terms import TERMS
 
 HELD_OUT = 0.3
 """Share at the end of each recording that validates, where no other recording does."""
-
-LONGEST_LAG = 1.0
-"""[s] by which commands and positions may begin and end apart."""
-
-DEGREES = 20.0
-"""Ratio of positions to commands, or its inverse, from which on one of them is taken to be in degrees."""
 
 FAR_ZERO = 0.15
 """[rad or m] of an encoder's zero against that of the URDF that is named."""
@@ -167,44 +161,8 @@ def read_motions(recording: Recording, robot_file: RobotFile) -> list[ServoMotio
         DataError: they do not belong together; says why, and what to do.
     """
     recorded = commanded_motion(recording, robot_file.robot)
-    quality, where = command_quality(recorded), recording.label
-    if quality.before > LONGEST_LAG or quality.after > LONGEST_LAG:
-        raise DataError(
-            f"{quality.before + quality.after:.1f} s of the motion have no commands",
-            where=where,
-            hint="cut the recording to where both are",
-        )
-    if quality.apart:
-        raise DataError(
-            f"positions follow their commands {quality.delay:+.2f} s later: the clocks of the two are apart",
-            where=where,
-            hint="import again with both stamps of one clock, or shift the commands' stamps by that much",
-        )
-    if quality.swapped:
-        pairs = ", ".join(f"{joint} follows the command of {other}" for joint, other in quality.swapped.items())
-        raise DataError(
-            f"{pairs}: columns are in another order", where=where, hint="import again with --column or --joints"
-        )
-    if quality.opposite:
-        raise DataError(
-            f"{', '.join(quality.opposite)} move against their commands",
-            where=where,
-            hint="import again with the sign of one of them turned",
-        )
-    scaled = {joint: ratio for joint, ratio in quality.ratios.items() if not 1 / DEGREES < ratio < DEGREES}
-    if scaled:
-        raise DataError(
-            f"{', '.join(scaled)} move {next(iter(scaled.values())):.3g} times as far as commanded: one is in degrees",
-            where=where,
-            hint="import again and name the units",
-        )
-    if quality.still:
-        raise DataError(
-            f"{', '.join(quality.still)} never move(s) although commanded to: a frozen encoder, or no torque",
-            where=where,
-            hint="record again; leave this recording out",
-        )
-    return servo_motions(recorded, where)
+    refuse_unusable_commands(recorded, recording.label)
+    return servo_motions(recorded, recording.label)
 
 
 def judge(

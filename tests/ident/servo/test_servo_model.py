@@ -163,9 +163,9 @@ def test_a_recording_whose_commands_and_positions_do_not_belong_together_is_refu
         case "clock":
             command, words = np.roll(command, 25, axis=0), "clocks"
         case "order":
-            command, words = command[:, [0, 2, 1, 3, 4, 5]], "another order"
+            command, words = command[:, [0, 2, 1, 3, 4, 5]], "commands of others"
         case "frozen":
-            position[:, 2], words = position[0, 2], "elbow_flex never"
+            position[:, 2], words = position[0, 2], "position of elbow_flex never"
         case "degrees":
             command, words = np.degrees(command), "degrees"
         case "sign":
