@@ -23,5 +23,7 @@ FRICTION_SHARE = Range(1e-3, 10.0)
 """Largest torque of a friction term over the joint's torque limit."""
 BOX_SHARE = Range(1e-6, 1e3)
 """Half of a search range over the size of its middle."""
+UNIT_SPREAD = Range(0.0, 2.0)
+"""Standard deviation of logarithms of parameters, from one unit of a type to the next."""
 RESULT_VALUE = Range(-1e100, 1e100)
 """Any number of a result: a parameter that is hardly excited may be huge, but not so that squares overflow."""

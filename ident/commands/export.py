@@ -23,8 +23,18 @@ def export(
     ),
     c: Path = typer.Option(None, "--c", help="C99 code to write: `arm` for arm.h and arm.c."),
     c_float: bool = typer.Option(False, "--c-float", help="C code in float, not double."),
+    isaaclab: Path = typer.Option(
+        None, "--isaaclab", help="Of a servo model: Python configuration for Isaac Lab, with events."
+    ),
+    usd: Path = typer.Option(None, "--usd", help="Of a servo model: USD stage with joint drives (.usda)."),
     ranges: Path = typer.Option(
         None, "--ranges", help="Of a servo model: JSON of ranges for domain randomisation, boxes and covariance."
+    ),
+    unit_spread: float = typer.Option(
+        0.0, "--unit-spread", help="Of ranges and events: how much units of a type differ, as σ of logarithms."
+    ),
+    replay: list[Path] = typer.Option(
+        [], "--replay", help="Of a servo model: recording to roll the files out on; repeatable."
     ),
     parameters: str = typer.Option(
         None,
@@ -44,53 +54,55 @@ def export(
     from daq.commands.console import print_json, progress_line
     from daq.output_files import check_outputs, written_together
     from drivers.core.errors import UsageError
-    from ident.commands.servo import export_servo_command
+    from ident.commands.servo import ServoExports, export_servo_command, refuse_servo_formats
     from ident.export.c_code.names import source_paths
     from ident.result.delivered import Parameters
     from ident.result.model import load_model, result_path
     from ident.servo.result import is_servo_file
     from ident.verdict.verdict import judge, together
 
-    files = (urdf, mjcf, ros2_inertial, ranges, *(source_paths(c) if c else ()))
+    files = (urdf, mjcf, ros2_inertial, isaaclab, usd, ranges, *(source_paths(c) if c else ()))
     targets = [path for path in files if path is not None]
     if not targets:
-        raise UsageError("names no file to write", hint="--urdf, --mjcf, --ros2-inertial, --c or --ranges")
+        raise UsageError(
+            "names no file to write", hint="--urdf, --mjcf, --ros2-inertial, --c, --isaaclab, --usd or --ranges"
+        )
     if c_float and c is None:
         raise UsageError("--c-float needs --c, the files to write")
     if into is not None and urdf is None:
         raise UsageError("--into needs --urdf, the file to write")
-    check_outputs(targets, [result_path(model), into], overwrite=force)
+    check_outputs(targets, [result_path(model), into, *replay], overwrite=force)
+    exports = ServoExports(mjcf, isaaclab, usd, ranges, unit_spread, tuple(replay))
     if is_servo_file(result_path(model)):
         others = any(path is not None for path in (urdf, ros2_inertial, c))
-        export_servo_command(model, mjcf, ranges, others=others, force=force, as_json=as_json)
+        export_servo_command(model, exports, others=others, force=force, as_json=as_json)
         return
-    if ranges is not None:
-        raise UsageError("--ranges is of a servo model", where=str(model), hint="dynid identify --method servo")
-    exports = []
+    refuse_servo_formats(model, exports)
+    written = []
     with progress_line(quiet=as_json) as progress, written_together():
         progress("model")
         identified = load_model(model, cast("Parameters | None", parameters))
         if urdf is not None:
             progress("URDF")
-            exports.append(identified.export_urdf(urdf, into=into, overwrite=force))
+            written.append(identified.export_urdf(urdf, into=into, overwrite=force))
         if mjcf is not None:
             progress("MJCF")
-            exports.append(identified.export_mjcf(mjcf, overwrite=force))
+            written.append(identified.export_mjcf(mjcf, overwrite=force))
         if ros2_inertial is not None:
             progress("ROS 2 inertial parameters")
-            exports.append(identified.export_ros2_inertial(ros2_inertial, overwrite=force))
+            written.append(identified.export_ros2_inertial(ros2_inertial, overwrite=force))
         if c is not None:
             progress("C code")
-            exports.append(identified.export_c(c, real="float" if c_float else "double", overwrite=force))
-    checks = [check for one in exports for check in one.checks]
+            written.append(identified.export_c(c, real="float" if c_float else "double", overwrite=force))
+    checks = [check for one in written for check in one.checks]
     verdicts = [("identification", identified.result.verdict), ("export", judge(checks, None))]
     simulation = together([verdict for verdict in verdicts if "simulation" in verdict[1].purposes]).purposes[
         "simulation"
     ]
     if as_json:
-        files = [{**asdict(one), "path": str(one.path)} for one in exports]
-        print_json({"model": str(model), "files": files, "simulation": asdict(simulation)})
+        described = [{**asdict(one), "path": str(one.path)} for one in written]
+        print_json({"model": str(model), "files": described, "simulation": asdict(simulation)})
         return
-    for one in exports:
+    for one in written:
         print(one)
     print(f"for simulation: {simulation.grade}, {simulation.because}")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -90,42 +91,97 @@ def validate_servo_command(path: Path, runs: object, *, as_json: bool) -> None:
     _print(judged.verdict, [judged.errors])
 
 
-def export_servo_command(
-    path: Path, mjcf: Path | None, ranges: Path | None, *, others: bool, force: bool, as_json: bool
-) -> None:
-    """Write a stored servo model as MJCF, and ranges of its parameters.
+@dataclass(frozen=True)
+class ServoExports:
+    """Files that `export` of a servo model shall write, and what they are made with.
+
+    Attributes:
+        mjcf, isaaclab, usd: paths; None for none.
+        ranges: JSON of ranges for domain randomisation.
+        unit_spread: of the ranges.
+        replay: recordings on whose commands the files are rolled out.
+    """
+
+    mjcf: Path | None
+    isaaclab: Path | None
+    usd: Path | None
+    ranges: Path | None
+    unit_spread: float
+    replay: tuple[Path, ...]
+
+
+def refuse_servo_formats(path: Path, exports: ServoExports) -> None:
+    """Refuse what only a servo model has.
+
+    Raises:
+        UsageError: it is asked for.
+    """
+    for field in fields(exports):
+        if field.name != "mjcf" and getattr(exports, field.name):
+            flag = "--" + field.name.replace("_", "-")
+            raise UsageError(f"{flag} is of a servo model", where=str(path), hint="dynid identify --method servo")
+
+
+def export_servo_command(path: Path, exports: ServoExports, *, others: bool, force: bool, as_json: bool) -> None:
+    """Write a stored servo model for simulators, each file rolled out on recorded commands.
 
     Raises:
         UsageError: another format is asked for.
     """
     import json
 
-    from daq.output_files import replace_files
-    from ident.servo.mjcf import left_out
+    from daq.output_files import replace_files, written_together
+    from ident.servo import isaaclab, mjcf, usd
+    from ident.servo.actuator_law import left_out
     from ident.tasks.servo import load_servo_model
 
     if others:
-        raise UsageError("a servo model is exported as MJCF or ranges only", where=str(path), hint="--mjcf, --ranges")
+        hint = "--mjcf, --isaaclab, --usd, --ranges"
+        raise UsageError("a servo model is exported for simulators only", where=str(path), hint=hint)
     model = load_servo_model(path)
+    runs = exports.replay or model.recordings()
     files: list[dict[str, object]] = []
-    words = list(left_out(model.result.values))
-    if mjcf is not None:
-        model.export_mjcf(mjcf, overwrite=force)
-        files.append({"path": str(mjcf), "left_out": words})
-    if ranges is not None:
-        replace_files({ranges: json.dumps(model.ranges(), ensure_ascii=False, indent=1) + "\n"})
-        files.append({"path": str(ranges), "left_out": []})
+    with written_together():
+        for target, write, missing, what in (
+            (exports.mjcf, model.export_mjcf, mjcf.MISSING, "MJCF with position actuators; ctrl is the command"),
+            (
+                exports.isaaclab,
+                partial(model.export_isaaclab, unit_spread=exports.unit_spread),
+                isaaclab.MISSING,
+                "actuators and events for Isaac Lab, checked without it",
+            ),
+            (exports.usd, model.export_usd, usd.MISSING, "USD with joint drives, in degrees"),
+        ):
+            if target is None:
+                continue
+            replayed = write(target, runs, overwrite=force)
+            files.append(
+                {
+                    "path": str(target),
+                    "what": what,
+                    "left_out": list(left_out(model.result.values, missing)),
+                    "replay": None if replayed is None else {**asdict(replayed), "faithful": replayed.faithful},
+                    "text": "" if replayed is None else str(replayed),
+                }
+            )
+        if exports.ranges is not None:
+            text = json.dumps(model.ranges(exports.unit_spread), ensure_ascii=False, indent=1) + "\n"
+            replace_files({exports.ranges: text})
+            what = "95 % boxes and covariance of every parameter, for domain randomisation"
+            files.append({"path": str(exports.ranges), "what": what, "left_out": [], "replay": None, "text": ""})
     if as_json:
         from daq.commands.console import print_json
 
-        print_json({"model": str(path), "files": files})
+        print_json({"model": str(path), "files": [{k: v for k, v in one.items() if k != "text"} for one in files]})
         return
-    if mjcf is not None:
-        print(f"{mjcf}: MJCF with position actuators; ctrl is the commanded position")
-        if words:
-            print(f"not in this file: {', '.join(words)}")
-    if ranges is not None:
-        print(f"{ranges}: 95 % boxes and covariance of every parameter, for domain randomisation")
+    for one in files:
+        print(f"{one['path']}: {one['what']}")
+        if one["left_out"]:
+            print(f"  not in this file: {', '.join(one['left_out'])}")  # type: ignore[arg-type]
+        if one["text"]:
+            print(f"  {one['text']}")
+    if not runs and any(one["left_out"] for one in files):
+        print("not rolled out: the recordings of the identification are not where they were; --replay RUN.h5")
 
 
 def _print(verdict: str, tables: list[object]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -18,62 +18,20 @@ from ident.export.xml_text import comment_text, number, numbers
 from ident.friction.terms import NO_TERMS
 from ident.model.base_parameters import base_parameters
 from ident.model.inverse_dynamics import InverseDynamics
-from ident.servo.arm_rollout import rollout_errors
+from ident.servo.actuator_law import (
+    ServoReplay,
+    actuator_law,
+    left_out,
+    replay_of,
+    shaped_commands,
+    some_motions,
+)
 from ident.servo.links import ServoLinks
-from ident.servo.motion import ServoMotion, lanes_of, motion_load
-from ident.servo.rollout import profile_goals
+from ident.servo.motion import ServoMotion
 from ident.servo.terms import INDEX, TERMS
 
-REPLAYED = 120.0
-"""[s] of motion at most in a replay."""
-
-FAITHFUL = 1.2
-"""Ratio of a replay's error to that of the model's own roll-out up to which the file stands for the model."""
-
-_KINDS = {"motor_inertia": "armature", "viscous": "damping", "coulomb": "coulomb"}
-
-
-@dataclass(frozen=True)
-class ServoReplay:
-    """A file rolled out on recorded commands; mean absolute errors over all joints [rad or m].
-
-    Attributes:
-        program: that read the file.
-        error: with the commands as recorded.
-        shaped_error: with the commands as the servos' profiles shape them.
-        model_error: of the model's own roll-out of the same motions.
-        seconds: of motion.
-        left_out: terms that the format has no place for, in words.
-    """
-
-    program: str
-    error: float
-    shaped_error: float
-    model_error: float
-    seconds: float
-    left_out: tuple[str, ...]
-
-    def __str__(self) -> str:
-        text = (
-            f"{self.program} on {self.seconds:.0f} s of recorded commands: {1e3 * self.error:.3g} mrad, with commands "
-            f"that the servos' profiles shaped {1e3 * self.shaped_error:.3g}; dynid {1e3 * self.model_error:.3g} mrad"
-        )
-        if self.error <= FAITHFUL * self.model_error or not self.left_out:
-            return text
-        return f"{text}. MJCF has no place for {', '.join(self.left_out)}"
-
-
-def left_out(values: FloatArray) -> tuple[str, ...]:
-    """Terms of some joint that an MJCF has no place for."""
-    words = {
-        "acceleration_limit": "the servos' profile",
-        "load_friction": "friction that follows the load",
-        "breakaway": "breakaway friction",
-        "load_breakaway": "breakaway friction",
-        "dead_band": "the dead band",
-    }
-    absent = {term.name: term.absent for term in TERMS}
-    return tuple(dict.fromkeys(word for name, word in words.items() if np.any(values[:, INDEX[name]] != absent[name])))
+MISSING = ("acceleration_limit", "load_friction", "breakaway", "load_breakaway", "dead_band")
+"""Terms that an MJCF has no place for; friction that follows the load stands in it as that of the mean load."""
 
 
 def servo_mjcf(robot_file: RobotFile, links: ServoLinks, values: FloatArray) -> str:
@@ -99,11 +57,9 @@ def servo_mjcf(robot_file: RobotFile, links: ServoLinks, values: FloatArray) -> 
         offset=(False,) * count,
         terms=NO_TERMS,
     )
-    own = {
-        (kind, model.active[joint]): float(values[joint, INDEX[name]])
-        for kind, name in _KINDS.items()
-        for joint in range(count)
-    }
+    law = actuator_law(values, links, 0.0)
+    kinds = {"motor_inertia": law.armature, "viscous": law.damping + law.viscous, "coulomb": law.dynamic}
+    own = {(kind, model.active[joint]): float(kinds[kind][joint]) for kind in kinds for joint in range(count)}
     standard = np.concatenate(
         [
             links.inertial,
@@ -116,7 +72,7 @@ def servo_mjcf(robot_file: RobotFile, links: ServoLinks, values: FloatArray) -> 
     lines = [
         f"Servo model of {model.name}, identified with dynid; ctrl is the commanded position.",
         "Not in this file:",
-        *(f"- {word}" for word in left_out(values) or ("nothing",)),
+        *(f"- {word}" for word in left_out(values, MISSING) or ("nothing",)),
         "A delay needs a MuJoCo whose actuators have one.",
     ]
     root.insert(0, ElementTree.Comment("\n" + comment_text(lines)))
@@ -165,26 +121,15 @@ def replay(
     import mujoco
 
     model = loaded(text, links.model.name)
-    chosen, seconds = [], 0.0
-    for motion, path in zip(motions, model_paths, strict=True):
-        if seconds < REPLAYED:
-            chosen.append((motion, path))
-            seconds += float(motion.time[-1])
-    raw = [_replayed(model, links, motion, motion.command[motion.history :], values) for motion, _ in chosen]
-    shaped = [_replayed(model, links, motion, _shaped(links, motion, values), values) for motion, _ in chosen]
-    weights = [motion.time[-1] for motion, _ in chosen]
-    errors = [
-        float(np.average(rollout_errors([motion for motion, _ in chosen], paths).mean(axis=1), weights=weights))
-        for paths in (raw, shaped, [path for _, path in chosen])
+    chosen = some_motions(motions)
+    raw = [_replayed(model, links, motion, motion.command[motion.history :], values) for motion in chosen]
+    shaped = [
+        _replayed(model, links, motion, shaped_commands(links, motion, values)[motion.history :], values)
+        for motion in chosen
     ]
-    return ServoReplay(f"MuJoCo {mujoco.__version__}", errors[0], errors[1], errors[2], seconds, left_out(values))
-
-
-def _shaped(links: ServoLinks, motion: ServoMotion, values: FloatArray) -> FloatArray:
-    """Commands (K, n) as the servos' profiles shape them, before their delay."""
-    zero = np.zeros(len(values))
-    lanes = lanes_of([motion], [motion_load(links, motion, motion.time, motion.position, zero)], None)
-    return profile_goals(lanes, np.zeros(len(values)), values[:, INDEX["acceleration_limit"]])
+    own = model_paths[: len(chosen)]
+    program = f"MuJoCo {mujoco.__version__}"
+    return replay_of("MJCF", program, chosen, (raw, shaped, own), left_out(values, MISSING))
 
 
 def _replayed(

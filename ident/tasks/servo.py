@@ -6,6 +6,8 @@ from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 
+import numpy as np
+
 from daq.output_files import (
     REPORT_FILE,
     RESULT_FILE,
@@ -18,15 +20,19 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError, UsageError
 from ident.export.mujoco_reading import mujoco_installed
+from ident.ranges import UNIT_SPREAD
 from ident.report.servo_page import servo_page
 from ident.result.model import result_path
-from ident.result.result_file import model_json
+from ident.result.result_file import file_sha256, model_json
 from ident.result.tables import Table
+from ident.servo import isaaclab, usd
+from ident.servo.actuator_law import ActuatorLaw, ServoReplay, replay_law
 from ident.servo.arm_rollout import roll_out_arm
 from ident.servo.identify import ServoIdentification, read_motions, revalidate_servo
 from ident.servo.identify import identify_servo as identify_recordings
 from ident.servo.links import servo_links
-from ident.servo.mjcf import ServoReplay, replay, servo_mjcf
+from ident.servo.mjcf import replay, servo_mjcf
+from ident.servo.motion import ServoMotion
 from ident.servo.ranges import drawn, servo_ranges
 from ident.servo.result import ServoResult, read_servo_result, with_values
 from ident.servo.terms import INDEX, TERMS
@@ -98,7 +104,7 @@ class ServoModel:
 
         Args:
             path: of the file.
-            runs: recordings for the replay; the held-out motions of the identification without.
+            runs: recordings for the replay; without, the held-out motions of the identification.
             overwrite: whether the file may exist.
 
         Returns:
@@ -111,9 +117,7 @@ class ServoModel:
         target = Path(path)
         check_outputs([target], overwrite=overwrite)
         text = servo_mjcf(self._robot, self._links, self.result.values)
-        motions = [motion for run in recordings_of(runs) for motion in read_motions(run, self._robot)]
-        if not motions and self.identification is not None:
-            motions = self.identification.motions
+        motions = self._replayed(runs)
         replayed = None
         if motions and mujoco_installed():
             paths = roll_out_arm(motions, self._links, self.result.values)
@@ -121,13 +125,99 @@ class ServoModel:
         replace_files({target: text})
         return replayed
 
-    def ranges(self) -> dict[str, object]:
-        """Ranges for domain randomisation: per joint the 95 % box of each parameter, and their covariance."""
-        return servo_ranges(self.result)
+    def export_isaaclab(
+        self, path: str | PathLike[str], runs: Runs = (), *, unit_spread: float = 0.0, overwrite: bool = False
+    ) -> ServoReplay | None:
+        """Write a Python configuration for Isaac Lab: actuators, command profile, terms of domain randomisation.
 
-    def drawn(self, seed: int) -> ServoModel:
-        """An arm that the recordings allow as well: parameters drawn from their covariance, within their intervals."""
-        return ServoModel(with_values(self.result, drawn(self.result, seed)))
+        The file is read again, and the law of its actuators rolled out on recorded commands; Isaac Lab is not needed.
+
+        Args:
+            path: of the file.
+            runs: recordings for the replay; without, the held-out motions of the identification.
+            unit_spread: σ of the parameters' logarithms from unit to unit, which widens the ranges.
+            overwrite: whether the file may exist.
+
+        Returns:
+            The replay; None without motions.
+
+        Raises:
+            UsageError: the path cannot be written, or a spread that is not within 0 to 2.
+            ModelError: the arm has loops or coupled motors.
+        """
+        target = Path(path)
+        check_outputs([target], overwrite=overwrite)
+        text = isaaclab.isaaclab_configuration(self.result, self._links, self._speeds(), _spread(unit_spread))
+        law = isaaclab.read_isaaclab(text, str(target))
+        replayed = self._rolled_out("Isaac Lab's configuration", law, runs, isaaclab.WITHOUT_PROFILE)
+        replace_files({target: text})
+        return replayed
+
+    def export_usd(self, path: str | PathLike[str], runs: Runs = (), *, overwrite: bool = False) -> ServoReplay | None:
+        """Write a USD stage (text) with bodies and joint drives; it is read again, and its drives rolled out.
+
+        Args:
+            path: of the file, `.usda` or `.usd`.
+            runs: recordings for the replay; without, the held-out motions of the identification.
+            overwrite: whether the file may exist.
+
+        Returns:
+            The replay; None without motions.
+
+        Raises:
+            UsageError: usd-core is not installed, the path ends otherwise or cannot be written.
+            ModelError: the arm has loops or coupled motors.
+        """
+        target = Path(path)
+        if target.suffix not in {".usda", ".usd"}:
+            raise UsageError(f"'{target.name}' does not end in .usda or .usd", hint="name it arm.usda")
+        check_outputs([target], overwrite=overwrite)
+        text = usd.servo_usd(self._robot, self._links, self.result.values)
+        law = usd.read_usd(text, self.result.joints, str(target))
+        replayed = self._rolled_out("USD", law, runs, usd.MISSING)
+        replace_files({target: text})
+        return replayed
+
+    def recordings(self) -> tuple[Path, ...]:
+        """The recordings of the validation, else of the identification, that are still where they were, unchanged."""
+        for role in ("validation", "identification"):
+            own = [(Path(use.file), use.sha256) for use in self.result.recordings if use.role == role]
+            found = tuple(path for path, sha256 in own if path.is_file() and file_sha256(path) == sha256)
+            if found:
+                return found
+        return ()
+
+    def _speeds(self) -> FloatArray:
+        return np.array([joint.velocity for joint in self._robot.robot.joints])
+
+    def _replayed(self, runs: Runs) -> list[ServoMotion]:
+        motions = [motion for run in recordings_of(runs) for motion in read_motions(run, self._robot)]
+        if not motions and self.identification is not None:
+            motions = self.identification.motions
+        return motions
+
+    def _rolled_out(self, file: str, law: ActuatorLaw, runs: Runs, missing: tuple[str, ...]) -> ServoReplay | None:
+        motions = self._replayed(runs)
+        if not motions:
+            return None
+        return replay_law(file, law, self._links, self.result.values, motions, missing)
+
+    def ranges(self, unit_spread: float = 0.0) -> dict[str, object]:
+        """Ranges for domain randomisation: per joint the 95 % box of each parameter, and their covariance.
+
+        Args:
+            unit_spread: σ of the parameters' logarithms from unit to unit, which one arm cannot tell.
+        """
+        return servo_ranges(self.result, _spread(unit_spread))
+
+    def drawn(self, seed: int, unit_spread: float = 0.0) -> ServoModel:
+        """An arm that the recordings allow as well: parameters drawn from their covariance, within their intervals.
+
+        Args:
+            seed: of the draw.
+            unit_spread: σ of the parameters' logarithms from unit to unit: then another unit of the type.
+        """
+        return ServoModel(with_values(self.result, drawn(self.result, seed, _spread(unit_spread))))
 
     def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write `result.json` and `report.html` into a folder.
@@ -158,6 +248,17 @@ class ServoModel:
 
     def _repr_html_(self) -> str:
         return f"<pre>{self.verdict}</pre>{self.errors._repr_html_()}{self.parameters._repr_html_()}"
+
+
+def _spread(value: float) -> float:
+    """A spread from unit to unit.
+
+    Raises:
+        UsageError: not within 0 to 2.
+    """
+    if not UNIT_SPREAD.holds(value):
+        raise UsageError(f"a spread of {value:g} from unit to unit is not within {UNIT_SPREAD}", where="--unit-spread")
+    return value
 
 
 def _silent(step: str) -> None:
