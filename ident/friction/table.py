@@ -2,7 +2,8 @@
 
 Per motor, linear in its coefficients once the shapes α, v_s, k and the load torque τ_L are given (AUBO eq. 3-6):
 
-    F = sign(q̇)·(Fs + Fv·|q̇|^α + Fb·exp(−(q̇/v_s)²) + Fl·|τ_L(q)|^k + √|q̇|·f(T)) + Fo
+    F = sign(q̇)·(Fs + Fv·|q̇|^α + Fb·exp(−(q̇/v_s)²) + Fl·|τ_L(q)|^k + √|q̇|·f(T) + Fpc·cos nq + Fps·sin nq)
+        + Rc·cos mq + Rs·sin mq + Fo
 
 k is 1 (AUBO's Model II) or 2 (Model III, eq. 6); τ_L is the gravity torque of an earlier estimate (eq. 18). Eq. 5 has
 f(T) = β1 + β2·T + β3·T⁻³, T in kelvin. Over the temperatures of a joint its three columns are nearly the same, so that
@@ -10,7 +11,8 @@ the model has the same function about a reference temperature T0:
 
     f(T) = Ft + Fts·(T − T0) + Ftc·((T0/T)³ − 1 + 3·(T − T0)/T0)
 
-and `temperature_coefficients` gives the paper's β. To add a term, add its `Term` to `TERMS`: regression, estimators,
+and `temperature_coefficients` gives the paper's β. Friction and torque with n and m periods per turn are those of gears
+that are eccentric or out of line. To add a term, add its `Term` to `TERMS`: regression, estimators,
 simulation, prediction, C code, exports and report read it from there.
 """
 
@@ -44,14 +46,17 @@ class Maths:
         sign: 1, 0 or −1.
         power: |x| to a positive constant.
         decay: exp(−x).
+        cosine, sine: of an angle [rad].
     """
 
     sign: Callable[[Any], Any]
     power: Callable[[Any, float], Any]
     decay: Callable[[Any], Any]
+    cosine: Callable[[Any], Any]
+    sine: Callable[[Any], Any]
 
 
-ARRAYS = Maths(np.sign, lambda value, exponent: np.abs(value) ** exponent, lambda value: np.exp(-value))
+ARRAYS = Maths(np.sign, lambda value, exponent: np.abs(value) ** exponent, lambda value: np.exp(-value), np.cos, np.sin)
 """The functions of arrays."""
 
 
@@ -62,11 +67,12 @@ class Operands:
     Attributes:
         rate: velocity that the term follows [rad/s or m/s].
         direction: its sign, smoothed or with a presliding state; None for terms that are not dry.
-        shape: exponent of |q̇| or of the load torque, or the Stribeck velocity [rad/s or m/s].
+        shape: exponent of |q̇| or of the load torque, Stribeck velocity [rad/s or m/s], or number of periods per turn.
         load: load torque of the motor [N·m or N]; None where the term does not need it.
         kelvin: temperature of the joint [K]; None where the term does not need it.
         maths: functions of these.
         direction_slope: derivative of `direction` by the velocity, for slopes: 0 but where the sign is smoothed.
+        angle: position of the motor [rad]; None where the term does not need it.
     """
 
     rate: Any
@@ -76,6 +82,7 @@ class Operands:
     kelvin: Any = None
     maths: Maths = ARRAYS
     direction_slope: FloatArray | float = 0.0
+    angle: Any = None
 
     @property
     def floored(self) -> FloatArray:
@@ -84,6 +91,9 @@ class Operands:
 
 
 Signal = Callable[[Operands], Any]
+
+Need = Literal["", "load", "temperature", "position"]
+"""What a term's signal can depend on beside the velocity."""
 
 
 @dataclass(frozen=True)
@@ -164,6 +174,7 @@ class Term:
         words, colour, marker: how it is called and drawn in reports.
         dry: whether sign(q̇) multiplies it and it does not vanish at rest.
         brakes: whether its coefficient is not negative on any arm.
+        rubs: whether it is friction, and not a torque that is the same in both directions.
         needs: what its signal depends on beside the velocity.
         shape: a parameter that the signal has beside the coefficient; None where there is none.
         options: how a user asks for it; where None, by its kind.
@@ -180,7 +191,8 @@ class Term:
     marker: str
     dry: bool = False
     brakes: bool = True
-    needs: Literal["", "load", "temperature"] = ""
+    rubs: bool = True
+    needs: Need = ""
     shape: Shape | None = None
     options: tuple[FrictionOption, ...] | None = None
     left_out: str = ""
@@ -260,6 +272,52 @@ def _temperature_term(
     )
 
 
+HARMONICS = (1, 2, 3, 4, 6, 8, 12)
+"""Periods per turn of the terms that depend on the position."""
+
+
+def _periodic_terms(name: str, symbol: str, words: str, colours: tuple[str, str], *, rubs: bool) -> tuple[Term, Term]:
+    """The cosine and sine of nq, times sign(q̇) where they are friction; q is the motor's position, n their shape."""
+    harmonic = Shape(
+        f"{name}_harmonic",
+        f"periods of the {words} per turn",
+        "",
+        Range(1.0, float(HARMONICS[-1])),
+        first=1.0,
+        plain=None,
+        grid=tuple(map(float, HARMONICS)),
+        relative=False,
+        derivative=None,
+    )
+
+    def wave(at: Operands, part: str) -> Any:
+        turned: Any = (at.maths.cosine if part == "cos" else at.maths.sine)(at.angle * at.shape)
+        return turned
+
+    def term(part: Literal["cos", "sin"], marker: str, options: tuple[FrictionOption, ...]) -> Term:
+        return Term(
+            f"{name}_{part}",
+            f"{symbol}{part[0]}",
+            lambda _: "N·m",
+            (lambda at: at.direction * wave(at, part)) if rubs else (lambda at: wave(at, part)),
+            (lambda at: at.direction_slope * wave(at, part)) if rubs else (lambda _: 0.0),
+            f"{words}, {part}",
+            colours[part == "sin"],
+            marker,
+            dry=rubs,
+            brakes=False,
+            rubs=rubs,
+            needs="position",
+            shape=harmonic,
+            options=options,
+            left_out=words if part == "cos" else "",
+        )
+
+    kinds = (f"{name}_cos", f"{name}_sin")
+    options = tuple(FrictionOption(f"{name}-{n}", name, n, kinds, float(n)) for n in HARMONICS)
+    return term("cos", "triangle-left", options), term("sin", "triangle-right", ())
+
+
 TERMS: tuple[Term, ...] = (
     Term(
         "viscous",
@@ -311,6 +369,7 @@ TERMS: tuple[Term, ...] = (
         "#7C828A",
         "cross",
         brakes=False,
+        rubs=False,
         options=(),
     ),
     Term(
@@ -390,6 +449,8 @@ TERMS: tuple[Term, ...] = (
         "#6A5ACD",
         "hexagram",
     ),
+    *_periodic_terms("position", "Fp", "friction by position", ("#8A6D3B", "#B89B5E"), rubs=True),
+    *_periodic_terms("ripple", "R", "torque ripple", ("#3B6E8A", "#6FA3BF"), rubs=False),
 )
 """Every friction term, in the order of the columns (SR400 eq. 6-7; Fo as f_o in AUBO eq. 6)."""
 
@@ -424,6 +485,12 @@ DISSIPATIVE_KINDS: tuple[str, ...] = tuple(term.kind for term in TERMS if term.b
 
 DRY_KINDS: tuple[str, ...] = tuple(term.kind for term in TERMS if term.dry)
 """Those that sign(q̇) multiplies and that do not vanish at rest."""
+
+RUBBING_KINDS: tuple[str, ...] = tuple(term.kind for term in TERMS if term.rubs)
+"""Those of friction, which takes power or, where the coefficient is negative, gives it."""
+
+POSITION_KINDS: tuple[str, ...] = tuple(term.kind for term in TERMS if term.needs == "position")
+"""Kinds of the columns that repeat over the motor's position."""
 
 LOAD_KINDS: tuple[str, ...] = tuple(term.kind for term in TERMS if term.needs == "load")
 """Kinds of the columns that a load torque enters."""

@@ -175,11 +175,13 @@ class FrictionConditions:
         load_torque: (n, m) of the motors [N·m or N].
         temperature: (n, m) of the motors' joints [K].
         presliding: states in place of sign(q̇).
+        position: (n, m) of the joints with a motor [rad or m].
     """
 
     load_torque: FloatArray | None = None
     temperature: FloatArray | None = None
     presliding: States = field(default_factory=dict)
+    position: FloatArray | None = None
 
 
 def friction_terms(friction: Friction, joint_names: Sequence[str]) -> FrictionTerms:

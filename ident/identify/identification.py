@@ -186,6 +186,7 @@ class FrictionFit:
         settled: whether they converged.
         delivered: root mean square error of the consistent model on held-out blocks without and with the chosen terms,
             each motor's torque over its residual's standard deviation; None where none were chosen.
+        by_run: the same on runs left out, without and with terms of the position; None where none were chosen.
         travels: of presliding.
     """
 
@@ -194,6 +195,7 @@ class FrictionFit:
     rounds: int = 0
     settled: bool = True
     delivered: tuple[float, float] | None = None
+    by_run: tuple[float, float] | None = None
     travels: tuple[PreslidingTravel, ...] = ()
 
 

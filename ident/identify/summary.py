@@ -209,17 +209,26 @@ def _experiment_step(identification: Identification) -> Step:
 def _friction_step(identification: Identification) -> tuple[Step, ...]:
     """How the friction's shapes and load torque were found, among the steps; none where all were known."""
     friction = identification.friction
+    of_position: tuple[Step, ...] = ()
+    if friction.by_run is not None:
+        before, after = friction.by_run
+        kept = "in the model" if any(identification.model.needs("position")) else "left out: the gain is not sure"
+        text = "terms of the position, chosen by what predicts a run from the others, "
+        text += (
+            f"{kept} (error of the physically consistent model {before:.3g} σ without them, {after:.3g} σ with them)"
+        )
+        of_position = (Step("friction over the position", {"before": before, "after": after}, text),)
     if not friction.rounds:
         if friction.delivered is None:
-            return ()
+            return of_position
         text = "further terms left out: the physically consistent model gains too little by them on held-out blocks "
         before, after = friction.delivered
         text += f"(error {before:.3g} σ without them, {after:.3g} σ with them)"
-        return (Step("friction", {"rounds": 0}, text),)
+        return (Step("friction", {"rounds": 0}, text), *of_position)
     outcome = "settled after" if friction.settled else "had not settled after"
     text = f"shapes and load torque of the friction, estimated from the identification data, {outcome} "
     text += f"{friction.rounds} round{'s' * (friction.rounds > 1)}"
-    return (Step("friction", {"rounds": friction.rounds, "settled": friction.settled}, text),)
+    return (Step("friction", {"rounds": friction.rounds, "settled": friction.settled}, text), *of_position)
 
 
 def _presliding_step(identification: Identification) -> tuple[Step, ...]:

@@ -23,7 +23,7 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits, Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
-from ident.friction.table import TERMS
+from ident.friction.table import TERMS, Need
 from ident.friction.terms import NO_TERMS, FrictionTerms
 from ident.model.kinematics.joints import Joint
 from ident.model.kinematics.loops import build_transmission, main_chain
@@ -153,8 +153,8 @@ class DynamicModel:
         present: tuple[bool, ...] = getattr(self, kind)
         return present
 
-    def needs(self, condition: Literal["load", "temperature"]) -> tuple[bool, ...]:
-        """Whether each motor's friction depends on the load torque or the temperature."""
+    def needs(self, condition: Need) -> tuple[bool, ...]:
+        """Whether each motor's friction depends on the load torque, the temperature or the position."""
         kinds = [term.kind for term in TERMS if term.needs == condition]
         return tuple(any(self.terms.has(kind, motor) for kind in kinds) for motor in range(self.dof))
 
@@ -165,8 +165,13 @@ class DynamicModel:
 
     @property
     def needs_load_torque(self) -> bool:
-        """Whether its friction depends on the load, and so on the position."""
+        """Whether its friction depends on the load."""
         return any(self.needs("load"))
+
+    @property
+    def needs_position(self) -> bool:
+        """Whether its friction depends on the position, by itself or by the load."""
+        return self.needs_load_torque or any(self.needs("position"))
 
     def require_temperature(self, temperature: FloatArray | None, where: str = "") -> None:
         """Refuse joint temperatures (n, …) [K] that lack those of joints whose friction depends on them.

@@ -106,11 +106,11 @@ class EnergyKernel:
 
         Args:
             velocity: (n, N) of the joints with a motor [rad/s or m/s].
-            position: (n, N) [rad or m], where friction depends on the load.
+            position: (n, N) [rad or m], where friction depends on it or on the load.
             temperature: (n, N) [K], where friction depends on it.
         """
         load = None if self._load is None or position is None else self._load.torque(position)
-        conditions = FrictionConditions(load, temperature)
+        conditions = FrictionConditions(load, temperature, position=position)
         out = np.empty((len(self.friction_rows), velocity.shape[1]))
         for (_, column, sign), power in zip(self._friction, out, strict=True):
             rate = combined(column.motion, velocity)

@@ -140,12 +140,13 @@ class InverseDynamics:
     def conditions(self, position: FloatArray | None, temperature: FloatArray | None) -> FrictionConditions:
         """What friction depends on beside the velocity, at positions (n, N) and temperatures (n, N) [K]."""
         if self._load is None or position is None:
-            return FrictionConditions(None, temperature)
+            return FrictionConditions(None, temperature, position=position)
         if self._load_arms and position.shape[1] < LOOP_BELOW:
             still = np.zeros_like(position)
             at_joints = self._of_arms(self._load_arms, position, still, still)
-            return FrictionConditions(np.asarray(np.linalg.solve(self.coupling.T, at_joints)), temperature)
-        return FrictionConditions(self._load.torque(position), temperature)
+            load = np.asarray(np.linalg.solve(self.coupling.T, at_joints))
+            return FrictionConditions(load, temperature, position=position)
+        return FrictionConditions(self._load.torque(position), temperature, position=position)
 
     def friction(
         self, velocity: FloatArray, position: FloatArray | None = None, temperature: FloatArray | None = None
@@ -154,7 +155,7 @@ class InverseDynamics:
 
         Args:
             velocity: (n, N) [rad/s or m/s].
-            position: (n, N), where friction depends on the load.
+            position: (n, N), where friction depends on it or on the load.
             temperature: (n, N) [K], where friction depends on it.
 
         Raises:

@@ -11,7 +11,7 @@ friction that brakes has negative values, as Fs6 in Table 4.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,7 +34,8 @@ class JointColumn:
         quantity: its signal: acceleration, velocity, its sign, 1, or a further friction term.
         motion: (joint, factor) of the active joints whose motion it follows; Σ factor · q̇.
         rows: (motor, factor) of the rows that it acts on.
-        shape: of the signal: exponent of |q̇| or of the load torque, or the Stribeck velocity [rad/s or m/s].
+        shape: of the signal: exponent of |q̇| or of the load torque, Stribeck velocity [rad/s or m/s], or number of
+            periods per turn.
     """
 
     quantity: str
@@ -74,14 +75,14 @@ def column_signal(
     """The column's signal (m,) for active velocities and accelerations (a, m); a number where it is constant.
 
     Raises:
-        ModelError: the signal depends on a load torque or a temperature that `conditions` lacks.
+        ModelError: the signal depends on a load torque, a temperature or a position that `conditions` lacks.
     """
     if column.quantity == "motor_inertia":
         return combined(column.motion, acceleration)
     term = term_of(column.quantity)
     rate = combined(column.motion, velocity)
     direction = _direction(model, column, rate, conditions) if term.dry else None
-    at = Operands(rate, direction, column.shape, *_needed(model, term, column, conditions))
+    at = _with_needed(model, term, column, conditions, Operands(rate, direction, column.shape))
     signal: FloatArray | float = signal_of(column.quantity)(at)
     return signal
 
@@ -94,10 +95,10 @@ def _direction(
     return model.coulomb_direction(rate) if state is None else state
 
 
-def _needed(
-    model: DynamicModel, term: Term, column: JointColumn, conditions: FrictionConditions
-) -> tuple[FloatArray | None, FloatArray | None]:
-    """Load torque and temperature (m,) of the column's motor, each where its term depends on it.
+def _with_needed(
+    model: DynamicModel, term: Term, column: JointColumn, conditions: FrictionConditions, at: Operands
+) -> Operands:
+    """The operands with load torque, temperature or position (m,) of the column's motor where its term depends on it.
 
     Raises:
         ModelError: `conditions` lacks it.
@@ -106,12 +107,16 @@ def _needed(
     if term.needs == "load":
         if conditions.load_torque is None:
             raise _lacking(model, motor, "the position, which its load-dependent friction follows")
-        return conditions.load_torque[motor], None
+        return replace(at, load=conditions.load_torque[motor])
     if term.needs == "temperature":
         if conditions.temperature is None:
             raise _lacking(model, motor, "its temperature, which its friction depends on")
-        return None, conditions.temperature[motor]
-    return None, None
+        return replace(at, kelvin=conditions.temperature[motor])
+    if term.needs == "position":
+        if conditions.position is None:
+            raise _lacking(model, motor, "the position, which its friction depends on")
+        return replace(at, angle=combined(column.motion, conditions.position))
+    return at
 
 
 def _lacking(model: DynamicModel, motor: int, what: str) -> ModelError:
@@ -133,12 +138,9 @@ def column_slope(
     if model.smoothing > 0:
         direction_slope = (1.0 - np.tanh(rate / model.smoothing) ** 2) / model.smoothing
     at = Operands(
-        rate,
-        model.coulomb_direction(rate) if term.dry else None,
-        column.shape,
-        *_needed(model, term, column, conditions),
-        direction_slope=direction_slope,
+        rate, model.coulomb_direction(rate) if term.dry else None, column.shape, direction_slope=direction_slope
     )
+    at = _with_needed(model, term, column, conditions, at)
     slope: FloatArray | float = slope_of(column.quantity)(at)
     return slope
 

@@ -76,7 +76,7 @@ class DryFriction:
     def conditions(self, position: FloatArray) -> FrictionConditions:
         """What the static friction depends on at positions (n, N) [rad or m]."""
         return FrictionConditions(
-            LoadTorqueKernel(self.model).torque(position) if self.model.needs_load_torque else None
+            LoadTorqueKernel(self.model).torque(position) if self.model.needs_load_torque else None, position=position
         )
 
     def change(

@@ -260,7 +260,7 @@ class RegressorKernel:
             if block.targets:
                 self._fill_link(block, count, out)
         load = None if self._load is None else self._load.torque(position)
-        conditions = FrictionConditions(load, temperature, presliding)
+        conditions = FrictionConditions(load, temperature, presliding, position)
         for entry in self.joint_parameter_rows:
             signal = column_signal(model, entry.column, velocity, acceleration, conditions)
             out[entry.row] = signal if entry.factor == 1.0 else entry.factor * signal
@@ -379,7 +379,7 @@ def regressor(
         from ident.model.pinocchio_model import pinocchio_regressor
 
         load = LoadTorqueKernel(model, max(1, count)).torque(position) if model.needs_load_torque else None
-        conditions = FrictionConditions(load, temperature)
+        conditions = FrictionConditions(load, temperature, position=position)
         full = pinocchio_regressor(model, position, velocity, acceleration, conditions)
         return full if columns is None else full[:, list(columns)]
     return dense_regressor(RegressorKernel(model, columns), position, velocity, acceleration, temperature)

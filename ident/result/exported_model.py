@@ -19,7 +19,7 @@ from drivers.core.errors import ModelError, ResultFileError, UsageError
 from drivers.core.text import percent_text
 from ident.assessment.validation import Fit
 from ident.export.arm import ExportedArm, refuse_unidentified_friction
-from ident.friction.table import FRICTION_KINDS, REFERENCE_TEMPERATURE, SHAPED, SHAPES, TERMS
+from ident.friction.table import FRICTION_KINDS, POSITION_KINDS, REFERENCE_TEMPERATURE, SHAPED, SHAPES, TERMS
 from ident.friction.terms import NO_TERMS, FrictionConditions
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel
@@ -248,14 +248,16 @@ def without_further_friction(
     """The model with Coulomb, linear viscous friction and offsets only, its standard parameters, and what it lacks.
 
     Coulomb and viscous friction of a joint with further terms are those nearest to its curve, by least squares over
-    speeds up to its limit, at 25 °C and under the mean load of random poses.
+    speeds up to its limit, at 25 °C, under the mean load of random poses and in the mean over a turn.
 
     Args:
         model: as identified.
         values: (p,) its standard parameters.
     """
     travels = [name for name, _ in model.presliding]
-    gradual = (f"presliding of {', '.join(travels)}: friction changes sign at once",) if travels else ()
+    gradual: tuple[str, ...] = (
+        (f"presliding of {', '.join(travels)}: friction changes sign at once",) if travels else ()
+    )
     terms = model.terms
     if terms.plain:
         return replace(model, presliding=()), values, gradual
@@ -266,7 +268,9 @@ def without_further_friction(
     names, sentences = model.joint_names, []
     for term in TERMS:
         joints = [name for name, there in zip(names, model.has(term.kind), strict=True) if there and term.left_out]
-        if joints:
+        if joints and term.needs == "position":
+            gradual += (f"{term.left_out} of {', '.join(joints)}: it has its mean over a turn",)
+        elif joints:
             sentences.append(f"{term.left_out} of {', '.join(joints)}")
     for shape in SHAPES.values():
         bent = [
@@ -294,7 +298,8 @@ def _nearest(model: DynamicModel, value_of: dict[str, float]) -> dict[str, float
         own = [
             parameter
             for parameter in model.parameters
-            if parameter.joint == joint and parameter.kind not in ("inertial", "motor_inertia", "offset", "coupling")
+            if parameter.joint == joint
+            and parameter.kind not in ("inertial", "motor_inertia", "offset", "coupling", *POSITION_KINDS)
         ]
         plain = {parameter.kind: parameter.name for parameter in own if parameter.kind in ("coulomb", "viscous")}
         bent = any(model.terms.shape_of(kind, motor) != 1.0 for kind in plain)

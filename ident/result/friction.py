@@ -114,9 +114,12 @@ class JointFrictionResult(Stored):
             beta = (_with_interval(*pair) for pair in zip(self.temperature, deviations, strict=True))
             parts.append(f"β {', '.join(beta)}{held}")
         for one in self.further:
+            term = TERM[one.kind]
             shape = "" if one.shape is None else f", shape {_with_interval(one.shape, one.shape_std)}"
-            unit = joint_unit(TERM[one.kind].unit(one.shape or 1.0), sliding=self.sliding)
-            parts.append(f"{TERM[one.kind].words} {_with_interval(one.value, one.std)} {unit}{shape}")
+            if term.needs == "position":
+                shape = f" of {one.shape:g} per turn"
+            unit = joint_unit(term.unit(one.shape or 1.0), sliding=self.sliding)
+            parts.append(f"{term.words} {_with_interval(one.value, one.std)} {unit}{shape}")
         return "; ".join(parts)
 
 

@@ -130,11 +130,11 @@ class Model(ExportedModel):
         """Friction's part of the torque [N·m], constant offsets included; shape of `dq`.
 
         Friction of motors and coupled joints; joints without a motor are taken as free of it, so that friction depends
-        on the position only through the load torque, and only where the model has load-dependent friction.
+        on the position only where the model has friction of the load or of the position, or torque ripple.
 
         Args:
             dq: (N, n) or (n,) velocities [rad/s].
-            q: the same of positions [rad], where the friction depends on the load.
+            q: the same of positions [rad], where the friction depends on them or on the load.
             temperature: (N, n) or (n,) of the joints [°C], where the friction depends on it.
 
         Raises:
@@ -143,8 +143,8 @@ class Model(ExportedModel):
                 joint slides along gravity, so that its weight and its offset are one parameter.
         """
         self._refuse_confounded("friction")
-        if q is None and self._stored.model.needs_load_torque:
-            raise DataError("positions are missing: the friction depends on the load", where="q", hint="give q=")
+        if q is None and self._stored.model.needs_position:
+            raise DataError("positions are missing: the friction depends on them", where="q", hint="give q=")
         given = {"dq": dq} if q is None else {"dq": dq, "q": q}
         (velocity, *others), single = samples(self.joint_names, **given)
         position = others[0] if others else np.zeros_like(velocity)
@@ -187,7 +187,7 @@ class Model(ExportedModel):
         Args:
             joints: names of those to show; all where none is named.
             speed: greatest velocity shown [rad/s or m/s]; the robot file's limit of each joint where None.
-            q: (n,) positions [rad], where the friction depends on the load.
+            q: (n,) positions [rad], where the friction depends on them or on the load.
             temperature: (n,) of the joints [°C], where the friction depends on it.
             backend: "plotly" gives a `plotly.graph_objects.Figure`, "matplotlib" a `matplotlib.figure.Figure`.
 

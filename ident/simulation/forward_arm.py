@@ -58,6 +58,7 @@ class ForwardArm:
         self._inverse, self._unsmoothed = inverse, replace(model, smoothing=0.0)
         self._kelvin = None if kelvin is None else kelvin[:, None]
         self._smooth: list[_Term] = []
+        self._ripple: list[_Term] = []
         self._further_dry: list[tuple[int, _Term]] = []
         self.dof, self.joint_names, self.sliding = model.dof, model.joint_names, model.sliding
         self.viscous, self._accelerating = np.zeros((self.dof, self.dof)), np.zeros((self.dof, self.dof))
@@ -81,6 +82,8 @@ class ForwardArm:
             elif column.quantity == "coulomb":
                 directions.append(motion)
                 dry.append(float(at_joints @ motion / (motion @ motion)))
+            elif not TERM[column.quantity].rubs:
+                self._ripple.append(_Term(along, at_joints, motion))
             elif TERM[column.quantity].dry:
                 same = [place for place, other in enumerate(directions) if np.array_equal(other, motion)]
                 if not same:
@@ -136,17 +139,21 @@ class ForwardArm:
         for place, term in self._further_dry:
             speed = np.array([max(abs(float(term.motion @ velocity)), SLOWEST)])
             share = float(term.at_joints @ term.motion / (term.motion @ term.motion))
-            limits[place] += share * float(self._signal(term, speed, conditions)[0])
+            at_place = replace(conditions, position=(term.motion @ position)[None, None])
+            limits[place] += share * float(self._signal(term, speed, at_place)[0])
         return np.asarray(np.maximum(limits, 0.0))
 
     def _signal(self, term: _Term, speed: FloatArray, conditions: FrictionConditions) -> FloatArray:
-        """The term's signal (1,) at a positive speed (1,) along its motion."""
+        """The term's signal (1,) at a positive speed (1,) along its motion, at the position (1, 1) along it."""
         signal = column_signal(self._unsmoothed, term.column, speed[None], speed[None], conditions)
         return np.asarray(signal, dtype=np.float64)
 
     def bias(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
-        """B (n,) [N·m]: gravity, Coriolis and centrifugal torque, and offsets."""
+        """B (n,) [N·m]: gravity, Coriolis and centrifugal torque, offsets and torque ripple."""
         total = self.offset.copy()
+        for term in self._ripple:
+            at_place = FrictionConditions(position=(term.motion @ position)[None, None])
+            total += term.at_joints * float(self._signal(term, np.zeros(1), at_place)[0])
         for arm, sign in self._arms:
             total += sign * arm.bias(position, velocity)
         return total

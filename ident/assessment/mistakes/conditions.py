@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.assessment.instants import Instants
-from ident.friction.table import TERM
+from ident.friction.table import RUBBING_KINDS, TERM
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import PAIR_SYMBOLS
@@ -68,7 +68,7 @@ def friction_conditions(
     frictions: dict[tuple[tuple[int, float], ...], list[int]] = {}
     for column, (kind, name) in enumerate(zip(base.kinds, base.names, strict=True)):
         of_pair = kind == "coupling" and PAIR_SYMBOLS.get(name[:2]) in TERM
-        if of_pair or (kind in TERM and kind != "offset"):
+        if of_pair or kind in RUBBING_KINDS:
             frictions.setdefault(base.motions[column], []).append(column)
     count = power.shape[1]
     rows = [np.empty((0, base.count))]

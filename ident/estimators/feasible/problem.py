@@ -341,6 +341,8 @@ def _signal_size(model: DynamicModel, parameter: StandardParameter, torque: floa
     if parameter.kind == "coupling":
         return velocity if PAIR_SYMBOLS[parameter.symbol] == "viscous" else 1.0
     term, shape = TERM[parameter.kind], joint_column(model, parameter).shape
+    if term.needs == "position":
+        return 1.0
     # Dry friction is largest where a motion begins, all other friction at the greatest velocity.
     rate = np.array(0.0 if term.dry else velocity)
     kelvin = np.array(REFERENCE_TEMPERATURE + PLAUSIBLE_RISE)

@@ -29,6 +29,7 @@ from ident.estimators.swarm.physical import (
     physical_values,
 )
 from ident.estimators.swarm.quadratic_cost import QuadraticCost
+from ident.friction.table import TERM
 from ident.ranges import BOX_SHARE, GENERATIONS, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
 from ident.regression.least_squares import LeastSquares, weighted_least_squares
 from ident.signals.prepared import Step
@@ -85,7 +86,8 @@ def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable
             seen = np.abs(of_active[:, place]) > 0.0
             size = JOINTS * float(np.max(np.abs(values[seen]), initial=0.0))
             upper[place] = size
-            lower[place] = -size if parameters[place].kind == "offset" else 0.0
+            kind = parameters[place].kind
+            lower[place] = 0.0 if kind not in TERM or TERM[kind].brakes else -size
         lower, upper = _scaled(reference, lower, upper, share, SIZE * links)
         names = physical_names(model)
         chosen = [place for place in _acting(of_active, reference, links) if lower[place] < upper[place]]

@@ -21,7 +21,7 @@ from ident.model.regressor import LoadTorqueKernel, RegressorKernel
 from ident.regression.least_squares import LeastSquares, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction
 
-BOUNDED = tuple(term for term in TERMS if term.needs != "temperature")
+BOUNDED = tuple(term for term in TERMS if term.needs in ("", "load"))
 """Terms whose coefficient has an upper bound: those of one sign."""
 
 

@@ -17,7 +17,8 @@ from ident.experiments.friction.joint_fit import fit_joint
 from ident.experiments.friction.joint_friction import JointExperiment
 from ident.experiments.friction.single_joint import JointPeriods, joint_periods
 from ident.experiments.run_pair import check_same_robot
-from ident.friction.choice import AUTO, check_friction
+from ident.friction.choice import AUTO, WORDS, check_friction
+from ident.friction.table import POSITION_KINDS
 from ident.identify.identification import IdentifyChoices
 from ident.result.friction_experiment import FrictionExperimentResult
 from ident.signals.options import PreprocessChoices
@@ -62,6 +63,10 @@ def analyse_friction(
     if not recordings:
         raise UsageError("no recording to find friction from")
     check_friction(friction)
+    if periodic := [word for word in friction.split("+")[1:] if WORDS[word].kinds[0] in POSITION_KINDS]:
+        raise UsageError(
+            f"the experiment has no term '{periodic[0]}'", where="--friction", hint=f"identify --friction {friction}"
+        )
     for other in recordings[1:]:
         check_same_robot(recordings[0], other)
     robot_file = recordings[0].robot() if robot_file is None else robot_file

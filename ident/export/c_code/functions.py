@@ -177,7 +177,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
         of_links[list(model.terms.load_torque.columns)] = model.terms.load_torque.values
         at_joints = held([of_links[SIZE * link : SIZE * (link + 1)] for link in range(len(model.joints))])
         load_torque = [combination(graph, row, at_joints) for row in np.linalg.inv(dynamics.coupling).T]
-    rubbing = friction(graph, terms, model.smoothing, dq, load_torque)
+    rubbing = friction(graph, terms, model.smoothing, q, dq, load_torque)
     torque = tuple(a + b + c for a, b, c in zip(links, rotors, rubbing, strict=True))
 
     held_links = held(inertial)
@@ -196,7 +196,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
     columns = [
         inertial_column(graph, motions[number // SIZE], axes[number // SIZE], number % SIZE, follow)
         if model.parameters[number].kind == "inertial"
-        else joint_parameter_column(graph, dynamics, number, dq, ddq, load_torque)
+        else joint_parameter_column(graph, dynamics, number, q, dq, ddq, load_torque)
         for number in dynamics.base.columns
     ]
     regressor = tuple(tuple(column[joint] for column in columns) for joint in range(count))
@@ -212,7 +212,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
         Function(
             "friction",
             "Torques of friction, constant offsets included.",
-            ("q", "dq") if model.needs_load_torque else ("dq",),
+            ("q", "dq") if model.needs_position else ("dq",),
             "tau",
             (rubbing_alone,),
         ),

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.export.c_code.expressions import Expression, Graph, decay, hyperbolic_tangent, power, sign
+from ident.export.c_code.expressions import Expression, Graph, cosine, decay, hyperbolic_tangent, power, sign, sine
 from ident.export.c_code.frames import combination
 from ident.friction.table import TERM, Maths, Operands
 from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.joint_columns import JointColumn, joint_column
 
-EXPRESSIONS = Maths(sign, power, decay)
+EXPRESSIONS = Maths(sign, power, decay, cosine, sine)
 """The functions that friction terms are written with."""
 
 
@@ -67,26 +67,28 @@ def friction(
     graph: Graph,
     terms: JointTermsCode,
     smoothing: float,
+    position: Sequence[Expression],
     velocity: Sequence[Expression],
     load_torque: Sequence[Expression],
 ) -> list[Expression]:
-    """Friction and offsets (n,) at the joints' velocities (n,) and the motors' load torques (n,)."""
+    """Friction and offsets (n,) at the joints' positions and velocities (n,) and the motors' load torques (n,)."""
     totals = [combination(graph, row, velocity) for row in terms.viscous]
     for motion, torques in terms.coulomb:
         direction = coulomb_direction(combination(graph, motion, velocity), smoothing)
         totals = [total + direction * float(torque) for total, torque in zip(totals, torques, strict=True)]
     for column, motion, torques in terms.further:
-        signal = _further_signal(column, combination(graph, motion, velocity), smoothing, load_torque)
+        angle, rate = (combination(graph, motion, signals) for signals in (position, velocity))
+        signal = _further_signal(column, angle, rate, smoothing, load_torque)
         totals = [total + signal * float(torque) for total, torque in zip(totals, torques, strict=True)]
     return [total + float(constant) for total, constant in zip(totals, terms.offset, strict=True)]
 
 
 def _further_signal(
-    column: JointColumn, rate: Expression, smoothing: float, load_torque: Sequence[Expression]
+    column: JointColumn, angle: Expression, rate: Expression, smoothing: float, load_torque: Sequence[Expression]
 ) -> Expression:
-    """Signal of a column of further friction at a motor's velocity."""
+    """Signal of a column of further friction at a motor's position and velocity."""
     direction = coulomb_direction(rate, smoothing)
-    at = Operands(rate, direction, column.shape, load_torque[column.rows[0][0]], maths=EXPRESSIONS)
+    at = Operands(rate, direction, column.shape, load_torque[column.rows[0][0]], maths=EXPRESSIONS, angle=angle)
     signal: Expression = TERM[column.quantity].signal(at)
     return signal
 
@@ -95,6 +97,7 @@ def joint_parameter_column(
     graph: Graph,
     dynamics: InverseDynamics,
     number: int,
+    position: Sequence[Expression],
     velocity: Sequence[Expression],
     acceleration: Sequence[Expression],
     load_torque: Sequence[Expression],
@@ -112,7 +115,8 @@ def joint_parameter_column(
     elif column.quantity == "offset":
         signal = graph.constant(1.0)
     else:
-        signal = _further_signal(column, combination(graph, motion, velocity), model.smoothing, load_torque)
+        angle, rate = (combination(graph, motion, signals) for signals in (position, velocity))
+        signal = _further_signal(column, angle, rate, model.smoothing, load_torque)
     return [signal * float(factor) for factor in _rows(dynamics, column)]
 
 

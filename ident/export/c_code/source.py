@@ -81,6 +81,7 @@ def header(description: Description, functions: Sequence[Function], dialect: Dia
     declarations = "\n\n".join(
         f"/* {function.summary} */\n{_signature(function, prefix, len(description.joints))};" for function in functions
     )
+    friction = next((", ".join(one.inputs) for one in functions if one.name == "friction"), "dq")
     origin = _lines(("", *description.origin)) if description.origin else ""
     lacking = (
         _lines(("", "Not there:", *(f"  {line}" for line in description.left_out))) if description.left_out else ""
@@ -88,7 +89,7 @@ def header(description: Description, functions: Sequence[Function], dialect: Dia
     return f"""\
 /* Dynamic model of {comment_text(description.robot)}, written by dynid; it holds {comment_text(description.kind)}.
  *
- *     tau = M(q) ddq + C(q, dq) dq + g(q) + friction(dq)
+ *     tau = M(q) ddq + C(q, dq) dq + g(q) + friction({friction})
  *
  * at the joints with a motor, in this order:
  *

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.friction.table import OPTIONS, TERM
+from ident.friction.table import OPTIONS, POSITION_KINDS, TERM
 from ident.friction.terms import FrictionConditions
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, combined, joint_column
@@ -22,8 +22,10 @@ from ident.model.regressor import LoadTorqueKernel
 from ident.signals.motion_masks import REST_FLOOR
 from ident.signals.prepared import Prepared, Segment
 
-CANDIDATE_KINDS = tuple(kind for kind in TERM if any(kind in option.kinds for option in OPTIONS))
-"""Kinds of the columns that some option asks for."""
+CANDIDATE_KINDS = tuple(
+    kind for kind in TERM if kind not in POSITION_KINDS and any(kind in option.kinds for option in OPTIONS)
+)
+"""Kinds of the columns that some option asks for, and one motion can tell."""
 
 FOLDS = 6
 
@@ -143,6 +145,14 @@ def term_candidates(kind: str, speed: float, *, loads: bool, temperature: bool) 
     return tuple(Candidate(kind, speed * share if term.shape.relative else share) for share in term.shape.grid)
 
 
+def position_candidates(dof: int) -> tuple[tuple[Candidate, ...], ...]:
+    """Candidates that depend on the position, of each of n motors."""
+    own = tuple(
+        candidate for kind in POSITION_KINDS for candidate in term_candidates(kind, 1.0, loads=False, temperature=False)
+    )
+    return (own,) * dof
+
+
 def motor_motion(model: DynamicModel, motor: int) -> JointColumn:
     """The column of a motor's Coulomb friction, whether the model has it or not."""
     joint = model.active[motor]
@@ -173,7 +183,7 @@ def candidate_signals(
     """(e·n, N) the candidates' signals, the first of all motors first."""
     loads = any(TERM[candidate.quantity].needs == "load" for candidate in candidates[0])
     load = LoadTorqueKernel(model).torque(segment.position) if loads else None
-    conditions = FrictionConditions(load, segment.temperature)
+    conditions = FrictionConditions(load, segment.temperature, position=segment.position)
     motions = [motor_motion(model, motor) for motor in range(model.dof)]
     return np.array(
         [

@@ -44,7 +44,7 @@ def delivered_errors(
         solution: of it.
         robot_file: for the consistent model.
         weights: (n,) of the motors' equations; the same for models that are compared.
-        folds: block (M,) of each filtered sample, an array per segment of all runs.
+        folds: block (M,) of each filtered sample, an array per segment of all runs; the error of an empty one is 0.
     """
     sums = rows.fold_sums(model, base, folds)
     fitted = np.einsum("m,fmij->fij", np.square(weights), sums.fitted)
@@ -53,6 +53,9 @@ def delivered_errors(
     whole = estimate_of(reduction, solution, np.eye(len(solution.active)), FOLDS)
     errors = []
     for own, judged in zip(fitted, compared, strict=True):
+        if not np.any(own):  # fewer runs than folds
+            errors.append(0.0)
+            continue
         rest = fitted.sum(axis=0) - own
         values = solve_columns(rest, solution.active)
         if values is None:

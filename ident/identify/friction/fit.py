@@ -18,8 +18,16 @@ from drivers.core.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
 from ident.friction.solver import Value, settle
 from ident.friction.terms import NO_TERMS, FrictionTerms, LoadTorque, no_terms
-from ident.identify.friction.candidates import FOLDS, candidates_of, greatest_speeds, motor_motion
+from ident.identify.friction.candidates import (
+    FOLDS,
+    Candidate,
+    candidates_of,
+    greatest_speeds,
+    motor_motion,
+    position_candidates,
+)
 from ident.identify.friction.delivered import delivered_errors, falls
+from ident.identify.friction.positions import LEAST_MOTIONS, LEVEL, choose_position_terms, motion_folds
 from ident.identify.friction.presliding import find_travels
 from ident.identify.friction.rows import FrictionRows
 from ident.identify.friction.selection import FrictionSearch
@@ -41,6 +49,7 @@ from ident.regression.least_squares import (
 )
 from ident.regression.observability import Experiment, experiment_base
 from ident.regression.observation_matrix import Reduction
+from ident.result.friction import FrictionStep
 from ident.result.schema import PreslidingTravel
 
 TRAVEL_ROUNDS = 2
@@ -83,7 +92,7 @@ def fit_friction(
     fit = _Fit(model, prepared, experiment, "ols" if choices.estimator.name == "ols" else "wls")
     friction = FrictionFit(model)
     if automatic:
-        friction = fit.automatic(model, robot_file, progress)
+        friction = fit.with_position(fit.automatic(model, robot_file, progress), robot_file, progress)
     elif terms.shaped or terms.loaded:
         terms = fit.started(terms) if terms.shaped else terms
         progress("friction shapes" if terms.shaped else "load torque")
@@ -167,29 +176,78 @@ class _Fit:
         folds = [_folds(indices, samples.count) for indices in samples.indices]
         start = replace(no_terms(plain.dof), load_torque=solved.load_torque)
         search = self._search(replace(plain, terms=start), solved, series)
-        enough = [
-            motor
-            for motor in self._experiment.torques
-            if plain.viscous[motor]
-            and plain.coulomb[motor]
-            and self._reversals(motor) * samples.share >= LEAST_REVERSALS
-        ]
+        enough = self._reversing(samples.share)
         steps = [step for motor in enough for step in search.choose(motor, plain.joint_names[motor])]
         terms = search.terms(start)
         if not any(step.accepted for step in steps):
             return FrictionFit(model, tuple(steps))
         progress("friction shapes" if terms.shaped else "load torque")
         settled = self.settled(replace(model, terms=terms))
-        errors = [
+        errors, sizes = self._delivered(solved, settled.model, robot_file, folds)
+        kept = settled if falls(*errors) else FrictionFit(model)
+        return replace(kept, steps=tuple(steps), delivered=sizes)
+
+    def with_position(self, friction: FrictionFit, robot_file: RobotFile, progress: Progress) -> FrictionFit:
+        """The friction with terms of the position, where several motions call for them."""
+        plain = self.solve(friction.model)
+        folds = motion_folds(self._series(plain), [len(run.segments) for run in self._runs])
+        motions = 1 + max(int(fold[0]) for fold in folds if len(fold))
+        if motions < LEAST_MOTIONS:
+            return friction
+        progress("friction over the position")
+        share = distinct_samples(self._series(plain)).share
+        turning = [motor for motor in self._reversing(share) if not friction.model.sliding[motor]]
+        candidates, names = position_candidates(friction.model.dof), friction.model.joint_names
+        terms = friction.model.terms
+        terms = terms if terms.kinds else replace(terms, kinds=no_terms(friction.model.dof).kinds)
+        solved, accepted = plain, list[FrictionStep]()
+        while True:  # what one joint lacks hides what others lack
+            rich, search = (
+                self._search(solved.model, solved, self._series(solved), candidates, folds) for _ in range(2)
+            )
+            choose_position_terms(rich, turning, terms, names, np.inf)
+            richest = self.solve(replace(friction.model, terms=rich.terms(terms)))
+            # The residuals of every term that might be there say how many equations are independent.
+            search.judge_by(self._shares(self._series(richest)))
+            steps = choose_position_terms(search, turning, terms, names, LEVEL)
+            if not any(step.accepted for step in steps):
+                break
+            accepted += [step for step in steps if step.accepted]
+            terms = search.terms(terms)
+            solved = self.solve(replace(friction.model, terms=terms))
+        friction = replace(friction, steps=(*friction.steps, *accepted, *steps))
+        if not accepted:
+            return friction
+        settled = self.settled(solved.model) if terms.shaped or terms.loaded else replace(friction, model=solved.model)
+        (before, after), sizes = self._delivered(plain, settled.model, robot_file, folds)
+        friction = replace(friction, by_run=sizes)
+        used = min(motions, FOLDS)
+        if not (np.all(after[:used] < before[:used]) and falls(before[:used], after[:used])):
+            return friction
+        return replace(friction, model=settled.model, rounds=settled.rounds, settled=settled.settled)
+
+    def _delivered(
+        self, solved: _Solved, other: DynamicModel, robot_file: RobotFile, folds: Sequence[npt.NDArray[np.int64]]
+    ) -> tuple[tuple[FloatArray, FloatArray], tuple[float, float]]:
+        """Squared errors (FOLDS,) of two consistent models on folds left out, and their root mean squares [σ]."""
+        before, after = (
             delivered_errors(
                 self._rows, one.model, one.base, one.reduction, one.solution, robot_file, solved.solution.weights, folds
             )
-            for one in (solved, self.solve(settled.model))
+            for one in (solved, self.solve(other))
+        )
+        size_before, size_after = (float(np.sqrt(np.sum(error) / solved.solution.rows)) for error in (before, after))
+        return (before, after), (size_before, size_after)
+
+    def _reversing(self, share: float) -> list[int]:
+        """Motors with Coulomb and viscous friction and enough reversals for more, of which a share is different."""
+        return [
+            motor
+            for motor in self._experiment.torques
+            if self._plain.viscous[motor]
+            and self._plain.coulomb[motor]
+            and self._reversals(motor) * share >= LEAST_REVERSALS
         ]
-        rows = solved.solution.rows
-        before, after = (float(np.sqrt(np.sum(error) / rows)) for error in errors)
-        kept = settled if falls(*errors) else FrictionFit(model)
-        return replace(kept, steps=tuple(steps), delivered=(before, after))
 
     def _reversals(self, motor: int) -> int:
         """Velocity reversals of a motor in the data."""
@@ -237,28 +295,41 @@ class _Fit:
             search.start_shapes(motor, [shape.name for shape, of in terms.free_shapes() if of == motor])
         return search.terms(without)
 
-    def _search(self, model: DynamicModel, solved: _Solved, series: Sequence[TorqueSeries]) -> FrictionSearch:
-        """Choices among all candidates on these data.
+    def _search(
+        self,
+        model: DynamicModel,
+        solved: _Solved,
+        series: Sequence[TorqueSeries],
+        candidates: tuple[tuple[Candidate, ...], ...] = (),
+        folds: Sequence[npt.NDArray[np.int64]] = (),
+    ) -> FrictionSearch:
+        """Choices among candidates on these data.
 
         Args:
             model: has the load torque, where there are to be load candidates.
             solved: the model, or without its load torque.
             series: its torques.
+            candidates: of each motor; if empty, all that do not depend on the position.
+            folds: block of each filtered sample; if empty, consecutive samples.
         """
         samples = distinct_samples(series)
-        folds = [_folds(indices, samples.count) for indices in samples.indices]
+        folds = folds or [_folds(indices, samples.count) for indices in samples.indices]
         heat = [segment.temperature for run in self._runs for segment in run.segments]
         known = all(values is not None and bool(np.all(np.isfinite(values))) for values in heat)
-        candidates = candidates_of(model, greatest_speeds(model, self._runs), temperature=known)
-        shares = np.array([independent_share(one[None]) for one in residual_autocorrelation(series)]) * samples.share
+        candidates = candidates or candidates_of(model, greatest_speeds(model, self._runs), temperature=known)
         return FrictionSearch(
             self._rows.candidate_grams(model, solved.base, folds, candidates),
             solved.solution.active,
             [solved.column("viscous", motor) for motor in range(model.dof)],
             [solved.column("coulomb", motor) for motor in range(model.dof)],
             self._experiment.torques,
-            shares,
+            self._shares(series),
         )
+
+    def _shares(self, series: Sequence[TorqueSeries]) -> FloatArray:
+        """How many independent equations each motor's are worth (n,), per equation."""
+        independent = [independent_share(one[None]) for one in residual_autocorrelation(series)]
+        return np.array(independent) * distinct_samples(series).share
 
     def settled(self, model: DynamicModel) -> FrictionFit:
         """The model with load torque and shapes iterated until they do not change."""

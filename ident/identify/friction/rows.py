@@ -210,7 +210,7 @@ class FrictionRows:
         if part not in self._given or self._given[part][0] != key:
             load = None if needed is None else LoadTorqueKernel(model).torque(segment.position)
             states = presliding_states(model, segment.velocity, segment.rate)
-            self._given[part] = key, FrictionConditions(load, segment.temperature, states)
+            self._given[part] = key, FrictionConditions(load, segment.temperature, states, segment.position)
         return self._given[part][1]
 
     def _changed(self, name: str, column: JointColumn, states: States) -> bool:

@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.friction.table import OPTIONS, TERM
+from ident.friction.table import OPTIONS, POSITION_KINDS, TERM
 from ident.friction.terms import FrictionTerms
 from ident.identify.friction.candidates import CandidateGrams, solve_columns, squared_error
 from ident.regression.least_squares import LEAST_TORQUE, RESIDUAL_FLOOR
@@ -94,7 +94,8 @@ class FrictionSearch:
             found = tuple(place for of_kind in places for place in of_kind)
             return [_Addition(found)] if found else []
         if option.shape is not None:
-            return [_Addition((place,)) for place in places[0] if of[place].shape == option.shape]
+            alike = [[place for place in of_kind if of[place].shape == option.shape] for of_kind in places]
+            return [_Addition(together) for together in zip(*alike, strict=True)]
         replaced = self._viscous[motor] if option.bends else None
         if option.bends and replaced is None:
             return []
@@ -118,6 +119,15 @@ class FrictionSearch:
         additions = (way, *(addition for (at, _), addition in self._added.items() if at == motor))
         of = self._grams.candidates[motor]
         added = {place for addition in additions for place in addition.candidates if TERM[of[place].quantity].brakes}
+        rubbing = [
+            parameters[self._grams.index(motor, place)]
+            for addition in additions
+            for place in addition.candidates
+            if of[place].quantity in POSITION_KINDS and TERM[of[place].quantity].rubs
+        ]
+        coulomb = self._coulomb[motor]
+        if rubbing and coulomb is not None and np.linalg.norm(rubbing) > parameters[coulomb]:
+            return False
         if not added:
             return True
         dropped = {addition.dropped for addition in additions}
@@ -139,8 +149,39 @@ class FrictionSearch:
         """Keep an addition."""
         self._added[motor, OPTION[term].group] = addition
 
-    def choose(self, motor: int, name: str) -> list[FrictionStep]:
-        """Add terms to a motor as long as one counts."""
+    def judge_by(self, shares: FloatArray) -> None:
+        """Take how many independent equations each motor's are worth (n,) from elsewhere."""
+        self._shares = shares
+
+    def confounded(self, motor: int, term: str, share: float) -> bool:
+        """Whether some combination of a term's candidates has a smaller share of its length independent of the others.
+
+        Of a term without a shape to be found.
+        """
+        (way,) = self.ways(motor, term)
+        own = [self._grams.index(motor, place) for place in way.candidates]
+        chosen = self._columns()
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(self._total), np.finfo(np.float64).tiny))
+        gram = self._total * np.outer(scale, scale)
+        shared = gram[np.ix_(chosen, own)]
+        left = gram[np.ix_(own, own)] - shared.T @ np.linalg.pinv(gram[np.ix_(chosen, chosen)], hermitian=True) @ shared
+        return bool(np.linalg.eigvalsh(left)[0] < share**2)
+
+    def choose(
+        self,
+        motor: int,
+        name: str,
+        words: Sequence[str] = tuple(OPTION),
+        level: float = LEVEL,
+    ) -> list[FrictionStep]:
+        """Add terms to a motor as long as one counts.
+
+        Args:
+            motor: its index.
+            name: of its joint.
+            words: terms that are tried.
+            level: of the F-test.
+        """
         steps: list[FrictionStep] = []
         rows = float(self._grams.rows[:, list(self._used)].sum())
         nothing = [_Addition(())]
@@ -148,7 +189,7 @@ class FrictionSearch:
             before, plain = self.held_out(motor, nothing), self.best(motor, nothing, self._total)[0]
             options = [
                 (self.held_out(motor, ways), term, ways)
-                for term in OPTION
+                for term in words
                 if (motor, OPTION[term].group) not in self._added and (ways := self.ways(motor, term))
             ]
             if not options:
@@ -162,7 +203,7 @@ class FrictionSearch:
             variance = max(fitted, np.finfo(np.float64).tiny) / max(1.0, rows - len(self._columns(motor, way)))
             f_value = float(self._shares[motor]) * max(plain - fitted, 0.0) / (freedom * variance)
             p_value = _f_tail(f_value, freedom, independent)
-            accepted = bool(after.sum() < before.sum()) and p_value < LEVEL
+            accepted = bool(after.sum() < before.sum()) and p_value < level
             steps.append(
                 FrictionStep(
                     joint=name,

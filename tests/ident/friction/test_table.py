@@ -26,7 +26,13 @@ def operands(term: Term, speed: np.ndarray, shape: float | None = None) -> Opera
     slope = (1.0 - direction**2) / WIDTH
     shape = middle if shape is None else shape
     return Operands(
-        speed, direction, shape, np.full_like(speed, 3.0), np.full_like(speed, 310.0), direction_slope=slope
+        speed,
+        direction,
+        shape,
+        np.full_like(speed, 3.0),
+        np.full_like(speed, 310.0),
+        direction_slope=slope,
+        angle=np.full_like(speed, 0.4),
     )
 
 
@@ -57,10 +63,12 @@ def test_sensitivities_are_derivatives_by_the_shape(term):
 def test_only_dry_friction_acts_at_rest_and_all_friction_changes_sign(term):
     speed = np.array([1e-12, 1.0])
     forth, back = (
-        np.broadcast_to(term.signal(Operands(sign * speed, sign, 1.0, np.ones(2), np.full(2, 310.0))), (2,))
+        np.broadcast_to(
+            term.signal(Operands(sign * speed, sign, 1.0, np.ones(2), np.full(2, 310.0), angle=np.ones(2))), (2,)
+        )
         for sign in (1.0, -1.0)
     )
-    if term.kind == "offset":
+    if not term.rubs:
         assert np.all(forth == back)
     else:
         assert np.allclose(forth, -back, rtol=1e-12)
@@ -71,9 +79,9 @@ def test_only_dry_friction_acts_at_rest_and_all_friction_changes_sign(term):
 def test_expressions_of_c_code_are_the_same(term):
     graph, at = Graph(), operands(term, speeds())
     at = replace(at, direction=np.sign(at.rate))
-    rate, load, one = graph.symbol("rate"), graph.symbol("load"), graph.constant(1.0)
-    written = term.signal(Operands(rate, EXPRESSIONS.sign(rate), at.shape, load, maths=EXPRESSIONS))
-    found = graph.evaluate([one * written], {"rate": at.rate, "load": at.load})[0]
+    rate, load, angle, one = *(graph.symbol(name) for name in ("rate", "load", "angle")), graph.constant(1.0)
+    written = term.signal(Operands(rate, EXPRESSIONS.sign(rate), at.shape, load, maths=EXPRESSIONS, angle=angle))
+    found = graph.evaluate([one * written], {"rate": at.rate, "load": at.load, "angle": at.angle})[0]
     assert np.allclose(found, term.signal(at), rtol=1e-12, atol=0)
 
 
