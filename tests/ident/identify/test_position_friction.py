@@ -21,8 +21,7 @@ from ident.model.true_parameters import true_model
 from ident.result.model import Model
 from ident.result.result_file import result_json
 from ident.result.schema import Result
-from sim_drivers.synthetic.measurement import simulate_recording
-from sim_drivers.synthetic.motion import random_fourier_motion
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 
