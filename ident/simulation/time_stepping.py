@@ -22,6 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, ModelError
@@ -165,7 +166,8 @@ class _Stepping:
         arm, step = self._arm, self._step
         middle = position + 0.5 * step * velocity
         inertia = arm.inertia(middle)
-        np.linalg.cholesky(inertia)
+        if dpotrf(inertia)[1] != 0:
+            raise np.linalg.LinAlgError("not positive definite")
         viscous, driving = arm.viscous_at(velocity + 0.5 * self._change)
         limits = arm.dry_at(middle, velocity)
         inverse = np.linalg.inv(inertia + 0.5 * step * viscous)
@@ -175,14 +177,17 @@ class _Stepping:
         to_velocity = inverse @ directions.T
         matrix = step * (directions @ to_velocity)
         dry = self._dry[sliding]
-        after = velocity + self._change
+        after, moved = velocity + self._change, 0.0
         for _ in range(ROUNDS):
             guess = after
             after = inverse @ (free - step * arm.bias(middle, 0.5 * (velocity + guess)))
             if len(dry):
                 dry = dry_friction(matrix, directions @ after, limits[sliding], dry)
                 after = after - step * (to_velocity @ dry)
-            if _largest(after - guess) <= PRECISION * max(1.0, _largest(after)):
+            before, moved = moved, _largest(after - guess)
+            # Rounds contract by equal shares, so what the next one would change is known without it.
+            coming = moved * min(1.0, moved / before) if before else moved
+            if coming <= PRECISION * max(1.0, _largest(after)):
                 break
         self._dry[sliding] = dry
         self._change = after - velocity
