@@ -42,14 +42,15 @@ def main(seeds: int) -> None:
     """Print a row per arm and share."""
     print(
         "| arm | ripple | arms with terms of the position | joints with `position-n` | n = 1 | `ripple-m` | m = 1 "
-        "| held-out error [%] of coulomb-viscous | of auto |"
+        "| held-out error [%] of coulomb-viscous → auto |"
     )
-    print("|---|---|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|")
     for arm in ARMS:
         for share in SHARES:
             words: list[str] = []
-            errors, kept, joints = [], 0, 0
-            for seed in range(seeds if share == 0.0 else max(1, seeds // 5)):
+            errors: list[tuple[float, float]] = []
+            tried, kept, joints = seeds if share == 0.0 else max(1, seeds // 5), 0, 0
+            for seed in range(tried):
                 clean = [simulate(arm, duration=15.0, seed=100 * seed + number, rate=100.0) for number in range(1, 5)]
                 *runs, other = clean if share == 0.0 else [rippled(run, share) for run in clean]
                 auto = identified(runs, other, "auto")
@@ -59,13 +60,14 @@ def main(seeds: int) -> None:
                 words += [
                     step.term for step in auto.friction.steps if step.accepted and positional and step.term in WORDS
                 ]
-                errors.append((error(identified(runs, other, "coulomb-viscous")), error(auto)))
+                if share > 0.0:
+                    errors.append((error(identified(runs, other, "coulomb-viscous")), error(auto)))
             counts = [sum(word.startswith(start) for word in words) for start in ("position-", "ripple-")]
             first = [words.count("position-1"), words.count("ripple-1")]
-            before, after = np.mean(errors, axis=0)
+            held_out = "{:.2f} → {:.2f}".format(*np.mean(errors, axis=0)) if errors else ""
             print(
-                f"| {arm} | {100 * share:.0f} % | {kept} of {len(errors)} | {counts[0]} of {joints} | {first[0]} "
-                f"| {counts[1]} of {joints} | {first[1]} | {before:.2f} | {after:.2f} |",
+                f"| {arm} | {100 * share:.0f} % | {kept} of {tried} | {counts[0]} of {joints} | {first[0]} "
+                f"| {counts[1]} of {joints} | {first[1]} | {held_out} |",
                 flush=True,
             )
 
