@@ -8,7 +8,7 @@
 
 Robots         load_robot, builtin_robots, RobotFile, base_parameters
 Recordings     Recording, read_recording, import_recording, write_recording, simulate, info
-Motions        design_excitation, design_gravity_motion, load_trajectory
+Motions        design_excitation, design_gravity_motion, design_servo_motion, load_trajectory
 Identify       identify, compare, merge, friction, payload, drive_gains
 Results        load_result, load_model, Model, predict, validate, diff, Table
 Errors         DynidError, and below it InputError and WorkError: each says what was wrong, where, and what to type
@@ -55,6 +55,7 @@ if TYPE_CHECKING:
     from ident.tasks.excitation import ExcitationTrajectory as ExcitationTrajectory
     from ident.tasks.excitation import design_excitation as design_excitation
     from ident.tasks.excitation import design_gravity_motion as design_gravity_motion
+    from ident.tasks.excitation import design_servo_motion as design_servo_motion
     from ident.tasks.excitation import load_trajectory as load_trajectory
     from ident.tasks.friction import IdentifiedFriction as IdentifiedFriction
     from ident.tasks.friction import friction as friction
@@ -107,6 +108,7 @@ _HOMES = {
         "ExcitationTrajectory",
         "design_excitation",
         "design_gravity_motion",
+        "design_servo_motion",
         "load_trajectory",
     ),
     "ident.tasks.friction": ("IdentifiedFriction", "friction"),

@@ -19,6 +19,7 @@ def excite(
     *,
     out: Path = typer.Option(..., "-o", "--out", help="Trajectory file to write (.yaml)."),
     options: ExciteCommandOptions,
+    csv: Path = typer.Option(None, "--csv", help="Table of positions to write (.csv), for a player of your own."),
     page: Path = typer.Option(None, "--page", help="Page to write (.html): figures, plots, the arm in motion."),
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -39,29 +40,38 @@ def excite(
     purpose = purpose_of(options)
     prior_file = None if options.prior is None else result_path(options.prior)
     inputs = [*load_robot(options.robot).files, *paths_of(options.earlier), prior_file]
-    check_outputs([out, page], inputs, overwrite=force)
+    check_outputs([out, csv, page], inputs, overwrite=force)
     with progress_line(quiet=as_json) as progress:
         designed = purpose.design(options, progress)
         trajectory = designed.trajectory
         with written_together():
-            trajectory.save(out, overwrite=force)
-            if page is not None:
+            if trajectory is not None:
+                trajectory.save(out, overwrite=force)
+            if trajectory is not None and csv is not None:
+                trajectory.save_csv(csv, overwrite=force)
+            if trajectory is not None and page is not None:
                 progress("page")
                 trajectory.page(page, overwrite=force)
     if as_json:
         print_json(
             {
-                "file": str(out),
+                "file": None if trajectory is None else str(out),
+                "csv": None if csv is None else str(csv),
                 "page": None if page is None else str(page),
-                "robot": trajectory.robot_file.robot.name,
+                "robot": load_robot(options.robot).robot.name,
                 "for": options.purpose,
                 **designed.object,
-                "warnings": list(trajectory.warnings),
+                "warnings": [] if trajectory is None else list(trajectory.warnings),
             }
         )
         return
+    if trajectory is None:
+        print(*designed.lines, sep="\n")
+        return
     print_table(designed.title, designed.headings, designed.rows)
     print("", *designed.lines, "", out, sep="\n")
+    if csv is not None:
+        print(csv)
     if page is not None:
         print(page)
     for warning in trajectory.warnings:

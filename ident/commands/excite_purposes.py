@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any, cast
 from drivers.core.errors import UsageError
 from drivers.core.options import Options, default_of, flag_of, option, same_named
 from ident.excite.gravity_choices import PoseCount
-from ident.tasks.options import ExciteOptions, GravityMotionOptions
+from ident.excite.servo_choices import ServoMotionLength
+from ident.excite.servo_segments import KINDS
+from ident.tasks.options import ExciteOptions, GravityMotionOptions, ServoMotionOptions
 
 if TYPE_CHECKING:
     from ident.tasks.excitation import ExcitationTrajectory
 
-FULL, GRAVITY = "full", "gravity"
+FULL, GRAVITY, SERVO = "full", "gravity", "servo"
 
 
 @dataclass(frozen=True)
@@ -22,14 +24,14 @@ class DesignedMotion:
     """A motion of any purpose, with what the command says of it.
 
     Attributes:
-        trajectory: to be written.
+        trajectory: to be written; None where no further motion is needed.
         title: of the table.
         headings, rows: of the table.
         lines: below the table.
         object: what `--json` has beside file, page, robot and warnings.
     """
 
-    trajectory: ExcitationTrajectory
+    trajectory: ExcitationTrajectory | None
     title: str
     headings: Sequence[str]
     rows: Sequence[Sequence[Any]]
@@ -145,15 +147,53 @@ def design_gravity(options: ExciteCommandOptions, progress: Callable[[str], None
     )
 
 
+def design_servo(options: ExciteCommandOptions, progress: Callable[[str], None]) -> DesignedMotion:
+    """Design ramps, steps and chirps, for all parameters or for those that are still wide."""
+    from ident.tasks.excitation import design_servo_motion
+
+    progress("pieces of motion")
+    trajectory, designed = design_servo_motion(**vars(same_named(options, ServoMotionOptions)))
+    rows: list[list[Any]] = [
+        [one.joint, one.parameter.replace("_", " "), one.now, one.then, one.wanted] for one in designed.forecast
+    ]
+    lines, counts = [], [f"{sum(one.kind == kind for one in designed.segments)} {kind}" for kind in KINDS]
+    if trajectory is not None:
+        lines.append(f"{trajectory.duration:.0f} s: {', '.join(counts)}, of all joints at once")
+    if designed.enough:
+        after = "" if trajectory is None else " is expected after this motion: identify from all recordings together"
+        lines.append(f"enough: every interval within {options.wanted:g} %{after}")
+    elif designed.forecast:
+        loose = [f"{one.joint} {one.parameter.replace('_', ' ')}" for one in designed.forecast if one.then > one.wanted]
+        lines.append(f"not enough for {', '.join(loose)}; identify from all recordings, and go on with --after")
+    else:
+        lines.append(
+            "then: dynid identify RUN.h5 --method servo -o model; dynid excite ROBOT --for servo --after model"
+        )
+    return DesignedMotion(
+        trajectory,
+        "95 % intervals, half-widths [%]" if rows else "Pieces",
+        ("joint", "parameter", "now", "expected", "wanted") if rows else ("kind", "amplitude", "pose"),
+        rows or [[one.kind, one.amplitude, one.pose] for one in designed.segments],
+        lines,
+        {
+            "duration": 0.0 if trajectory is None else trajectory.duration,
+            "enough": designed.enough,
+            "forecast": [asdict(one) for one in designed.forecast],
+            "pieces": [{"kind": one.kind, "amplitude": one.amplitude, "pose": one.pose} for one in designed.segments],
+        },
+    )
+
+
 PURPOSES = {
     FULL: Purpose("all parameters", ExciteOptions, design_full),
     GRAVITY: Purpose("gravity compensation", GravityMotionOptions, design_gravity),
+    SERVO: Purpose("arms without torque sensors", ServoMotionOptions, design_servo),
 }
 """Purposes by their name."""
 
 
 @dataclass(frozen=True)
-class ExciteCommandOptions(PoseCount, ExciteOptions):
+class ExciteCommandOptions(PoseCount, ServoMotionLength, ExciteOptions):
     """Options of `dynid excite`: those of every purpose."""
 
     purpose: str = option(

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.motion.trajectories import Motion, PointToPoint
-from daq.motion.trajectory_file import PointsTrajectory, dump_trajectory, parse_trajectory
+from daq.motion.trajectory_file import PointsTrajectory, SamplesTrajectory, dump_trajectory, parse_trajectory
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
 from daq.output_files import check_outputs, replace_files
 from daq.robot.assumptions import assumed_limits
@@ -30,11 +30,18 @@ from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.page.page import write_page
 from ident.excite.prior import PriorKnowledge, find_prior
 from ident.excite.search.search import SearchChoices, SearchResult
+from ident.excite.servo_choices import ServoMotionChoices
+from ident.excite.servo_motion import ServoExcitation, servo_excitation
+from ident.excite.servo_segments import KINDS, PERIOD
 from ident.excite.sweep_choices import SweepChoices
 from ident.excite.velocity_sweep import JointSweep, velocity_sweep
 from ident.result.model import result_path
 from ident.result.tables import Table, table_of_rows
-from ident.tasks.options import ExciteOptions, GravityMotionOptions, SweepOptions
+from ident.servo.result import read_servo_result
+from ident.tasks.options import ExciteOptions, GravityMotionOptions, ServoMotionOptions, SweepOptions
+
+CSV_RATE = 50.0
+"""[Hz] of rows of a motion as a table: what serial servos are commanded at."""
 
 
 class ExcitationTrajectory:
@@ -127,6 +134,24 @@ class ExcitationTrajectory:
         """
         check_outputs([Path(path)], overwrite=overwrite)
         replace_files({Path(path): self.text})
+
+    def save_csv(self, path: str | PathLike[str], *, rate: float = CSV_RATE, overwrite: bool = False) -> None:
+        """Write the motion as a table of positions, for a player of your own: `time` [s] and a column per joint.
+
+        Args:
+            path: of the file (.csv).
+            rate: of its rows [Hz].
+            overwrite: replace a file that exists.
+
+        Raises:
+            UsageError, DiskError: it exists already, or cannot be written.
+        """
+        check_outputs([Path(path)], overwrite=overwrite)
+        time = np.arange(int(np.ceil(self.duration * rate)) + 1) / rate
+        position, _, _ = self.evaluate(np.minimum(time, self.duration))
+        rows = np.column_stack([time, position])
+        lines = [",".join(["time", *self.joint_names]), *(",".join(f"{value:.6f}" for value in row) for row in rows)]
+        replace_files({Path(path): "\n".join(lines) + "\n"})
 
     def page(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write a page (HTML): figures, plots, the arm in motion.
@@ -302,6 +327,46 @@ def design_gravity_motion(options: GravityMotionOptions) -> tuple[ExcitationTraj
     comment = f"designed by dynid excite --for gravity: {len(designed.poses)} poses, each passed slowly from both sides"
     text, motion = _points_text(robot_file, designed.motion, comment)
     return ExcitationTrajectory(robot_file, text, motion, prior), designed
+
+
+@keywords_of(ServoMotionOptions)
+def design_servo_motion(options: ServoMotionOptions) -> tuple[ExcitationTrajectory | None, ServoExcitation]:
+    """Design a motion for a servo model: ramps, steps and chirps (`dynid excite --for servo`).
+
+    Returns:
+        The motion, None where the model `after` is good enough; and what it is expected to tell.
+
+    Raises:
+        UsageError: an option is not possible for this arm, or no pose is clear of everything.
+        ResultFileError: `after` is no servo model.
+        MotionRefusedError: no motion within the limits narrows what is still wide.
+
+    Example:
+        >>> import dynid
+        >>> motion, expected = dynid.design_servo_motion("so101", length=20.0)
+        >>> motion.duration <= 20.0, {piece.kind for piece in expected.segments} == {"ramp", "steps", "chirp"}
+        (True, True)
+    """
+    robot_file = load_robot(options.robot)
+    result = None if options.after is None else read_servo_result(result_path(options.after))
+    if result is not None and tuple(result.joints) != robot_file.robot.joint_names:
+        raise UsageError(f"is a model of {result.robot}, whose joints are others", where=str(options.after))
+    designed = servo_excitation(
+        robot_file, ArmMotionCheck(robot_file, None), result, same_named(options, ServoMotionChoices)
+    )
+    if designed.motion is None:
+        return None, designed
+    kinds = ", ".join(f"{sum(one.kind == kind for one in designed.segments)} {kind}" for kind in KINDS)
+    trajectory = SamplesTrajectory(
+        robot=robot_file.robot.name,
+        comment=f"designed by dynid excite --for servo: {kinds}",
+        kind="samples",
+        time=tuple((np.arange(len(designed.position)) * PERIOD).round(9).tolist()),
+        position=tuple(map(tuple, designed.position.round(9).tolist())),
+    )
+    text = dump_trajectory(trajectory)
+    motion = parse_trajectory(text, robot_file.robot, where="the designed motion", folder=None).motion
+    return ExcitationTrajectory(robot_file, text, motion, find_prior(robot_file, None)), designed
 
 
 @keywords_of(SweepOptions)

@@ -11,6 +11,7 @@ from drivers.core.errors import UsageError
 from drivers.core.options import Options, argument, option, read_names, read_numbers
 from ident.excite.choices import DesignChoices, SearchOptions
 from ident.excite.gravity_choices import GravityChoices
+from ident.excite.servo_choices import ServoMotionChoices
 from ident.excite.sweep_choices import SweepChoices
 from ident.identify.options import ColumnOptions
 from ident.regression.options import PERCENT, EssentialOptions, ExperimentChoices, ReversalOptions
@@ -394,6 +395,13 @@ class ExciteOptions(SearchOptions, DesignChoices):
             raise UsageError(
                 "--time and --starts exclude each other", hint="--starts does not depend on the machine's speed"
             )
+
+
+@dataclass(frozen=True)
+class ServoMotionOptions(ServoMotionChoices):
+    """Arguments of `design_servo_motion`."""
+
+    robot: str | Path | RobotFile = field(metadata=_ROBOT)
 
 
 @dataclass(frozen=True)
