@@ -139,7 +139,8 @@ def _poses(robot_file: RobotFile, check: ArmMotionCheck, room: Room, seed: int) 
         UsageError: there is none.
     """
     generator = np.random.default_rng([seed, len(room.low)])
-    middle = np.clip(np.zeros(len(room.low)), room.low, room.high)
+    quarter = 0.25 * (room.high - room.low)
+    middle = np.clip(np.zeros(len(room.low)), room.low + quarter, room.high - quarter)
     spread = 0.5 * POSE_SHARE * np.minimum(room.high - room.low, np.pi)
     drawn = np.clip(middle + generator.uniform(-1, 1, (POSE_TRIES, len(middle))) * spread, room.low, room.high)
     candidates = np.concatenate([middle[None], drawn])

@@ -149,9 +149,9 @@ def _fitting(moved: FloatArray, room: Room) -> FloatArray:
     spline = CubicSpline(_times(), moved, axis=0, bc_type="clamped")
     fine = np.linspace(0.0, SEGMENT, 8 * len(moved))
     speed, rate = np.abs(spline(fine, 1)).max(axis=0), np.abs(spline(fine, 2)).max(axis=0)
-    return np.minimum(
-        1.0, np.minimum(room.velocity / np.maximum(speed, 1e-12), room.acceleration / np.maximum(rate, 1e-12))
-    )
+    by_speed, by_rate = room.velocity / np.maximum(speed, 1e-12), room.acceleration / np.maximum(rate, 1e-12)
+    factors: FloatArray = np.minimum(1.0, np.minimum(by_speed, by_rate))
+    return factors
 
 
 def joined(segments: Sequence[Segment], poses: FloatArray, room: Room) -> FloatArray:
