@@ -9,7 +9,7 @@
 Robots         load_robot, builtin_robots, RobotFile, base_parameters
 Recordings     Recording, read_recording, import_recording, write_recording, simulate, info
 Motions        design_excitation, design_gravity_motion, design_servo_motion, load_trajectory
-Identify       identify, compare, merge, friction, payload, drive_gains
+Identify       identify, identify_gravity, compare, merge, friction, payload, drive_gains
 Results        load_result, load_model, Model, predict, validate, diff, Table
 Errors         DynidError, and below it InputError and WorkError: each says what was wrong, where, and what to type
 
@@ -45,8 +45,9 @@ if TYPE_CHECKING:
     from drivers.core.errors import RobotFileError as RobotFileError
     from drivers.core.errors import UsageError as UsageError
     from drivers.core.errors import WorkError as WorkError
+    from ident.result.gravity_model import GravityModel as GravityModel
+    from ident.result.load_model import load_model as load_model
     from ident.result.model import Model as Model
-    from ident.result.model import load_model as load_model
     from ident.result.tables import Table as Table
     from ident.tasks.arm import base_parameters as base_parameters
     from ident.tasks.comparison import MethodComparison as MethodComparison
@@ -59,6 +60,8 @@ if TYPE_CHECKING:
     from ident.tasks.excitation import load_trajectory as load_trajectory
     from ident.tasks.friction import IdentifiedFriction as IdentifiedFriction
     from ident.tasks.friction import friction as friction
+    from ident.tasks.gravity import IdentifiedGravity as IdentifiedGravity
+    from ident.tasks.gravity import identify_gravity as identify_gravity
     from ident.tasks.identification import IdentificationResult as IdentificationResult
     from ident.tasks.identification import identify as identify
     from ident.tasks.identification import load_result as load_result
@@ -99,7 +102,9 @@ _HOMES = {
         "UsageError",
         "WorkError",
     ),
-    "ident.result.model": ("Model", "load_model"),
+    "ident.result.gravity_model": ("GravityModel",),
+    "ident.result.load_model": ("load_model",),
+    "ident.result.model": ("Model",),
     "ident.result.tables": ("Table",),
     "ident.tasks.arm": ("base_parameters",),
     "ident.tasks.comparison": ("MethodComparison", "compare"),
@@ -112,6 +117,7 @@ _HOMES = {
         "load_trajectory",
     ),
     "ident.tasks.friction": ("IdentifiedFriction", "friction"),
+    "ident.tasks.gravity": ("IdentifiedGravity", "identify_gravity"),
     "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),
     "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),
     "ident.tasks.prediction": ("Prediction", "predict"),

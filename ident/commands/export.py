@@ -54,10 +54,13 @@ def export(
     from daq.commands.console import print_json, progress_line
     from daq.output_files import check_outputs, written_together
     from drivers.core.errors import UsageError
+    from ident.commands.gravity import export_gravity_command
     from ident.commands.servo import ServoExports, export_servo_command, refuse_servo_formats
     from ident.export.c_code.names import source_paths
     from ident.result.delivered import Parameters
-    from ident.result.model import load_model, result_path
+    from ident.result.gravity import is_gravity_file
+    from ident.result.load_model import load_model
+    from ident.result.model import result_path
     from ident.servo.result import is_servo_file
     from ident.verdict.verdict import judge, together
 
@@ -67,10 +70,12 @@ def export(
         raise UsageError(
             "names no file to write", hint="--urdf, --mjcf, --ros2-inertial, --c, --isaaclab, --usd or --ranges"
         )
-    if c_float and c is None:
-        raise UsageError("--c-float needs --c, the files to write")
-    if into is not None and urdf is None:
-        raise UsageError("--into needs --urdf, the file to write")
+    for asked, file, text in (
+        (c_float, c, "--c-float needs --c, the files to write"),
+        (into, urdf, "--into needs --urdf, the file to write"),
+    ):
+        if asked and file is None:
+            raise UsageError(text)
     check_outputs(targets, [result_path(model), into, *replay], overwrite=force)
     exports = ServoExports(mjcf, isaaclab, usd, ranges, unit_spread, tuple(replay))
     if is_servo_file(result_path(model)):
@@ -78,6 +83,10 @@ def export(
         export_servo_command(model, exports, others=others, force=force, as_json=as_json)
         return
     refuse_servo_formats(model, exports)
+    if is_gravity_file(result_path(model)):
+        others = any(path is not None for path in (urdf, mjcf, ros2_inertial))
+        export_gravity_command(model, c, others=others, c_float=c_float, force=force, as_json=as_json)
+        return
     written = []
     with progress_line(quiet=as_json) as progress, written_together():
         progress("model")

@@ -24,6 +24,9 @@ def identify_recordings(
     max_error: float = MAX_ERROR,
     max_joint_error: float = MAX_JOINT_ERROR,
     max_rmse: float = MAX_RMSE,
+    gravity: bool = typer.Option(
+        False, "--gravity", help="Gravity alone, of a recording of dynid excite --for gravity."
+    ),
     verbose: bool = VERBOSE,
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -35,6 +38,7 @@ def identify_recordings(
     from daq.commands.console import progress_line
     from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
     from daq.robot.loader import load_robot
+    from ident.commands.gravity import identify_gravity_command, print_gravity
     from ident.commands.options import limits_option
     from ident.commands.printing.result import print_result
     from ident.commands.servo import identify_servo_command, is_servo, print_servo
@@ -55,8 +59,12 @@ def identify_recordings(
     check_output_folder(folder, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:
+        limited = any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse))
+        if gravity:
+            found = identify_gravity_command(options, folder, progress, limited=limited, overwrite=force)
+            print_gravity(found, folder, verbose=verbose, as_json=as_json)
+            return
         if is_servo(options.method):
-            limited = any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse))
             servo = identify_servo_command(options, folder, progress, limited=limited, overwrite=force)
             print_servo(servo, folder, verbose=verbose, as_json=as_json)
             return

@@ -36,8 +36,10 @@ def validate_model(
     """
     from daq.commands.console import progress_line
     from drivers.core.errors import UsageError
+    from ident.commands.gravity import validate_gravity_command
     from ident.commands.options import limits_option
     from ident.commands.servo import validate_servo_command
+    from ident.result.gravity import is_gravity_file
     from ident.result.model import result_path
     from ident.servo.result import is_servo_file
     from ident.tasks.validation import validate
@@ -47,6 +49,13 @@ def validate_model(
         if any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse)):
             raise UsageError("a servo model has no torque errors to limit", hint="leave --accept and --max-… out")
         validate_servo_command(path, options.runs, as_json=as_json)
+        return
+    if is_gravity_file(path):
+        if any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse)):
+            raise UsageError(
+                "a model of gravity has no torque errors of motions", hint="leave --accept and --max-… out"
+            )
+        validate_gravity_command(path, options.runs, as_json=as_json)
         return
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:

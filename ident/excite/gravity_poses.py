@@ -3,7 +3,8 @@
 At equal positions and opposite velocities friction of either kind has opposite signs, so that the mean of both passes
 is the gravity torque and the motor's offset, and half their difference is the friction. A quintic stroke forth and back
 also has equal accelerations at equal positions, and of opposite sign on both sides of its middle: inertia drops out of
-the mean over the stroke.
+the mean over the stroke. Coriolis torques do not; the joints' directions differ at random from pose to pose, so that
+those of pairs of joints have a mean of 0.
 
 The poses maximise the determinant of the information matrix of the gravity parameters (D-optimal), which by the
 equivalence theorem of Kiefer and Wolfowitz (1960) also keeps the largest variance of the predicted torque small. The
@@ -29,14 +30,15 @@ from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.prior import PriorKnowledge
 from ident.model.gravity_base import gravity_base, gravity_columns, gravity_rows, resting_model
 
-STROKE, SLIDE = 0.24, 0.06
+STROKE, SLIDE = 0.2, 0.05
 """Length of a pass [rad, m]: a few periods of a gear's ripple, and gravity is nearly constant along it."""
 
 RANGE_SHARE = 0.2
 """… at most this share of the joint's range."""
 
-SLOW, SLOW_SLIDE = 0.15, 0.04
-"""Peak velocity of a pass [rad/s, m/s]: well above the stick-slip of most arms, and Coriolis torques do not count."""
+SLOW, SLOW_SLIDE = 0.1, 0.03
+"""Peak velocity of a pass [rad/s, m/s]: above the stick-slip of most arms. Coriolis torques, which are the same in both
+directions, grow with its square."""
 
 TRAVEL_SHARE = 0.4
 """Share of the velocity and acceleration limits on the way from pose to pose."""
@@ -95,15 +97,15 @@ def gravity_motion(
     base = gravity_base(model)
     moving = _moving(robot_file, choices)
     half, pass_time = _strokes(robot_file, moving)
-    candidates = _candidates(robot_file, check, choices, moving, half)
+    candidates, toward = _candidates(robot_file, check, choices, moving, half)
     rows = gravity_rows(model, base, candidates)
     deviation = prior.noise / np.sqrt(_independent_values(prior.rate, pass_time))
     weighted = rows[:, moving] / deviation[moving][:, None]
     scale = np.sqrt(np.mean(weighted**2, axis=(0, 1)))
     told = np.flatnonzero(scale > 0.0)
     chosen = _d_optimal(weighted[:, :, told] / scale[told], min(choices.poses, len(candidates)))
-    route, via, dropped = _route(check, candidates, chosen, half)
-    motion = _motion(robot_file, candidates, route, via, half, pass_time)
+    route, via, dropped = _route(check, candidates, chosen, toward)
+    motion = _motion(robot_file, candidates, route, via, toward, pass_time)
     figures = check.trajectory(motion, "the motion for gravity")
     seen = weighted[route][:, :, told].reshape(-1, len(told)) / scale[told]
     covariance, lost = _covariance(seen)
@@ -165,8 +167,8 @@ def _independent_values(rate: float, pass_time: float) -> float:
 
 def _candidates(
     robot_file: RobotFile, check: ArmMotionCheck, choices: GravityChoices, moving: Sequence[int], half: FloatArray
-) -> FloatArray:
-    """Poses (K, n) that keep the limits and clear of everything along both passes.
+) -> tuple[FloatArray, FloatArray]:
+    """Poses (K, n) that keep the limits and clear of everything along both passes, and half a pass at each (K, n).
 
     Raises:
         UsageError: there are too few.
@@ -179,11 +181,14 @@ def _candidates(
         low, high = joints[index].position
         room[index] = 0.5 * min((1.0 - choices.margin) * (high - low), ONE_TURN) - half[index]
     kept: list[FloatArray] = []
+    ways: list[FloatArray] = []
     for _ in range(_TRIES):
         poses = middle + generator.uniform(-1.0, 1.0, (CANDIDATES, len(joints))) * room
-        along = poses[:, None] + np.linspace(-1.0, 1.0, 5)[:, None] * half
+        toward = generator.choice([-1.0, 1.0], poses.shape) * half
+        along = poses[:, None] + np.linspace(-1.0, 1.0, 5)[:, None] * toward[:, None]
         clear = check.clear(along.reshape(-1, len(joints)).T).reshape(CANDIDATES, -1)
         kept.append(poses[clear.all(axis=1)])
+        ways.append(toward[clear.all(axis=1)])
         if sum(map(len, kept)) >= CANDIDATES // 2:
             break
     candidates = np.concatenate(kept)[:CANDIDATES]
@@ -194,7 +199,7 @@ def _candidates(
             where=robot_file.robot.name,
             hint="correct 'workspace' and the joint limits of the robot file, or give --joints",
         )
-    return candidates
+    return candidates, np.concatenate(ways)[:CANDIDATES]
 
 
 def _d_optimal(rows: FloatArray, count: int) -> list[int]:
@@ -230,7 +235,7 @@ def _d_optimal(rows: FloatArray, count: int) -> list[int]:
 
 
 def _route(
-    check: ArmMotionCheck, candidates: FloatArray, chosen: Sequence[int], half: FloatArray
+    check: ArmMotionCheck, candidates: FloatArray, chosen: Sequence[int], toward: FloatArray
 ) -> tuple[list[int], list[list[int]], int]:
     """The chosen poses in an order of short, free ways, what each is reached through, and how many have no free way.
 
@@ -241,18 +246,18 @@ def _route(
         here = route[-1]
         far = np.abs(candidates[remaining] - candidates[here]).max(axis=1)
         for place in np.argsort(far):
-            through = _free_way(check, candidates, here, remaining[place], half, detour=False)
+            through = _free_way(check, candidates, here, remaining[place], toward, detour=False)
             if through is not None:
                 break
         else:
             place = int(np.argmin(far))
-            through = _free_way(check, candidates, here, remaining[place], half, detour=True)
+            through = _free_way(check, candidates, here, remaining[place], toward, detour=True)
         pose = remaining.pop(int(place))
         if through is not None:
             route.append(pose)
             via.append(through)
     while len(route) > 1:
-        back = _free_way(check, candidates, route[-1], route[0], half, detour=True)
+        back = _free_way(check, candidates, route[-1], route[0], toward, detour=True)
         if back is not None:
             via[0] = back
             break
@@ -267,14 +272,15 @@ def _route(
 
 
 def _free_way(
-    check: ArmMotionCheck, candidates: FloatArray, begin: int, end: int, half: FloatArray, *, detour: bool
+    check: ArmMotionCheck, candidates: FloatArray, begin: int, end: int, toward: FloatArray, *, detour: bool
 ) -> list[int] | None:
     """Candidates that a free way leads through; none where the straight one is free; None where there is no way."""
     share = np.linspace(0.0, 1.0, _LINE)[:, None]
 
     def free(one: int, other: int) -> bool:
         line = candidates[one] + share * (candidates[other] - candidates[one])
-        return bool(np.all(check.clear(np.concatenate([line - half, line + half]).T)))
+        beside = [line + side for half in (toward[one], toward[other]) for side in (-half, half)]
+        return bool(np.all(check.clear(np.concatenate(beside).T)))
 
     if free(begin, end):
         return []
@@ -292,7 +298,7 @@ def _motion(
     candidates: FloatArray,
     route: Sequence[int],
     via: Sequence[Sequence[int]],
-    half: FloatArray,
+    toward: FloatArray,
     pass_time: float,
 ) -> PointToPoint:
     """Every pose forth and back, every second one from above, so that slow changes do not have one direction."""
@@ -317,7 +323,7 @@ def _motion(
     for place, pose in enumerate([*route, route[0]]):
         for through in via[place % len(route)] if place else ():
             go(candidates[through])
-        near = half if place % 2 else -half
+        near = toward[pose] if place % 2 else -toward[pose]
         go(candidates[pose] + near)
         for side in (-near, near):
             points.append(candidates[pose] + side)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from os import PathLike
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -20,10 +20,8 @@ from ident.friction.table import FRICTION_KINDS
 from ident.model.presliding import dry_friction
 from ident.model.regressor import CHUNK
 from ident.result.arrays import outward, samples
-from ident.result.delivered import Parameters
 from ident.result.exported_model import ExportedModel
 from ident.result.model_parameters import REGRESSOR_ROUNDING
-from ident.result.result_file import read_result
 from ident.result.simulated_motion import STEP, Controller, SimulatedMotion, simulated_motion
 
 TorquePart = Literal["inertial", "coriolis", "gravity", "friction"]
@@ -439,32 +437,3 @@ def result_path(path: str | PathLike[str]) -> Path:
     """The result.json that a path means: itself, or the one in a folder that `identify` wrote."""
     given = Path(path)
     return given / "result.json" if given.is_dir() else given
-
-
-def load_model(path: str | PathLike[str], parameters: Parameters | None = None) -> Model:
-    """The model that `identify` wrote.
-
-    Args:
-        path: a folder that `identify`, `merge` or `result.save` wrote, or its result.json.
-        parameters: "consistent", those of bodies that can exist, with an inertia matrix that is always positive
-            definite; "full", every base parameter as estimated; "essential", the significant ones, the others 0. None
-            takes the model that the verdict grades: consistent where there is one, else full.
-
-    Raises:
-        ResultFileError: no such file, or it is no result.
-        UsageError: there are no such parameters in it.
-        ModelError: the recordings identify only some of the base parameters.
-
-    Example:
-        >>> import dynid, tempfile
-        >>> run = dynid.simulate("ur5e", duration=10.0, seed=1)
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     dynid.identify(run).save(folder)
-        ...     model = dynid.load_model(folder, parameters="essential")
-        >>> model.gravity([0.0] * 6).shape
-        (6,)
-    """
-    result = read_result(result_path(path))
-    if parameters is not None and parameters not in get_args(Parameters):
-        raise UsageError(f"there are no '{parameters}' parameters", hint="consistent, full or essential")
-    return Model(result, parameters)

@@ -61,6 +61,12 @@ def read_result(path: Path) -> Result:
             where=str(path),
             hint="dynid validate and dynid export --mjcf take it, and in Python dynid.load_servo_model",
         )
+    if content.get("kind") == "gravity":
+        raise ResultFileError(
+            "is a model of gravity, which knows no torque of a motion",
+            where=str(path),
+            hint="dynid validate and dynid export --c take it, and in Python dynid.load_model(…).gravity(q)",
+        )
     check_kind(content, path, "result", "dynid identify")
     check_schema(content, path, RESULT_SCHEMA)
     warn_of_strange_files(path, content)

@@ -25,7 +25,9 @@ from drivers.streams import UNITS
 from ident.identify.predict import PARTS, RecordingPrediction, predict_recording
 from ident.report.prediction_page import prediction_figure, write_prediction_page
 from ident.result.delivered import Parameters
-from ident.result.model import Model, load_model
+from ident.result.gravity_model import refuse_gravity_alone
+from ident.result.load_model import load_model
+from ident.result.model import Model
 from ident.result.stored_model import stored_model
 from ident.result.tables import Table, table_of_rows
 from ident.tasks.arguments import recording_of
@@ -256,11 +258,11 @@ def predict(options: PredictOptions) -> Prediction:
 
 
 def _model(identified: IdentificationResult | Model | str | PathLike[str], parameters: Parameters | None) -> Model:
-    if isinstance(identified, Model):
-        return identified
     if isinstance(identified, IdentificationResult):
         return Model(identified.result, parameters)
-    return load_model(identified, parameters)
+    model = identified if isinstance(identified, Model) else load_model(identified, parameters)
+    refuse_gravity_alone(model, "the torque of a motion")
+    return model
 
 
 def _rms(signal: FloatArray | None, count: int) -> list[float | None]:

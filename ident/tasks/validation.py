@@ -13,6 +13,7 @@ from ident.identify.acceptance import acceptance_figures
 from ident.identify.held_out import delivered_model, model_checks, model_verdict
 from ident.identify.revalidate import revalidate
 from ident.result.delivered import Delivered, HeldOutErrors
+from ident.result.gravity_model import refuse_gravity_alone
 from ident.result.model import Model, result_path
 from ident.result.result_file import read_result
 from ident.result.schema import Result
@@ -189,6 +190,8 @@ def result_of(identified: Identified) -> Result:
     Raises:
         ResultFileError: no such file, or it is no result.
     """
+    if isinstance(identified, Model):
+        refuse_gravity_alone(identified, "the torque of a motion")
     if isinstance(identified, (IdentificationResult, Model)):
         return identified.result
     return read_result(result_path(identified))

@@ -71,7 +71,7 @@ def reference(dynamics: InverseDynamics, real: Real, count: int = STATES, seed: 
         "mass_matrix": inertia,
         "regressor": rows,
         "payload_torque": _loaded(dynamics, (position, velocity, acceleration), payload),
-        "forward_dynamics": np.linalg.solve(inertia, (torque - at_rest).T[..., None])[..., 0],
+        "forward_dynamics": _accelerations(inertia, torque - at_rest),
         "motor_torque": np.linalg.solve(dynamics.coupling.T, torque).T,
     }
     largest = {name: float(np.max(np.abs(values), initial=0.0)) or 1.0 for name, values in outputs.items()}
@@ -81,6 +81,14 @@ def reference(dynamics: InverseDynamics, real: Real, count: int = STATES, seed: 
     scales = {**largest, **dict.fromkeys(names, torques), "forward_dynamics": worst * largest["forward_dynamics"]}
     inputs = {"q": position.T, "dq": velocity.T, "ddq": acceleration.T, PAYLOAD: payload, "tau": torque.T}
     return ExpectedValues(inputs, outputs, scales)
+
+
+def _accelerations(inertia: FloatArray, torque: FloatArray) -> FloatArray:
+    """Accelerations (N, n) that torques (n, N) cause; zeros where the parameters have no inertia."""
+    try:
+        return np.asarray(np.linalg.solve(inertia, torque.T[..., None])[..., 0])
+    except np.linalg.LinAlgError:
+        return np.zeros(torque.T.shape)
 
 
 def random_payloads(count: int, seed: int) -> FloatArray:

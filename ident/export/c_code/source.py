@@ -86,10 +86,12 @@ def header(description: Description, functions: Sequence[Function], dialect: Dia
     lacking = (
         _lines(("", "Not there:", *(f"  {line}" for line in description.left_out))) if description.left_out else ""
     )
+    whole = any(function.name == "torque" for function in functions)
+    equation = f"tau = M(q) ddq + C(q, dq) dq + g(q) + friction({friction})" if whole else "tau = g(q)"
     return f"""\
 /* Dynamic model of {comment_text(description.robot)}, written by dynid; it holds {comment_text(description.kind)}.
  *
- *     tau = M(q) ddq + C(q, dq) dq + g(q) + friction({friction})
+ *     {equation}
  *
  * at the joints with a motor, in this order:
  *
@@ -261,7 +263,8 @@ def self_test(functions: Sequence[Function], expected: ExpectedValues, prefix: s
             f"static const double expected_{function.name}[{len(flat)}][{size}] = {{\n{_table(flat, in_double)}}};\n"
         )
         bodies += _compared(function, prefix, size, len(flat), expected.scales[function.name], dialect)
-    bodies += _regressed(prefix, expected.scales["torque"], dialect)
+    if {"torque", "regressor"} <= {function.name for function in functions}:
+        bodies += _regressed(prefix, expected.scales["torque"], dialect)
     bodies.append(f'    puts(failed ? "{prefix}: FAILED" : "{prefix}: passed");')
     bodies.append("    return failed;")
     main = "int main(void)\n{\n" + "\n".join(bodies) + "\n}\n#endif\n"

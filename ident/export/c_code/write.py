@@ -26,6 +26,7 @@ def write_c(
     kind: str = "base parameters",
     origin: Sequence[str] = (),
     parameters: Sequence[Parameter] | None = None,
+    names: Sequence[str] | None = None,
     overwrite: bool = False,
 ) -> Export:
     """Write a C99 header and source: an arm's inverse and forward dynamics, their terms, payload and regressor.
@@ -37,6 +38,7 @@ def write_c(
         kind: which parameters these are, for a comment.
         origin: lines on where they come from, for the header.
         parameters: (b,) the base parameters with their deviations; without these where None.
+        names: of the functions that the parameters allow; all where None.
         overwrite: replace what exists.
 
     Raises:
@@ -46,12 +48,13 @@ def write_c(
     header_path, source_path = source_paths(Path(path))
     check_outputs([header_path, source_path], overwrite=overwrite)
     graph = Graph()
-    functions = arm_functions(graph, dynamics)
+    functions = tuple(one for one in arm_functions(graph, dynamics) if names is None or one.name in names)
     check_expressions(graph, functions, dynamics)
     prefix = identifier(dynamics.model.name)
     dialect = Dialect(real, f"{prefix}_real", f"{prefix}_sign", f"{prefix}_inverse")
     model = dynamics.model
-    lacking = tuple(f"{name}: {reason}" for name, reason in left_out(dynamics).items())
+    refused = left_out(dynamics) if names is None else {}
+    lacking = tuple(f"{name}: {reason}" for name, reason in refused.items())
     if model.presliding:
         lacking += (
             "presliding: dry friction is that of the sign of dq, which knows no time (Model.presliding_torque)",
@@ -77,11 +80,11 @@ def write_c(
     texts = {header_path: declared, source_path: defined}
     generation = hashlib.sha256("".join(texts.values()).encode()).hexdigest()[:15]  # a signed number
     replace_files({path: text.replace(GENERATION, generation) for path, text in texts.items()})
-    torque = functions[0]
+    first = functions[0]
     return Export(
         path=source_path,
-        format=f"C99 in {real}, {kind}; header {header_path.name}; {torque.name}: "
-        f"{graph.operations(torque.outputs).text()}",
+        format=f"C99 in {real}, {kind}; header {header_path.name}; {first.name}: "
+        f"{graph.operations(first.outputs).text()}",
         left_out=lacking,
         readings=(),
         checks=(),

@@ -30,7 +30,7 @@ def test_every_pose_is_passed_upwards_and_downwards_slowly():
         np.testing.assert_allclose(position.T, [pose, pose], atol=1e-9)
         np.testing.assert_allclose(velocity[:, 0], -velocity[:, 1])
         np.testing.assert_allclose(acceleration, 0.0, atol=1e-9)
-        assert np.abs(velocity).max() <= 0.15 + 1e-9
+        assert np.abs(velocity).max() <= 0.1 + 1e-9
     assert trajectory.duration < 300.0
 
 

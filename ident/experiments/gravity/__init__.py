@@ -1,0 +1,1 @@
+"""Gravity from slow passes through poses in both directions."""

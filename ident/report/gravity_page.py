@@ -1,0 +1,78 @@
+"""The page of a gravity identification: one self-contained HTML file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from drivers.core.text import percent_text
+from drivers.core.units import common_unit
+from ident.experiments.gravity.experiment import GravityExperiment
+from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, shortened
+from ident.report.figures.panels import Panel, panel_figure
+from ident.report.html_file import page_templates
+from ident.report.section import Tile
+from ident.result.gravity import GravityJoint, GravityResult
+from ident.views.number_text import number
+
+CAPTION = (
+    "Torque without friction in every pose, the mean of both directions, and its prediction from the other poses. "
+    "Poses stand in the order of the recording."
+)
+COLUMNS = 2
+
+
+def gravity_page(experiment: GravityExperiment) -> str:
+    """The page: verdict, errors beside gravity and friction, poses, parameters."""
+    result = experiment.result
+    return (
+        page_templates()
+        .get_template("gravity_page.html.j2")
+        .render(result=result, tiles=_tiles(result), poses=_poses_figure(result))
+    )
+
+
+def _tiles(result: GravityResult) -> list[Tile]:
+    unit = common_unit("N·m", result.sliding)
+    shares = [one.held_out_rms / one.gravity for one in result.of_joints if one.held_out_rms and one.gravity > 0]
+    worst = max((one.held_out_max for one in result.of_joints if one.held_out_max is not None), default=None)
+    determined = sum(one.value is not None for one in result.gravity_parameters)
+    return [
+        Tile("Error of gravity", percent_text(float(np.median(shares)), 2) if shares else "–", "median of the joints"),
+        Tile("Largest error", "–" if worst is None else f"{number(worst, 2)} {unit}", "in a pose left out"),
+        Tile("Poses", str(len(result.poses))),
+        Tile("Parameters", str(determined), f"of {len(result.gravity_parameters)} determined"),
+    ]
+
+
+def _poses_figure(result: GravityResult) -> Figure | None:
+    panels = [_panel(result, row, joint, row == 0) for row, joint in enumerate(result.of_joints) if joint.poses]
+    if not panels:
+        return None
+    rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
+    return panel_figure("poses-plot", rows, CAPTION)
+
+
+def _panel(result: GravityResult, row: int, joint: GravityJoint, first: bool) -> Panel:
+    shown = [place for place, pose in enumerate(result.poses) if pose.measured[row] is not None]
+    traces: list[dict[str, Any]] = [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": label,
+            "legendgroup": label,
+            "showlegend": first,
+            "marker": {"color": colour, "symbol": symbol, "size": 7},
+            "x": [place + 1 for place in shown],
+            "y": [getattr(result.poses[place], part)[row] for place in shown],
+        }
+        for label, part, colour, symbol in (
+            ("measured", "measured", MEASURED, "circle"),
+            ("predicted", "predicted", PREDICTED, "x-thin-open"),
+        )
+    ]
+    heading = f"<b>{plain(shortened(joint.joint, 36))}</b>"
+    return Panel(
+        joint.joint, heading, traces, x={"title": {"text": "pose"}}, y={"title": {"text": joint.unit}}, height=170
+    )

@@ -1,0 +1,183 @@
+"""The result of a gravity identification: result.json, kind "gravity"."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from daq.output_files import warn_of_strange_files
+from drivers.core.errors import ResultFileError
+from ident.result.result_file import check_kind, check_schema, read_content, stored
+from ident.result.tables import Cell, Table, table_of_rows
+from ident.stored import Number, Stored, Value
+
+GRAVITY_SCHEMA = 1
+KIND = "gravity"
+
+
+class GravityParameter(Stored):
+    """One gravity parameter, or the offset of a motor."""
+
+    name: str
+    expression: str
+    kind: Literal["inertial", "offset"]
+    joint: str
+    unit: str
+    value: Number = Field(description="null where the poses do not determine it")
+    std: Number
+    low: Number = Field(description="of the 95 % interval")
+    high: Number
+    note: str = ""
+
+
+class GravityJoint(Stored):
+    """What the recording says of one joint."""
+
+    joint: str
+    unit: str
+    poses: int = Field(description="in which it moves")
+    gravity: Value = Field(description="root mean square of its gravity torque over the poses")
+    friction: Number = Field(description="at the speed of the passes: half the difference of the two directions")
+    friction_interval: Number = Field(description="half of its 95 % interval")
+    friction_spread: Number = Field(description="its standard deviation over the poses")
+    held_out_rms: Number = Field(description="of the torque predicted from the other poses, minus the measured one")
+    held_out_max: Number
+    model_file_rms: Number = Field(
+        default=None, description="the same figure of the masses in the robot file, offsets fitted; null without masses"
+    )
+
+
+class GravityPose(Stored):
+    """One visit of a pose."""
+
+    position: list[Value]
+    time: Value = Field(description="[s] from the recording's first sample")
+    recording: str
+    measured: list[Number] = Field(description="mean torque of both directions; null of a joint that rests there")
+    predicted: list[Number] = Field(description="from the other poses")
+
+
+class GravityValidation(Stored):
+    """Errors on other recordings."""
+
+    rms: list[Number]
+    max: list[Number]
+    poses: int
+    held_out: bool
+
+
+class GravityRecording(Stored):
+    """A recording that was used."""
+
+    file: str
+    sha256: str
+    role: Literal["identification", "validation"]
+    poses: int
+
+
+class GravityVerdict(Stored):
+    """How far the model can be trusted for gravity compensation."""
+
+    grade: Literal["good", "usable", "poor"]
+    headline: str
+    checks: list[str] = Field(default=[])
+
+
+class GravityResult(Stored):
+    """The outcome of an identification of gravity."""
+
+    dynid_schema: Literal[1] = 1
+    kind: Literal["gravity"] = "gravity"
+    created: str
+    robot: str
+    robot_file: str
+    urdf: str
+    joints: list[str]
+    sliding: list[bool]
+    method: Literal["gravity"] = "gravity"
+    torque_origin: str
+    gravity_parameters: list[GravityParameter]
+    covariance: list[list[Value]]
+    of_joints: list[GravityJoint]
+    poses: list[GravityPose]
+    silent: list[str] = Field(description="joints that gravity does not act on")
+    validation: GravityValidation | None = None
+    recordings: list[GravityRecording]
+    versions: dict[str, str]
+    verdict: GravityVerdict
+
+    @model_validator(mode="after")
+    def _sizes(self) -> Self:
+        count = len(self.gravity_parameters)
+        if len(self.covariance) != count or any(len(row) != count for row in self.covariance):
+            raise ValueError(f"'covariance' is not {count} × {count}")
+        if len(self.of_joints) != len(self.joints) or len(self.sliding) != len(self.joints):
+            raise ValueError(f"'of_joints' and 'sliding' do not have {len(self.joints)} entries")
+        return self
+
+    @property
+    def parameters(self) -> Table:
+        """Every parameter with its 95 % interval."""
+        rows: list[list[Cell]] = [
+            [one.name, one.joint, one.value, one.low, one.high, one.unit, one.note or one.expression]
+            for one in self.gravity_parameters
+        ]
+        headings = [(name, "") for name in ("name", "joint", "value", "low", "high", "unit", "meaning")]
+        return table_of_rows(f"Gravity parameters of {self.robot}, 95 % intervals", headings, rows)
+
+    @property
+    def errors(self) -> Table:
+        """Errors in held-out poses beside the size of gravity and friction."""
+        headings = [
+            (name, "")
+            for name in ("joint", "gravity", "held_out_error", "worst", "friction", "friction_±", "offset", "unit")
+        ]
+        known = [one.model_file_rms is not None for one in self.of_joints]
+        if any(known):
+            headings.insert(4, ("robot_file", ""))
+        offsets = {one.joint: one.value for one in self.gravity_parameters if one.kind == "offset"}
+        rows: list[list[Cell]] = []
+        for one in self.of_joints:
+            row: list[Cell] = [one.joint, one.gravity, one.held_out_rms, one.held_out_max]
+            if any(known):
+                row.append(one.model_file_rms)
+            row += [one.friction, one.friction_interval, offsets.get(one.joint), one.unit]
+            rows.append(row)
+        return table_of_rows(f"Torques of {self.robot} in held-out poses (root mean square)", headings, rows)
+
+    @property
+    def validation_errors(self) -> Table:
+        """Errors on other recordings beside the size of gravity and friction; empty without any."""
+        headings = [(name, "") for name in ("joint", "gravity", "error", "worst", "friction", "unit")]
+        shown = (
+            []
+            if self.validation is None
+            else zip(self.of_joints, self.validation.rms, self.validation.max, strict=True)
+        )
+        rows: list[list[Cell]] = [
+            [one.joint, one.gravity, rms, largest, one.friction, one.unit] for one, rms, largest in shown
+        ]
+        return table_of_rows(f"Torques of {self.robot} on other recordings (root mean square)", headings, rows)
+
+
+def is_gravity_file(path: Path) -> bool:
+    """Whether a result.json is one of gravity; False where it cannot be read."""
+    try:
+        return read_content(path).get("kind") == KIND
+    except ResultFileError:
+        return False
+
+
+def read_gravity_result(path: Path) -> GravityResult:
+    """Read the result.json of a gravity identification.
+
+    Raises:
+        ResultFileError: no such file, another kind of file, a newer schema, a missing key.
+    """
+    content = read_content(path)
+    check_kind(content, path, KIND, "dynid identify --gravity")
+    check_schema(content, path, GRAVITY_SCHEMA)
+    warn_of_strange_files(path, content)
+    return stored(GravityResult, content, path, "identify again")

@@ -1,0 +1,307 @@
+"""The gravity of an identified arm: a model that knows what holds the arm still, and nothing of motion."""
+
+from __future__ import annotations
+
+from os import PathLike
+from typing import Any, Literal, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from daq.robot.loader import parse_robot
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ModelError, ResultFileError
+from ident.export.export import Export
+from ident.model.gravity_base import gravity_base, gravity_columns, gravity_rows, resting_model
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.result.arrays import outward, samples
+from ident.result.estimate import AGAIN
+from ident.result.gravity import GravityResult
+from ident.result.model import Model, TorquePart
+from ident.result.stored_model import StoredModel
+from ident.result.tables import Table
+
+
+class GravityModel(Model):
+    """Gravity of an arm; made by `load_model` of a folder that `dynid identify --gravity` wrote, or `identify_gravity`.
+
+    `gravity(q)` compensates the arm's weight, `torque(q)` has the motors' offsets too, `torque_std(q)` is the σ of the
+    latter. Friction of motions, inertia and everything made of them were not recorded: their methods raise ModelError.
+    Of a joint that slides along gravity, weight and offset act alike; both are in `gravity`.
+
+    Attributes:
+        result: what the identification wrote.
+
+    Example:
+        >>> import dynid
+        >>> try:
+        ...     dynid.load_model("no-such-model")
+        ... except dynid.ResultFileError as error:
+        ...     print(error.message)
+        no such file
+    """
+
+    result: GravityResult  # type: ignore[assignment]  # beside `Result`, which a whole model has
+
+    def __init__(self, result: GravityResult) -> None:
+        """Build the model of a result.
+
+        Raises:
+            ResultFileError: its parts do not belong together.
+        """
+        self.result = result
+        self.kind = "full"
+        robot_file = parse_robot(
+            result.robot_file, where="the result's robot file", folder=None, urdf_text=result.urdf or None
+        )
+        model = resting_model(robot_file)
+        base = gravity_base(model)
+        if [one.name for one in result.gravity_parameters] != list(base.names):
+            raise ResultFileError("the parameters do not belong to the robot file beside them", hint=AGAIN)
+        self._stored = StoredModel(robot_file, model, (), base)
+        self._base = base
+        values = [np.nan if one.value is None else one.value for one in result.gravity_parameters]
+        self._values = np.array(values, dtype=np.float64)
+        self._missing = [int(index) for index in np.flatnonzero(np.isnan(self._values))]
+        self._dynamics = InverseDynamics(model, base, np.nan_to_num(self._values))
+        # Weight and offset of a joint that slides along gravity are one number, which holds the arm: it is gravity's.
+        together = [
+            index
+            for index, column in enumerate(base.columns)
+            if model.parameters[column].kind == "offset"
+            and model.link_names[model.parameters[column].joint] in self._dynamics.confounded
+        ]
+        still = np.zeros((model.dof, 1))
+        rows = gravity_rows(model, base, still.T)[0][:, together]
+        weight = rows @ np.nan_to_num(self._values)[together]
+        self._dynamics.weight = model.transmission.at_joints(weight[:, None])[:, 0]
+        self._dynamics.confounded = ()
+
+    @property
+    def armature(self) -> FloatArray:
+        """Not known: zeros (n,)."""
+        return np.zeros(self.dof)
+
+    @property
+    def parameters(self) -> Table:
+        """Gravity parameters and offsets with their 95 % intervals."""
+        return self.result.parameters
+
+    def torque(
+        self,
+        q: npt.ArrayLike,
+        dq: npt.ArrayLike | None = None,
+        ddq: npt.ArrayLike | None = None,
+        temperature: npt.ArrayLike | None = None,
+    ) -> FloatArray:
+        """Torque [N·m] that holds the arm still, motors' offsets included, friction not; shape of `q`.
+
+        Raises:
+            DataError: a wrong shape, or a value is not finite.
+            ModelError: the arm moves, or a parameter that was not determined acts.
+        """
+        self._refuse_motion(q, dq, ddq)
+        return super().torque(q)
+
+    def torque_parts(
+        self,
+        q: npt.ArrayLike,
+        dq: npt.ArrayLike | None = None,
+        ddq: npt.ArrayLike | None = None,
+        temperature: npt.ArrayLike | None = None,
+    ) -> dict[TorquePart, FloatArray]:
+        """The parts of `torque` [N·m]: gravity, and the offsets as friction; shape of `q` each.
+
+        Raises:
+            DataError: a wrong shape, or a value is not finite.
+            ModelError: the arm moves, or a parameter that was not determined acts.
+        """
+        self._refuse_motion(q, dq, ddq)
+        return super().torque_parts(q)
+
+    def torque_std(
+        self,
+        q: npt.ArrayLike,
+        dq: npt.ArrayLike | None = None,
+        ddq: npt.ArrayLike | None = None,
+        temperature: npt.ArrayLike | None = None,
+    ) -> FloatArray:
+        """Standard deviation σ [N·m] of `torque` from that of the parameters; shape of `q`.
+
+        Raises:
+            DataError: a wrong shape, or a value is not finite.
+            ModelError: the arm moves, or a parameter that was not determined acts.
+        """
+        self._refuse_motion(q, dq, ddq)
+        (position,), single = samples(self.joint_names, q=q)
+        still = np.zeros_like(position)
+        columns = self._columns(position, still, still)
+        self._require(columns)
+        covariance = np.array(self.result.covariance)
+        variance = np.einsum("nbk,bc,nck->nk", columns, covariance, columns)
+        return outward(np.sqrt(np.maximum(variance, 0.0)), single=single)
+
+    def regressor(
+        self,
+        q: npt.ArrayLike,
+        dq: npt.ArrayLike | None = None,
+        ddq: npt.ArrayLike | None = None,
+        temperature: npt.ArrayLike | None = None,
+    ) -> FloatArray:
+        """Regressor at rest, (N, n, b) or (n, b): torque = Y @ parameters["value"].
+
+        Raises:
+            DataError: a wrong shape, or a value is not finite.
+            ModelError: the arm moves.
+        """
+        self._refuse_motion(q, dq, ddq)
+        return super().regressor(q)
+
+    def export_c(
+        self, path: str | PathLike[str], *, real: Literal["double", "float"] = "double", overwrite: bool = False
+    ) -> Export:
+        """Write C99 source of `gravity`, with a self-test.
+
+        Args:
+            path: of both files, without suffix: `arm` gives arm.h and arm.c.
+            real: type of the arithmetic.
+            overwrite: replace what exists.
+
+        Raises:
+            UsageError: a file exists, cannot be written, or has a name that C cannot include.
+            ModelError: a parameter was not determined, or loops of the arm are solved numerically.
+        """
+        from ident.export.c_code.source import Parameter
+        from ident.export.c_code.write import write_c
+
+        weighing = gravity_columns(self._base)
+        missing = [self._base.names[index] for index in self._missing if index in weighing]
+        if missing:
+            raise ModelError(f"{', '.join(missing)} has no value: no recorded pose determines it", where=self.name)
+        parameters = [
+            Parameter(one.name, 0.0 if one.value is None else one.value, one.std, one.unit, one.expression)
+            for one in self.result.gravity_parameters
+        ]
+        result = self.result
+        recordings = [f"  {use.role}: {use.file}, SHA-256 {use.sha256}" for use in result.recordings]
+        origin = (
+            f"Gravity identified {result.created} by dynid {result.versions.get('dynid', 'unknown')}.",
+            "Recordings:",
+            *recordings,
+            f"Verdict: {result.verdict.headline}",
+        )
+        return write_c(
+            self._dynamics,
+            path,
+            real=real,
+            kind="gravity parameters, and nothing of motion",
+            origin=origin,
+            parameters=parameters,
+            names=("gravity",),
+            overwrite=overwrite,
+        )
+
+    def to_pinocchio(self) -> Any:
+        """Not possible.
+
+        Raises:
+            ModelError: always.
+        """
+        self._refuse("the bodies that Pinocchio needs")
+
+    def export_urdf(
+        self, path: str | PathLike[str], *, into: str | PathLike[str] | None = None, overwrite: bool = False
+    ) -> Export:
+        """Not possible.
+
+        Raises:
+            ModelError: always.
+        """
+        self._refuse("the inertias that a URDF needs")
+
+    def export_mjcf(self, path: str | PathLike[str], *, overwrite: bool = False) -> Export:
+        """Not possible.
+
+        Raises:
+            ModelError: always.
+        """
+        self._refuse("the inertias that an MJCF needs")
+
+    def export_ros2_inertial(self, path: str | PathLike[str], *, overwrite: bool = False) -> Export:
+        """Not possible.
+
+        Raises:
+            ModelError: always.
+        """
+        self._refuse("the inertias of links")
+
+    def friction(
+        self, dq: npt.ArrayLike, q: npt.ArrayLike | None = None, temperature: npt.ArrayLike | None = None
+    ) -> FloatArray:
+        """Not possible: friction is known at the speed of the passes alone (`result.of_joints`).
+
+        Raises:
+            ModelError: always.
+        """
+        self._refuse("friction at other speeds than that of the passes")
+
+    def coriolis(self, q: npt.ArrayLike, dq: npt.ArrayLike) -> FloatArray:
+        """Not possible.
+
+        Raises:
+            ModelError: always.
+        """
+        self._refuse("Coriolis torques")
+
+    def mass_matrix(self, q: npt.ArrayLike) -> FloatArray:
+        """Not possible.
+
+        Raises:
+            ModelError: always.
+        """
+        self._refuse("the inertia matrix")
+
+    def forward_dynamics(
+        self, q: npt.ArrayLike, dq: npt.ArrayLike, tau: npt.ArrayLike, temperature: npt.ArrayLike | None = None
+    ) -> FloatArray:
+        """Not possible.
+
+        Raises:
+            ModelError: always.
+        """
+        self._refuse("the inertia matrix")
+
+    def simulate(self, *args: Any, **keywords: Any) -> NoReturn:
+        """Not possible.
+
+        Raises:
+            ModelError: always.
+        """
+        self._refuse("the inertia matrix")
+
+    def _refuse_motion(self, q: npt.ArrayLike, dq: npt.ArrayLike | None, ddq: npt.ArrayLike | None) -> None:
+        signals, _ = samples(self.joint_names, q=q, dq=dq, ddq=ddq)
+        if any(np.any(signal != 0.0) for signal in signals[1:]):
+            self._refuse("torques of a motion")
+
+    def _refuse(self, what: str) -> NoReturn:
+        raise ModelError(
+            f"this is a model of gravity, which does not know {what}",
+            where=self.name,
+            hint="gravity(q), torque(q) at rest and export_c are there; the rest needs dynid excite and dynid identify",
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"<dynid.GravityModel {self.name}, {self.dof} joints, {self.result.verdict.grade} for gravity compensation>"
+        )
+
+
+def refuse_gravity_alone(model: Model, what: str) -> None:
+    """Refuse a model of gravity where more is needed.
+
+    Raises:
+        ModelError: it is one.
+    """
+    if isinstance(model, GravityModel):
+        model._refuse(what)

@@ -1,0 +1,161 @@
+"""Identify the gravity of an arm in one call, validate it, save it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from os import PathLike
+from pathlib import Path
+
+import numpy as np
+
+from daq.motion.trajectory_file import parse_trajectory
+from daq.output_files import REPORT_FILE, RESULT_FILE, save_folder
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot
+from drivers.core.errors import UsageError
+from ident.experiments.gravity.experiment import GravityExperiment, analyse_gravity, revalidated
+from ident.report.gravity_page import gravity_page
+from ident.result.gravity import GravityResult, read_gravity_result
+from ident.result.gravity_model import GravityModel
+from ident.result.model import result_path
+from ident.result.result_file import model_json
+from ident.result.tables import Table
+from ident.tasks.arguments import Runs, recordings_of
+
+
+class IdentifiedGravity:
+    """Gravity of an arm, identified from poses that were passed slowly in both directions.
+
+    Attributes:
+        result: all of it, as `result.json` holds it.
+        model: to compute with: `model.gravity(q)`.
+
+    Example:
+        >>> import dynid
+        >>> dynid.IdentifiedGravity.errors.__doc__.split(" beside")[0]
+        'Errors in held-out poses'
+    """
+
+    def __init__(self, experiment: GravityExperiment) -> None:
+        """Hold an experiment."""
+        self._experiment = experiment
+        self.result: GravityResult = experiment.result
+        self.model = GravityModel(experiment.result)
+
+    @property
+    def verdict(self) -> str:
+        """How far the model can be trusted for gravity compensation, and what spoils it."""
+        verdict = self.result.verdict
+        return "\n".join([verdict.headline, *(f"  {check}" for check in verdict.checks)])
+
+    @property
+    def parameters(self) -> Table:
+        """Gravity parameters and offsets with 95 % intervals; what the poses do not determine has no value."""
+        return self.result.parameters
+
+    @property
+    def errors(self) -> Table:
+        """Errors in held-out poses beside gravity, friction with its 95 % interval, and offset of each joint."""
+        return self.result.errors
+
+    def validate(self, runs: Runs) -> IdentifiedGravity:
+        """The same model judged on other recordings of poses passed in both directions.
+
+        Raises:
+            DataError: a recording is of another arm, or passes no pose in both directions.
+        """
+        return IdentifiedGravity(revalidated(self._experiment, recordings_of(runs)))
+
+    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write `result.json` and `report.html` into a folder, as `dynid identify --gravity -o` does.
+
+        Args:
+            folder: made where it does not exist.
+            overwrite: replace the files where they exist.
+
+        Raises:
+            UsageError: they exist already, it is a file, or cannot be written.
+            DiskError: the disk is full or fails.
+        """
+        page = gravity_page(self._experiment)
+        save_folder(Path(folder), {RESULT_FILE: self.to_json() + "\n", REPORT_FILE: page}, overwrite=overwrite)
+
+    def to_json(self) -> str:
+        """The text of `result.json`."""
+        return model_json(self.result)
+
+    def __str__(self) -> str:
+        return f"{self.verdict}\n\n{self.errors}\n\n{self.parameters}"
+
+    def __repr__(self) -> str:
+        return f"<dynid.IdentifiedGravity {self.result.robot}, {self.result.verdict.grade} for gravity compensation>"
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{self.verdict}</pre>{self.errors._repr_html_()}{self.parameters._repr_html_()}"
+
+
+def _silent(step: str) -> None:
+    """Take a step's name and do nothing."""
+
+
+def identify_gravity(
+    runs: Runs,
+    *,
+    validation: Runs = (),
+    robot: str | Path | RobotFile | None = None,
+    progress: Callable[[str], None] = _silent,
+) -> IdentifiedGravity:
+    """Identify the gravity of an arm from poses passed slowly in both directions: `dynid identify --gravity`.
+
+    Args:
+        runs: a recording of `dynid excite --for gravity`, or several of one arm; read already or paths. Any recording
+            will do that passes poses slowly, forth and back.
+        validation: held-out recordings; each pose is predicted from the others without any.
+        robot: in place of the recordings' own robot file.
+        progress: called with the name of each step.
+
+    Raises:
+        DataError: no pose is passed in both directions (names joint and pose), or the torques are not those of an arm
+            of this size.
+        IdentificationError: too few poses.
+
+    Example:
+        >>> import dynid
+        >>> try:
+        ...     dynid.identify_gravity(dynid.simulate("up6", duration=10.0, rate=100.0))
+        ... except dynid.DataError as error:
+        ...     print(error.message)
+        holds no pose that is passed slowly in both directions
+    """
+    recordings, held_out = recordings_of(runs), recordings_of(validation)
+    if not recordings:
+        raise UsageError("no recording to identify from")
+    robot_file = None if robot is None else load_robot(robot)
+    file = robot_file or recordings[0].robot()
+    commanded = sorted({name for recording in recordings for name in commanded_joints(recording, file)})
+    return IdentifiedGravity(analyse_gravity(recordings, held_out, robot_file, commanded, progress))
+
+
+def load_gravity(path: str | PathLike[str]) -> IdentifiedGravity:
+    """What `identify_gravity(…).save` wrote, to be validated.
+
+    Args:
+        path: the folder, or its result.json.
+
+    Raises:
+        ResultFileError: no such file, or it is another kind of result.
+    """
+    return IdentifiedGravity(GravityExperiment(read_gravity_result(result_path(path))))
+
+
+def commanded_joints(recording: Recording, file: RobotFile) -> Sequence[str]:
+    """Names of the joints that the trajectory in a recording moves; none where no trajectory was played.
+
+    Raises:
+        UsageError: the recording's trajectory cannot be read.
+    """
+    if not recording.trajectory:
+        return ()
+    motion = parse_trajectory(recording.trajectory, file.robot, where=recording.label, folder=None).motion
+    position, _, _ = motion.evaluate(np.linspace(0.0, motion.duration, 2000))
+    return [name for name, path in zip(file.robot.joint_names, position, strict=True) if np.ptp(path) > 1e-6]
