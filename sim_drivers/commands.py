@@ -40,7 +40,9 @@ def sim(
     robot: str = typer.Argument(
         help="Built-in robot or robot file with a truth section.", autocompletion=COMPLETIONS["robot"]
     ),
-    wire: str = typer.Option("rtde", "--wire", help="rtde, canopen, slcan (CANopen), can, thermometer."),
+    wire: str | None = typer.Option(
+        None, "--wire", help="rtde, canopen, slcan (CANopen), can, thermometer; default: as its robot file says."
+    ),
     host: str = typer.Option("127.0.0.1", "--host", help="Address to listen on; several arms: 127.0.0.2, 127.0.0.3."),
     version: str = typer.Option("5.22", "--version", help="Of the controller: 3.15 (125 Hz), 5.22, 5.23, 10.10."),
     interface: str | None = typer.Option(None, "--interface", help="CAN interface; default: the robot file's."),

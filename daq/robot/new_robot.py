@@ -1,182 +1,310 @@
-"""A commented robot file to complete (`dynid robot new`): a URDF's content is filled in, the rest is marked TODO."""
+"""A commented robot file to complete (`dynid robot new`), which can be simulated as it stands where it is of a URDF."""
 
 from __future__ import annotations
 
 import math
-import os
 import re
-from pathlib import Path
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import yaml
 
-from daq.output_files import check_outputs, replace_files
-from daq.robot.loader import read_robot_text
-from daq.robot.schema import ASSUMED_ACCELERATION
-from daq.robot.urdf_robot import UrdfArm, UrdfJoint, read_urdf_arm
+from daq.robot.schema import ASSUMED_ACCELERATION, TruthLink
+from daq.robot.urdf_robot import UrdfArm, UrdfJoint
 from daq.robot.validation import TODO
-from drivers.core.errors import UsageError
-from drivers.core.ranges import JOINTS, POSITION_LIMIT, VELOCITY_LIMIT
+from drivers.core.ranges import POSITION_LIMIT, VELOCITY_LIMIT
 
-_HEAD = """\
-# Robot file of dynid (docs/robot-file.md). Replace every TODO, or delete its line where the comment says so;
-# then ask:  dynid check THIS_FILE
-# It lists what is still to be filled in, and shows where the tool is at position zero and at your poses.
-# Units: m, rad (pi/2 may be written), s, kg, N·m, A, °C.
+ASSUMED_VELOCITY = {"rad": 1.0, "m": 0.1}
+"""Velocity limit where the URDF states none [rad/s, m/s]: slow for an arm, so that it is on the safe side."""
 
-name: {name}
-description: {todo}, what a reader should know of this arm; or delete the line
-"""
+FRAMES_PER_SECOND = 2000.0
+"""Of samples on the simulated bus of 1 Mbit/s, which they fill to 80 % at worst."""
 
-_URDF_MODEL = """\
-model:
-  urdf: {urdf}   # kinematics, relative to this file; its inertias are not used
-{loops}\
-  gravity: [0, 0, -9.81]   # m/s², in the base frame; turn it for an arm on a wall or a ceiling
-"""
+MOST_SYNC = 400.0
 
-_MDH_MODEL = """\
-# Modified Denavit-Hartenberg rows of Khalil and Kleinfinger: frame j follows from the frame before it by
-# Rot(x, alpha) Trans(x, d) Rot(z, theta0 + q) Trans(z, r). This is Craig's convention with d for his a, r for his d.
-# From the standard convention (theta, d, a, alpha): alpha and d are the standard alpha and a of the row before.
-model:
-  mdh:   # alpha, theta0 [rad]; d, r [m]; a sliding joint: type: prismatic, q adds to r
-{rows}
-  gravity: [0, 0, -9.81]   # m/s², in the base frame; turn it for an arm on a wall or a ceiling
-"""
-
-_JOINTS = """\
-joints:   # limits, in the order of all arrays: motions are planned and supervised within them
-{joints}
-"""
-
-_REST = """\
-drives:   # joint torque = gain · signal, joint side, sign included
-  # gain [N·m/A or N·m/V]: torque constant times gear ratio; gain_std: its standard deviation in the same unit.
-  # Where the arm gives joint torque, write instead: {{joint: {first}, signal: torque}}; where its current has no sign,
-  # {{joint: {first}, signal: magnitude}}.
-  # inertia: false where torque is sensed behind the gearbox, so that the motor's inertia is not in it.
+_DRIVES = """\
+# {todo} (identify): drives, unless the arm gives joint torque. Joint torque = gain · signal, joint side, sign included;
+# gain [N·m/A or N·m/V]: torque constant times gear ratio; gain_std: its standard deviation. signal: magnitude where the
+# current has no sign. inertia: false where torque is sensed behind the gearbox, without the motor's inertia.
+# drives:
 {drives}
 
 # model: auto (coulomb-viscous, and what else the recordings show), or what you know it to be: none, viscous, coulomb or
 # coulomb-viscous; offset: a constant torque per joint
 friction: {{model: auto, offset: true}}
+"""
 
-workspace:
-  tool: {tool}   # m, the flange or the tool's tip in the frame of the last joint{tool_note}
-  tool_rotation: {tool_rotation}   # rad, its axes there as a rotation vector
-  link_radius: {todo}   # m, half the thickness of the links, such as 0.06; one number, or joint: number
-
-poses:   # positions of all joints [rad or m] at which to compare `dynid check` with the pendant
-  home: {home}   # a pose that you can drive to; or delete the section
-
-# connections:   # how to reach the arm (docs/recording-ur.md, docs/can.md); not needed for importing recordings
-#   rtde: {{driver: rtde, host: 192.168.0.10, rate: 500}}
+_WORKSPACE = """
+workspace:   # m, in the frame of the last joint; height of the floor, obstacles: docs/robot-file.md
+  tool: {tool}   # the flange or the tool's tip{note}
+  tool_rotation: {rotation}   # rad, its axes there as a rotation vector
+  # link_radius: 0.06   # {todo} (move): half the thickness of links without a mesh; 0.05 is assumed
 """
 
 
-def new_robot_file(urdf: Path | None, joints: int | None, out: Path, *, overwrite: bool = False) -> str:
-    """Write a robot file to complete, and return its text.
+@dataclass(frozen=True)
+class JointTruth:
+    """Assumptions on a simulated joint.
 
-    Args:
-        urdf: source of kinematics and limits; None for modified DH rows of `joints` joints.
-        joints: number of joints, where there is no URDF.
-        out: the file to write.
-        overwrite: whether it may exist already.
-
-    Raises:
-        UsageError: neither or both of `urdf` and `joints`, or `out` exists, cannot be written or is no YAML
-            file's name.
-        RobotFileError: the URDF cannot be read.
+    Attributes:
+        viscous: [N·m·s/rad or N·s/m].
+        coulomb: [N·m or N].
+        motor_inertia: [kg·m² or kg].
+        noise: standard deviation of its torque [N·m or N].
+        gravity: torque that holds it in the worst pose [N·m or N].
     """
-    if (urdf is None) == (joints is None):
-        raise UsageError("give either a URDF or --joints", hint="dynid robot new arm.urdf -o arm.yaml")
-    if out.suffix.lower() not in {".yaml", ".yml"}:
-        raise UsageError(f"'{out}' is no name of a robot file", where="--out", hint="end it in .yaml")
-    check_outputs([out], [urdf], overwrite=overwrite)
-    if joints is not None and not 1 <= joints <= int(JOINTS.most):
-        raise UsageError(f"--joints {joints} is not from 1 to {int(JOINTS.most)}")
-    if urdf is None:
-        text = new_robot_of_joints(joints or 0)
-    else:
-        arm = read_urdf_arm(read_robot_text(urdf), urdf.name, where=str(urdf))
-        text = new_robot_of_urdf(arm, Path(os.path.relpath(urdf.resolve(), out.resolve().parent)).as_posix())
-    replace_files({out: text})
-    return text
+
+    viscous: float
+    coulomb: float
+    motor_inertia: float
+    noise: float
+    gravity: float
 
 
-def new_robot_of_urdf(arm: UrdfArm, urdf: str) -> str:
+@dataclass(frozen=True)
+class ArmGuess:
+    """What a URDF lets guess of an arm beyond its kinematics and limits.
+
+    Attributes:
+        links: joint → body of the link that it moves, and where it is from, in words.
+        joints: joint → friction, motor inertia and noise; of those with a motor.
+        poses: name → positions of all joints [rad or m], and what they are, in words.
+        free: whether parts of the arm are below its base in every pose, so that no mounting surface is assumed.
+    """
+
+    links: Mapping[str, tuple[TruthLink, str]] = field(default_factory=dict)
+    joints: Mapping[str, JointTruth] = field(default_factory=dict)
+    poses: Mapping[str, tuple[Sequence[float], str]] = field(default_factory=dict)
+    free: bool = False
+
+
+def unknown_positions(arm: UrdfArm) -> tuple[str, ...]:
+    """Names of the joints whose position limits the URDF does not state, or not in rad or m."""
+    return tuple(joint.name for joint in arm.joints if _position(joint) is None)
+
+
+def new_robot_of_urdf(arm: UrdfArm, urdf: str, guess: ArmGuess | None = None) -> str:
     """The text of a robot file for a URDF.
 
     Args:
         arm: content of the URDF.
-        urdf: its path, relative to where the robot file will be.
+        urdf: its path, relative to where the robot file will be, or absolute.
+        guess: None where nothing is guessed.
     """
-    loops = "  loops:   # joints that follow others (<mimic> of the URDF)\n" if arm.mimics else ""
-    for mimic in arm.mimics:
-        equation = f"{{{_quoted(mimic.follows)}: {mimic.multiplier!r}}}"
-        loops += f"    - {{joint: {_quoted(mimic.name)}, equation: {equation}, offset: {mimic.offset!r}}}\n"
-    model = _URDF_MODEL.format(urdf=_quoted(urdf), loops=loops)
-    note = f" (here: link {arm.tool_link} of the URDF)".replace("\n", " ")
-    rotation = [round(value, 9) for value in arm.tool_rotation]
-    return _text(arm.name, model, arm.joints, [round(value, 9) for value in arm.tool], rotation, note)
+    guess = ArmGuess() if guess is None else guess
+    note = f"; here: link {arm.tool_link} of the URDF".replace("\n", " ")
+    rounded = [[round(value, 9) for value in values] for values in (arm.tool, arm.tool_rotation)]
+    parts = [
+        _head(_quoted(arm.name), unknown_positions(arm), guess),
+        _urdf_model(arm, urdf, free=guess.free),
+        "joints:   # limits, in the order of all arrays: motions are planned and supervised within them",
+        _acceleration_note(),
+        *(_joint(joint, guess.joints.get(joint.name)) for joint in arm.joints),
+        "",
+        _DRIVES.format(todo=TODO, drives=_drives(arm.joints)).rstrip("\n"),
+        _WORKSPACE.format(tool=rounded[0], rotation=rounded[1], note=note, todo=TODO).rstrip("\n"),
+    ]
+    if guess.poses:
+        parts += ["", "poses:   # positions of all joints [rad or m]; the simulated arm stands at `start`"]
+        parts += [f"  {name}: {_list(pose)}   # {meaning}" for name, (pose, meaning) in guess.poses.items()]
+    if guess.links:
+        parts += ["", _truth(guess)]
+    parts += ["", _connection(arm.joints)]
+    return "\n".join(parts) + "\n"
 
 
 def new_robot_of_joints(count: int) -> str:
     """The text of a robot file for an arm of `count` revolute joints, each carried by the one before."""
-    rows = []
-    for joint_number in range(1, count + 1):
-        antecedent = f"j{joint_number - 1}" if joint_number > 1 else "base"
-        rows.append(
-            f"    - {{joint: j{joint_number}, antecedent: {antecedent}, "
-            f"alpha: {TODO}, d: {TODO}, theta0: {TODO}, r: {TODO}}}"
+    joints = tuple(UrdfJoint(f"j{number}", "revolute", None, None, None) for number in range(1, count + 1))
+    rows = [
+        f"    - {{joint: j{number}, antecedent: {f'j{number - 1}' if number > 1 else 'base'}, "
+        f"alpha: {TODO}, d: {TODO}, theta0: {TODO}, r: {TODO}}}"
+        for number in range(1, count + 1)
+    ]
+    model = "\n".join(
+        (
+            "# Modified Denavit-Hartenberg rows of Khalil and Kleinfinger: frame j follows from the frame before it by",
+            "# Rot(x, alpha) Trans(x, d) Rot(z, theta0 + q) Trans(z, r): Craig's convention, d for a and r for d.",
+            "# From the standard convention (theta, d, a, alpha): alpha and d are the alpha and a of the row before.",
+            "model:",
+            "  mdh:   # alpha, theta0 [rad]; d, r [m]; a sliding joint: type: prismatic, q adds to r",
+            *rows,
+            _GRAVITY,
         )
-    joints = tuple(UrdfJoint(f"j{joint_number}", "revolute", None, None, None) for joint_number in range(1, count + 1))
-    return _text(TODO, _MDH_MODEL.format(rows="\n".join(rows)), joints, [0, 0, 0], [0, 0, 0], "")
+    )
+    limits = [
+        f"  - {{name: {joint.name}, position: [{TODO}, {TODO}], velocity: {TODO}}}   # rad, rad/s; torque: N·m"
+        for joint in joints
+    ]
+    parts = [
+        _head("my_arm", None, ArmGuess()),
+        model,
+        "",
+        "joints:   # limits, in the order of all arrays: motions are planned and supervised within them",
+        _acceleration_note(),
+        *limits,
+        "",
+        _DRIVES.format(todo=TODO, drives=_drives(joints)).rstrip("\n"),
+        _WORKSPACE.format(tool=[0, 0, 0], rotation=[0, 0, 0], note="", todo=TODO).rstrip("\n"),
+        "",
+        "# poses: {home: [" + ", ".join("0" for _ in joints) + "]}   # rad, to compare `dynid check` with the pendant",
+        f"# connections:   # {TODO} (record): where the arm answers, docs/recording-ur.md or docs/can.md",
+        "#   rtde: {driver: rtde, host: 192.168.0.10, rate: 500}",
+    ]
+    return "\n".join(parts) + "\n"
 
 
-def _text(
-    name: str, model: str, joints: tuple[UrdfJoint, ...], tool: list[float], tool_rotation: list[float], tool_note: str
-) -> str:
-    names = [_quoted(joint.name) for joint in joints]
+def to_fill_in(unknown: Sequence[str] | None) -> dict[str, str]:
+    """What is still to be filled in, by what needs it.
+
+    Args:
+        unknown: joints whose position limits the URDF does not state; None where there is no URDF.
+    """
+    needed = {}
+    if unknown is None:
+        needed["run"] = "geometry (model.mdh), position and velocity limits"
+    elif unknown:
+        needed["run"] = f"position limits of {', '.join(unknown)}: the URDF states none in rad or m"
+    return needed | {
+        "record": "where the arm answers (connections)",
+        "move": f"limits of acceleration ({ASSUMED_ACCELERATION:g} rad/s² is assumed) and torque, what is around it",
+        "identify": "drive gains (drives), unless the arm gives joint torque",
+    }
+
+
+_GRAVITY = "  gravity: [0, 0, -9.81]   # m/s², in the base frame; turn it for an arm on a wall or a ceiling"
+
+
+def _head(name: str, unknown: Sequence[str] | None, guess: ArmGuess) -> str:
+    lines = ["# Robot file of dynid (docs/robot-file.md). Units: m, rad (pi/2 may be written), s, kg, N·m, A, °C."]
+    if guess.links and not unknown:
+        lines.append(
+            "# It is complete for the simulated arm: dynid sim THIS_FILE. A real one needs what is marked TODO, to"
+        )
+    else:
+        lines.append("# Replace each value TODO; what is marked TODO in a comment is needed to")
+    lines += [f"#   {purpose + ':':9} {what}" for purpose, what in to_fill_in(unknown).items()]
+    return "\n".join((*lines, "# Then ask: dynid check THIS_FILE", "", f"name: {name}", ""))
+
+
+def _urdf_model(arm: UrdfArm, urdf: str, *, free: bool) -> str:
+    lines = ["model:", f"  urdf: {_quoted(urdf)}   # kinematics; its inertias are the prior of an identification"]
+    if arm.locked:
+        lines.append("  locked:   # joints beside the arm, or a gripper's; to move one, name it under joints")
+        lines += [f"    {_quoted(name)}: {_number(position, 9)}" for name, position in arm.locked]
+    if arm.mimics:
+        lines.append("  loops:   # joints that follow others (<mimic> of the URDF)")
+    for mimic in arm.mimics:
+        equation = f"{{{_quoted(mimic.follows)}: {mimic.multiplier!r}}}"
+        lines.append(f"    - {{joint: {_quoted(mimic.name)}, equation: {equation}, offset: {mimic.offset!r}}}")
+    lines.append(_GRAVITY)
+    if free:
+        lines.append("  mounting: free   # parts of the arm are always below z = 0; or give workspace.floor")
+    return "\n".join((*lines, ""))
+
+
+def _acceleration_note() -> str:
+    return (
+        f"  # {TODO} (move): acceleration of each joint [rad/s², m/s²]; {ASSUMED_ACCELERATION:g} is assumed. A torque "
+        "that is not stated is not supervised."
+    )
+
+
+def _unit(joint: UrdfJoint) -> str:
+    return "m" if joint.kind == "prismatic" else "rad"
+
+
+def _position(joint: UrdfJoint) -> tuple[float, float] | None:
+    stated = joint.position
+    if stated is None or not all(map(POSITION_LIMIT.holds, stated)) or not float(f"{stated[0]:.9g}") < stated[1]:
+        return None
+    return stated
+
+
+def _joint(joint: UrdfJoint, truth: JointTruth | None) -> str:
+    unit, notes = _unit(joint), []
+    position = _position(joint)
+    if joint.kind == "continuous":
+        notes.append("continuous: a turn to either side was written")
+    if position is None and joint.position is not None:
+        notes.append(f"the URDF says {list(joint.position)}, which are no limits in {unit}")
+    velocity = joint.velocity if joint.velocity is None or VELOCITY_LIMIT.holds(joint.velocity) else None
+    if velocity is None:
+        stated = "states no velocity" if joint.velocity is None else f"says {joint.velocity:g} {unit}/s"
+        notes.append(f"{TODO} (move): the URDF {stated}, this one is assumed")
+        velocity = ASSUMED_VELOCITY[unit]
+    limits = f"[{TODO}, {TODO}]" if position is None else f"[{_number(position[0], 9)}, {_number(position[1], 9)}]"
+    torque = joint.torque
+    force = "N" if unit == "m" else "N·m"
+    if torque is None:
+        notes.append(f"{TODO} (move): the URDF states no torque [{force}]")
+    elif truth is not None and torque < truth.gravity:
+        notes.append(
+            f"{TODO} (move): torque; the URDF says {torque:g} {force}, gravity alone needs {truth.gravity:.3g}"
+        )
+        torque = None
+    entry = f"  - {{name: {_quoted(joint.name)}, position: {limits}, velocity: {_number(velocity, 9)}"
+    entry += "}" if torque is None else f", torque: {_number(torque, 9)}}}"
+    return entry + (f"   # {'; '.join(notes)}" if notes else "")
+
+
+def _drives(joints: Iterable[UrdfJoint]) -> str:
+    return "\n".join(
+        f"#   - {{joint: {_quoted(joint.name)}, gain: {TODO}, gain_std: {TODO}, signal: current}}" for joint in joints
+    )
+
+
+def _truth(guess: ArmGuess) -> str:
+    lines = [
+        "truth:   # of the simulated arm, and the prior of a motion's design; change it to see what is identified",
+        "  links:   # mass [kg], com [m], inertia about com: xx, xy, xz, yy, yz, zz [kg·m²]; joints' frames",
+    ]
+    for name, (link, origin) in guess.links.items():
+        lines.append(
+            f"    {_quoted(name)}: {{mass: {_number(link.mass)}, com: {_list(link.com)}, "
+            f"inertia: {_list(link.inertia)}}}   # {origin}"
+        )
+    lines.append("  joints:   # assumptions: friction and motor inertia of arms of this strength")
+    for name, joint in guess.joints.items():
+        lines.append(
+            f"    {_quoted(name)}: {{viscous: {_number(joint.viscous)}, coulomb: {_number(joint.coulomb)}, "
+            f"motor_inertia: {_number(joint.motor_inertia)}}}"
+        )
+    noise = ", ".join(f"{_quoted(name)}: {_number(joint.noise)}" for name, joint in guess.joints.items())
+    lines += ["  noise:   # assumptions", "    encoder_resolution: 1.2e-05", f"    torque_std: {{{noise}}}"]
+    return "\n".join(lines)
+
+
+def _connection(joints: Sequence[UrdfJoint]) -> str:
+    rate = min(MOST_SYNC, FRAMES_PER_SECOND / len(joints))
+    nodes = [
+        f"      {_quoted(joint.name)}: {{id: {number}, counts_per_turn: 524288}}"
+        for number, joint in enumerate(joints, start=1)
+    ]
     return "\n".join(
         (
-            _HEAD.format(name=_quoted(name), todo=TODO),
-            model,
-            _JOINTS.format(joints="\n".join(map(_joint, joints))),
-            _REST.format(
-                first=names[0],
-                drives="\n".join(
-                    f"  - {{joint: {one}, gain: {TODO}, gain_std: {TODO}, signal: current}}" for one in names
-                ),
-                tool=tool,
-                tool_rotation=tool_rotation,
-                tool_note=tool_note,
-                home=f"[{', '.join(TODO for _ in joints)}]",
-                todo=TODO,
-            ),
+            f"connections:   # {TODO} (record): where your arm answers, docs/recording-ur.md or docs/can.md",
+            "  simulated:   # CiA 402 drives of `dynid sim THIS_FILE`",
+            "    driver: canopen402",
+            "    interface: udp_multicast",
+            "    channel: 239.74.163.2",
+            "    options: {hop_limit: 0}",
+            "    sdo_timeout: 2   # s; a real drive answers within 0.3",
+            f"    sync_rate: {max(1, round(rate))}",
+            "    nodes:",
+            *nodes,
         )
     )
 
 
-def _joint(joint: UrdfJoint) -> str:
-    unit = "m" if joint.kind == "prismatic" else "rad"
-    position, note = joint.position, ""
-    if joint.kind == "continuous":
-        note = "; position: the URDF's joint is continuous, a turn to either side was written"
-    if position is not None and not all(map(POSITION_LIMIT.holds, position)):
-        note = f"; position: the URDF says {list(position)}, which is no limit in {unit}"
-        position = None
-    velocity = joint.velocity if joint.velocity is None or VELOCITY_LIMIT.holds(joint.velocity) else None
-    limits = f"[{TODO}, {TODO}]" if position is None else f"[{position[0]:.9g}, {position[1]:.9g}]"
-    lines = [
-        f"  - name: {_quoted(joint.name)}",
-        f"    position: {limits}   # {unit}{note}",
-        f"    velocity: {TODO if velocity is None else f'{velocity:.9g}'}   # {unit}/s",
-        f"    acceleration: {TODO}   # {unit}/s²; {ASSUMED_ACCELERATION:g} is assumed where the line is deleted",
-        f"    torque: {TODO if joint.torque is None else f'{joint.torque:.9g}'}   # {'N' if unit == 'm' else 'N·m'}; "
-        "or delete the line: the torque is then not supervised",
-    ]
-    return "\n".join(lines)
+def _number(value: float, digits: int = 6) -> str:
+    """A number that YAML 1.1 reads as one: with a point before an exponent."""
+    text = f"{value:.{digits}g}"
+    return text if "." in text else text.replace("e", ".0e")
+
+
+def _list(values: Sequence[float]) -> str:
+    return f"[{', '.join(_number(value) for value in values)}]"
 
 
 def _quoted(text: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 from functools import lru_cache
 
@@ -29,11 +30,18 @@ def checked_urdf(xml: str, where: str) -> ElementTree.Element:
         RobotFileError: no XML, more links than `MOST_LINKS`, an axis without direction, numbers out of range; names
             the joint or link. A name that holds a control character.
     """
+    if _XACRO.search(xml):
+        raise RobotFileError("is a xacro file, not a URDF", where=where, hint="convert it: xacro FILE > arm.urdf")
     root, problem = _checked(xml)
     if problem is not None:
         raise RobotFileError(problem[1], where=f"{where}: {problem[0]}" if problem[0] else where)
     assert root is not None
     return root
+
+
+_XACRO = re.compile(r"<\w+:(?:macro|include|property|arg|if|unless)\b|=\s*[\"'][^\"'<>]*\$[({]")
+"""Tags of xacro, and attributes that it fills in: `${mass}`, `$(arg name)`."""
+_OTHERS = {"mujoco": "an MJCF file", "sdf": "an SDF file"}
 
 
 class _UrdfError(ValueError):
@@ -46,6 +54,8 @@ def _checked(xml: str) -> tuple[ElementTree.Element | None, tuple[str, str] | No
         root = ElementTree.fromstring(xml)
     except (ElementTree.ParseError, ValueError) as error:  # a NUL, or an encoding that is not known
         return None, ("", f"is not a URDF: {error}")
+    if root.tag != "robot":
+        return root, ("", f"is {_OTHERS.get(root.tag, f'XML of <{root.tag}>')}, not a URDF")
     count = sum(1 for _ in root.iter("link"))
     if count > MOST_LINKS:
         return root, ("", f"has {count} links; at most {MOST_LINKS} are read")

@@ -19,6 +19,8 @@ UNLIMITED = 2 * math.pi
 """Position limit of a continuous joint [rad]: a turn to either side."""
 TOOL_LINKS = ("tool0", "tcp", "tool", "flange", "ee")
 """Words in the names of links that a tool is mounted on, the most telling first (ROS-Industrial, REP 199: `tool0`)."""
+GRIPPER_WORDS = ("finger", "gripper", "hand", "jaw", "knuckle", "thumb", "claw")
+"""Words in the names of joints that open and close a gripper."""
 RIGHT_ANGLE_RESIDUE = 1e-9
 """Rounding residue of sines and cosines of right angles [m or rad]."""
 
@@ -70,6 +72,7 @@ class UrdfArm:
         tool_link: name of the link at which the arm ends.
         tool: (3,) its origin [m] in the frame of the last joint.
         tool_rotation: (3,) its axes there, as a rotation vector [rad].
+        locked: joints that do not move, and their position [rad or m].
     """
 
     name: str
@@ -78,6 +81,7 @@ class UrdfArm:
     tool_link: str
     tool: tuple[float, ...]
     tool_rotation: tuple[float, ...]
+    locked: tuple[tuple[str, float], ...] = ()
 
 
 def urdf_prismatic_joints(xml: str) -> frozenset[str]:
@@ -89,22 +93,47 @@ def urdf_prismatic_joints(xml: str) -> frozenset[str]:
     return frozenset(joint.get("name", "") for joint in root.iter("joint") if joint.get("type") == "prismatic")
 
 
-def read_urdf_arm(xml: str, file_name: str, where: str) -> UrdfArm:
+def read_urdf_arm(xml: str, file_name: str, where: str, *, one_arm: bool = False) -> UrdfArm:
     """The joints of a URDF.
 
     Args:
         xml: the URDF.
         file_name: names the robot where the URDF doesn't.
         where: the file, for messages.
+        one_arm: whether the joints beside the longest chain, and a gripper's at its end, are locked.
 
     Raises:
         RobotFileError: no URDF, no movable joint, something in it that is not a sensible number, or a `<mimic>` that
             follows no joint.
     """
     root = checked_urdf(xml, where)
-    if "www.ros.org/wiki/xacro" in xml and any("xacro}" in element.tag for element in root.iter()):
-        raise RobotFileError("is a xacro file, not a URDF", where=where, hint="convert it: xacro FILE > arm.urdf")
-    joints = [joint for joint in root.findall("joint") if joint.find("child") is not None]
+    joints = _parents_first([joint for joint in root.findall("joint") if joint.find("child") is not None])
+    movable = [joint for joint in joints if joint.get("type") in MOVABLE]
+    mimicking = [joint for joint in movable if joint.find("mimic") is not None]
+    driven = [joint for joint in movable if joint.find("mimic") is None]
+    if not driven:
+        raise RobotFileError("has no movable joint", where=where)
+    kept = _longest_chain(driven, joints) if one_arm else driven
+    positions = {
+        joint.get("name", ""): _still(_joint(joint, where)) for joint in driven if all(joint is not one for one in kept)
+    }
+    mimics = _mimics(mimicking, {joint.get("name", "") for joint in driven}, where)
+    for mimic in mimics:
+        if mimic.follows in positions:
+            positions[mimic.name] = mimic.offset + mimic.multiplier * positions[mimic.follows]
+    tool_link, tool, tool_rotation = _tool(link_of(kept[-1], "child"), joints, where)
+    return UrdfArm(
+        name=root.get("name") or PurePath(file_name).stem,
+        joints=tuple(_joint(joint, where) for joint in kept),
+        mimics=tuple(mimic for mimic in mimics if mimic.name not in positions),
+        tool_link=tool_link,
+        tool=tool,
+        tool_rotation=tool_rotation,
+        locked=tuple(positions.items()),
+    )
+
+
+def _parents_first(joints: list[ElementTree.Element]) -> list[ElementTree.Element]:
     by_child = {link_of(joint, "child"): joint for joint in joints}
 
     def depth(joint: ElementTree.Element) -> int:
@@ -113,20 +142,32 @@ def read_urdf_arm(xml: str, file_name: str, where: str) -> UrdfArm:
             steps, parent = steps + 1, by_child.get(link_of(parent, "parent"))
         return steps
 
-    movable = [joint for joint in sorted(joints, key=depth) if joint.get("type") in MOVABLE]
-    mimicking = [joint for joint in movable if joint.find("mimic") is not None]
-    driven = [joint for joint in movable if joint.find("mimic") is None]
-    if not driven:
-        raise RobotFileError("has no movable joint", where=where)
-    tool_link, tool, tool_rotation = _tool(link_of(driven[-1], "child"), joints, where)
-    return UrdfArm(
-        name=root.get("name") or PurePath(file_name).stem,
-        joints=tuple(_joint(joint, where) for joint in driven),
-        mimics=_mimics(mimicking, {joint.get("name", "") for joint in driven}, where),
-        tool_link=tool_link,
-        tool=tool,
-        tool_rotation=tool_rotation,
-    )
+    return sorted(joints, key=depth)
+
+
+def _longest_chain(driven: list[ElementTree.Element], joints: list[ElementTree.Element]) -> list[ElementTree.Element]:
+    """The most joints that carry each other, without those of a gripper at the end."""
+    by_child = {link_of(joint, "child"): joint for joint in joints}
+    longest: list[ElementTree.Element] = []
+    for last in driven:
+        chain, joint = [last], by_child.get(link_of(last, "parent"))
+        for _ in joints:
+            if joint is None:
+                break
+            chain += [one for one in driven if one is joint]
+            joint = by_child.get(link_of(joint, "parent"))
+        if len(chain) > len(longest):
+            longest = chain[::-1]
+    arm = list(longest)
+    while arm and any(word in arm[-1].get("name", "").lower() for word in GRIPPER_WORDS):
+        arm.pop()
+    return arm or longest
+
+
+def _still(joint: UrdfJoint) -> float:
+    """Position at which a joint is locked [rad or m]: the one nearest to 0 within its limits."""
+    low, high = joint.position or (0.0, 0.0)
+    return min(max(0.0, low), high) if low <= high else 0.0
 
 
 def robot_text_of_urdf(arm: UrdfArm, file_name: str, where: str) -> str:

@@ -14,6 +14,7 @@ from drivers.core.validation import YamlProblem, first_of, key_path, meaning, sc
 
 TODO = "TODO"
 """Prefix of a value that is still to be filled in (`dynid robot new` writes it)."""
+STILL_TODO = f"is still to be filled in ({TODO})"
 
 
 def validated_robot(content: Mapping[Any, Any], where: str, sliding: Collection[str]) -> Robot:
@@ -28,8 +29,7 @@ def validated_robot(content: Mapping[Any, Any], where: str, sliding: Collection[
         RobotFileError: about the first problem; its `problems` are all of them.
     """
     missing = [
-        YamlProblem(key_path(location), "is still to be filled in (TODO)", meaning(Robot, location))
-        for location in _todo_locations(content)
+        YamlProblem(key_path(location), STILL_TODO, meaning(Robot, location)) for location in _todo_locations(content)
     ]
     invalid: list[YamlProblem] = []
     robot = None

@@ -81,6 +81,7 @@ def check(
 def _refuse(problems: Sequence[InputError], where: str, as_json: bool) -> NoReturn:
     """Tell all problems of a robot file: one as any error, several as a list before the error that counts them."""
     from daq.commands.console import print_json
+    from daq.robot.validation import STILL_TODO, TODO
 
     count = f"{len(problems)} problems"
     if as_json:
@@ -90,6 +91,13 @@ def _refuse(problems: Sequence[InputError], where: str, as_json: bool) -> NoRetu
         raise typer.Exit(InputError.exit_status)
     if len(problems) == 1:
         raise problems[0]
+    unfilled: dict[str, dict[str, None]] = {}
     for problem in problems:
-        print(problem)
+        entry, _, key = str(problem.where).rpartition("].")
+        if STILL_TODO in problem.message and entry:
+            unfilled.setdefault(f"{entry}]", {})[key.partition("[")[0]] = None
+        else:
+            print(problem)
+    for entry, keys in unfilled.items():
+        print(f"{entry}: {', '.join(keys)}: still to be filled in ({TODO})")
     raise InputError(count, where=where)

@@ -92,25 +92,46 @@ def show(
 
 @robot_app.command("new")
 def new(
-    urdf: Path = typer.Argument(None, help="URDF to take kinematics, limits and tool link from."),
+    source: str = typer.Argument(None, metavar="[URDF]", help="URDF, or a description's name: panda_description."),
     joints: int = typer.Option(
         None, "--joints", help="Number of joints, for a file without a URDF (modified DH rows)."
     ),
-    out: Path = typer.Option(..., "-o", "--out", help="Robot file to write (.yaml)."),
+    out: Path = typer.Option(None, "-o", "--out", help="Robot file to write (.yaml); default: the URDF's name."),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Write a commented robot file to complete, TODO where a value is missing.
+    """Write a robot file of a URDF that can be simulated at once, TODO where a real arm needs more.
 
-    Example: dynid robot new arm.urdf -o arm.yaml
+    Names are those of the package robot_descriptions, where it is installed.
+
+    Example: dynid robot new arm.urdf -o my_arm.yaml
     """
-    from daq.commands.console import print_json
-    from daq.robot.new_robot import new_robot_file
-    from daq.robot.validation import TODO
+    from daq.commands.console import print_json, progress_line
+    from daq.robot.new_robot import to_fill_in
+    from ident.tasks.new_robot import new_robot_file
 
-    text = new_robot_file(urdf, joints, out, overwrite=force)
-    missing = sum(line.partition("#")[0].count(TODO) for line in text.splitlines())
+    with progress_line(quiet=as_json) as progress:
+        written = new_robot_file(source, joints, out, overwrite=force, progress=progress)
+    needed = to_fill_in(written.unknown)
     if as_json:
-        print_json({"file": str(out), "todo": missing})
+        poses = {name: list(pose) for name, (pose, _) in written.guess.poses.items()}
+        print_json({"file": str(written.path), "todo": written.todo, "to_fill_in": needed, "poses": poses})
         return
-    print(f"{out}: {missing} values are marked {TODO}; complete them, then: dynid check {out}")
+    arm, guess = written.arm, written.guess
+    if arm is None:
+        print(f"{written.path}: {written.todo} values are marked TODO")
+    else:
+        print(f"{written.path}: {len(arm.joints)} joints, tool at link {arm.tool_link}")
+        if arm.locked:
+            print(f"  locked: {', '.join(name for name, _ in arm.locked)}")
+        assumed = [name for name, (_, origin) in guess.links.items() if origin != "the URDF's"]
+        mass = sum(link.mass for link, _ in guess.links.values())
+        print(f"  masses: the URDF's, {mass:.3g} kg" + (f"; assumed at {', '.join(assumed)}" if assumed else ""))
+        if guess.poses:
+            print(f"  poses: {', '.join(guess.poses)}")
+    print("  still to fill in, each marked TODO, to")
+    for purpose, what in needed.items():
+        print(f"    {purpose + ':':9} {what}")
+    if not written.todo:
+        print(f"Simulate it as it stands: dynid sim {written.path}")
+    print(f"Then: dynid check {written.path}")

@@ -7,21 +7,25 @@ from typing import TYPE_CHECKING
 from daq.robot.arm_lengths import arm_lengths
 from drivers.core.errors import UsageError
 from sim_drivers.rtde.server import RtdeServer
+from sim_drivers.rtde.variables import JOINTS
 from sim_drivers.serving.served import BusOptions, Served, serve_until_interrupted
 
 if TYPE_CHECKING:
     from daq.robot.loader import RobotFile
     from drivers.core.arrays import FloatArray
 
-WIRES = ("rtde", "canopen", "slcan", "can", "thermometer")
+START = "start"
+"""Name of the pose in which a simulated arm stands at first."""
 
+WIRES = ("rtde", "canopen", "slcan", "can", "thermometer")
+_WIRE_OF_DRIVER = {"rtde": "rtde", "canopen402": "canopen", "can_frames": "can"}
 
 AS_THE_ROBOT_FILE_SAYS = BusOptions()
 
 
 def simulate(
     robot: str,
-    wire: str,
+    wire: str | None,
     host: str,
     version: str,
     seed: int,
@@ -35,14 +39,14 @@ def simulate(
 
     Args:
         robot: built-in robot or robot file.
-        wire: its bus, one of `WIRES`.
+        wire: its bus, one of `WIRES`; see `wire_of` where None.
         host: address to listen on.
         version: of a UR controller.
         seed: of the noise.
         live: whether a status line is shown on standard error.
         bus: how its bus differs from its robot file's.
         payload: see `sim_drivers.plant.altered_arm.with_payload`; None for none.
-        position: see `start_position`; the middle of the joints' ranges where None.
+        position: see `start_position`; the file's pose `start`, else the middle of the joints' ranges, where None.
 
     Raises:
         UsageError: a bus, a version, a payload, a position or an arm that cannot be simulated, or wrong keys of a
@@ -50,18 +54,33 @@ def simulate(
         RobotFileError: the robot file cannot be read, or has no truth.
         ConnectionFailedError: an address cannot be listened on, or a bus not opened.
     """
+    import numpy as np
+
     from daq.robot.loader import load_robot
 
-    if wire not in WIRES:
+    if wire is not None and wire not in WIRES:
         raise UsageError(f"'{wire}' cannot be simulated", hint=f"--wire {', '.join(WIRES)}")
     robot_file = load_robot(robot)
+    wire = wire or wire_of(robot_file)
     if payload is not None:
         from sim_drivers.plant.altered_arm import with_payload
 
         robot_file = with_payload(robot_file, payload)
-    start = None if position is None else start_position(robot_file, position)
+    if position is not None:
+        start: FloatArray | None = start_position(robot_file, position)
+    else:
+        start = np.array(pose) if (pose := robot_file.robot.poses.get(START)) is not None else None
     served = _served(robot_file, wire, host, version, seed, bus, start)
     serve_until_interrupted(served, robot_file.robot.name, live=live)
+
+
+def wire_of(robot_file: RobotFile) -> str:
+    """The bus of an arm: that of its first connection which can be simulated, else RTDE for six turning joints."""
+    robot = robot_file.robot
+    for connection in robot.connections.values():
+        if connection.driver in _WIRE_OF_DRIVER:
+            return _WIRE_OF_DRIVER[connection.driver]
+    return "rtde" if robot.dof == JOINTS and not any(robot.sliding) else "canopen"
 
 
 def start_position(robot_file: RobotFile, text: str) -> FloatArray:

@@ -190,11 +190,12 @@ def arm_geometry(robot_file: RobotFile, model: DynamicModel) -> ArmGeometry:
     for link in (BASE_INDEX, *range(len(model.joints))):
         capsules += shapes.get(link) or [tube for tube in tubes if tube.link == link]
     last = model.tool_link
+    tool: list[Capsule] = []
     if last in shapes and any(robot.workspace.tool):
-        capsules.append(_tool_tube(last, model.joints[last].name, robot.workspace))
+        tool.append(_tool_tube(last, model.joints[last].name, robot.workspace))
+    capsules += tool
     hulls: list[Hull] = []
     if found.hulls:
-        tool = capsules[-1:] if len(capsules) and capsules[-1] not in shapes.get(last, capsules) else []
         for link in (BASE_INDEX, *range(len(model.joints))):
             hulls += found.hulls.get(link) or [hull_of_capsule(capsule) for capsule in capsules if capsule.link == link]
         hulls += [hull_of_capsule(one) for one in tool if found.hulls.get(last)]

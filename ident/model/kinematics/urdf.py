@@ -6,8 +6,10 @@ import os
 import sys
 import tempfile
 import threading
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -79,7 +81,7 @@ def urdf_model(xml: str, names: Sequence[str], locked: Mapping[str, float], wher
     said: list[str] = []
     try:
         with _standard_error(said):
-            full = pin.buildModelFromXML(xml)
+            full = pin.buildModelFromXML(_with_limits(root) or xml)
     except Exception as error:  # Pinocchio raises several kinds, none of them public
         # The parser's own lines say more than the exception that follows them.
         reason = [line.removeprefix("Error:").strip() for line in (*said, *str(error).splitlines())]
@@ -95,6 +97,34 @@ def urdf_model(xml: str, names: Sequence[str], locked: Mapping[str, float], wher
                 hint="let it follow by an equation of model.loops (docs/loops.md); dynid robot new writes it",
             )
     return _lock(full, names, locked, where)
+
+
+def _with_limits(root: ElementTree.Element) -> str | None:
+    """The XML with a limit at each joint where the parser asks for one, which the robot file states; None if it has."""
+    lacking = [
+        joint
+        for joint in root.findall("joint")
+        if joint.get("type") in ("revolute", "prismatic") and not _limit_of(joint).keys() >= _LIMITS
+    ]
+    if not lacking:
+        return None
+    names = {id(joint) for joint in lacking}
+    copy = deepcopy(root)
+    for joint, own in zip(root.findall("joint"), copy.findall("joint"), strict=True):
+        if id(joint) in names:
+            stated = _limit_of(joint)
+            for limit in own.findall("limit"):
+                own.remove(limit)
+            ElementTree.SubElement(own, "limit", dict.fromkeys(_LIMITS, "0") | stated)
+    return ElementTree.tostring(copy, encoding="unicode")
+
+
+_LIMITS = {"effort", "velocity"}
+
+
+def _limit_of(joint: ElementTree.Element) -> dict[str, str]:
+    limit = joint.find("limit")
+    return {} if limit is None else dict(limit.attrib)
 
 
 @contextmanager

@@ -8,15 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.robot.assumptions import assumed_limits, assumptions
 from daq.robot.loader import load_robot, parse_robot
-from daq.robot.new_robot import new_robot_file, new_robot_of_joints, new_robot_of_urdf
+from daq.robot.new_robot import new_robot_of_joints, new_robot_of_urdf, unknown_positions
 from daq.robot.urdf_robot import UrdfArm, UrdfJoint, read_urdf_arm, robot_text_of_urdf
-from drivers.core.errors import RobotFileError, UsageError
+from drivers.core.errors import RobotFileError
 
 LIMIT = '<limit lower="-1" upper="2" velocity="3" effort="40"/>'
 URDF = f"""\
@@ -107,7 +106,8 @@ def test_a_mimic_follows_through_others_what_moves_by_itself(urdf: Path) -> None
     urdf.write_text(chained.replace("</robot>", f"{more}{second}</joint></robot>"))
     loops = {loop.joint: (loop.equation, loop.offset) for loop in load_robot(urdf).robot.model.loops}
     assert loops == {"grip": ({"turn": 3.0}, 1.0), "grip2": ({"turn": -6.0}, -1.5)}
-    assert "equation: {turn: -6.0}, offset: -1.5" in new_robot_file(urdf, None, urdf.with_suffix(".yaml"))
+    arm = read_urdf_arm(urdf.read_text(), "arm.urdf", where="arm.urdf")
+    assert "equation: {turn: -6.0}, offset: -1.5" in new_robot_of_urdf(arm, "arm.urdf")
     for follows in ("nowhere", "grip", "a"):
         urdf.write_text(URDF.replace(grip, f'<mimic joint="{follows}"/>'))
         with pytest.raises(RobotFileError, match="no joint that moves by itself") as caught:
@@ -169,20 +169,23 @@ arms = st.builds(
 
 @settings(max_examples=40)
 @given(arms, words)
-def test_a_new_robot_file_of_a_urdf_is_complete_but_for_its_todos(arm: UrdfArm, path: str) -> None:
-    text = new_robot_of_urdf(arm, path)
-    with pytest.raises(RobotFileError) as caught:
-        parse_robot(text, where="arm.yaml", folder=None, urdf_text="")
-    assert all("TODO" in one.message for one in caught.value.problems), [str(one) for one in caught.value.problems]
-    content = yaml.safe_load(text)
-    completed = re.sub(r"\[TODO, TODO\](?=   # (?:rad|m)\b)", "[-1, 1]", text)
-    robot = parse_robot(re.sub("TODO", "0.5", completed), where="arm.yaml", folder=None, urdf_text="").robot
+def test_a_new_robot_file_of_a_urdf_needs_position_limits_alone(arm: UrdfArm, path: str) -> None:
+    text, unknown = new_robot_of_urdf(arm, path), unknown_positions(arm)
+    assert [joint.name for joint in arm.joints if joint.position is None] == list(unknown)
+    if unknown:
+        with pytest.raises(RobotFileError) as caught:
+            parse_robot(text, where="arm.yaml", folder=None, urdf_text="")
+        assert len(caught.value.problems) == 2 * len(unknown)
+        assert all("TODO" in one.message for one in caught.value.problems), [str(one) for one in caught.value.problems]
+    robot = parse_robot(text.replace("[TODO, TODO]", "[-1, 1]"), where="arm.yaml", folder=None, urdf_text="").robot
     assert robot.name == arm.name
-    assert robot.model.urdf == content["model"]["urdf"] == path
+    assert robot.model.urdf == path
     assert robot.joint_names == tuple(joint.name for joint in arm.joints)
+    assert tuple(robot.connections["simulated"].model_extra["nodes"]) == robot.joint_names
     for limits, joint in zip(robot.joints, arm.joints, strict=True):
-        assert limits.velocity == pytest.approx(joint.velocity or 0.5, rel=1e-8)
+        assert limits.velocity == pytest.approx(joint.velocity or (0.1 if joint.kind == "prismatic" else 1.0), rel=1e-8)
         assert limits.position == pytest.approx(joint.position or (-1, 1), rel=1e-8)
+        assert limits.torque == (joint.torque and pytest.approx(joint.torque, rel=1e-8))
     np.testing.assert_allclose(robot.workspace.tool, arm.tool, atol=1e-8)
 
 
@@ -191,47 +194,31 @@ def test_a_new_robot_file_of_rows_is_complete_but_for_its_todos(count: int) -> N
     text = new_robot_of_joints(count)
     with pytest.raises(RobotFileError) as caught:
         parse_robot(text, where="arm.yaml", folder=None)
-    assert len(caught.value.problems) == 3 + (4 + 5 + 2 + 1) * count
+    assert len(caught.value.problems) == (4 + 3) * count
     assert all("TODO" in one.message for one in caught.value.problems)
-    completed = text.replace("[TODO, TODO]   # rad", "[-1, 1]   # rad").replace("TODO", "0.5")
-    assert parse_robot(completed.replace("name: 0.5", "name: arm"), where="arm.yaml", folder=None).robot.dof == count
-
-
-def test_the_path_of_the_urdf_starts_at_the_new_file(urdf: Path, tmp_path: Path) -> None:
-    (tmp_path / "robots").mkdir()
-    out = tmp_path / "robots" / "arm.yaml"
-    text = new_robot_file(urdf, None, out)
-    assert yaml.safe_load(out.read_text(encoding="utf-8"))["model"]["urdf"] == "../arm.urdf"
-    completed = text.replace("TODO", "0.5")
-    out.write_text(completed, encoding="utf-8")
-    assert load_robot(out).urdf_text == URDF
+    completed = text.replace("[TODO, TODO]", "[-1, 1]").replace("TODO", "0.5")
+    assert parse_robot(completed, where="arm.yaml", folder=None).robot.dof == count
+    assert "# drives:\n#   - {joint: j1, gain: TODO" in text
 
 
 def test_limits_that_are_none_are_left_to_do(urdf: Path) -> None:
-    urdf.write_text(URDF.replace('upper="2"', 'upper="360"').replace('velocity="3"', 'velocity="200"'))
-    text = new_robot_file(urdf, None, urdf.with_suffix(".yaml"))
-    assert "position: [TODO, TODO]   # rad; position: the URDF says [-1.0, 360.0], which is no limit in rad" in text
-    assert "velocity: TODO" in text
+    xml = URDF.replace('upper="2"', 'upper="360"').replace('velocity="3"', 'velocity="200"')
+    text = new_robot_of_urdf(read_urdf_arm(xml, "arm.urdf", where="arm.urdf"), "arm.urdf")
+    assert "position: [TODO, TODO], velocity: 1" in text
+    assert "the URDF says [-1.0, 360.0], which are no limits in rad; TODO (move): the URDF says 200 rad/s" in text
 
 
-@pytest.mark.parametrize(
-    ("given_urdf", "count", "out", "message"),
-    [
-        (None, None, "x.yaml", "either a URDF or --joints"),
-        ("arm.urdf", 3, "x.yaml", "either a URDF or --joints"),
-        (None, 0, "x.yaml", "--joints 0 is not from 1 to 50"),
-        (None, 3, "x.txt", "no name of a robot file"),
-        (None, 3, "there.yaml", "exists already"),
-    ],
-)
-def test_what_cannot_be_written_is_refused(
-    tmp_path: Path, given_urdf: str | None, count: int | None, out: str, message: str
-) -> None:
-    (tmp_path / "there.yaml").write_text("mine")
-    with pytest.raises(UsageError, match=message):
-        new_robot_file(Path(given_urdf) if given_urdf else None, count, tmp_path / out)
-    assert (tmp_path / "there.yaml").read_text() == "mine"
-    assert new_robot_file(None, 3, tmp_path / "there.yaml", overwrite=True)
+def test_a_new_robot_is_one_arm_its_gripper_and_what_is_beside_it_are_locked(urdf: Path) -> None:
+    head = '<link name="head"/><joint name="look" type="revolute"><parent link="base"/><child link="head"/>'
+    hand = '<link name="f1"/><joint name="Finger1" type="prismatic"><parent link="tool0"/><child link="f1"/>'
+    limit = '<limit lower="0.5" upper="2" velocity="3" effort="40"/>'
+    mimic = '<link name="f2"/><joint name="f2" type="prismatic"><parent link="tool0"/><child link="f2"/>'
+    more = f'{head}{limit}</joint>{hand}{limit}</joint>{mimic}{limit}<mimic joint="Finger1" multiplier="-1"/></joint>'
+    arm = read_urdf_arm(URDF.replace("</robot>", more + "</robot>"), "arm.urdf", where="arm.urdf", one_arm=True)
+    assert [joint.name for joint in arm.joints] == ["swing", "turn"]
+    assert dict(arm.locked) == {"look": 0.5, "Finger1": 0.5, "f2": -0.5}
+    assert [mimic.name for mimic in arm.mimics] == ["grip"]
+    assert arm.tool_link == "tool0"
 
 
 def test_a_robot_knows_the_files_that_it_comes_from(urdf: Path) -> None:

@@ -124,8 +124,12 @@ def test_problems_of_connections_come_together_with_the_files_path(dynid, tmp_pa
 def test_a_new_robot_file_is_listed_as_to_do(dynid, tmp_path) -> None:
     status, out, _ = dynid("robot", "new", "--joints", "2", "-o", "arm.yaml", "--json")
     assert status == 0
-    todo = json.loads(out)["todo"]
+    told = json.loads(out)
+    assert set(told["to_fill_in"]) == {"run", "record", "move", "identify"}
     status, out, err = dynid("check", "arm.yaml")
     assert status == 2
-    assert len(out.splitlines()) == todo
-    assert f"{todo} problems" in err
+    assert out.splitlines() == [
+        *(f"arm.yaml: model.mdh[{row}]: alpha, d, theta0, r: still to be filled in (TODO)" for row in (0, 1)),
+        *(f"arm.yaml: joints[{row}]: position, velocity: still to be filled in (TODO)" for row in (0, 1)),
+    ]
+    assert f"{told['todo']} problems" in err
