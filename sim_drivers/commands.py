@@ -55,16 +55,24 @@ def sim(
         None, "--position", help="Where it stands at first, joint after joint, rad or m; default: mid-range."
     ),
     seed: int = typer.Option(1, "--seed", help="Of the noise."),
+    play: Path | None = typer.Option(None, "--play", help="Of servo arms: motion to play and record, not to serve."),
+    out: Path | None = typer.Option(None, "-o", "--out", help="With --play: recording to write (.h5)."),
+    force: bool = FORCE,
     realtime: bool = REALTIME,
     no_ui: bool = typer.Option(False, "--no-ui", help="No status line on standard error."),
     as_json: bool = typer.Option(False, "--json", help="As --no-ui; ports and pid are printed as JSON in any case."),
 ) -> None:
-    """Serve a simulated arm over RTDE or CAN until Ctrl-C.
+    """Serve a simulated arm over RTDE or CAN until Ctrl-C; or play a motion on a simulated servo arm.
 
     Type a fault while it runs, such as: drop 10, freeze 3, cut, block 2, power-cycle 3.
 
     Example: dynid sim ur5e --wire canopen
     """
+    if play is not None or out is not None:
+        from sim_drivers.synthetic.servo import play_and_record
+
+        play_and_record(robot, play, out, seed, overwrite=force)
+        return
     from daq.session.realtime import ask_for_realtime
     from sim_drivers.serving.serve import simulate
     from sim_drivers.serving.served import BusOptions

@@ -10,7 +10,9 @@ import numpy as np
 
 from daq.motion.trajectories import Motion
 from daq.motion.trajectory_file import load_trajectory
+from daq.output_files import check_outputs
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream, software_versions
+from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import TruthServo
 from drivers.core.arrays import FloatArray
@@ -43,7 +45,7 @@ def simulate_servo(
         duration: of the recording [s].
         seed: of the commands, and of when they come.
         rate: of commands and samples [Hz]; the robot file's where absent.
-        motion: trajectory file, or CSV of positions, that is played in place of the commands above, from rest to rest.
+        motion: trajectory file that is played in place of the commands above.
 
     Raises:
         RobotFileError: no such robot, or its truth has no servos.
@@ -106,6 +108,23 @@ def record_servo(
         versions=software_versions(),
         comment=f"simulated servos, seed {seed}",
     )
+
+
+def play_and_record(robot: str, motion: Path | None, out: Path | None, seed: int, *, overwrite: bool) -> None:
+    """Play a motion on a simulated servo arm, and write the recording: `dynid sim ROBOT --play MOTION -o RUN.h5`.
+
+    Raises:
+        UsageError: one of both paths is missing, the recording exists, or the motion is of another arm.
+        RobotFileError: the robot's truth has no servos.
+    """
+    if motion is None or out is None:
+        given, missing = ("--out", "--play") if motion is None else ("--play", "--out")
+        raise UsageError(f"{given} needs {missing}", hint="dynid sim so101 --play motion.yaml -o run.h5")
+    file = load_robot(robot)
+    check_outputs([out], [*file.files, motion], overwrite=overwrite)
+    run = simulate_servo(file, seed=seed, motion=motion)
+    write_recording(out, run, overwrite=overwrite)
+    print(f"{out}: {len(run.streams[JOINTS_STREAM].time)} samples of position and target_position")
 
 
 def servo_commands(file: RobotFile, time: FloatArray, seed: int) -> FloatArray:

@@ -14,7 +14,7 @@ from typer.main import get_command
 from dynid import command
 
 ARGUMENTS = {
-    "excite": "arm.yaml -o OUT --page PAGE --from traj.yaml --prior result.json",
+    "excite": "arm.yaml -o OUT --csv OUT.csv --page PAGE --from traj.yaml --prior result.json",
     "sweep": "arm.yaml -o OUT --page PAGE --prior result.json",
     "record": "arm.yaml --trajectory traj.yaml --prior result.json --yes -o OUT",
     "import": "run.csv --robot arm.yaml -o OUT",
@@ -30,6 +30,7 @@ ARGUMENTS = {
     "gains": "free.h5 loaded.h5 --mass 2 --robot arm.yaml -o FOLDER",
     "info": "run.h5 --robot arm.yaml --page FOLDER",
     "demo": "--robot arm.yaml -o FOLDER",
+    "sim": "arm.yaml --play traj.yaml -o OUT",
 }
 """Each command that writes files, with all that it reads; OUT and PAGE are files, FOLDER is a folder."""
 

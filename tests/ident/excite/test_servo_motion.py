@@ -73,7 +73,9 @@ def test_pieces_keep_limits_and_begin_and_end_at_rest_in_their_pose(file):
         assert kind == "chirp" or sizes == sorted(sizes), kind  # a chirp is as large as its accelerations may be
 
 
-def test_a_first_motion_has_every_kind_and_a_stated_time_and_is_played_by_the_simulated_arm(tmp_path):
+def test_a_first_motion_has_every_kind_and_a_stated_time_and_is_played_by_the_simulated_arm(
+    tmp_path, monkeypatch, capsys
+):
     motion, expected = dynid.design_servo_motion("so101", length=18.0)
     assert 12.0 < motion.duration <= 18.0
     assert {piece.kind for piece in expected.segments} == set(KINDS)
@@ -82,6 +84,26 @@ def test_a_first_motion_has_every_kind_and_a_stated_time_and_is_played_by_the_si
     table = np.loadtxt(tmp_path / "motion.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table[:, 1:], motion.evaluate(table[:, 0])[0], atol=1e-6)
     assert dynid.load_trajectory(tmp_path / "motion.yaml", "so101").duration == motion.duration
+    target = ["sim", "so101", "--play", tmp_path / "motion.yaml", "-o", tmp_path / "run.h5"]
+    status, _, error = command_line.run(monkeypatch, capsys, *target)
+    assert status == 0, error
+    played = dynid.read_recording(tmp_path / "run.h5").streams["joints"]
+    commands = played.channels["target_position"].values
+    np.testing.assert_allclose(commands, motion.evaluate(np.minimum(played.time, motion.duration))[0], atol=1e-8)
+    status, _, error = command_line.run(monkeypatch, capsys, *target[:4])
+    assert status == 2
+    assert "--out" in error
+    # and the way back of a user's own log of it
+    names, log = motion.joint_names, tmp_path / "log.csv"
+    rows = np.column_stack([played.time, played.channels["position"].values, commands])
+    header = ["time", *(f"position_{name}" for name in names), *(f"target_{name}" for name in names)]
+    np.savetxt(log, rows, delimiter=",", header=",".join(header), comments="", fmt="%.6f")
+    columns = ["--column", "position=position_{}", "--column", "target_position=target_{}"]
+    imported = ["import", log, "--robot", "so101", *columns, "-o", tmp_path / "log.h5"]
+    status, _, error = command_line.run(monkeypatch, capsys, *imported)
+    assert status == 0, error
+    again = dynid.read_recording(tmp_path / "log.h5").streams["joints"].channels["target_position"].values
+    np.testing.assert_allclose(again, commands, atol=1e-6)
 
 
 def test_what_is_wide_decides_and_enough_is_said(file):
