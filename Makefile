@@ -8,7 +8,7 @@ WORKERS ?= 2
 REALTIME ?= 60
 SOAK ?= 600
 
-.PHONY: demo test coverage lint format bench realtime soak studies-check clean
+.PHONY: demo test coverage lint format bench realtime soak studies-check house clean
 
 demo: $(INSTALLED)
 	$(BIN)/dynid demo --out demo --force
@@ -50,6 +50,10 @@ soak: $(INSTALLED)
 # Hours: the commands of docs/measurements again, and which figures no longer agree (STUDIES: words of pages or commands).
 studies-check: $(INSTALLED)
 	$(BIN)/python studies/check.py $(STUDIES)
+
+# Rooms and arrows, from the imports.
+house: $(INSTALLED)
+	$(BIN)/python -m studies.house
 
 clean:
 	rm -rf $(VENV) demo build *.egg-info

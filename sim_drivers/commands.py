@@ -2,27 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import typer
 
 from daq.commands.completion import COMPLETIONS
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, REALTIME, VERBOSE
+from daq.commands.options import FORCE, JSON, REALTIME, VERBOSE, takes
+from sim_drivers.options import DemoOptions
 
 app = CommandApp("Simulate")
 
 
 @app.command("demo")
-def demo(
-    out: Path = typer.Option(Path("demo"), "-o", "--out", help="Folder for the recordings, result.json, report.html."),
-    robot: str = typer.Option("ur5e", "--robot", help="UR arm: built-in, or a robot file with a truth section."),
-    duration: float = typer.Option(30.0, "--duration", help="Length of the identification motion [s]."),
-    seed: int = typer.Option(1, "--seed", help="Seed of the motion and the noise."),
-    verbose: bool = VERBOSE,
-    force: bool = FORCE,
-    as_json: bool = JSON,
-) -> None:
+@takes(DemoOptions)
+def demo(*, options: DemoOptions, verbose: bool = VERBOSE, force: bool = FORCE, as_json: bool = JSON) -> None:
     """Record and identify a simulated UR arm; show truth beside estimate.
 
     Example: dynid demo --out demo
@@ -31,7 +23,7 @@ def demo(
     from sim_drivers.demo import print_demo, run_demo
 
     with progress_line(quiet=as_json) as progress:
-        shown = run_demo(out, robot, duration, seed, overwrite=force, progress=progress)
+        shown = run_demo(options, overwrite=force, progress=progress)
     print_demo(shown, as_json, verbose=verbose)
 
 

@@ -32,6 +32,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report import ReportData, TruthTable, recorded_runs, write_result_folder
 from ident.result.schema import Result
+from sim_drivers.options import DemoOptions
 from sim_drivers.simulated_arm import Record, Recorded, over_rtde
 
 PERIOD = 15.0
@@ -87,10 +88,7 @@ class Demo:
 
 
 def run_demo(
-    folder: Path,
-    robot: str,
-    duration: float,
-    seed: int,
+    options: DemoOptions,
     *,
     overwrite: bool = False,
     progress: Callable[[str], None] = lambda step: None,
@@ -99,10 +97,7 @@ def run_demo(
     """Serve a simulated arm, move and record it over RTDE, identify, validate and report it.
 
     Args:
-        folder: for trajectories, recordings, result.json and report.html.
-        robot: built-in robot or robot file with a truth section and an RTDE connection.
-        duration: of the identification motion [s], rounded to whole periods.
-        seed: of the motions and of the noise.
+        options: the duration is rounded to whole periods; trajectories are written to its folder, too.
         overwrite: files of an earlier demonstration.
         progress: called before each step.
         arm: serves a robot with noise of a seed, at first at a position (n,), and returns its recorder.
@@ -110,11 +105,10 @@ def run_demo(
     Raises:
         RobotFileError: the robot file has no truth.
         DriverStateError: ur_rtde is not installed.
-        UsageError: no RTDE connection, a duration that is too short, or a folder that is a file.
+        UsageError: no RTDE connection, or a folder that is a file.
         WorkError: a recording stopped before its end.
     """
-    if not 2.0 <= duration <= 3600.0:
-        raise UsageError(f"--duration {duration:g} s is not between 2 s and an hour")
+    folder, robot, seed = options.out, options.robot, options.seed
     robot_file = load_robot(robot)
     check_output_folder(folder, FILES, robot_file.files, overwrite=overwrite)
     with left_to_others():
@@ -126,8 +120,8 @@ def run_demo(
     base = base_parameters(model)
     truth = base.projection @ truth_vector(robot_file)
     folder.mkdir(parents=True, exist_ok=True)
-    periods = max(1, round(duration / PERIOD))
-    period = duration / periods
+    periods = max(1, round(options.duration / PERIOD))
+    period = options.duration / periods
     progress("designing an excitation trajectory, and another one to validate with")
     choices = DesignChoices(period=period, periods=periods, ramp=RAMP, margin=MARGIN)
     other = replace(choices, period=min(period, VALIDATION_PERIOD), periods=1)

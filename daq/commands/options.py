@@ -11,19 +11,26 @@ from typing import Any, TypeVar
 import typer
 
 from daq.commands.completion import COMPLETIONS
-from drivers.core.options import Option, declared, flag_of, panel_of
+from drivers.core.options import Option, argument, declared, flag_of, option, panel_of
 
 Given = TypeVar("Given")
 
 FORCE = typer.Option(False, "--force", help="Overwrite files that exist.")
 JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
 ROBOT = typer.Argument(help="Built-in robot or robot file.", autocompletion=COMPLETIONS["robot"])
-HOST = typer.Option(None, "--host", help="Address in place of the connection's own.")
 REALTIME = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs permission).")
 VERBOSE = typer.Option(False, "--verbose", "-v", help="Everything that was computed, not the outcome alone.")
 
+ROBOT_ARGUMENT = argument("robot", "Built-in robot or robot file.")
+"""Metadata of a field of options."""
+
 _TYPES = {"bool": bool, "int": int, "float": float, "Path": Path}
 """Types of values that Typer reads; everything else is text."""
+
+
+def host_option() -> str | None:
+    """A field of options."""
+    return option(None, "Address in place of the connection's own.")
 
 
 def takes(options: type[Given], **more: dict[str, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
@@ -71,7 +78,7 @@ def _parameter(of: Field[Any], entry: Option, more: dict[str, Any]) -> inspect.P
     value_type = entry.command_type or plain
     required = of.default is MISSING and of.default_factory is MISSING
     default = ... if required else entry.shown if entry.read is not None else of.default
-    flags = () if entry.argument else (flag_of(of),)
+    flags = () if entry.argument else tuple(filter(None, (flag_of(of), entry.short)))
     completion = COMPLETIONS.get(entry.argument or of.name)
     place = (typer.Argument if entry.argument else typer.Option)(
         default, *flags, help=entry.help, metavar=entry.metavar, autocompletion=completion, **more

@@ -1,49 +1,91 @@
-"""The command `dynid record`."""
+"""The command `dynid record`: what it was asked for, what will move where, the session, how it ended."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import typer
 
-from daq.commands.completion import COMPLETIONS
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, HOST, JSON, REALTIME, ROBOT
+from daq.commands.options import FORCE, JSON, REALTIME, ROBOT_ARGUMENT, host_option, takes
+from drivers.core.errors import UsageError
+from drivers.core.options import Options, option, required
+from drivers.core.ranges import RECORDING_TIME
 from drivers.core.text import percent_text
 
 if TYPE_CHECKING:
+    from daq.commands.confirmation import Confirmation
     from daq.motion.motion_check import MotionFigures
+    from daq.motion.trajectories import Motion
+    from daq.robot.loader import RobotFile
     from daq.session.session import SessionReport
+    from drivers.base import Driver
+    from drivers.core.clock import Clock
 
 app = CommandApp("Record")
 
 
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions(Options):
+    """What `record` is told: a trajectory to play, or how long to record what moves by itself."""
+
+    robot: str = field(metadata=ROBOT_ARGUMENT)
+    wire: str | None = option(None, "Connection of the robot file; its first one if absent.")
+    host: str | None = host_option()
+    trajectory: Path | None = option(None, "Trajectory file to play; the arm will move.")
+    speed_scale: float = option(1.0, "Share of the trajectory's speed, such as 0.2 for a first run; at most 1.")
+    yes: bool = option(False, "Move the arm without asking.", short="-y")
+    without_safety_status: bool = option(False, "Move a UR arm whose controller does not tell of its stops.")
+    prior: Path | None = option(None, "Model folder or result.json whose parameters predict the torque.")
+    duration: float | None = option(None, "Record for so many seconds without moving the arm.", allowed=RECORDING_TIME)
+    out: Path = field(metadata=required("Recording to write (.h5).", short="-o"))
+    comment: str = option("", "Your words, kept in the recording.")
+
+    def __post_init__(self) -> None:
+        """Check every option, and that there is one thing to do.
+
+        Raises:
+            UsageError: names the options.
+        """
+        if (self.trajectory is None) == (self.duration is None):
+            raise UsageError("give either --trajectory or --duration")
+        super().__post_init__()
+        if self.trajectory is None and (self.speed_scale != 1.0 or self.prior is not None):
+            raise UsageError("--speed-scale and --prior need --trajectory")
+        if self.trajectory is None and self.without_safety_status:
+            raise UsageError("--without-safety-status needs --trajectory")
+
+
+@dataclass(frozen=True)
+class _PlannedMotion:
+    """A motion that passed its check; text of its file."""
+
+    motion: Motion
+    text: str
+    figures: MotionFigures
+    confirmation: Confirmation
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """All that is known before the bus is touched; `screen` is for people, None for nowhere."""
+
+    robot_file: RobotFile
+    driver: Driver
+    played: _PlannedMotion | None
+    warnings: list[str]
+    screen: TextIO | None
+
+
 @app.command("record")
-def record_command(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
-    robot: str = ROBOT,
-    wire: str = typer.Option(None, "--wire", help="Connection of the robot file; its first one if absent."),
-    host: str = HOST,
-    trajectory: Path = typer.Option(
-        None,
-        "--trajectory",
-        help="Trajectory file to play; the arm will move.",
-        autocompletion=COMPLETIONS["trajectory"],
-    ),
-    speed_scale: float = typer.Option(
-        1.0, "--speed-scale", help="Share of the trajectory's speed, such as 0.2 for a first run; at most 1."
-    ),
-    yes: bool = typer.Option(False, "--yes", "-y", help="Move the arm without asking."),
-    without_safety_status: bool = typer.Option(
-        False, "--without-safety-status", help="Move a UR arm whose controller does not tell of its stops."
-    ),
-    prior: Path = typer.Option(
-        None, "--prior", help="Model folder or result.json whose parameters predict the torque."
-    ),
-    duration: float = typer.Option(None, "--duration", help="Record for so many seconds without moving the arm."),
-    out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5)."),
-    comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
+@takes(RecordOptions)
+def record_command(
+    *,
+    options: RecordOptions,
     force: bool = FORCE,
     realtime: bool = REALTIME,
     no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
@@ -55,114 +97,137 @@ def record_command(  # noqa: C901, PLR0912, PLR0915 — the steps, in their orde
 
     Example: dynid record ur5e --trajectory traj.yaml --speed-scale 0.2 -o slow.h5
     """
-    import math
-    import signal
-    import sys
-    from contextlib import closing, nullcontext
+    from daq.session.realtime import ask_for_realtime
+    from drivers.core.clock import SYSTEM_CLOCK
 
+    clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
+    plan = _planned(options, clock, overwrite=force, as_json=as_json)
+    if realtime:
+        ask_for_realtime()
+    for warning in plan.warnings:
+        print(f"dynid: warning: {warning}", file=sys.stderr)
+    report = _recorded(plan, options, clock, overwrite=force, live=not (no_ui or as_json))
+    if report.file is None:
+        raise report.error or KeyboardInterrupt
+    played = plan.played
+    motions = {} if played is None else {"motion": played.figures, "approach": played.confirmation.figures}
+    _report_session(report.file, report, as_json, motions)
+    _end(report, options.out)
+
+
+def _planned(options: RecordOptions, clock: Clock, *, overwrite: bool, as_json: bool) -> _Plan:
+    """Refuse what cannot be recorded or must not move, and tell what will move where."""
     from daq.commands.confirmation import Confirmation, motion_lines, tell, terminal
-    from daq.live.terminal_view import live_view
     from daq.motion.motion_check import load_motion_check
     from daq.motion.time_scaled import TimeScaled
     from daq.motion.trajectory_file import load_trajectory
     from daq.output_files import check_outputs
-    from daq.recording.recorder import Recorder, require_room
+    from daq.recording.recorder import require_room
     from daq.robot.assumptions import assumed_limits
     from daq.robot.loader import load_robot
-    from daq.session.arm_lock import only_mover
     from daq.session.bus_room import session_warnings
-    from daq.session.device_limits import before_a_motion, require_same_arm
-    from daq.session.play import Play, motion_rate, unreported_safety
-    from daq.session.realtime import ask_for_realtime
-    from daq.session.session import ENDED_BY, load_driver, record
-    from daq.session.supervisor import Limits, Supervisor
-    from drivers.core.clock import SYSTEM_CLOCK
-    from drivers.core.errors import UsageError
-    from drivers.core.ranges import RECORDING_TIME, check_option
+    from daq.session.session import load_driver
 
-    if (trajectory is None) == (duration is None):
-        raise UsageError("give either --trajectory or --duration")
-    if duration is not None:
-        check_option("--duration", duration, RECORDING_TIME)
-    if trajectory is None and (speed_scale != 1.0 or prior is not None):
-        raise UsageError("--speed-scale and --prior need --trajectory")
-    if trajectory is None and without_safety_status:
-        raise UsageError("--without-safety-status needs --trajectory")
-    robot_file = load_robot(robot)
-    played = load_trajectory(trajectory, robot_file.robot) if trajectory is not None else None
-    motion = TimeScaled(played.motion, speed_scale) if played is not None else None
-    question = None if yes else terminal()
-    if motion is not None and question is None and not yes:
-        raise UsageError("the arm will move, and there is no terminal to ask on", hint="--yes moves it without asking")
-    clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
+    robot_file, trajectory = load_robot(options.robot), options.trajectory
+    robot = robot_file.robot
+    loaded = load_trajectory(trajectory, robot) if trajectory is not None else None
+    motion = TimeScaled(loaded.motion, options.speed_scale) if loaded is not None else None
     moves = motion is not None
-    driver = load_driver(robot_file.robot, wire, host, robot_file.folder, clock, robot_file.where, moves=moves)
-    warnings = session_warnings(robot_file, wire, moves=moves)
-    if trajectory is not None:
+    question = None if options.yes else terminal()
+    if moves and question is None and not options.yes:
+        raise UsageError("the arm will move, and there is no terminal to ask on", hint="--yes moves it without asking")
+    driver = load_driver(robot, options.wire, options.host, robot_file.folder, clock, robot_file.where, moves=moves)
+    warnings = session_warnings(robot_file, options.wire, moves=moves)
+    if moves:
         warnings += [f"assumed: {limit}" for limit in assumed_limits(robot_file)]
-    samples = played.samples if played is not None else None
-    check_outputs([out], [*robot_file.files, trajectory, samples, prior], overwrite=force)
-    require_room(out)
+    samples = loaded.samples if loaded is not None else None
+    check_outputs([options.out], [*robot_file.files, trajectory, samples, options.prior], overwrite=overwrite)
+    require_room(options.out)
     screen = sys.stdout if not as_json else sys.stderr if question is not None else None
-    confirmation = figures = None
-    if motion is not None:
-        check = load_motion_check(robot_file, prior)
+    played = None
+    if loaded is not None and motion is not None:
+        check = load_motion_check(robot_file, options.prior)
         figures = check.trajectory(motion, str(trajectory))
-        confirmation = Confirmation(motion, robot_file.robot.joints, check, question, screen)
-        if screen is not None:
-            tell(
-                _title(str(trajectory), robot_file.robot.name, speed_scale, figures.duration),
-                motion_lines(figures),
-                screen,
-            )
-    if realtime:
-        ask_for_realtime()
-    for warning in warnings:
-        print(f"dynid: warning: {warning}", file=sys.stderr)
-    lock = only_mover(robot_file.robot, wire, host) if motion is not None else nullcontext()
-    with lock, closing(driver):  # only now is the bus touched
-        driver.open()
-        require_same_arm(robot_file, driver)
-        layouts = driver.streams()
-        if motion is not None:
-            motion_rate(driver)  # refused before a file is made
-        unreported = unreported_safety(driver, without_safety_status) if motion is not None else ""
-        to_mind = before_a_motion(robot_file.robot, driver) if moves else []
-        if unreported:
-            to_mind = [unreported, *to_mind]
-            print(f"dynid: warning: {unreported}", file=sys.stderr)
-        if confirmation is not None:
-            confirmation.to_mind = to_mind
-        recorder = Recorder(
-            out,
-            robot_file,
-            layouts,
-            trajectory=played.text if played is not None else "",
-            speed_scale=speed_scale,
-            comment=comment,
-            overwrite=force,
-            clock=clock,
+        played = _PlannedMotion(
+            motion, loaded.text, figures, Confirmation(motion, robot.joints, check, question, screen)
         )
         if screen is not None:
-            print(f"recording into {recorder.file}, which becomes {out} when it is closed", file=screen, flush=True)
-        for warning in (*warnings, *to_mind):
+            title = _title(str(trajectory), robot.name, options.speed_scale, figures.duration)
+            tell(title, motion_lines(figures), screen)
+    return _Plan(robot_file, driver, played, warnings, screen)
+
+
+def _recorded(plan: _Plan, options: RecordOptions, clock: Clock, *, overwrite: bool, live: bool) -> SessionReport:
+    """Open the driver, make the file, and record until the end."""
+    import math
+    from contextlib import closing, nullcontext
+
+    from daq.live.terminal_view import live_view
+    from daq.recording.recorder import Recorder
+    from daq.session.arm_lock import only_mover
+    from daq.session.device_limits import require_same_arm
+    from daq.session.play import Play
+    from daq.session.session import record
+    from daq.session.supervisor import Limits, Supervisor
+
+    robot, played = plan.robot_file.robot, plan.played
+    lock = only_mover(robot, options.wire, options.host) if played is not None else nullcontext()
+    with lock, closing(plan.driver) as driver:  # only now is the bus touched
+        driver.open()
+        require_same_arm(plan.robot_file, driver)
+        layouts, to_mind, play = driver.streams(), [], None
+        if played is not None:
+            to_mind = _to_mind(plan.robot_file, driver, without_safety_status=options.without_safety_status)
+            played.confirmation.to_mind = to_mind
+            play = Play(played.motion, robot, played.confirmation, options.without_safety_status)
+        recorder = Recorder(
+            options.out,
+            plan.robot_file,
+            layouts,
+            trajectory=played.text if played is not None else "",
+            speed_scale=options.speed_scale,
+            comment=options.comment,
+            overwrite=overwrite,
+            clock=clock,
+        )
+        if plan.screen is not None:
+            into = f"recording into {recorder.file}, which becomes {options.out} when it is closed"
+            print(into, file=plan.screen, flush=True)
+        for warning in (*plan.warnings, *to_mind):
             recorder.event(math.nan, "warning", "session", warning)
-        if speed_scale != 1.0:
-            recorder.event(math.nan, "info", "player", f"the trajectory is played at {speed_scale:g} of its speed")
-        limits = Limits.of_robot(robot_file.robot)
+        if options.speed_scale != 1.0:
+            slower = f"the trajectory is played at {options.speed_scale:g} of its speed"
+            recorder.event(math.nan, "info", "player", slower)
+        limits = Limits.of_robot(robot)
         supervisor = Supervisor(limits, layouts)
-        play = None
-        if motion is not None and confirmation is not None:
-            play = Play(motion, robot_file.robot, confirmation, without_safety_status)
-        shown = sys.stderr.isatty() and not (no_ui or as_json)
-        with live_view(shown=shown, limits=limits, recorder=recorder, clock=clock) as view:
-            report = record(driver, recorder, supervisor, play, duration, view, clock)
-    if report.file is None:
-        raise report.error or KeyboardInterrupt
-    approach = confirmation.figures if confirmation is not None else None
-    _report_session(
-        report.file, report, as_json, {"motion": figures, "approach": approach} if figures is not None else {}
-    )
+        with live_view(shown=live and sys.stderr.isatty(), limits=limits, recorder=recorder, clock=clock) as view:
+            return record(driver, recorder, supervisor, play, options.duration, view, clock)
+
+
+def _to_mind(robot_file: RobotFile, driver: Driver, *, without_safety_status: bool) -> list[str]:
+    """What a person is told of an opened arm before it moves; refused before a file is made."""
+    from daq.session.device_limits import before_a_motion
+    from daq.session.play import motion_rate, unreported_safety
+
+    motion_rate(driver)
+    unreported = unreported_safety(driver, without_safety_status)
+    to_mind = before_a_motion(robot_file.robot, driver)
+    if unreported:
+        print(f"dynid: warning: {unreported}", file=sys.stderr)
+        return [unreported, *to_mind]
+    return to_mind
+
+
+def _end(report: SessionReport, out: Path) -> None:
+    """Say why a session ended before its time, and exit with its status.
+
+    Raises:
+        Exit: the status is not 0.
+    """
+    import signal
+
+    from daq.session.session import ENDED_BY
+
     status = 1 if report.heavy_loss else 0
     if report.error is not None:
         print(f"dynid: {report.error}", file=sys.stderr)

@@ -39,6 +39,7 @@ class Option:
         help: text of the command's `--help`; empty for an argument of the API alone.
         meaning: text of the API's docstring, with the unit; the same as `help` where empty.
         flag: on the command line; `--name` where empty.
+        short: the same in one letter, such as `-o`; empty for none.
         allowed: range of the number, or of each number of a tuple.
         one_of: allowed texts.
         hint: what to do about a value that is refused.
@@ -53,6 +54,7 @@ class Option:
     help: str = ""
     meaning: str = ""
     flag: str = ""
+    short: str = ""
     allowed: Range | None = None
     one_of: tuple[str, ...] = ()
     hint: str = ""
@@ -93,6 +95,11 @@ def option(default: _Value, help: str = "", **more: Any) -> _Value:
 def argument(name: str, help: str, **more: Any) -> dict[str, Option]:
     """Metadata of a field without a default, a positional argument called `name` on the command line."""
     return {_METADATA: Option(help, argument=name, **more)}
+
+
+def required(help: str, **more: Any) -> dict[str, Option]:
+    """Metadata of a field without a default, an option of the command line that must be given."""
+    return {_METADATA: Option(help, **more)}
 
 
 def declared(of: Field[Any]) -> Option | None:

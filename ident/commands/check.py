@@ -3,39 +3,53 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
 from typing import NoReturn
 
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import HOST, JSON, ROBOT, VERBOSE
-from drivers.core.errors import InputError
+from daq.commands.options import JSON, ROBOT_ARGUMENT, VERBOSE, host_option, takes
+from drivers.core.errors import InputError, UsageError
+from drivers.core.options import Options, option
 
 app = CommandApp("Robot")
 
 
+@dataclass(frozen=True, kw_only=True)
+class CheckOptions(Options):
+    """What `check` is told: an arm, and whether its connection is opened, too."""
+
+    robot: str = field(metadata=ROBOT_ARGUMENT)
+    connect: bool = option(False, "Open the connection and listen; nothing is enabled.")
+    wire: str | None = option(None, "Connection to open; the first one if absent.")
+    host: str | None = host_option()
+    reset_faults: bool = option(False, "Reset faults of CiA 402 drives; enables nothing.")
+
+    def __post_init__(self) -> None:
+        """Check that options of a connection come with one.
+
+        Raises:
+            UsageError: nothing is opened.
+        """
+        super().__post_init__()
+        if not self.connect and (self.wire is not None or self.host is not None or self.reset_faults):
+            raise UsageError("--wire, --host and --reset-faults apply to --connect only", hint="add --connect")
+
+
 @app.command("check")
-def check(
-    robot: str = ROBOT,
-    connect: bool = typer.Option(False, "--connect", help="Open the connection and listen; nothing is enabled."),
-    wire: str = typer.Option(None, "--wire", help="Connection to open; the first one if absent."),
-    host: str = HOST,
-    reset_faults: bool = typer.Option(False, "--reset-faults", help="Reset faults of CiA 402 drives; enables nothing."),
-    verbose: bool = VERBOSE,
-    as_json: bool = JSON,
-) -> None:
+@takes(CheckOptions)
+def check(*, options: CheckOptions, verbose: bool = VERBOSE, as_json: bool = JSON) -> None:
     """Check a robot file: kinematics, connections, load of the buses.
 
     All problems are reported at once; what was assumed is listed, and where the tool is at named poses.
 
     Example: dynid check my_arm.yaml --connect
     """
-    from dataclasses import asdict
-
     from daq.commands.console import print_json
     from daq.robot.loader import load_robot
     from drivers.core.clock import SYSTEM_CLOCK
-    from drivers.core.errors import RobotFileError, UsageError
+    from drivers.core.errors import RobotFileError
     from ident.checks.connection_check import check_connections
     from ident.checks.robot_check import budget_object, check_robot
     from ident.checks.robot_description import description, inertial_count
@@ -43,38 +57,40 @@ def check(
     from ident.model.base_parameters import base_parameters
     from ident.model.dynamic_model import build_model
 
-    if not connect and (wire is not None or host is not None or reset_faults):
-        raise UsageError("--wire, --host and --reset-faults apply to --connect only", hint="add --connect")
     try:
-        robot_file = load_robot(robot)
+        robot_file = load_robot(options.robot)
     except RobotFileError as error:
-        _refuse(error.problems or (error,), robot, as_json)
-    found = check_robot(robot_file)
-    if found.problems:
-        _refuse(found.problems, robot_file.where, as_json)
+        _refuse(error.problems or (error,), options.robot, as_json)
+    checked = check_robot(robot_file)
+    if checked.problems:
+        _refuse(checked.problems, robot_file.where, as_json)
     name = robot_file.robot.name
     if not as_json:
         count = base_parameters(build_model(robot_file)).count
         print(f"{name}: the file is valid, {robot_file.robot.dof} joints")
         print(f"  base parameters: {count}, {inertial_count(robot_file)} of them inertial")
-        for connection, budget in found.budgets.items():
-            print_budget(connection, budget, verbose=verbose)
-        for assumption in found.assumed:
+        for bus, budget in checked.budgets.items():
+            print_budget(bus, budget, verbose=verbose)
+        for assumption in checked.assumed:
             print(f"  assumed: {assumption}")
-        for warning in found.warnings:
+        for warning in checked.warnings:
             print(f"  warning: {warning}")
-        print_poses(found.poses)
-    connections = check_connections(robot_file, wire, host, SYSTEM_CLOCK, reset_faults=reset_faults) if connect else []
+        print_poses(checked.poses)
+    connections = []
+    if options.connect:
+        connections = check_connections(
+            robot_file, options.wire, options.host, SYSTEM_CLOCK, reset_faults=options.reset_faults
+        )
     if not as_json:
-        for checked in connections:
-            print_connection(checked, verbose=verbose)
+        for connection in connections:
+            print_connection(connection, verbose=verbose)
         return
-    content = {"robot": name, "ok": True, "warnings": found.warnings, "assumed": found.assumed}
+    content = {"robot": name, "ok": True, "warnings": checked.warnings, "assumed": checked.assumed}
     content |= description(robot_file)
-    content["poses"] = [asdict(pose) for pose in found.poses]
-    content["budgets"] = {connection: budget_object(budget) for connection, budget in found.budgets.items()}
-    if connect:
-        content["connections"] = [asdict(checked) for checked in connections]
+    content["poses"] = [asdict(pose) for pose in checked.poses]
+    content["budgets"] = {bus: budget_object(budget) for bus, budget in checked.budgets.items()}
+    if options.connect:
+        content["connections"] = [asdict(connection) for connection in connections]
     print_json(content)
 
 
@@ -85,7 +101,7 @@ def _refuse(problems: Sequence[InputError], where: str, as_json: bool) -> NoRetu
 
     count = f"{len(problems)} problems"
     if as_json:
-        listed = [{"error": one.message, "where": one.where, "hint": one.hint} for one in problems]
+        listed = [{"error": problem.message, "where": problem.where, "hint": problem.hint} for problem in problems]
         summary = listed[0] if len(listed) == 1 else {"error": count, "where": where, "hint": ""}
         print_json({**summary, "problems": listed})
         raise typer.Exit(InputError.exit_status)

@@ -26,6 +26,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.result_file import read_result
 from sim_drivers.demo import ATTEMPTS, _recorded, print_demo, run_demo
+from sim_drivers.options import DemoOptions
 from sim_drivers.simulated_arm import Recorded, record_over_wire, simulated_arm
 
 DESIGNED = Path(__file__).parent / "designed"
@@ -37,7 +38,7 @@ def demo(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo") / "new" / "folder"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sim_drivers.demo, "design", designed_before)
-        return run_demo(folder, "ur5e", 8.0, seed=1, progress=STEPS.append, arm=in_simulated_time)
+        return run_demo(DemoOptions(out=folder, duration=8.0), progress=STEPS.append, arm=in_simulated_time)
 
 
 def designed_before(
@@ -159,16 +160,15 @@ def test_a_motion_that_a_busy_computer_ended_is_recorded_again(tmp_path, fails):
 
 
 @pytest.mark.parametrize("duration", [0.0, -5.0, 1.9, 1e9, float("nan")])
-def test_a_duration_that_makes_no_sense_is_refused(tmp_path, duration):
+def test_a_duration_that_makes_no_sense_is_refused(duration):
     with pytest.raises(UsageError, match="--duration"):
-        run_demo(tmp_path / "out", "ur5e", duration, seed=1)
-    assert not (tmp_path / "out").exists()
+        DemoOptions(duration=duration)
 
 
 def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "out").write_text("mine")
     with pytest.raises(UsageError, match="is a file"):
-        run_demo(tmp_path / "out", "ur5e", 10.0, seed=1)
+        run_demo(DemoOptions(out=tmp_path / "out", robot="ur5e", duration=10.0))
     assert (tmp_path / "out").read_text() == "mine"
 
 
@@ -180,13 +180,13 @@ def test_a_robot_without_a_truth_leaves_no_folder(tmp_path):
         "connections: {rtde: {driver: rtde, host: 127.0.0.1}}\n"
     )
     with pytest.raises(RobotFileError, match="no true link"):
-        run_demo(tmp_path / "out", str(robot), 10.0, seed=1)
+        run_demo(DemoOptions(out=tmp_path / "out", robot=str(robot), duration=10.0))
     assert not (tmp_path / "out").exists()
 
 
 def test_an_arm_on_another_wire_is_refused(tmp_path):
     with pytest.raises(UsageError, match="no RTDE connection"):
-        run_demo(tmp_path / "out", "panda", 10.0, seed=1)
+        run_demo(DemoOptions(out=tmp_path / "out", robot="panda", duration=10.0))
 
 
 @pytest.mark.realtime

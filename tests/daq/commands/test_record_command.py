@@ -239,7 +239,7 @@ def refused(bench, dynid, *arguments):
         ((), "either --trajectory or --duration"),
         (("--trajectory", "traj.yaml", "--duration", "1"), "either --trajectory or --duration"),
         (("--duration", "0"), "--duration 0 is not within"),
-        (("--duration", "nan"), "--duration nan is not within"),
+        (("--duration", "nan"), "--duration nan is not a finite number"),
         (("--duration", "1", "--wire", "canfd"), "no connection is called 'canfd' (there are: bench)"),
         (("--trajectory", "absent.yaml"), "absent.yaml: no such file"),
     ],
