@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from drivers.core.errors import UsageError
 from drivers.core.options import default_of, flag_of
+from ident.commands.options import ExportOptions
 from ident.tasks.options import IdentifyOptions
 
 if TYPE_CHECKING:
@@ -82,9 +83,7 @@ def validate_gravity_command(path: Path, runs: object, *, as_json: bool) -> None
     print_tables([result.validation_errors])
 
 
-def export_gravity_command(
-    path: Path, c: Path | None, *, others: bool, c_float: bool, force: bool, as_json: bool
-) -> None:
+def export_gravity_command(options: ExportOptions, *, force: bool, as_json: bool) -> None:
     """Write a stored model of gravity as C code.
 
     Raises:
@@ -97,12 +96,13 @@ def export_gravity_command(
     from ident.result.gravity_model import GravityModel
     from ident.result.model import result_path
 
-    if others or c is None:
+    path = options.model
+    if options.c is None or options.given("urdf", "mjcf", "ros2_inertial"):
         raise UsageError(
             "a model of gravity knows no inertias, which URDF, MJCF and YAML need", where=str(path), hint="--c"
         )
     model = GravityModel(read_gravity_result(result_path(path)))
-    export = model.export_c(c, real="float" if c_float else "double", overwrite=force)
+    export = model.export_c(options.c, real="float" if options.c_float else "double", overwrite=force)
     verdict = model.result.verdict
     if as_json:
         grade = verdict.model_dump(mode="json")

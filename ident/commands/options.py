@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
+
+from drivers.core.errors import UsageError
+from drivers.core.options import Options, argument, default_of, flag_of, option
+
+if TYPE_CHECKING:
+    from ident.result.delivered import Parameters
 
 
 def _list_methods(text: str) -> str:
@@ -54,7 +62,58 @@ def limits_option(
         ("--max-joint-error", "joint_relative_error", max_joint_error),
         ("--max-rmse", "rmse", max_rmse),
     )
-    for option, key, limit in given:
+    for flag, key, limit in given:
         if limit is not None:
-            limits |= declared({key: limit}, option).model_dump(exclude_none=True)
+            limits |= declared({key: limit}, flag).model_dump(exclude_none=True)
     return limits or None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions(Options):
+    """What `export` is told: a model, and the files to write of it."""
+
+    model: Path = field(metadata=argument("model", "Folder that identify wrote, or its result.json."))
+    urdf: Path | None = option(None, "URDF to write: the robot's own, or a complete one from MDH.")
+    into: Path | None = option(None, "URDF of the same arm to put the model in, beside --urdf.")
+    mjcf: Path | None = option(None, "MJCF to write, for MuJoCo.")
+    ros2_inertial: Path | None = option(None, "YAML to write, as in Universal_Robots_ROS2_Description.")
+    c: Path | None = option(None, "C99 code to write: `arm` for arm.h and arm.c.")
+    c_float: bool = option(False, "C code in float, not double.")
+    isaaclab: Path | None = option(None, "Of a servo model: Python configuration for Isaac Lab, with events.")
+    usd: Path | None = option(None, "Of a servo model: USD stage with joint drives (.usda).")
+    ranges: Path | None = option(
+        None, "Of a servo model: JSON of ranges for domain randomisation, boxes and covariance."
+    )
+    unit_spread: float = option(0.0, "Of ranges and events: how much units of a type differ, as σ of logarithms.")
+    replay: Sequence[Path] = option(
+        (), "Of a servo model: recording to roll the files out on; repeatable.", command_type=list[Path]
+    )
+    parameters: Parameters | None = option(
+        None, "Of the C code: consistent, full or essential; consistent where there are any. Other formats need them."
+    )
+
+    def __post_init__(self) -> None:
+        """Check every option, and that there is a file to write.
+
+        Raises:
+            UsageError: names the options.
+        """
+        super().__post_init__()
+        if not self.targets:
+            hint = "--urdf, --mjcf, --ros2-inertial, --c, --isaaclab, --usd or --ranges"
+            raise UsageError("names no file to write", hint=hint)
+        if self.c_float and self.c is None:
+            raise UsageError("--c-float needs --c, the files to write")
+        if self.into is not None and self.urdf is None:
+            raise UsageError("--into needs --urdf, the file to write")
+
+    @property
+    def targets(self) -> list[Path]:
+        """Files to write; of C code the path that its files are named after."""
+        files = (self.urdf, self.mjcf, self.ros2_inertial, self.isaaclab, self.usd, self.ranges, self.c)
+        return [path for path in files if path is not None]
+
+    def given(self, *names: str) -> list[str]:
+        """Flags of those options, among the named ones, that are not at their defaults."""
+        own = {of.name: of for of in fields(self)}
+        return [flag_of(own[name]) for name in names if getattr(self, name) != default_of(own[name])]

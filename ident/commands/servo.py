@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.core.errors import UsageError
 from drivers.core.options import default_of, flag_of
+from ident.commands.options import ExportOptions
 from ident.tasks.options import IdentifyOptions
 
 if TYPE_CHECKING:
@@ -91,38 +92,17 @@ def validate_servo_command(path: Path, runs: object, *, as_json: bool) -> None:
     _print(judged.verdict, [judged.errors])
 
 
-@dataclass(frozen=True)
-class ServoExports:
-    """Files that `export` of a servo model shall write, and what they are made with.
-
-    Attributes:
-        mjcf, isaaclab, usd: paths; None for none.
-        ranges: JSON of ranges for domain randomisation.
-        unit_spread: of the ranges.
-        replay: recordings on whose commands the files are rolled out.
-    """
-
-    mjcf: Path | None
-    isaaclab: Path | None
-    usd: Path | None
-    ranges: Path | None
-    unit_spread: float
-    replay: tuple[Path, ...]
-
-
-def refuse_servo_formats(path: Path, exports: ServoExports) -> None:
+def refuse_servo_formats(options: ExportOptions) -> None:
     """Refuse what only a servo model has.
 
     Raises:
         UsageError: it is asked for.
     """
-    for field in fields(exports):
-        if field.name != "mjcf" and getattr(exports, field.name):
-            flag = "--" + field.name.replace("_", "-")
-            raise UsageError(f"{flag} is of a servo model", where=str(path), hint="dynid identify --method servo")
+    for flag in options.given("isaaclab", "usd", "ranges", "unit_spread", "replay"):
+        raise UsageError(f"{flag} is of a servo model", where=str(options.model), hint="dynid identify --method servo")
 
 
-def export_servo_command(path: Path, exports: ServoExports, *, others: bool, force: bool, as_json: bool) -> None:
+def export_servo_command(options: ExportOptions, *, force: bool, as_json: bool) -> None:
     """Write a stored servo model for simulators, each file rolled out on recorded commands.
 
     Raises:
@@ -135,22 +115,22 @@ def export_servo_command(path: Path, exports: ServoExports, *, others: bool, for
     from ident.servo.actuator_law import left_out
     from ident.tasks.servo import load_servo_model
 
-    if others:
+    if options.given("urdf", "ros2_inertial", "c"):
         hint = "--mjcf, --isaaclab, --usd, --ranges"
-        raise UsageError("a servo model is exported for simulators only", where=str(path), hint=hint)
-    model = load_servo_model(path)
-    runs = exports.replay or model.recordings()
+        raise UsageError("a servo model is exported for simulators only", where=str(options.model), hint=hint)
+    model = load_servo_model(options.model)
+    runs = options.replay or model.recordings()
     files: list[dict[str, object]] = []
     with written_together():
         for target, write, missing, what in (
-            (exports.mjcf, model.export_mjcf, mjcf.MISSING, "MJCF with position actuators; ctrl is the command"),
+            (options.mjcf, model.export_mjcf, mjcf.MISSING, "MJCF with position actuators; ctrl is the command"),
             (
-                exports.isaaclab,
-                partial(model.export_isaaclab, unit_spread=exports.unit_spread),
+                options.isaaclab,
+                partial(model.export_isaaclab, unit_spread=options.unit_spread),
                 isaaclab.MISSING,
                 "actuators and events for Isaac Lab, checked without it",
             ),
-            (exports.usd, model.export_usd, usd.MISSING, "USD with joint drives, in degrees"),
+            (options.usd, model.export_usd, usd.MISSING, "USD with joint drives, in degrees"),
         ):
             if target is None:
                 continue
@@ -164,23 +144,25 @@ def export_servo_command(path: Path, exports: ServoExports, *, others: bool, for
                     "text": "" if replayed is None else str(replayed),
                 }
             )
-        if exports.ranges is not None:
-            text = json.dumps(model.ranges(exports.unit_spread), ensure_ascii=False, indent=1) + "\n"
-            replace_files({exports.ranges: text})
+        if options.ranges is not None:
+            text = json.dumps(model.ranges(options.unit_spread), ensure_ascii=False, indent=1) + "\n"
+            replace_files({options.ranges: text})
             what = "95 % boxes and covariance of every parameter, for domain randomisation"
-            files.append({"path": str(exports.ranges), "what": what, "left_out": [], "replay": None, "text": ""})
+            files.append({"path": str(options.ranges), "what": what, "left_out": [], "replay": None, "text": ""})
     if as_json:
         from daq.commands.console import print_json
 
-        print_json({"model": str(path), "files": [{k: v for k, v in one.items() if k != "text"} for one in files]})
+        print_json(
+            {"model": str(options.model), "files": [{k: v for k, v in one.items() if k != "text"} for one in files]}
+        )
         return
-    for one in files:
-        print(f"{one['path']}: {one['what']}")
-        if one["left_out"]:
-            print(f"  not in this file: {', '.join(one['left_out'])}")  # type: ignore[arg-type]
-        if one["text"]:
-            print(f"  {one['text']}")
-    if not runs and any(one["left_out"] for one in files):
+    for file in files:
+        print(f"{file['path']}: {file['what']}")
+        if file["left_out"]:
+            print(f"  not in this file: {', '.join(file['left_out'])}")  # type: ignore[arg-type]
+        if file["text"]:
+            print(f"  {file['text']}")
+    if not runs and any(file["left_out"] for file in files):
         print("not rolled out: the recordings of the identification are not where they were; --replay RUN.h5")
 
 
