@@ -8,11 +8,11 @@ FASTER = 1.5
 """Ratio of the rates from which a motion ends; sound clocks are within 1e-4 of each other."""
 WINDOW, WINDOWS = 0.05, 8
 """So many intervals [s] in a row must show it, each so long by both clocks, …"""
-LONGEST = 0.25
+LARGEST_SHIFT = 0.25
 """… or so long [s] by one of them."""
 COMPARING_LIMIT = 1.0
 """How long [s] two clocks may take to show whether they differ, before a motion goes on without."""
-STEADY = 1.3
+STEADY_RATIO = 1.3
 """Largest over smallest ratio in them: a wrong clock is wrong evenly, late samples and stalled simulators are not."""
 
 
@@ -42,7 +42,7 @@ class ClockRates:
             return ""
         own, host = time - self._begun[0], host_time - self._begun[1]
         shorter, longer = sorted((abs(own), abs(host)))
-        if shorter < WINDOW and longer < LONGEST:
+        if shorter < WINDOW and longer < LARGEST_SHIFT:
             return ""
         self._begun = time, host_time
         if own <= 0.0 or host <= 0.0:  # set back, or samples that came all at once
@@ -52,7 +52,7 @@ class ClockRates:
         self.compared = self.compared or len(self._ratios) == WINDOWS or 1.0 / FASTER <= own / host <= FASTER
         least, most = min(self._ratios), max(self._ratios)
         differ = least > FASTER or most < 1.0 / FASTER
-        if len(self._ratios) < WINDOWS or not differ or most > STEADY * least:
+        if len(self._ratios) < WINDOWS or not differ or most > STEADY_RATIO * least:
             return ""
         ratio = sum(self._ratios) / WINDOWS
         return (

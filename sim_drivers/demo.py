@@ -47,7 +47,7 @@ ATTEMPTS = 3
 RAMP = 2.0
 """From rest into the periodic motion and back [s]."""
 
-MARGIN = 0.2
+LIMIT_MARGIN = 0.2
 """Of every limit: the simulated robot shares this computer with all the rest, and commands come late."""
 
 STARTS = 1
@@ -123,7 +123,7 @@ def run_demo(
     periods = max(1, round(options.duration / PERIOD))
     period = options.duration / periods
     progress("designing an excitation trajectory, and another one to validate with")
-    choices = DesignChoices(period=period, periods=periods, ramp=RAMP, margin=MARGIN)
+    choices = DesignChoices(period=period, periods=periods, ramp=RAMP, margin=LIMIT_MARGIN)
     other = replace(choices, period=min(period, VALIDATION_PERIOD), periods=1)
     trajectories = {
         "identification": _excitation(robot_file, choices, seed),

@@ -22,10 +22,10 @@ BEYOND_TRAVEL = 10.0
 BEYOND_SPEED = 25.0
 """Speed over its limit from which on positions are in degrees or millimetres: a wrong rate hardly makes so much."""
 
-FASTEST = 0.95
+SPEED_QUANTILE = 0.95
 """Quantile of the speeds that counts: encoders that wrap jump."""
 
-_APART = 5  # samples between which a speed is taken: noise of neighbours is none
+_LAG = 5  # samples between which a speed is taken: noise of neighbours is none
 
 
 def beyond_reach(position: FloatArray, limits: tuple[float, float]) -> bool:
@@ -45,9 +45,12 @@ def other_unit(time: FloatArray, position: FloatArray, limits: JointLimits) -> s
         far = float(np.abs(position).max(initial=0.0)) > BEYOND_TRAVEL * max(abs(limit) for limit in limits.position)
     else:
         far = bool(len(position)) and beyond_reach(position, limits.position)
-    way, passed = np.abs(position[_APART:] - position[:-_APART]), time[_APART:] - time[:-_APART]
+    way, passed = (
+        np.abs(position[_LAG:] - position[:-_LAG]),
+        time[_LAG:] - time[:-_LAG],
+    )
     speeds = way[passed > 0] / passed[passed > 0]
-    fast = len(speeds) > 0 and float(np.quantile(speeds, FASTEST)) > BEYOND_SPEED * limits.velocity
+    fast = len(speeds) > 0 and float(np.quantile(speeds, SPEED_QUANTILE)) > BEYOND_SPEED * limits.velocity
     return ("mm" if limits.sliding else "degrees") if far or fast else None
 
 

@@ -24,7 +24,7 @@ DEFAULT_CLEARANCE = 0.02
 Mounting = Literal["table", "wall", "ceiling", "free"]
 """How the base is mounted; the mounting surface is a plane z = constant of the base frame, with the arm above it."""
 
-_LONGEST = 100.0
+_LONGEST_REACH = 100.0
 """No arm reaches this far [m]: a length beyond it was written in millimetres."""
 
 
@@ -38,8 +38,8 @@ def _check_range(values: tuple[float, float] | None, key: str) -> None:
 
 def _check_lengths(values: tuple[float, ...], key: str) -> None:
     largest = max(values, key=abs)
-    if abs(largest) > _LONGEST:
-        raise ValueError(f"{key} {list(values)} goes beyond {_LONGEST:g} m; lengths are in m")
+    if abs(largest) > _LONGEST_REACH:
+        raise ValueError(f"{key} {list(values)} goes beyond {_LONGEST_REACH:g} m; lengths are in m")
 
 
 class HalfSpace(Section):

@@ -11,7 +11,7 @@ from typing import Any
 DASH = "–"
 """What stands for a missing value."""
 
-LEAST, MOST = 0.001, 1e6
+LEAST_PERCENT, MOST_PERCENT = 0.001, 1e6
 """Percentages outside of these sizes are written as less or more than them."""
 
 
@@ -37,10 +37,10 @@ def percentage_text(percentage: float | None, digits: int = 3) -> str:
     if percentage is None or not math.isfinite(percentage):
         return DASH
     size, sign = abs(percentage), "-" if percentage < 0 else ""
-    if 0 < size < LEAST:
-        return f"> {-LEAST:g}" if sign else f"< {LEAST:g}"
-    if size >= MOST:
-        return f"< -{MOST:.0f}" if sign else f"> {MOST:.0f}"
+    if 0 < size < LEAST_PERCENT:
+        return f"> {-LEAST_PERCENT:g}" if sign else f"< {LEAST_PERCENT:g}"
+    if size >= MOST_PERCENT:
+        return f"< -{MOST_PERCENT:.0f}" if sign else f"> {MOST_PERCENT:.0f}"
     if abs(size - round(size)) < 1e-9:
         return f"{sign}{size:.0f}"
     exponent = int(f"{size:.{digits - 1}e}".partition("e")[2])  # after rounding: 9.996 is 10.0

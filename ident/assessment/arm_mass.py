@@ -32,7 +32,7 @@ DENSITY = 49.0
 LENGTHS_PER_REACH = 1.4
 """Length of an arm from frame to frame over its reach: 1.41 of the UR5e, 1.42 of the Panda, 1.50 of the TX40."""
 
-LEAST, MOST = 0.1, 5.0
+LEAST_RATIO, MOST_RATIO = 0.1, 5.0
 """Mass over the law's that an arm can have: a little beyond the lightest and the heaviest of the table."""
 
 WHOLE_ARM = 5
@@ -80,7 +80,7 @@ def mass_of_size(model: DynamicModel) -> ArmMass | None:
 def mass_of_length(length: float, part: bool) -> ArmMass:
     """The mass of an arm, or of a part of one, of a length [m] from frame to frame."""
     expected = DENSITY * (length / LENGTHS_PER_REACH) ** 3
-    return ArmMass(expected, LEAST * expected, MOST * expected * (UNKNOWN_END if part else 1.0))
+    return ArmMass(expected, LEAST_RATIO * expected, MOST_RATIO * expected * (UNKNOWN_END if part else 1.0))
 
 
 def part_of_arm(model: DynamicModel) -> bool:

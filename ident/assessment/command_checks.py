@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from daq.recording.commanded_motion import CommandedMotion
-from daq.recording.quality.command_quality import EARLIEST, SLOWEST, CommandQuality, command_quality
+from daq.recording.quality.command_quality import LEAST_LAG, MOST_LAG, CommandQuality, command_quality
 from daq.recording.unit_plausibility import DEGREES, near
 from drivers.core.errors import DataError
 from ident.verdict.catalogue import CATALOGUE, raised
@@ -44,7 +44,7 @@ def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> l
     if quality.apart:
         late = quality.delay > 0
         said = "behind" if late else "ahead of"
-        why = f"a servo lags by at most {SLOWEST:g} s" if late else f"no servo is more than {-EARLIEST:g} s ahead"
+        why = f"a servo lags by at most {MOST_LAG:g} s" if late else f"no servo is more than {-LEAST_LAG:g} s ahead"
         text = f"{of}positions are {abs(quality.delay):.2f} s {said} their commands, and {why}: two clocks are apart"
         checks.append(raised("command-clock", text))
     if quality.swapped:

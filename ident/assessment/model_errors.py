@@ -55,7 +55,7 @@ WORTH_A_LOOK = 2.0
 RIVAL_LIKELIHOOD = 9.0
 """Difference of the doubled log-likelihood ratios (three σ) below which two deviations explain the data alike."""
 
-REFINED = 4
+REFINED_UNKNOWNS = 4
 """Unknowns that are linearised anew where their estimate is, those that explain most."""
 
 MOST_SAMPLES = 100_000
@@ -100,7 +100,7 @@ def most_likely(refit: Refit, runs: Sequence[Prepared], independent: float, poor
         return []
     if not poor and deviations[0].likelihood * independent / total < WORTH_A_LOOK:
         return []
-    tried = list(dict.fromkeys([*(one.unknown for one in deviations[:REFINED]), Unknown("gravity")]))
+    tried = list(dict.fromkeys([*(one.unknown for one in deviations[:REFINED_UNKNOWNS]), Unknown("gravity")]))
     finer = [refit.deviation(unknown) for unknown in tried] + _other_directions(refit)
     if poor:
         finer += _far_gains(refit)

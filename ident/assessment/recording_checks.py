@@ -44,7 +44,7 @@ SAME_FACTOR = 0.02
 """Ratios of position change to ∫velocity dt within this share of each other are one factor; within it of 1, right."""
 CLOCK_DRIFT = 1e-3
 """Drift [s/s] from which on a clock is wrong; quartz clocks drift by 1e-4 at most."""
-SURE = 3.0
+DRIFT_INTERVALS = 3.0
 """A drift is reported where it is beyond so many times its interval, which a computer that is busy makes too small."""
 CLOCK_SPAN = 5.0
 """Shorter streams [s] do not determine their clock."""
@@ -292,7 +292,7 @@ def time_axis_checks(recording: Recording, of: str = "") -> list[Check]:
             text = f"{of}position changes by another factor than the recorded velocity says: {ratios}; check its unit"
             checks.append(raised("velocity-scale", text, off))
     for name, clock in axis.clocks.items():
-        if abs(clock.drift) > max(CLOCK_DRIFT, SURE * clock.drift_error):
+        if abs(clock.drift) > max(CLOCK_DRIFT, DRIFT_INTERVALS * clock.drift_error):
             text = (
                 f"{of}the clock of '{name}' drifts by {clock.drift:.3g} ± {clock.drift_error:.1g} s per second against "
                 f"this computer's: its stamps should be multiplied by {1.0 + clock.drift:.6g}; check its unit and rate"

@@ -25,16 +25,16 @@ from ident.model.regressor import RegressorKernel, model_torque
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import Experiment, experiment_base
 
-STEP = 1e-3
+SHIFT_STEP = 1e-3
 """[m or rad] by which a joint's origin or zero is shifted for the derivative of the torque."""
 
 ZERO_LENGTH = 1e-4
 """[m]; shorter components of a translation are taken for 0 on purpose."""
 
-SEEN = 1e-6
+SEEN_SHARE = 1e-6
 """Share of a column's norm that the parameters must leave of it, else the data do not show it."""
 
-ITERATIONS = 8
+STATIONARY_ITERATIONS = 8
 RELINEARISATIONS = 6
 WEIGHTS_SETTLED = 1e-3
 """Relative change of the sums of squares that ends the iteration of the joints' weights."""
@@ -217,11 +217,11 @@ class Refit:
     def _slope(self, unknown: Unknown, value: float, parameters: FloatArray) -> FloatArray:
         """(n, N) derivative of the model's torque by a length or a zero at a value."""
         torques = []
-        for step in (STEP, -STEP):
+        for step in (SHIFT_STEP, -SHIFT_STEP):
             model, moved = self.shifted(unknown, value + step)
             motion = (moved.position, moved.velocity, moved.acceleration, moved.temperature)
             torques.append(model_torque(model, self.columns, parameters, *motion))
-        return np.asarray((torques[0] - torques[1]) / (2.0 * STEP))
+        return np.asarray((torques[0] - torques[1]) / (2.0 * SHIFT_STEP))
 
     def _gravity(self, unknown: Unknown, relinearisations: int, start: FloatArray | None) -> Deviation | None:
         size = float(np.linalg.norm(self.model.gravity))
@@ -382,7 +382,7 @@ def _settled(  # noqa: C901 — one loop
     parameters = np.zeros(width)
     unknown: FloatArray | None = None
     covariance: FloatArray | None = None
-    for iteration in range(ITERATIONS):
+    for iteration in range(STATIONARY_ITERATIONS):
         system = []
         with_gain = gain is not None and iteration > 0
         for n, block in blocks.items():
@@ -400,7 +400,7 @@ def _settled(  # noqa: C901 — one loop
         if len(estimate) > width:
             # The last rows of the triangular factor are what the parameters' columns leave of the unknowns'.
             rest = left[width : len(estimate), width:]
-            if np.any(np.abs(np.diag(rest)) < SEEN * scale[width:]):
+            if np.any(np.abs(np.diag(rest)) < SEEN_SHARE * scale[width:]):
                 return _Solved(parameters, sums, None, None)
             unknown = estimate[width:]
             covariance = np.asarray(np.linalg.inv(rest.T @ rest), dtype=np.float64)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from drivers.core.errors import UsageError
-from drivers.core.options import Options, argument, default_of, flag_of, option
+from drivers.core.options import Options, argument, flag_of, option
 
 if TYPE_CHECKING:
     from ident.result.delivered import Parameters
@@ -114,6 +114,5 @@ class ExportOptions(Options):
         return [path for path in files if path is not None]
 
     def given(self, *names: str) -> list[str]:
-        """Flags of those options, among the named ones, that are not at their defaults."""
-        own = {of.name: of for of in fields(self)}
-        return [flag_of(own[name]) for name in names if getattr(self, name) != default_of(own[name])]
+        """Flags of those options, among the named ones, that are given: they are None, 0 or empty else."""
+        return [flag_of(of) for of in fields(self) if of.name in names and getattr(self, of.name)]

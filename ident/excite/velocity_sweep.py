@@ -22,7 +22,7 @@ from drivers.core.text import did_you_mean
 from ident.excite.families.moving_joints import middle_of_range
 from ident.excite.sweep_choices import SMALLEST_STROKE, SweepChoices
 
-MARGIN = 0.9
+LIMIT_SHARE = 0.9
 """Share of position range, velocity and acceleration limits that is used."""
 
 
@@ -126,7 +126,7 @@ def _free_sweep(
 def _ends(limits: JointLimits, centre: float, stroke: float) -> tuple[float, float]:
     """A stroke around the pose, moved into the joint's range."""
     lowest, highest = limits.position
-    spare = 0.5 * (1.0 - MARGIN) * (highest - lowest)
+    spare = 0.5 * (1.0 - LIMIT_SHARE) * (highest - lowest)
     lowest, highest = lowest + spare, highest - spare
     low = min(max(centre - 0.5 * stroke, lowest), max(lowest, highest - stroke))
     return low, min(low + stroke, highest)
@@ -134,8 +134,8 @@ def _ends(limits: JointLimits, centre: float, stroke: float) -> tuple[float, flo
 
 def _peaks(limits: JointLimits, stroke: float, choices: SweepChoices) -> tuple[float, ...]:
     """Peak speeds in equal ratios, up to what velocity and acceleration limits allow over the stroke."""
-    shortest = np.sqrt(QUINTIC_ACCELERATION * stroke / (MARGIN * limits.acceleration))
-    fastest = min(MARGIN * limits.velocity, QUINTIC_VELOCITY * stroke / shortest)
+    shortest = np.sqrt(QUINTIC_ACCELERATION * stroke / (LIMIT_SHARE * limits.acceleration))
+    fastest = min(LIMIT_SHARE * limits.velocity, QUINTIC_VELOCITY * stroke / shortest)
     slowest = min(choices.slowest, 0.5 * fastest)
     return tuple(np.geomspace(slowest, fastest, choices.speeds).tolist())
 
@@ -156,7 +156,7 @@ def _strokes(
     ways = np.abs(np.diff(ends))
     times = np.maximum(
         QUINTIC_VELOCITY * ways / np.array(speeds),
-        np.sqrt(QUINTIC_ACCELERATION * ways / (MARGIN * limits.acceleration)),
+        np.sqrt(QUINTIC_ACCELERATION * ways / (LIMIT_SHARE * limits.acceleration)),
     )
     moving = times > 0.0
     return PointToPoint(points[np.concatenate([[True], moving])], times[moving])

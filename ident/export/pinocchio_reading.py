@@ -24,15 +24,15 @@ from ident.export.reading import (
     tree_torque_error,
 )
 
-STEP = 0.001
+SIMULATION_STEP = 0.001
 """[s]"""
 
-FARTHEST = 2e-3
+LONGEST_TRAVEL = 2e-3
 """Travel [rad or m] in a step from which on it is cut into parts, `MOST_PARTS` at most."""
 
 MOST_PARTS = 20
 
-SLOW = 1e-3
+VISCOUS_SPEED = 1e-3
 """[rad/s or m/s] below which Coulomb friction is taken as viscous."""
 
 
@@ -110,13 +110,13 @@ class _Tree:
         return np.asarray(pin.crba(self.model, self.data, q)[self._upper])
 
     def step(
-        self, q: FloatArray, v: FloatArray, torque: FloatArray, duration: float = STEP
+        self, q: FloatArray, v: FloatArray, torque: FloatArray, duration: float = SIMULATION_STEP
     ) -> tuple[FloatArray, FloatArray]:
         """One step of the semi-implicit Euler method, implicit in friction, which stiff joints need."""
         import pinocchio as pin
 
         # (M + h·B)·v⁺ = M·v + h·(τ − bias), solved as the forward dynamics of an arm with h·B more armature.
-        braking = self.damping + self.friction / np.maximum(np.abs(v), SLOW)
+        braking = self.damping + self.friction / np.maximum(np.abs(v), VISCOUS_SPEED)
         self._braked.armature = self.model.armature + duration * braking
         moved = v + duration * pin.aba(self._braked, self._braked_data, q, v, torque - braking * v)
         return pin.integrate(self.model, q, duration * moved), moved
@@ -158,13 +158,13 @@ def _fall(tree: _Tree) -> Simulation:
     arm = tree.arm
     q, v = tree.configuration(arm.model.tree_position(released(arm)[:, None])[:, 0]), np.zeros(tree.model.nv)
     energies, nothing = [], np.zeros(tree.model.nv)
-    for _ in range(round(DURATION / STEP)):
+    for _ in range(round(DURATION / SIMULATION_STEP)):
         kinetic = pin.computeKineticEnergy(tree.model, tree.data, q, v)
         energies.append((kinetic, pin.computePotentialEnergy(tree.model, tree.data, q)))
         # Without friction a light wrist turns so fast that a whole step would gain energy.
-        parts = int(np.clip(np.ceil(np.abs(v).max() * STEP / FARTHEST), 1, MOST_PARTS))
+        parts = int(np.clip(np.ceil(np.abs(v).max() * SIMULATION_STEP / LONGEST_TRAVEL), 1, MOST_PARTS))
         for _ in range(parts):
-            q, v = tree.step(q, v, nothing, STEP / parts)
+            q, v = tree.step(q, v, nothing, SIMULATION_STEP / parts)
         if not (np.all(np.isfinite(q)) and np.all(np.isfinite(v))):
             return Simulation("unpowered", finite=False)
     kinetic, potential = np.array(energies).T
@@ -176,7 +176,7 @@ def _track(tree: _Tree) -> Simulation:
     import pinocchio as pin
 
     arm = tree.arm
-    time = np.asarray(STEP * np.arange(round(DURATION / STEP)), dtype=np.float64)
+    time = np.asarray(SIMULATION_STEP * np.arange(round(DURATION / SIMULATION_STEP)), dtype=np.float64)
     active = tracked_motion(arm, time)
     motion = arm.model.tree_motion(*active)
     q, v = tree.configuration(motion.position[:, 0]), tree.vector(motion.velocity[:, 0])

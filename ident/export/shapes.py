@@ -9,7 +9,7 @@ from drivers.core.arrays import FloatArray
 from ident.export.arm import ExportedArm
 from ident.model.kinematics.joints import BASE_INDEX
 
-SHORTEST = 1e-3
+SHORTEST_LINK = 1e-3
 """[m] below which two joints count as lying on each other."""
 
 Segment = tuple[FloatArray, FloatArray, float]
@@ -29,6 +29,6 @@ def link_segments(arm: ExportedArm) -> dict[int, list[Segment]]:
     origin, shapes = np.zeros(3), {}
     for link, points in ends.items():
         radius = workspace.radius_of(BASE if link == BASE_INDEX else model.link_names[link])
-        long = [point for point in points if float(np.linalg.norm(point)) > SHORTEST]
+        long = [point for point in points if float(np.linalg.norm(point)) > SHORTEST_LINK]
         shapes[link] = [(origin, point, radius) for point in long] or [(origin, origin, radius)]
     return shapes

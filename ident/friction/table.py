@@ -34,7 +34,7 @@ LEAST_TEMPERATURE_SPAN = 5.0
 LEAST_CURVATURE_SPAN = 15.0
 """Temperatures of a joint must differ by these [K] to tell its slope, and AUBO eq. 5 with its curvature."""
 
-SLOWEST = 1e-3
+SLOPE_SPEED = 1e-3
 """Speed [rad/s or m/s] below which the slopes of |q̇|^α and √|q̇|, unbounded at rest, are those at this speed."""
 
 
@@ -86,8 +86,8 @@ class Operands:
 
     @property
     def floored(self) -> FloatArray:
-        """|q̇| (m,) of arrays, `SLOWEST` at least."""
-        return np.asarray(np.maximum(np.abs(self.rate), SLOWEST))
+        """|q̇| (m,) of arrays, `SLOPE_SPEED` at least."""
+        return np.asarray(np.maximum(np.abs(self.rate), SLOPE_SPEED))
 
 
 Signal = Callable[[Operands], Any]

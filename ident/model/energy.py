@@ -40,7 +40,7 @@ from ident.model.kinematics.joints import BASE_INDEX, Joint
 from ident.model.newton_euler import rotation_coefficients
 from ident.model.regressor import LoadTorqueKernel
 
-CHUNK = 4096
+STATES_AT_ONCE = 4096
 """States evaluated at once."""
 
 WINDOWS_PER_PARAMETER = 20
@@ -94,8 +94,8 @@ class EnergyKernel:
             velocity: (n, N) [rad/s or m/s].
         """
         out = np.zeros((len(self.columns), position.shape[1]))
-        for start in range(0, position.shape[1], CHUNK):
-            chunk = slice(start, start + CHUNK)
+        for start in range(0, position.shape[1], STATES_AT_ONCE):
+            chunk = slice(start, start + STATES_AT_ONCE)
             self._fill(position[:, chunk], velocity[:, chunk], out[:, chunk])
         return out
 

@@ -35,7 +35,7 @@ from ident.model.kinematics.joints import ancestors
 from ident.model.kinematics.transmission import TreeMotion
 from ident.model.newton_euler import AxisMotion, Direction, FrameMotion, Recursion, combine, scaled
 
-CHUNK = 4096
+SAMPLES_AT_ONCE = 4096
 """Samples evaluated at once: enough to hide the interpreter, few enough for the cache."""
 
 PINOCCHIO_BELOW = 500
@@ -162,7 +162,7 @@ class RegressorKernel:
 
     tree: TreeMotion
 
-    def __init__(self, model: DynamicModel, columns: Sequence[int] | None = None, chunk: int = CHUNK) -> None:
+    def __init__(self, model: DynamicModel, columns: Sequence[int] | None = None, chunk: int = SAMPLES_AT_ONCE) -> None:
         """Prepare the scratch arrays.
 
         Args:
@@ -344,7 +344,7 @@ class RegressorKernel:
 class LoadTorqueKernel:
     """Gravity torque of a model's `terms.load_torque` at the motors (AUBO eq. 18)."""
 
-    def __init__(self, model: DynamicModel, chunk: int = CHUNK) -> None:
+    def __init__(self, model: DynamicModel, chunk: int = SAMPLES_AT_ONCE) -> None:
         """For a model with load-dependent friction, evaluated `chunk` samples at once."""
         load = model.terms.load_torque
         if load is None:

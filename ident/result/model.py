@@ -18,11 +18,11 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, ModelError, UsageError
 from ident.friction.table import FRICTION_KINDS
 from ident.model.presliding import dry_friction
-from ident.model.regressor import CHUNK
+from ident.model.regressor import SAMPLES_AT_ONCE
 from ident.result.arrays import outward, samples
 from ident.result.exported_model import ExportedModel
 from ident.result.model_parameters import REGRESSOR_ROUNDING
-from ident.result.simulated_motion import STEP, Controller, SimulatedMotion, simulated_motion
+from ident.result.simulated_motion import DEFAULT_STEP, Controller, SimulatedMotion, simulated_motion
 
 TorquePart = Literal["inertial", "coriolis", "gravity", "friction"]
 """Parts that a torque is the sum of."""
@@ -286,7 +286,7 @@ class Model(ExportedModel):
         torque: npt.ArrayLike | Controller | None,
         duration: float,
         *,
-        step: float = STEP,
+        step: float = DEFAULT_STEP,
         temperature: npt.ArrayLike | None = None,
     ) -> SimulatedMotion:
         """Simulate the arm forward in time, with friction, closed loops and coupled motors.
@@ -375,8 +375,8 @@ class Model(ExportedModel):
         kelvin = self._kelvin(temperature, position.shape[1])
         sure, root, unsure = self._deviations
         deviations = np.empty_like(position)
-        for start in range(0, deviations.shape[1], CHUNK):
-            chunk = slice(start, start + CHUNK)
+        for start in range(0, deviations.shape[1], SAMPLES_AT_ONCE):
+            chunk = slice(start, start + SAMPLES_AT_ONCE)
             heat = None if kelvin is None else kelvin[:, chunk]
             columns = self._columns(position[:, chunk], velocity[:, chunk], acceleration[:, chunk], heat)
             self._require(columns)

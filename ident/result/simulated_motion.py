@@ -16,7 +16,7 @@ from ident.result.arrays import samples
 from ident.simulation.forward_arm import ForwardArm
 from ident.simulation.time_stepping import Drive, integrate
 
-STEP = 1e-3
+DEFAULT_STEP = 1e-3
 """Step of a simulation [s]."""
 
 MOST_STEPS = 5_000_000

@@ -32,7 +32,7 @@ from ident.signals.filter_modes import ChunkResponse, Modes, chunk_response, mod
 DECIMATION_RIPPLE_DB = 0.05
 """Passband ripple of the decimation filter [dB], one direction (scipy.signal.decimate)."""
 
-_CHUNK = 96  # samples per chunk, rounded up to a multiple of the factor: product and recursion cost about the same
+_CHUNK_SAMPLES = 96  # rounded up to a multiple of the factor: product and recursion cost about the same
 _ROWS_AT_ONCE = 2_000_000  # samples of the rows that are worked on together: bounds the intermediate arrays
 
 
@@ -108,7 +108,7 @@ class ZeroPhaseFilter:
     @cached_property
     def chunk(self) -> ChunkResponse:
         """The chunks that `apply` and `StreamedFilter` cut signals into."""
-        return chunk_response(self.modes, self.factor * -(-_CHUNK // self.factor), self.factor)
+        return chunk_response(self.modes, self.factor * -(-_CHUNK_SAMPLES // self.factor), self.factor)
 
 
 def no_filter(factor: int = 1) -> ZeroPhaseFilter:

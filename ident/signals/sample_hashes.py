@@ -22,7 +22,7 @@ KEPT = 1024
 BITS = 48
 """Of a hash: every JSON reader holds such an integer exactly."""
 
-SMALLEST = 1e-200
+SMALLEST_VALUE = 1e-200
 """Smaller values count as 0: ten to the power of their digits would overflow."""
 LEAST_OVERLAP = 0.02
 """Share of common samples up to which it may be coincidence: a joint that passes a pose again with the same torque."""
@@ -79,7 +79,7 @@ def overlap(hashes: HashArray, others: Iterable[Sequence[int]]) -> float:
 def _significant(values: FloatArray, digits: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Mantissas of so many decimal digits and their exponents."""
     size = np.abs(values)
-    exponent = np.where(size > SMALLEST, np.floor(np.log10(np.where(size > SMALLEST, size, 1.0))), 0.0)
+    exponent = np.where(size > SMALLEST_VALUE, np.floor(np.log10(np.where(size > SMALLEST_VALUE, size, 1.0))), 0.0)
     mantissa = np.rint(values * 10.0 ** (digits - 1 - exponent))
     return mantissa.astype(np.int64), exponent.astype(np.int64)
 

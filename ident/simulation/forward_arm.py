@@ -17,7 +17,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
 from drivers.core.units import joint_unit
-from ident.friction.table import SLOWEST, TERM
+from ident.friction.table import SLOPE_SPEED, TERM
 from ident.friction.terms import FrictionConditions
 from ident.model.dynamic_model import DynamicModel
 from ident.model.inverse_dynamics import InverseDynamics, with_masses
@@ -122,7 +122,7 @@ class ForwardArm:
         matrix = self.viscous.copy()
         conditions = FrictionConditions(temperature=self._kelvin)
         for term in self._smooth:
-            speed = np.array([max(abs(float(term.motion @ velocity)), SLOWEST)])
+            speed = np.array([max(abs(float(term.motion @ velocity)), SLOPE_SPEED)])
             slope = float(self._signal(term, speed, conditions)[0] / speed[0])
             part = slope * np.outer(term.at_joints, term.motion)
             if term.at_joints @ term.motion * slope >= 0.0:
@@ -137,7 +137,7 @@ class ForwardArm:
             return self.dry
         limits, conditions = self.dry.copy(), self._inverse.conditions(position[:, None], self._kelvin)
         for place, term in self._further_dry:
-            speed = np.array([max(abs(float(term.motion @ velocity)), SLOWEST)])
+            speed = np.array([max(abs(float(term.motion @ velocity)), SLOPE_SPEED)])
             share = float(term.at_joints @ term.motion / (term.motion @ term.motion))
             at_place = replace(conditions, position=(term.motion @ position)[None, None])
             limits[place] += share * float(self._signal(term, speed, at_place)[0])

@@ -18,7 +18,7 @@ from ident.model.inverse_dynamics import InverseDynamics
 from ident.signals.prepared import Segment
 from ident.simulation.forward_arm import ForwardArm
 from ident.simulation.time_stepping import integrate
-from ident.simulation.tracking import STEP, at_times, driving_torque
+from ident.simulation.tracking import SIMULATION_STEP, at_times, driving_torque
 from ident.stored import Number, Stored
 
 WINDOW = 1.0
@@ -70,7 +70,7 @@ def open_loop(inverse: InverseDynamics, segments: Sequence[Segment]) -> OpenLoop
     chosen = [starts[place] for place in np.unique(np.linspace(0, len(starts) - 1, WINDOWS).round().astype(int))]
     simulated, reference = np.zeros(inverse.model.dof), np.zeros(inverse.model.dof)
     diverged = ""
-    steps = max(1, round(window / STEP))
+    steps = max(1, round(window / SIMULATION_STEP))
     for segment, start in chosen:
         time = start + np.linspace(0.0, window, steps + 1)
         position = at_times(time, segment, segment.position)

@@ -19,7 +19,7 @@ from drivers.core.arrays import FloatArray
 DIFFERENCE = 1e-5
 """Of positions [rad] and velocities [rad/s], for the derivatives of the torque."""
 
-CHUNK = 1000
+STEPS_AT_ONCE = 1000
 
 Torque = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 """Positions, velocities, accelerations (n, m) → torques (n, m) without dry friction."""
@@ -44,8 +44,8 @@ def output_sensitivities(
     dof, count = motion[0].shape
     stiffness, damping = (np.diag(gain) for gain in gains)
     state: tuple[FloatArray, FloatArray] | None = None
-    for start in range(0, count, CHUNK):
-        part = tuple(signal[:, start : start + CHUNK] for signal in motion)
+    for start in range(0, count, STEPS_AT_ONCE):
+        part = tuple(signal[:, start : start + STEPS_AT_ONCE] for signal in motion)
         inertia, by_velocity, by_position = _derivatives(torque, *part)
         forced = -regressor(*part).transpose(2, 0, 1)
         by_velocity += damping

@@ -30,7 +30,7 @@ from drivers.core.units import joint_unit
 from ident.simulation.dry_friction import dry_friction
 from ident.simulation.forward_arm import ForwardArm
 
-FASTEST = 1e4
+DIVERGED = 1e4
 """[rad/s or m/s] A velocity beyond which a simulation has diverged."""
 
 ALTERNATIONS = 4
@@ -39,7 +39,7 @@ ALTERNATIONS = 4
 
 def diverged(velocity: FloatArray) -> bool:
     """Whether a velocity (n,) is beyond all bounds, or no number."""
-    return not bool(np.all(np.abs(velocity) < FASTEST))
+    return not bool(np.all(np.abs(velocity) < DIVERGED))
 
 
 def divergence(
@@ -65,7 +65,7 @@ def divergence(
     speed, torque, mass = (joint_unit(unit, sliding=arm.sliding[joint]) for unit in ("rad/s", "N·m", "kg·m²"))
     moved = 1.0 / float(np.linalg.inv(inertia)[joint, joint])
     return ModelError(
-        f"the simulated motion diverges at {time:.4g} s: {name} passes {FASTEST:g} {speed}, its inertia {moved:.2g} "
+        f"the simulated motion diverges at {time:.4g} s: {name} passes {DIVERGED:g} {speed}, its inertia {moved:.2g} "
         f"{mass} there, the other joints free, its torque {torques[-1, joint]:.3g} {torque}",
         hint=_hint(arm, name, torques[-1 - ALTERNATIONS :, joint]),
     )

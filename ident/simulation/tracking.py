@@ -29,7 +29,7 @@ from ident.stored import Number, Stored
 NATURAL_FREQUENCY = 10.0
 """ω [rad/s] of the controller, critically damped: soft, so that it does not hide the model's errors."""
 
-STEP = 4e-3
+SIMULATION_STEP = 4e-3
 """[s]"""
 
 LONGEST = 10.0
@@ -81,7 +81,7 @@ def tracked(inverse: InverseDynamics, segment: Segment, longest: float = np.inf)
     heat = None if segment.temperature is None else np.mean(segment.temperature, axis=1)
     arm = ForwardArm(inverse, heat)
     duration = min(float(segment.time[-1] - segment.time[0]), longest)
-    steps = max(1, round(duration / STEP))
+    steps = max(1, round(duration / SIMULATION_STEP))
     time = np.linspace(0.0, duration, steps + 1)
     position, velocity = (at_times(time, segment, signal) for signal in (segment.position, segment.velocity))
     mean_inertia = np.diagonal(arm.inertia(position.mean(axis=0)))

@@ -13,7 +13,7 @@ INVALID = 1 << 31
 """Bit of a PDO's COB-ID: it does not exist."""
 LARGEST_SYNCHRONOUS = 240
 EVENT_DRIVEN = (254, 255)
-LONGEST = 8
+LONGEST_PDO = 8
 _CODES = {(1, False): "B", (1, True): "b", (2, False): "H", (2, True): "h", (4, False): "I", (4, True): "i"}
 
 
@@ -39,7 +39,7 @@ class _Pdo:
         objects.on_write(self._communication, 1, self._check_identifier)
         objects.on_write(self._communication, 2, self._check_type)
         objects.on_write(self._mapping, 0, self._check_count)
-        for place in range(1, LONGEST + 1):
+        for place in range(1, LONGEST_PDO + 1):
             objects.on_write(self._mapping, place, self._check_place)
         self.configured()
 
@@ -85,12 +85,12 @@ class _Pdo:
     def _check_count(self, value: int) -> None:
         if self.identifier is not None:
             raise SdoAbortError(Abort.DEVICE_STATE)
-        if value > LONGEST:
+        if value > LONGEST_PDO:
             raise SdoAbortError(Abort.PDO_LENGTH)
         mapped = [self._objects.number(self._mapping, place + 1) for place in range(value)]
         for entry in mapped:
             self._check_mappable(entry)
-        if sum(entry & 0xFF for entry in mapped) > 8 * LONGEST:
+        if sum(entry & 0xFF for entry in mapped) > 8 * LONGEST_PDO:
             raise SdoAbortError(Abort.PDO_LENGTH)
 
     def _check_mappable(self, mapped: int) -> None:

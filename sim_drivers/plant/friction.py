@@ -26,7 +26,7 @@ BRISTLE_DAMPING = 0.5
 STABLE_STEP = 0.5
 """Largest step × natural frequency of bristle and arm; the integration (leapfrog) is stable below 2."""
 
-SLOWEST = 1e-3
+STRAIGHT_SPEED = 1e-3
 """Speed [rad/s] below which |q̇|^α and √|q̇| go straight to zero."""
 
 
@@ -82,8 +82,8 @@ def temperature_factor(parameters: FrictionParameters, celsius: FloatArray) -> F
 
 def steepest_slope(parameters: FrictionParameters, celsius: float) -> FloatArray:
     """Largest slope (n,) [N·m·s/rad] of the terms that grow with velocity, at velocities up to 1 rad/s."""
-    power = parameters.viscous * np.maximum(SLOWEST ** (parameters.alpha - 1.0), parameters.alpha)
-    root = temperature_factor(parameters, np.full(len(power), celsius)) / np.sqrt(SLOWEST)
+    power = parameters.viscous * np.maximum(STRAIGHT_SPEED ** (parameters.alpha - 1.0), parameters.alpha)
+    root = temperature_factor(parameters, np.full(len(power), celsius)) / np.sqrt(STRAIGHT_SPEED)
     return np.asarray(np.maximum(power + root, 0.0))
 
 
@@ -148,8 +148,8 @@ class SimulatedFriction:
         torque: FloatArray = np.minimum(np.maximum(stuck, -dry), dry) + parameters.offset
         if self._linear:
             return torque + parameters.viscous * velocity
-        # |q̇|^α and √|q̇| as slope · |q̇|, with the slope held below SLOWEST, where it would grow without bound.
-        floored = np.maximum(np.abs(velocity), SLOWEST)
+        # |q̇|^α and √|q̇| as slope · |q̇|, with the slope held below STRAIGHT_SPEED, where it would grow without bound.
+        floored = np.maximum(np.abs(velocity), STRAIGHT_SPEED)
         slope = parameters.viscous * floored ** (parameters.alpha - 1.0) + self._factor / np.sqrt(floored)
         return torque + np.maximum(slope, 0.0) * velocity
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 from typing import Protocol
 
-CHUNK = 65536
+CHUNK_BYTES = 65536
 
 
 class Session(Protocol):
@@ -75,7 +75,7 @@ class ClientConnection:
     def read(self) -> bytes:
         """Received data; a client that has disconnected is closed."""
         try:
-            chunk = self.sock.recv(CHUNK)
+            chunk = self.sock.recv(CHUNK_BYTES)
         except BlockingIOError:
             return b""
         except OSError:

@@ -19,7 +19,7 @@ LOOKAHEAD_RANGE = (0.03, 0.2)
 ACCELERATION_RANGE = (0.01, 40.0)
 """ur_rtde's range of a joint acceleration [rad/s²], its lower end lifted so that every stop ends."""
 
-SLOWEST = 1e-3
+LEAST_MOVEJ_SPEED = 1e-3
 """[rad/s]: a movej of no speed would never end."""
 
 
@@ -48,7 +48,7 @@ class MoveJ:
     def __init__(
         self, start: Reference, target: FloatArray, speed: float, acceleration: float, speed_limit: FloatArray
     ) -> None:
-        self._target, self._speed_limit, self._wanted_speed = target.copy(), speed_limit, max(speed, SLOWEST)
+        self._target, self._speed_limit, self._wanted_speed = target.copy(), speed_limit, max(speed, LEAST_MOVEJ_SPEED)
         self._acceleration = float(np.clip(acceleration, *ACCELERATION_RANGE))
         self._brake: VelocityRamp | None = None
         self.finished = False

@@ -27,7 +27,7 @@ from ident.model.true_parameters import true_model, truth_vector
 CANDIDATES = 30
 HARMONICS = 5
 LIMIT_SHARE = 0.9
-_GRID = 400
+_POINTS_PER_PERIOD = 400
 
 
 def simulate_recording(
@@ -135,7 +135,7 @@ def random_fourier_motion(model: DynamicModel, period: float, seed: int, candida
     generator = np.random.default_rng(seed)
     columns = base_parameters(model).columns
     kernel = RegressorKernel(model, columns)
-    time = np.linspace(0.0, period, _GRID, endpoint=False)
+    time = np.linspace(0.0, period, _POINTS_PER_PERIOD, endpoint=False)
     best: tuple[float, FourierSeries] | None = None
     for _ in range(candidates):
         motion = _inside_limits(model, _random_series(model, period, generator), time)

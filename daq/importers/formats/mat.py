@@ -23,7 +23,7 @@ _HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _USER_BLOCK = 512
 _MAT5_HEADER = 128
 _COMPRESSED = 15  # miCOMPRESSED
-_CHUNK = 1 << 20
+_READ_BYTES = 1 << 20
 DEEPEST = 5
 """Structs within structs that are opened."""
 
@@ -72,9 +72,9 @@ def _check_unpacked_size(path: Path) -> None:
             kind, length = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
             end = file.tell() + length
             inflate = zlib.decompressobj() if kind == _COMPRESSED else None
-            while inflate is not None and not inflate.eof and (chunk := file.read(min(_CHUNK, end - file.tell()))):
+            while inflate is not None and not inflate.eof and (chunk := file.read(min(_READ_BYTES, end - file.tell()))):
                 while chunk:
-                    size += len(inflate.decompress(chunk, _CHUNK))
+                    size += len(inflate.decompress(chunk, _READ_BYTES))
                     chunk = inflate.unconsumed_tail
                     if size > ARRAY_FILE.largest:
                         raise ImportFileError(f"unpacks to more than {size_text(ARRAY_FILE.largest)}", where=str(path))

@@ -10,22 +10,22 @@ from daq.recording.commanded_motion import TARGET, CommandedMotion
 from daq.recording.quality.quantisation import resolution
 from drivers.core.arrays import FloatArray, IndexArray
 
-GRID = 0.01
+GRID_STEP = 0.01
 """Interval [s] at which commands and positions are compared."""
 
-FARTHEST = 100
+LARGEST_SHIFT = 100
 """Shifts either way that are tried, in intervals of the grid."""
 
-LONGEST = 30_000
+MOST_INTERVALS = 30_000
 """Intervals of the grid that are compared: those where the commands move most."""
 
-LARGEST = 1e6
+LARGEST_POSITION = 1e6
 """Positions and commands beyond it [rad or m] are damaged, and compared with nothing."""
 
 SPAN = 20
 """Intervals over which changes are taken for the delay: they show it better than positions, which friction drags."""
 
-EARLIEST, SLOWEST = -0.025, 0.27
+LEAST_LAG, MOST_LAG = -0.025, 0.27
 """Delays [s] of a position behind its command between which a servo can be the reason."""
 
 LEAST_MOTION = 5e-3
@@ -34,16 +34,16 @@ LEAST_MOTION = 5e-3
 LEAST_STEPS = 5.0
 """The same in steps of the encoder."""
 
-FOLLOWS = 0.8
+FOLLOWING_CORRELATION = 0.8
 """Correlation of a position with a command from which on it follows it."""
 
-CLOSELY = 0.9
+DELAY_CORRELATION = 0.9
 """Correlation of the changes from which on they tell the delay."""
 
-MISTAKEN = 0.3
+MISTAKE_VARIANCE = 0.3
 """Variance that another joint's command leaves, or the opposite one, over what the own one leaves, to be believed."""
 
-CLEARER = 0.8
+CLOCK_VARIANCE = 0.8
 """Variance that the best shift leaves, over that of the best one a servo can have, below which it is believed."""
 
 
@@ -83,7 +83,7 @@ def command_quality(motion: CommandedMotion) -> CommandQuality:
     steps[~np.isfinite(steps)] = 0.0
     commanded = asked > np.maximum(LEAST_MOTION, LEAST_STEPS * steps)
     moving = moves > LEAST_STEPS * steps
-    sound = np.maximum(np.abs(command).max(axis=0), np.abs(motion.position).max(axis=0)) < LARGEST
+    sound = np.maximum(np.abs(command).max(axis=0), np.abs(motion.position).max(axis=0)) < LARGEST_POSITION
     used = np.flatnonzero(commanded & (moves > 0.0) & sound)
     position, told_then = _on_one_grid(motion, used)
     delay, apart = _delay(position, told_then)
@@ -102,18 +102,18 @@ def command_quality(motion: CommandedMotion) -> CommandQuality:
 
 
 def _on_one_grid(motion: CommandedMotion, joints: IndexArray) -> tuple[FloatArray, FloatArray]:
-    """Positions (K, m) at even times, and the commands (K + 2·FARTHEST, m) in force then, before and after."""
+    """Positions (K, m) at even times, and the commands (K + 2·LARGEST_SHIFT, m) in force then, before and after."""
     start, stop = motion.time[0], motion.time[-1]
-    if stop - start > LONGEST * GRID:
+    if stop - start > MOST_INTERVALS * GRID_STEP:
         way = np.abs(np.diff(motion.commands[TARGET][:, joints], axis=0)).sum(axis=1)
         passed = np.concatenate([[0.0], np.cumsum(way)])
-        starts = np.clip(motion.command_time, start, stop - LONGEST * GRID)
-        ends = np.interp(starts + LONGEST * GRID, motion.command_time, passed)
+        starts = np.clip(motion.command_time, start, stop - MOST_INTERVALS * GRID_STEP)
+        ends = np.interp(starts + MOST_INTERVALS * GRID_STEP, motion.command_time, passed)
         start = float(starts[int(np.argmax(ends - np.interp(starts, motion.command_time, passed)))])
-        stop = start + LONGEST * GRID
-    count = int((stop - start) / GRID) + 1
-    grid = start + GRID * np.arange(-FARTHEST, count + FARTHEST)
-    inner = grid[FARTHEST : FARTHEST + count]
+        stop = start + MOST_INTERVALS * GRID_STEP
+    count = int((stop - start) / GRID_STEP) + 1
+    grid = start + GRID_STEP * np.arange(-LARGEST_SHIFT, count + LARGEST_SHIFT)
+    inner = grid[LARGEST_SHIFT : LARGEST_SHIFT + count]
     position = np.empty((count, len(joints)))
     for place, joint in enumerate(joints):
         position[:, place] = np.interp(inner, motion.time, motion.position[:, joint])
@@ -121,9 +121,9 @@ def _on_one_grid(motion: CommandedMotion, joints: IndexArray) -> tuple[FloatArra
 
 
 def _correlations(position: FloatArray, command: FloatArray) -> FloatArray:
-    """(2·FARTHEST + 1, m, m) of each position with each command, by the shift of the commands."""
+    """(2·LARGEST_SHIFT + 1, m, m) of each position with each command, by the shift of the commands."""
     position = position - position.mean(axis=0)
-    size, shifts = np.linalg.norm(position, axis=0), 2 * FARTHEST + 1
+    size, shifts = np.linalg.norm(position, axis=0), 2 * LARGEST_SHIFT + 1
     found = np.zeros((shifts, position.shape[1], position.shape[1]))
     for place in range(shifts):
         start = shifts - 1 - place
@@ -141,12 +141,12 @@ def _delay(position: FloatArray, command: FloatArray) -> tuple[float, bool]:
     changes = _correlations(position[SPAN:] - position[:-SPAN], command[SPAN:] - command[:-SPAN])
     own = np.diagonal(changes, axis1=1, axis2=2)
     closest = own[:, int(np.argmax(own.max(axis=0)))]
-    if closest.max() < CLOSELY:
+    if closest.max() < DELAY_CORRELATION:
         return float("nan"), False
-    left, shifts = 1.0 - np.maximum(closest, 0.0) ** 2, GRID * np.arange(-FARTHEST, FARTHEST + 1)
+    left, shifts = 1.0 - np.maximum(closest, 0.0) ** 2, GRID_STEP * np.arange(-LARGEST_SHIFT, LARGEST_SHIFT + 1)
     delay = float(shifts[int(np.argmin(left))])
-    possible = (shifts >= EARLIEST) & (shifts <= SLOWEST)
-    return delay, not EARLIEST <= delay <= SLOWEST and bool(left.min() < CLEARER * left[possible].min())
+    possible = (shifts >= LEAST_LAG) & (shifts <= MOST_LAG)
+    return delay, not LEAST_LAG <= delay <= MOST_LAG and bool(left.min() < CLOCK_VARIANCE * left[possible].min())
 
 
 def _followed(position: FloatArray, command: FloatArray) -> tuple[dict[int, float], dict[int, int], list[int]]:
@@ -158,13 +158,13 @@ def _followed(position: FloatArray, command: FloatArray) -> tuple[dict[int, floa
     for place in range(correlations.shape[1]):
         own, best = correlations[:, place, place], correlations[:, place, :].max(axis=0)
         other = int(np.argmax(best))
-        believed = np.sqrt(max(FOLLOWS**2, 1.0 - MISTAKEN * (1.0 - max(best[place], 0.0) ** 2)))
+        believed = np.sqrt(max(FOLLOWING_CORRELATION**2, 1.0 - MISTAKE_VARIANCE * (1.0 - max(best[place], 0.0) ** 2)))
         if best[other] > believed:
             swapped[place] = other
         elif -own.min() > believed:
             opposite.append(place)
-        elif best[place] > FOLLOWS:
-            start = 2 * FARTHEST - int(np.argmax(own))
+        elif best[place] > FOLLOWING_CORRELATION:
+            start = 2 * LARGEST_SHIFT - int(np.argmax(own))
             window = command[start : start + len(position), place]
             ratios[place] = float(best[place] * np.std(position[:, place]) / np.std(window))
     return ratios, swapped, opposite

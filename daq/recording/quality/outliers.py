@@ -17,13 +17,13 @@ from daq.recording.quality.quantisation import quantisation_step
 from drivers.core.arrays import BoolArray, FloatArray, IntArray
 from drivers.core.ranges import STAMP
 
-LONGEST = 3
+LONGEST_OUTLIER = 3
 """Consecutive wrong samples; more of them are a signal."""
 
 NEIGHBOURS = 5
 """Samples on each side that the cubic is fitted to."""
 
-FAR = 15.0
+OUTLIER_DISTANCE = 15.0
 """Distance from the cubic, in scales, of an outlier. No torque of the public recordings is as far, though their noise
 is not Gaussian; one nearer sample in a thousand adds less than a quarter to the variance of the noise."""
 
@@ -35,11 +35,11 @@ TOO_MANY = 0.02
 
 _NORMAL_QUANTILES = ((0.5, 0.6745), (0.7, 1.0364))  # of the size of a standard normal variable
 _CUBIC_ROUNDING = 1e-14  # of the largest value, what a constant signal seems to be from a cubic
-_NEGLIGIBLE = 1e-9  # of the largest value
+_ROUNDING_SHARE = 1e-9  # of the largest value
 _SAME_STAMP = 1e-9  # [s] to the one before
 _LARGEST_GAP = 4.0  # of the samples around, in median periods: no cubic across a gap
 _PASSES = 3
-_CHUNK = 20_000
+_SAMPLES_AT_ONCE = 20_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +95,7 @@ def _replace_outliers(time: FloatArray, values: FloatArray) -> BoolArray:
     for _ in range(_PASSES):  # a large outlier hides a small one beside it
         distance = _distance_from_four(stamps, signal)
         scale = max(floor, _noise(distance, float(np.max(np.abs(signal)))))
-        suspects = np.flatnonzero(np.abs(distance) > 0.5 * FAR * scale)
+        suspects = np.flatnonzero(np.abs(distance) > 0.5 * OUTLIER_DISTANCE * scale)
         new = _confirmed(stamps, signal, suspects, scale)
         if not new.any():
             break
@@ -113,9 +113,9 @@ def _noise(distance: FloatArray, largest: float) -> float:
     sizes = np.abs(distance)
     sizes = sizes[sizes > _CUBIC_ROUNDING * largest]
     if len(sizes) == 0:
-        return _NEGLIGIBLE * largest
+        return _ROUNDING_SHARE * largest
     noise = max(float(np.quantile(sizes, quantile)) / normal for quantile, normal in _NORMAL_QUANTILES)
-    return max(noise, _NEGLIGIBLE * largest)
+    return max(noise, _ROUNDING_SHARE * largest)
 
 
 def _distance_from_four(time: FloatArray, values: FloatArray) -> FloatArray:
@@ -138,11 +138,11 @@ def _distance_from_four(time: FloatArray, values: FloatArray) -> FloatArray:
 def _confirmed(time: FloatArray, values: FloatArray, suspects: IntArray, scale: float) -> BoolArray:
     """Which of the suspects are outliers, shortest runs first; they are replaced in `values`."""
     found = np.zeros(len(values), dtype=bool)
-    for length in range(1, LONGEST + 1):
+    for length in range(1, LONGEST_OUTLIER + 1):
         # A run of wrong samples may begin at a suspect or just before one.
         first = np.unique(suspects[:, None] - np.arange(length)) if len(suspects) else suspects
         first = first[(first >= NEIGHBOURS) & (first + length + NEIGHBOURS <= len(values))]
-        for chunk in np.array_split(first, max(1, len(first) // _CHUNK)):
+        for chunk in np.array_split(first, max(1, len(first) // _SAMPLES_AT_ONCE)):
             _confirm_runs(time, values, chunk, length, scale, found)
         suspects = suspects[~found[suspects]]
     return found
@@ -169,7 +169,7 @@ def _confirm_runs(
     # A stamp that is off makes a good sample of a moving joint look wrong.
     slope = np.median(np.abs(np.diff(neighbours, axis=1) / np.diff(stamps, axis=1)), axis=1)
     by_stamps = slope * np.max(np.abs(periods - median), axis=1)
-    outlying = distance > np.maximum(FAR * np.maximum(scale, spread), STAMPS * by_stamps)
+    outlying = distance > np.maximum(OUTLIER_DISTANCE * np.maximum(scale, spread), STAMPS * by_stamps)
     outlying &= np.max(periods, axis=1) < _LARGEST_GAP * median
     for number in np.flatnonzero(outlying)[np.argsort(-distance[outlying])]:
         there = first[number] + run

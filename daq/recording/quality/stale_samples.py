@@ -40,7 +40,7 @@ STANDSTILL = 0.1
 
 STANDSTILL_ROWS = 8
 
-JUMP = 5.0
+STANDSTILL_JUMP = 5.0
 """Change of position at the end of a standstill, in changes per sample before and after it."""
 
 FAR_STEPS = 10.0
@@ -242,7 +242,7 @@ def _jumps(changes: FloatArray, start: int, stop: int, step: float) -> bool:
         return False
     stopped, speed = float(np.median(before[-_WINDOW:])), float(max(np.median(before), np.median(after)))
     jump = float(changes[stop - 1])
-    return stopped >= STEPS_PER_SAMPLE * step and jump > max(JUMP * speed, FAR_STEPS * step)
+    return stopped >= STEPS_PER_SAMPLE * step and jump > max(STANDSTILL_JUMP * speed, FAR_STEPS * step)
 
 
 def _runs(mask: BoolArray) -> Iterator[tuple[int, int]]:

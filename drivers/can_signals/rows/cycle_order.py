@@ -14,11 +14,11 @@ from drivers.can_signals.table.signals import FrameLayout, batches, decode
 
 ENOUGH = 10
 """Cycles after which the order is known."""
-CLEAR = 1.5
+CLEAR_PAUSE = 1.5
 """How much longer than every other pause that before the first frame must be; else the order is unknown."""
 
 
-STEADY = 0.9
+STEADY_SHARE = 0.9
 """Share of the frames that must come after the same one as before; else their order changes."""
 
 
@@ -83,7 +83,7 @@ class CycleOrder:
         pauses = np.array([float(np.median(pauses[1:])) for pauses in self._pauses])
         first = int(np.argmax(pauses))
         others = np.delete(pauses, first)
-        if pauses[first] > CLEAR * np.max(others):
+        if pauses[first] > CLEAR_PAUSE * np.max(others):
             return Order(first, float(np.sum(others)), self._sequence(first))
         return Order(0, math.inf, self._sequence(0))
 
@@ -92,7 +92,7 @@ class CycleOrder:
         while len(sequence) < len(self._layouts):
             following = self._followed_by[sequence[-1]]
             index, times = following.most_common(1)[0]
-            if index in sequence or times < STEADY * following.total():
+            if index in sequence or times < STEADY_SHARE * following.total():
                 return None
             sequence.append(index)
         return tuple(sequence)

@@ -22,7 +22,7 @@ RATE = 5.0
 """Rows a second."""
 NOTICE_PERIOD = 10.0
 """At most one notice a joint in so many seconds."""
-_LONGEST = 8
+_LONGEST_NAME = 8
 
 
 @dataclass(frozen=True)
@@ -113,6 +113,6 @@ def read_temperature(drive: RemoteDrive, source: TemperatureSource) -> float:
     Raises:
         ConnectionFailedError: no answer, or refused.
     """
-    entry = DriveObject(source.index, source.subindex, _LONGEST, source.signed, "temperature")
+    entry = DriveObject(source.index, source.subindex, _LONGEST_NAME, source.signed, "temperature")
     data = drive.read_bytes(entry)
     return int.from_bytes(data, "little", signed=source.signed) * source.scale + source.offset

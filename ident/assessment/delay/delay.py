@@ -42,18 +42,18 @@ WORTHWHILE_GAIN = 0.01
 LEVEL = 0.05
 """Significance level of a delay; of the delays of single joints, all tested at once."""
 
-LONGEST = 0.1
+LONGEST_DELAY = 0.1
 """Delays beyond this [s] are not a drive's: the stamps have another error."""
 
 LEAST_DRIFT = 1e-3
 """A drift over the recording by less than this [s] is not reported."""
 
-SURE = 2.0
+DRIFT_INTERVALS = 2.0
 """A drift is reported where it is beyond so many times its interval."""
 
 _STEPS = 25
 _LONGEST_STEP = 0.01
-_SETTLED = 1e-5
+_SETTLED_DELAY = 1e-5
 
 
 @stored(frozen=True)
@@ -118,7 +118,7 @@ def search_delay(
         return _none_found(kernel, "the torque does not change: no delay can be seen")
     common = _settled(data, tuple(0 if joint else None for joint in seen), np.zeros(dof))
     if common is None:
-        return _none_found(kernel, f"no delay within ±{LONGEST * 1e3:g} ms fits; none used")
+        return _none_found(kernel, f"no delay within ±{LONGEST_DELAY * 1e3:g} ms fits; none used")
     return _judged(data, common)
 
 
@@ -182,7 +182,7 @@ class _Candidate:
 
 
 def _settled(data: _Data, groups: Sequence[int | None], start: FloatArray) -> _Candidate | None:
-    """Newton from `start` (n,) [s]; None where it leaves ±LONGEST or does not settle."""
+    """Newton from `start` (n,) [s]; None where it leaves ±LONGEST_DELAY or does not settle."""
     delays = start
     for _ in range(_STEPS):
         equations = delay_equations(
@@ -190,10 +190,10 @@ def _settled(data: _Data, groups: Sequence[int | None], start: FloatArray) -> _C
         )
         fit = fit_delays(equations, groups)
         steps = fit.delays - delays
-        if np.max(np.abs(steps)) < _SETTLED:
+        if np.max(np.abs(steps)) < _SETTLED_DELAY:
             return _candidate(equations, groups)
         delays = delays + np.clip(steps, -_LONGEST_STEP, _LONGEST_STEP)
-        if np.max(np.abs(delays)) > LONGEST:
+        if np.max(np.abs(delays)) > LONGEST_DELAY:
             return None
     return None
 
@@ -245,7 +245,7 @@ def _judged(data: _Data, common: _Candidate) -> DelaySearch:
         leads=best < -interval,
         drift=drift,
         drift_interval=drift_interval,
-        drifts=abs(drift) > SURE * drift_interval and abs(drift) * seconds > LEAST_DRIFT,
+        drifts=abs(drift) > DRIFT_INTERVALS * drift_interval and abs(drift) * seconds > LEAST_DRIFT,
         note=_in_words(best, interval, gain, helps, used, joints),
     )
 
@@ -270,7 +270,7 @@ def _own_delays(data: _Data, alone: _Candidate, sharing: npt.NDArray[np.bool_], 
     lagging = own & (alone.fit.delays > 0.0)
     if not lagging.any() and not (own.any() and shared):
         return None
-    start = np.where(lagging, np.clip(alone.fit.delays, 0.0, LONGEST), np.where(sharing, shared, 0.0))
+    start = np.where(lagging, np.clip(alone.fit.delays, 0.0, LONGEST_DELAY), np.where(sharing, shared, 0.0))
     groups: list[int | None] = [
         joint + 1 if lagging[joint] else 0 if sharing[joint] and shared else None for joint in range(len(own))
     ]

@@ -20,7 +20,7 @@ BELOW_ZERO = 0.02
 NEAR_ZERO = 0.1
 """The same that it must come near to: a torque that keeps its sign because it holds a weight stays away from 0."""
 
-SEEN = 1e-6
+RANK_SHARE = 1e-6
 """Singular values below this share of the largest are rounding."""
 
 SEVERAL = 2
@@ -98,7 +98,7 @@ def _starts(instants: Instants, regressor: FloatArray, folded: Sequence[int]) ->
     rows = (regressor[folded] * weight[:, None]).transpose(0, 2, 1).reshape(-1, regressor.shape[1])
     squares = (size[folded] * weight).reshape(-1) ** 2
     left, singular, _ = np.linalg.svd(rows, full_matrices=False)
-    left = left[:, singular > SEEN * singular[0]]
+    left = left[:, singular > RANK_SHARE * singular[0]]
     vectors = np.linalg.eigh((left * squares[:, None]).T @ left)[1]
     for number in range(1, 1 + min(DIRECTIONS, vectors.shape[1])):
         signs = np.ones_like(size)

@@ -25,14 +25,14 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
 from ident.estimators.energy.equations import EnergyRows
 from ident.model.dynamic_model import DynamicModel
-from ident.model.energy import CHUNK, EnergyKernel, motor_velocity
+from ident.model.energy import STATES_AT_ONCE, EnergyKernel, motor_velocity
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
 from ident.signals.prepared import Segment
 
 HALF_POWER = 0.443
 """Frequency times duration at which a moving average passes half the power."""
 
-SHORTEST, LONGEST = 1.0, 0.1
+SHORTEST_CUTOFF, LONGEST_CUTOFF = 1.0, 0.1
 """Windows of mean duration pass, as moving averages, half the power at one of these shares of the parallel filter's
 cut-off, or in between: at the cut-off itself, or at a tenth of it, where the motion's band ends."""
 
@@ -95,8 +95,8 @@ class EnergyWindows:
         count = segment.position.shape[1]
         work = motor_power(self.kernel.model, segment)
         spent = np.zeros((len(self.kernel.friction_rows) + 1, 1))
-        for start in range(0, count, CHUNK):
-            inside = slice(start, min(start + CHUNK, count))
+        for start in range(0, count, STATES_AT_ONCE):
+            inside = slice(start, min(start + STATES_AT_ONCE, count))
             # With the last sample of the chunk before, so that the integral goes on from there.
             around = slice(max(0, start - 1), inside.stop)
             power = np.vstack([self.kernel.friction_power(*friction_motion(segment, around)), work[around]])
@@ -150,7 +150,7 @@ def mean_duration(kernel: EnergyKernel, segments: Sequence[Segment], cutoff: flo
     """Mean duration [s] of windows for a parallel filter of this cut-off [Hz]: as long as the data allow."""
     moving = sum(int(segment.used.sum()) / segment.rate for segment in segments)
     enough = moving / (WINDOWS_PER_PARAMETER * len(kernel.columns))
-    return float(np.clip(enough, HALF_POWER / (SHORTEST * cutoff), HALF_POWER / (LONGEST * cutoff)))
+    return float(np.clip(enough, HALF_POWER / (SHORTEST_CUTOFF * cutoff), HALF_POWER / (LONGEST_CUTOFF * cutoff)))
 
 
 def window_borders(model: DynamicModel, segment: Segment, span: slice, exchange: float) -> npt.NDArray[np.int64]:

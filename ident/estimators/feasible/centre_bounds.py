@@ -22,16 +22,16 @@ from ident.model.kinematics.urdf_shapes import (
     placed_shape,
 )
 
-CLOSE = 0.01
+HULL_TOLERANCE = 0.01
 """Half-spaces are added until they enclose no point farther from the hull than this share of its size."""
 
-MOST = 40
+MOST_HALF_SPACES = 40
 """Half-spaces of a hull at most: a round one needs about so many, each costs the solver a row."""
 
 CORNERS = 16
 """Of the polygon around a circle."""
 
-ALIKE = 0.05
+ALIKE_NORMALS = 0.05
 """Of facets whose normals differ by less, one is looked at: meshes have millions."""
 
 FLAT = 1e-6
@@ -99,14 +99,14 @@ def half_spaces(points: FloatArray, where: str) -> tuple[FloatArray, FloatArray]
         raise RobotFileError("the points lie in a plane, and enclose nothing", where=where)
     hull = ConvexHull(points)
     inside = points[hull.vertices].mean(axis=0)
-    _, different = np.unique(np.round(hull.equations[:, :3] / ALIKE), axis=0, return_index=True)
+    _, different = np.unique(np.round(hull.equations[:, :3] / ALIKE_NORMALS), axis=0, return_index=True)
     facets = hull.equations[different]
     chosen = np.array([(*normal, -np.max(points @ normal)) for normal in np.vstack([-np.eye(3), np.eye(3)])])
-    for _ in range(MOST - len(chosen)):
+    for _ in range(MOST_HALF_SPACES - len(chosen)):
         corners = HalfspaceIntersection(chosen, inside).intersections
         outside = facets[:, :3] @ corners.T + facets[:, 3:]
         facet = int(np.argmax(outside.max(axis=1)))
-        if outside[facet].max() <= CLOSE * extent:
+        if outside[facet].max() <= HULL_TOLERANCE * extent:
             break
         chosen = np.vstack([chosen, facets[facet]])
     return chosen[:, :3], -chosen[:, 3]

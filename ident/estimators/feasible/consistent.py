@@ -38,7 +38,7 @@ DENIED, EASED = 1e-3, 0.5
 """The robot file's values and ranges are compared with the data where bodies with them explain the data with a p-value
 below this; they are contradicted where the misfit without them is below this share."""
 
-BESIDE = 0.25
+NAMED_SHARE = 0.25
 """Share of the largest deviation [σ] of a known value from the data below which another one is not named beside it."""
 
 
@@ -189,7 +189,7 @@ def _contradicted(
     numbers = {name: one.value for name, one in robot.known.items() if name in values and one.value is not None}
     # A wrong value makes right ones look wrong, too, but less so.
     beyond = {n: abs(values[n][0] - known) / values[n][1] for n, known in numbers.items() if values[n][1] > 0.0}
-    seen = [n for n, far in beyond.items() if far > max(WITHIN_95_PERCENT, BESIDE * max(beyond.values()))]
+    seen = [n for n, far in beyond.items() if far > max(WITHIN_95_PERCENT, NAMED_SHARE * max(beyond.values()))]
     stated = [f"known.{name}" for name in seen or (() if fit.limits_hit else numbers)]
     total = robot.known.get(TOTAL_MASS)
     if total is not None and total.value is not None and not seen:

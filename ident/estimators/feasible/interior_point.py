@@ -22,7 +22,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.linear_algebra.triangular import triangular
 
-SIZE = 4
+MATRIX_ROWS = 4
 """Rows of the matrices."""
 
 MOST_STEPS = 200
@@ -174,7 +174,7 @@ def strictly_inside(conditions: Conditions, start: FloatArray, free: BoolArray) 
     count, forces = len(start), np.zeros(len(conditions.weights))
     if conditions.hold(start):
         return start, forces
-    units = conditions.least + np.eye(SIZE) * 1e-12
+    units = conditions.least + np.eye(MATRIX_ROWS) * 1e-12
     relaxed = replace(
         conditions,
         variables=np.column_stack([conditions.variables, np.full(len(units), count, dtype=np.intp)]),
@@ -201,7 +201,7 @@ def strictly_inside(conditions: Conditions, start: FloatArray, free: BoolArray) 
     return point, forces
 
 
-_UPPER = np.triu_indices(SIZE)
+_UPPER = np.triu_indices(MATRIX_ROWS)
 _TWICE = np.where(_UPPER[0] == _UPPER[1], 1.0, np.sqrt(2.0))
 """Symmetric matrices as vectors of equal norm."""
 
@@ -230,7 +230,7 @@ class _Duals:
 
     def ratio(self, conditions: Conditions, y: FloatArray) -> float:
         """Mean of ⟨S, Z⟩ and s·z over their values at the minimum: the remaining weight of the barrier."""
-        products = np.einsum("kab,kab->k", conditions.matrices(y), self.matrices) / SIZE
+        products = np.einsum("kab,kab->k", conditions.matrices(y), self.matrices) / MATRIX_ROWS
         return float(np.mean(np.append(products, conditions.slacks(y) * self.slacks) / conditions.weights))
 
     def newton(self, conditions: Conditions, y: FloatArray, weights: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -24,7 +24,7 @@ from ident.model.parameters import INERTIAL, LINK_SIZE, MASS, PAIR_SYMBOLS, Stan
 from ident.model.regressor import regressor
 from ident.regression.estimate import Estimate
 
-MARGIN = 1e-3
+INTERIOR = 1e-3
 """A link's pseudo-inertia exceeds this share of its prior's, a joint's inertia and friction this share of its unit."""
 
 BARRIER = 1e-3
@@ -108,7 +108,11 @@ def build_problem(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     start, free = prior / scale, np.ones(count, dtype=np.bool_)
     joints = [index for index in range(LINK_SIZE * links, count) if signs[index]]
     rows = [np.eye(count)[index] for index in joints]
-    limits, names, ranges = [MARGIN] * len(joints), [parameters[index].name for index in joints], [False] * len(joints)
+    limits, names, ranges = (
+        [INTERIOR] * len(joints),
+        [parameters[index].name for index in joints],
+        [False] * len(joints),
+    )
     plausible_rows, plausible_values = _plausible(priors, scale, robot.prior.weight)
     equations, values = list(plausible_rows), plausible_values.tolist()
     by_name = {parameter.name: index for index, parameter in enumerate(parameters)}
@@ -171,7 +175,7 @@ def build_problem(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     conditions = Conditions(
         variables=variables,
         basis=BASIS * scale[variables][:, :, None, None],
-        least=MARGIN * pseudo,
+        least=INTERIOR * pseudo,
         pull=np.asarray(np.linalg.inv(pseudo) if entropic else np.zeros_like(pseudo), dtype=np.float64),
         rows=np.array([rows[place] for place in kept]).reshape(-1, count),
         limits=np.array([limits[place] for place in kept]),
@@ -215,7 +219,7 @@ def with_load(problem: FeasibilityProblem, prior: FloatArray, known: BoolArray, 
     conditions = Conditions(
         variables=np.vstack([old.variables, count + np.arange(LINK_SIZE, dtype=np.intp)]),
         basis=np.concatenate([old.basis, (BASIS * scale[:, None, None])[None]]),
-        least=np.concatenate([old.least, MARGIN * pseudo[None]]),
+        least=np.concatenate([old.least, INTERIOR * pseudo[None]]),
         pull=np.concatenate([old.pull, (np.linalg.inv(pseudo) if entropic else np.zeros_like(pseudo))[None]]),
         rows=np.pad(old.rows, wide),
         limits=old.limits,

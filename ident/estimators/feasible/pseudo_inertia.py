@@ -22,12 +22,12 @@ from ident.model.parameters import INERTIAL
 INERTIA_ELEMENTS = ("xx", "xy", "xz", "yy", "yz", "zz")
 """Elements of an inertia, in the order of the ten standard parameters."""
 
-SIZE = 4
+PSEUDO_INERTIA_ROWS = 4
 """A pseudo-inertia has so many rows."""
 
 
 def _basis() -> FloatArray:
-    basis = np.zeros((len(INERTIAL), SIZE, SIZE))
+    basis = np.zeros((len(INERTIAL), PSEUDO_INERTIA_ROWS, PSEUDO_INERTIA_ROWS))
     for index, symbol in enumerate(INERTIAL):
         axes = ["XYZ".index(letter) for letter in symbol if letter != "M"]
         if symbol == "M":

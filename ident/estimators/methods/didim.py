@@ -28,7 +28,7 @@ from ident.regression.least_squares import LeastSquares, weighted_least_squares
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared, Segment
 
-ITERATIONS = 20
+SIMULATIONS = 20
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class DidimEstimator(TorqueEstimator):
         references = self._references(runs)
         reduction, solution = plain, self.solve(plain, active)
         changes: list[float] = []
-        while len(changes) < ITERATIONS and (not changes or changes[-1] > SIMULATION_SETTLED):
+        while len(changes) < SIMULATIONS and (not changes or changes[-1] > SIMULATION_SETTLED):
             motions = simulated_motions(setup, references, reduction, solution, self.options.bandwidth)
             simulated = [replace(run, segments=segments) for run, segments in zip(runs, motions, strict=True)]
             reduction = reduce_torques(setup.kernel, simulated, setup.experiment.torques)

@@ -126,7 +126,7 @@ def _known_before(counts: BoolArray, carried: int) -> npt.NDArray[np.int64]:
     return np.where(last_gap < 0, place + carried, place - last_gap - 1)
 
 
-MOST = 4
+MOST_ORDERS = 4
 """Largest order that the choice by BIC tries."""
 
 SAMPLES_PER_PERIOD = 2.0
@@ -144,7 +144,7 @@ class MlOptions:
     order: Annotated[
         int | None,
         within(Range(0, 50)),
-        Field(description=f"of the noise model, every joint alike; by BIC per joint, up to {MOST}, if absent"),
+        Field(description=f"of the noise model, every joint alike; by BIC per joint, up to {MOST_ORDERS}, if absent"),
     ] = None
 
 
@@ -240,7 +240,7 @@ class MlEstimator(TorqueEstimator):
                 left_out = False if segment.reversing is None else segment.reversing[:, every]
                 residuals.append(torques.residual)
                 counted.append(torques.used & ~np.broadcast_to(left_out, torques.residual.shape))
-        most = MOST if self.order is None else self.order
+        most = MOST_ORDERS if self.order is None else self.order
         return tuple(
             whitening_filters(
                 [residual[motor] for residual in residuals], [part[motor] for part in counted], most, self.order

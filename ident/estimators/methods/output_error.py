@@ -28,7 +28,7 @@ from ident.regression.moment_equations import MomentRows, moment_jackknife
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared, Segment
 from ident.simulation.output_sensitivity import output_sensitivities
-from ident.simulation.tracking import STEP, Tracking, tracked
+from ident.simulation.tracking import SIMULATION_STEP, Tracking, tracked
 
 SMOOTH = ("motor_inertia", "viscous", "inertial")
 """Kinds of parameters whose torque has a derivative by the motion."""
@@ -100,7 +100,7 @@ def output_rows(inverse: InverseDynamics, run: Prepared) -> list[OutputRows]:
     Raises:
         ModelError: the model cannot be simulated, or the motion diverges.
     """
-    every = max(1, round(1.0 / (STEP * run.filtered_rate)))
+    every = max(1, round(1.0 / (SIMULATION_STEP * run.filtered_rate)))
     return [OutputRows(inverse, segment, tracked(inverse, segment), every) for segment in run.segments]
 
 

@@ -19,7 +19,7 @@ from ident.estimators.energy.estimator import EnergyEstimator
 from ident.estimators.energy.windows import friction_motion, motor_power
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, NoOptions
-from ident.model.energy import CHUNK, EnergyKernel
+from ident.model.energy import STATES_AT_ONCE, EnergyKernel
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
 from ident.signals.prepared import Segment
 from ident.signals.segments import central_difference
@@ -57,8 +57,8 @@ class PowerSamples:
         """Powers (b + 1, m) chunk by chunk, the motors' last; None behind the end."""
         count = segment.position.shape[1]
         work = motor_power(self.kernel.model, segment)
-        for start in range(0, count, CHUNK):
-            stop = min(start + CHUNK, count)
+        for start in range(0, count, STATES_AT_ONCE):
+            stop = min(start + STATES_AT_ONCE, count)
             # Neighbours on both sides, so that differences within the segment are central ones.
             around = slice(max(0, start - 2), min(stop + 1, count))
             inside = slice(start - around.start, stop - around.start)

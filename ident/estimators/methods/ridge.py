@@ -23,7 +23,7 @@ from ident.regression.moment_equations import SegmentRows, moment_jackknife
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared
 
-GRID = np.logspace(-10, 1, 111)
+WEIGHTS = np.logspace(-10, 1, 111)
 """Weights that are tried, over the squared length of a column."""
 
 
@@ -39,7 +39,7 @@ class RidgeOptions:
 
 
 def cross_validated_weight(factor: FloatArray, rows: float) -> float:
-    """The weight of `GRID` with the least generalised cross-validation (Golub, Heath and Wahba 1979, eq. 1.4).
+    """The weight of `WEIGHTS` with the least generalised cross-validation (Golub, Heath and Wahba 1979, eq. 1.4).
 
     Args:
         factor: (a + 1, a + 1) triangular, of columns of unit length and the right-hand side.
@@ -47,10 +47,10 @@ def cross_validated_weight(factor: FloatArray, rows: float) -> float:
     """
     left, singular, _ = np.linalg.svd(factor[:-1, :-1])
     along = (left.T @ factor[:-1, -1]) ** 2
-    kept = singular**2 / (singular**2 + GRID[:, None])
+    kept = singular**2 / (singular**2 + WEIGHTS[:, None])
     misfit = factor[-1, -1] ** 2 + np.sum((1.0 - kept) ** 2 * along, axis=1)
     score = misfit / np.maximum(rows - kept.sum(axis=1), 1.0) ** 2
-    return float(GRID[np.argmin(score)])
+    return float(WEIGHTS[np.argmin(score)])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

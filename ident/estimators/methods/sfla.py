@@ -19,7 +19,7 @@ from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.minimisation import SearchBudget
 from ident.estimators.swarm.physical import (
-    SIZE,
+    BODY_SIZE,
     FeasibilityPenalty,
     Identified,
     PhysicalCost,
@@ -46,7 +46,7 @@ PRODUCTS = 0.5
 IMPOSSIBLE = 1.0
 """Penalty, over the cost of no model, of a link whose pseudo-inertia is as negative as its prior's is positive."""
 
-LEAST = 1e-3
+LEAST_PRIOR = 1e-3
 """Of the prior's mass and moments of inertia, whatever the factor of the box."""
 
 POSITIVE = (0, 4, 7, 9)
@@ -65,7 +65,8 @@ def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable
     Args:
         setup: the data.
         feasible: add to the cost what makes a link impossible, `IMPOSSIBLE` times its violation.
-        share: factor of every range about the prior; masses and moments of inertia stay above `LEAST` of the prior's.
+        share: factor of every range about the prior; masses and moments of inertia stay above `LEAST_PRIOR` of
+            the prior's.
     """
     model, projection = setup.kernel.model, setup.base.projection
     parameters, links = model.parameters, len(model.joints)
@@ -73,22 +74,22 @@ def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable
     def space(exact: LeastSquares, cost: QuadraticCost) -> Space:
         of_active = projection[list(exact.active)]
         priors = link_priors(model, setup.robot_file, cost.root @ of_active, cost.target)
-        standard = np.concatenate([priors.links.ravel(), np.zeros(len(parameters) - SIZE * links)])
+        standard = np.concatenate([priors.links.ravel(), np.zeros(len(parameters) - BODY_SIZE * links)])
         reference = physical_values(model, standard)
         lower, upper = reference.copy(), reference.copy()
-        mean_mass = float(np.mean(reference[: SIZE * links : SIZE]))
+        mean_mass = float(np.mean(reference[: BODY_SIZE * links : BODY_SIZE]))
         longest = max(float(np.linalg.norm(joint.translation)) for joint in model.joints)
         for link in range(links):
-            part = slice(SIZE * link, SIZE * (link + 1))
+            part = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
             lower[part], upper[part] = _body_box(reference[part], mean_mass, longest)
         values = exact.parameters[list(exact.active)]
-        for place in range(SIZE * links, len(parameters)):
+        for place in range(BODY_SIZE * links, len(parameters)):
             seen = np.abs(of_active[:, place]) > 0.0
             size = JOINTS * float(np.max(np.abs(values[seen]), initial=0.0))
             upper[place] = size
             kind = parameters[place].kind
             lower[place] = 0.0 if kind not in TERM or TERM[kind].brakes else -size
-        lower, upper = _scaled(reference, lower, upper, share, SIZE * links)
+        lower, upper = _scaled(reference, lower, upper, share, BODY_SIZE * links)
         names = physical_names(model)
         chosen = [place for place in _acting(of_active, reference, links) if lower[place] < upper[place]]
         physical = PhysicalCost(PhysicalParameters.of(model, reference, [names[c] for c in chosen]), cost, of_active)
@@ -100,7 +101,7 @@ def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable
         penalty = FeasibilityPenalty.of(priors.links)
 
         def impossible(points: FloatArray) -> FloatArray:
-            bodies = physical.parameters.standard(points)[:, : SIZE * links].reshape(len(points), links, SIZE)
+            bodies = physical.parameters.standard(points)[:, : BODY_SIZE * links].reshape(len(points), links, BODY_SIZE)
             return IMPOSSIBLE * float(np.linalg.norm(cost.target)) * penalty(bodies)
 
         return Space(box, physical.base, impossible if feasible else no_penalty, steps)
@@ -112,7 +113,7 @@ def _acting(projection: FloatArray, reference: FloatArray, links: int) -> list[i
     """Physical parameters that act on some base parameter, for the reference bodies or others."""
     acts = np.any(np.abs(projection) > 0.0, axis=0)
     for link in range(links):
-        part = slice(SIZE * link, SIZE * (link + 1))
+        part = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
         xx, xy, xz, yy, yz, zz, *firsts, mass = acts[part]
         moments = xx or xy or xz or yy or yz or zz
         # A mass and its centre enter first and second moments; the inertia about it only the second ones.
@@ -129,7 +130,7 @@ def _body_box(body: FloatArray, mean_mass: float, longest: float) -> tuple[Float
     largest = np.maximum(MASSES[1] * moments, heaviest * (0.5 * longest) ** 2)
     reach = max(REACH * float(np.sqrt(moments.max() / mass)), 0.5 * longest)
     products = PRODUCTS * np.sqrt(np.array([largest[0] * largest[1], largest[0] * largest[2], largest[1] * largest[2]]))
-    lower, upper = np.empty(SIZE), np.empty(SIZE)
+    lower, upper = np.empty(BODY_SIZE), np.empty(BODY_SIZE)
     lower[0], upper[0] = MASSES[0] * mass, heaviest
     lower[1:4], upper[1:4] = com - reach, com + reach
     lower[[4, 7, 9]], upper[[4, 7, 9]] = MASSES[0] * moments, largest
@@ -143,8 +144,8 @@ def _scaled(
     """Ranges (p,) times a factor about the reference; the first `of_links` are bodies' parameters."""
     least, most = reference + share * (lower - reference), reference + share * (upper - reference)
     for entry in POSITIVE:
-        place = slice(entry, of_links, SIZE)
-        least[place] = np.maximum(least[place], LEAST * reference[place])
+        place = slice(entry, of_links, BODY_SIZE)
+        least[place] = np.maximum(least[place], LEAST_PRIOR * reference[place])
     return least, most
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Setup
-from ident.friction.table import DISSIPATIVE_KINDS, SLOWEST, TERMS, Operands
+from ident.friction.table import DISSIPATIVE_KINDS, SLOPE_SPEED, TERMS, Operands
 from ident.model.own_columns import own_column
 from ident.model.regressor import LoadTorqueKernel, RegressorKernel
 from ident.regression.least_squares import LeastSquares, ordinary_least_squares
@@ -82,7 +82,9 @@ def friction_bounds(setup: Setup, kernel: RegressorKernel, share: float | None) 
         for term in BOUNDED:
             place = own_column(model, kernel.columns, term.kind, motor)
             shape = model.terms.shape_of(term.kind, motor)
-            largest = max(float(term.signal(Operands(at, 1.0, shape, load[motor]))) for at in (SLOWEST, speed[motor]))
+            largest = max(
+                float(term.signal(Operands(at, 1.0, shape, load[motor]))) for at in (SLOPE_SPEED, speed[motor])
+            )
             if place is None or not alone[place] or largest <= 0.0:
                 continue
             most[place] = limit / largest

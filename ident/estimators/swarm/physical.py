@@ -72,21 +72,21 @@ def identifiability(derivative: FloatArray, noise: float, names: Sequence[str]) 
 BODY = ("m", "cx", "cy", "cz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 """Symbols of a link's ten physical parameters [kg, m, kg·m²], the inertia about the centre of mass."""
 
-SIZE = len(BODY)
+BODY_SIZE = len(BODY)
 
 
 def physical_names(model: DynamicModel) -> tuple[str, ...]:
     """Names (p,): ten for each link, numbered from 1, then the joints' own parameters by their standard names."""
     links = len(model.joints)
     bodies = [f"{symbol}{link + 1}" for link in range(links) for symbol in BODY]
-    return (*bodies, *(parameter.name for parameter in model.parameters[SIZE * links :]))
+    return (*bodies, *(parameter.name for parameter in model.parameters[BODY_SIZE * links :]))
 
 
 def physical_values(model: DynamicModel, standard: FloatArray) -> FloatArray:
     """Physical parameters (p,) of standard ones (p,); every mass must be positive."""
     values = standard.copy()
     for link in range(len(model.joints)):
-        part = slice(SIZE * link, SIZE * (link + 1))
+        part = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
         body = body_of(standard[part])
         values[part] = [body.mass, *body.com, *body.inertia[np.triu_indices(3)]]
     return values
@@ -129,13 +129,13 @@ class PhysicalParameters:
         """Standard parameters (P, p) of a population (P, d)."""
         values = np.tile(self.reference, (len(points), 1))
         values[:, self.chosen] = points
-        bodies = values[:, : SIZE * self.links].reshape(len(points), self.links, SIZE)
+        bodies = values[:, : BODY_SIZE * self.links].reshape(len(points), self.links, BODY_SIZE)
         mass, com = bodies[..., 0], bodies[..., 1:4]
         standard = np.empty_like(bodies)
         standard[..., :6] = bodies[..., 4:] + mass[..., None] * _com_squares(com)
         standard[..., 6:9] = mass[..., None] * com
         standard[..., 9] = mass
-        values[:, : SIZE * self.links] = standard.reshape(len(points), -1)
+        values[:, : BODY_SIZE * self.links] = standard.reshape(len(points), -1)
         return values
 
     def derivative(self, point: FloatArray) -> FloatArray:
@@ -144,7 +144,7 @@ class PhysicalParameters:
         values[list(self.chosen)] = point
         whole = np.eye(len(values))
         for link in range(self.links):
-            part = slice(SIZE * link, SIZE * (link + 1))
+            part = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
             whole[part, part] = _body_derivative(values[part])
         return whole[:, list(self.chosen)]
 
@@ -159,7 +159,7 @@ def _body_derivative(body: FloatArray) -> FloatArray:
     """(10, 10) of a link's standard parameters (rows, in the order of `INERTIAL`) by its physical ones."""
     mass, com = body[0], body[1:4]
     x, y, z = com
-    derivative = np.zeros((len(INERTIAL), SIZE))
+    derivative = np.zeros((len(INERTIAL), BODY_SIZE))
     derivative[:6, 0] = _com_squares(com)
     derivative[:6, 1:4] = mass * np.array(
         [[0, 2 * y, 2 * z], [-y, -x, 0], [-z, 0, -x], [2 * x, 0, 2 * z], [0, -z, -y], [2 * x, 2 * y, 0]]

@@ -87,7 +87,7 @@ DISTANCE_TOLERANCE = 1e-6
 """[m] that every distance is less by: Coal stops its iterations there."""
 _SHARE = 0.5
 """A distance is asked again when the links may have come nearer by this share of it."""
-_NEAR = 2e-3
+_EVERY_SAMPLE_DISTANCE = 2e-3
 """Below this distance [m] every sample is asked."""
 
 
@@ -154,7 +154,7 @@ class HullDistances:
                 distance = float(self.between(pair, position[:, sample : sample + 1])[0])
                 result[sample], exact[sample] = distance, True
                 gone, sample = way[sample], sample + 1
-                while sample <= last and distance - gone - way[sample] > max(_SHARE * distance, _NEAR):
+                while sample <= last and distance - gone - way[sample] > max(_SHARE * distance, _EVERY_SAMPLE_DISTANCE):
                     result[sample] = distance - gone
                     gone, sample = gone + way[sample], sample + 1
         # Until the next sample, links come nearer from both ends, together by the way between.

@@ -23,14 +23,14 @@ from ident.model.kinematics.joints import BASE_INDEX
 ALWAYS_CLOSE = 0.95
 """Links that are close in at least this share of random configurations, over full turns, are so by construction."""
 
-CLOSE = 0.02
+OVERLAP_DISTANCE = 0.02
 """Links nearer than this [m] by construction are not checked: their capsules always overlap."""
 
 _CONFIGURATIONS = 500
 _STILL = 1e-9
 """[rad or m]: a joint that moves by less does not follow."""
 
-NEAR = 5e-3
+HULL_DISTANCE = 5e-3
 """Where capsules are nearer than this [m], the links' convex hulls are asked."""
 
 _TRAVEL = 1.0
@@ -71,13 +71,13 @@ def link_pairs(model: DynamicModel, geometry: ArmGeometry, ignore: Iterable[tupl
             others.append((first, second))
     positions = _anywhere(model)
     distance = _PairDistances(model, geometry, others).smallest(place_arm(model, positions))
-    always_close = (distance < CLOSE).mean(axis=1) >= ALWAYS_CLOSE
+    always_close = (distance < OVERLAP_DISTANCE).mean(axis=1) >= ALWAYS_CLOSE
     close = [pair for pair, near in zip(others, always_close, strict=True) if near]
     hulls = HullDistances(model, geometry.hulls)
     by_hull = [
         pair
         for pair in (close if geometry.hulls else ())
-        if (hulls.between(pair, positions) < CLOSE).mean() < ALWAYS_CLOSE
+        if (hulls.between(pair, positions) < OVERLAP_DISTANCE).mean() < ALWAYS_CLOSE
     ]
     return LinkPairs(
         checked=tuple(pair for pair, near in zip(others, always_close, strict=True) if not near),
@@ -199,7 +199,7 @@ class SelfCollision:
             return self.pairs.checked, distance
         for row, pair in enumerate(self.pairs.checked):
             # A hull is within its capsules: where they are clear until the next sample, it need not be asked.
-            touching = distance[row] < NEAR + self._hulls.ways(pair, path.position)
+            touching = distance[row] < HULL_DISTANCE + self._hulls.ways(pair, path.position)
             if touching.any():
                 distance[row] = np.where(touching, self._hulls.along(pair, path.position, touching), distance[row])
         everywhere = np.ones(path.time.size, dtype=bool)

@@ -11,12 +11,12 @@ from drivers.core.text import percent_text
 from ident.excite.constraints.soft_maximum import soft_maximum
 from ident.excite.path import JointPath
 from ident.model.dynamic_model import DynamicModel
-from ident.model.regressor import CHUNK, RegressorKernel, model_torque
+from ident.model.regressor import SAMPLES_AT_ONCE, RegressorKernel, model_torque
 from ident.model.regressor_gradient import pull_back_regressor
 
 TORQUE_SHARE = 0.85
 """Share of a torque limit that a design may use: the prior is rough, and a supervisor checks noisy torque."""
-_NEGLIGIBLE = 1e-12
+_NEGLIGIBLE_SHARE = 1e-12
 """Samples whose torque moves the soft maximum by less than this of its change are left out of the derivative."""
 
 
@@ -85,9 +85,9 @@ class TorqueLimits:
         Only the torques that count go through the recursion, one after the other as if they were samples.
         """
         gradient = np.zeros((len(self._joints), 3, *path.position.shape))
-        rows, samples = np.nonzero(np.abs(by_torque) > _NEGLIGIBLE)
-        for start in range(0, len(rows), CHUNK):
-            row, sample = rows[start : start + CHUNK], samples[start : start + CHUNK]
+        rows, samples = np.nonzero(np.abs(by_torque) > _NEGLIGIBLE_SHARE)
+        for start in range(0, len(rows), SAMPLES_AT_ONCE):
+            row, sample = rows[start : start + SAMPLES_AT_ONCE], samples[start : start + SAMPLES_AT_ONCE]
             position, velocity, acceleration = (
                 np.ascontiguousarray(of[:, sample]) for of in (path.position, path.velocity, path.acceleration)
             )

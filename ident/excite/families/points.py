@@ -24,7 +24,7 @@ from ident.excite.path import JointPath
 
 _ORDER = 8
 """Order of the power mean that smooths the maximum of the joints' times; even, and half of it too."""
-_SHORTEST = 0.2
+_SHORTEST_SHARE = 0.2
 """Time of a move over no distance, as a share of the mean."""
 _FITTINGS = 30
 
@@ -231,7 +231,7 @@ class PointsFamily(JointFamily):
         mean = self._available / (self.points - 1)
         by_speed = (QUINTIC_VELOCITY / self.joints.velocity / mean) ** _ORDER
         by_change = (QUINTIC_ACCELERATION / self.joints.acceleration / mean**2) ** half_order
-        total = (by_speed * ways**_ORDER + by_change * ways**half_order).sum(axis=1) + _SHORTEST**_ORDER
+        total = (by_speed * ways**_ORDER + by_change * ways**half_order).sum(axis=1) + _SHORTEST_SHARE**_ORDER
         need = total ** (1.0 / _ORDER)
         slope = by_speed * ways ** (_ORDER - 1) + 0.5 * by_change * ways ** (half_order - 1)
         return mean * need, mean * slope * (need / total)[:, None]

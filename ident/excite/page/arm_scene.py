@@ -28,7 +28,7 @@ from ident.report.figures.traces import packed
 FRAMES = 72
 """Frames of the animation at most."""
 
-NEAR, FAR = 1.1, 1.35
+CAMERA_X, CAMERA_Y = 1.1, 1.35
 """Of the camera along x and y, so that the arm fills a window, and a phone."""
 
 _SCENE_HEIGHT, _NARROW_SCENE_HEIGHT = 640, 600
@@ -104,7 +104,7 @@ def arm_figure(robot_file: RobotFile, motion: Motion, shown: Shown) -> AnimatedF
     names = [str(trace["name"]) for trace in data]
     layout = base_layout(
         _SCENE_HEIGHT,
-        scene=_scene(low, high, NEAR),
+        scene=_scene(low, high, CAMERA_X),
         updatemenus=[_buttons(wait)],
         sliders=[_slider(moments.time)],
         margin={"l": 0, "r": 0, "t": 30 + legend_rows(names, WIDE_ROOM), "b": 90},
@@ -113,7 +113,7 @@ def arm_figure(robot_file: RobotFile, motion: Motion, shown: Shown) -> AnimatedF
     # On a phone the slider has a line of its own below the buttons, and a finger turns the arm.
     narrow = {
         "height": _NARROW_SCENE_HEIGHT,
-        "scene": _scene(low, high, FAR),
+        "scene": _scene(low, high, CAMERA_Y),
         "margin": {"l": 0, "r": 0, "t": 60 + legend_rows(names, ROOM), "b": 150},
         "sliders": [{**_slider(moments.time), "x": 0.04, "len": 0.9, "pad": {"t": 75}}],
         "dragmode": "orbit",

@@ -49,9 +49,9 @@ narrow ranges leave a blunt round outside for long."""
 ROUNDS = (Round(4.0, 30.0, 100, 1e-4), Round(16.0, 100.0, 100, 1e-4), Round(64.0, 300.0, 100, 1e-4))
 
 
-STEP = 0.05
+CHECKED_DECREASE = 0.05
 """Decrease of the cost (a logarithm) from which on an iterate is worth a check before its round ends."""
-OUTSIDE = 5
+OUTSIDE_ITERATIONS = 5
 """Iterations after which an iterate outside the limits is checked too: shrunk, it may be the best so far."""
 _SAMPLES_AT_MAXIMUM = 1000.0
 """Samples that may share a soft maximum: an iterate whose bound exceeds the limit by log of it over the sharpness does
@@ -146,8 +146,8 @@ class _Evaluations:
         worst = float(self.slacks(variables).min(initial=np.inf))
         overestimate = np.log(_SAMPLES_AT_MAXIMUM) / self._step.limit_sharpness
         self._iterations += 1
-        near = worst >= -overestimate or self._iterations % OUTSIDE == 0
-        if near and cost < self._lowest - STEP and self._watch.visit(variables.copy()):
+        near = worst >= -overestimate or self._iterations % OUTSIDE_ITERATIONS == 0
+        if near and cost < self._lowest - CHECKED_DECREASE and self._watch.visit(variables.copy()):
             self._lowest = cost
 
     def _slacks(self, variables: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -25,7 +25,7 @@ FROGS = FrogLeaping(random="coordinate")
 GENERATIONS = 50
 """UP6 Table 2."""
 
-OUTSIDE = 1e3
+OUTSIDE_COST = 1e3
 """Cost of a motion outside the limits, plus its utilisation: worse than any inside, whose cost is a logarithm."""
 
 WIDER = 1.5
@@ -63,7 +63,7 @@ def leap(
             tick()
             use = float(problem.use(variables).max(initial=0.0))
             if not use <= problem.allowed:
-                values[index] = OUTSIDE + use
+                values[index] = OUTSIDE_COST + use
                 continue
             values[index] = problem.cost(variables)
             if values[index] < lowest and offer(variables.copy()):

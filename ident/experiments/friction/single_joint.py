@@ -43,7 +43,7 @@ FEWEST_SAMPLES = 50
 GRAVITY = 1e-3
 """Torque [N·m] of a first moment of 1 kg·m below which gravity does not act on a joint."""
 
-MARGIN = 1.0
+FILTER_PERIODS = 1.0
 """Periods of the parallel filter's cut-off that a period is longer than what counts of it, at both ends."""
 
 
@@ -143,7 +143,7 @@ def _of_segment(
     others = np.delete(~resting, joint, axis=0).any(axis=0)
     alone = ~resting[joint] & ~others & segment.used
     factor = prepared.parallel_filter.factor
-    margin = round(MARGIN / prepared.cutoffs.torque * segment.rate)
+    margin = round(FILTER_PERIODS / prepared.cutoffs.torque * segment.rate)
     for start, stop in _spans(~others):
         inside = np.flatnonzero(alone[start:stop]) + start
         if not len(inside):

@@ -44,7 +44,7 @@ from ident.stored import Number, Real, Stored
 LEAST_GAP = 2.0
 """Second-smallest over smallest singular value below which the null vector is poorly determined."""
 
-ONE_AT_A_TIME = 0.5
+SINGLE_JOINT_SHARE = 0.5
 """Share of the time with one joint alone in motion above which the runs do not suit this method."""
 
 SMALL_ANGLE = 5.0
@@ -263,7 +263,7 @@ def _alone_share(pair: RunPair) -> float:
 
 def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> list[str]:
     warnings = pair_warnings(drives.pair, recordings)
-    if _alone_share(drives.pair) > ONE_AT_A_TIME:
+    if _alone_share(drives.pair) > SINGLE_JOINT_SHARE:
         warnings.append(
             "most of the time one joint moves alone, and static friction holds the others: try --up-and-down"
         )

@@ -44,7 +44,7 @@ from ident.result.units import parameter_unit
 from ident.signals.joint_signals import read_joint_signals
 from ident.stored import Real, Stored
 
-NEGLIGIBLE = 0.002
+NEGLIGIBLE_SHARE = 0.002
 """A mass within this share of the known one is as good as it, however little noise there is."""
 
 
@@ -259,7 +259,7 @@ def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list
         payload.tests.mass is not None
         and known
         and not payload.tests.mass.passed
-        and abs(mass / known.mass - 1) > NEGLIGIBLE
+        and abs(mass / known.mass - 1) > NEGLIGIBLE_SHARE
     ):
         warnings.append(
             f"the identified mass is {percent_text(abs(mass / known.mass - 1), 2)} "

@@ -14,7 +14,7 @@ from ident.export.c_code.functions import Function, input_size
 
 Real = Literal["double", "float"]
 
-LONGEST = 80
+LONGEST_INLINE = 80
 """Characters of an expression that still stands inside another one."""
 
 
@@ -96,7 +96,7 @@ def statements(graph: Graph, function: Function, joints: int, dialect: Dialect) 
         node = graph.nodes[number]
         text = _text(graph, number, texts, dialect)
         atom = node.kind in ("constant", "symbol")
-        if not atom and (uses[number] > 1 or len(text.text) > LONGEST or node.kind in ("sin", "cos")):
+        if not atom and (uses[number] > 1 or len(text.text) > LONGEST_INLINE or node.kind in ("sin", "cos")):
             letter = {"sin": "s", "cos": "c"}.get(node.kind, "t")
             counts[letter] += 1
             name = f"{letter}{counts[letter]}"

@@ -15,8 +15,8 @@ HIGHEST_CUTOFF = 0.2
 MOST_SAMPLES = 20_000
 """From the middle of a longer record; more say the same."""
 
-_GRID = 12  # cut-offs that are tried before the best of them is refined
-_REFINED = 0.01  # relative accuracy of the cut-off
+_CUTOFFS_TRIED = 12  # cut-offs that are tried before the best of them is refined
+_CUTOFF_ACCURACY = 0.01  # relative accuracy of the cut-off
 _FILTER_ROUNDING = (
     1e-12  # of the largest sample: what remains of a signal without any noise, by any processor's arithmetic
 )
@@ -56,13 +56,13 @@ def likeliest_cutoff(samples: FloatArray, rate: float, order: int, lowest_cutoff
         square = _mean_square(middle, math.exp(log_cutoff) / rate, order)
         return math.log(square) if square > 0 else -math.inf
 
-    grid = np.linspace(math.log(lowest), math.log(highest), _GRID)
+    grid = np.linspace(math.log(lowest), math.log(highest), _CUTOFFS_TRIED)
     costs = [cost(value) for value in grid]
     best = int(np.argmin(costs))
     chosen = float(grid[best])
     if math.isfinite(costs[best]) and lowest < highest:
-        bounds = (grid[max(0, best - 1)], grid[min(_GRID - 1, best + 1)])
-        refined = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": _REFINED})
+        bounds = (grid[max(0, best - 1)], grid[min(_CUTOFFS_TRIED - 1, best + 1)])
+        refined = minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": _CUTOFF_ACCURACY})
         if refined.fun < costs[best]:
             chosen = float(refined.x)
     return math.exp(chosen)

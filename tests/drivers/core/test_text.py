@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.core.text import DASH, LEAST, MOST, percent_text, percentage_text
+from drivers.core.text import DASH, LEAST_PERCENT, MOST_PERCENT, percent_text, percentage_text
 
 
 @pytest.mark.parametrize(
@@ -36,7 +36,7 @@ def test_ratios_in_percent(ratio: float | None, text: str) -> None:
     assert percent_text(ratio) == text
 
 
-@given(st.floats(LEAST, MOST, exclude_max=True), st.integers(2, 5))
+@given(st.floats(LEAST_PERCENT, MOST_PERCENT, exclude_max=True), st.integers(2, 5))
 def test_digits_are_kept_and_no_power_of_ten_is_written(value: float, digits: int) -> None:
     text = percentage_text(value, digits)
     assert re.fullmatch(r"\d+(\.\d+)?", text)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from ident.assessment.delay.delay import LONGEST, WORTHWHILE_GAIN, delay_checks, search_delay
+from ident.assessment.delay.delay import LONGEST_DELAY, WORTHWHILE_GAIN, delay_checks, search_delay
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
@@ -118,7 +118,7 @@ def test_a_delay_of_many_samples_is_found(search):
 
 
 def test_a_delay_beyond_what_drives_have_is_not_used(search):
-    found = search(3 * LONGEST)
+    found = search(3 * LONGEST_DELAY)
     assert found.used == 0.0
 
 

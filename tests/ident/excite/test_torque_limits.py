@@ -56,7 +56,7 @@ def test_the_derivative_does_not_depend_on_the_chunk(three_joint, monkeypatch):
     base = base_parameters(model)
     path = random_path(model, 4, count=30)
     whole = TorqueLimits(model, base.columns, base.projection @ truth_vector(three_joint)).smooth_use(path, 5.0)
-    monkeypatch.setattr(torque_limits, "CHUNK", 7)
+    monkeypatch.setattr(torque_limits, "SAMPLES_AT_ONCE", 7)
     parts = TorqueLimits(model, base.columns, base.projection @ truth_vector(three_joint)).smooth_use(path, 5.0)
     assert np.array_equal(whole[0], parts[0])
     assert np.allclose(whole[1], parts[1], rtol=0, atol=1e-14)

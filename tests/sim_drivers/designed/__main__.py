@@ -6,10 +6,10 @@ from pathlib import Path
 
 from daq.robot.loader import load_robot
 from ident.excite.choices import DesignChoices
-from sim_drivers.demo import MARGIN, RAMP, _excitation
+from sim_drivers.demo import LIMIT_MARGIN, RAMP, _excitation
 
 if __name__ == "__main__":
-    choices = DesignChoices(period=8.0, periods=1, ramp=RAMP, margin=MARGIN)
+    choices = DesignChoices(period=8.0, periods=1, ramp=RAMP, margin=LIMIT_MARGIN)
     for seed in (1, 2):
         text = _excitation(load_robot("ur5e"), choices, seed)
         Path(__file__).with_name(f"{seed}.yaml").write_text(text, encoding="utf-8")

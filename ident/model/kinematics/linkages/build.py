@@ -42,7 +42,7 @@ DEAD_POINT = 1e-3
 SAME = 1e-6
 """Difference [rad or m] up to which two ways lead to the same position."""
 
-STEADY = 1e-9
+CONSTANT_CHANGE = 1e-9
 """Change of an entry of G over all positions up to which it is constant."""
 
 REASONS = 20
@@ -92,10 +92,10 @@ def build_closed_loops(
     whole = np.zeros((len(joints), len(motors.active), known.shape[1]))
     whole[list(passive)] = follow
     whole[list(motors.active), range(len(motors.active))] = 1.0
-    varies = np.ptp(whole, axis=2) > STEADY
+    varies = np.ptp(whole, axis=2) > CONSTANT_CHANGE
     constant = whole.mean(axis=2)
     nearest = np.round(constant)
-    constant = np.where(np.abs(constant - nearest) < STEADY, nearest, constant)
+    constant = np.where(np.abs(constant - nearest) < CONSTANT_CHANGE, nearest, constant)
     return ClosedLoops(
         active=motors.active,
         coupling=motors.coupling,

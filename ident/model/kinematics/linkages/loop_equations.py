@@ -29,16 +29,16 @@ STEP_TOLERANCE = 1e-7
 MISSED = 1e-6
 """Tolerance of closing equations [m, rad]; files print lengths to this."""
 
-FARTHEST = 0.1
+LONGEST_MOVE = 0.1
 """Longest move [rad or m] of a joint with a motor from one known position to the next."""
 
-JUMP = 0.2
+BRANCH_DISTANCE = 0.2
 """How far [rad or m] a solution may lie from its prediction over such a move and count as the same branch."""
 
 LONGEST_WAY = 200.0
-"""Longest path [rad or m] along which a branch is followed, in steps of `FARTHEST`."""
+"""Longest path [rad or m] along which a branch is followed, in steps of `LONGEST_MOVE`."""
 
-SHORTEST = 1e-4
+SHORTEST_MOVE = 1e-4
 """Move [rad or m] at which following a branch is given up."""
 
 
@@ -90,7 +90,8 @@ class LoopEquations:
     def newton(self, position: FloatArray, guess: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Tree positions (n, N) for active positions (a, N) near passive ones (p, N), and whether each closes there.
 
-        Closing means on the branch that is meant, by the sign of det J_p, and no farther than `JUMP` from the guess.
+        Closing means on the branch that is meant, by the sign of det J_p, and no farther than `BRANCH_DISTANCE` from the
+        guess.
         """
         passive = list(self.passive)
         tree = np.empty((len(self.active) + len(passive), position.shape[1]))
@@ -105,7 +106,7 @@ class LoopEquations:
                     break
             closes = (size <= STEP_TOLERANCE) & (np.abs(here.residual).max(axis=0) < MISSED)
             closes &= here.signs() == self.sign
-            closes &= np.abs(tree[passive] - guess).max(axis=0) < JUMP
+            closes &= np.abs(tree[passive] - guess).max(axis=0) < BRANCH_DISTANCE
         return tree, closes
 
     def followed(self, start: FloatArray, target: FloatArray) -> Followed:
@@ -119,7 +120,7 @@ class LoopEquations:
         tree = np.array(np.broadcast_to(start.reshape(len(start), -1), (len(start), target.shape[1])))
         travel = target - tree[active]
         length = np.abs(travel).max(axis=0)
-        longest = np.divide(FARTHEST, length, out=np.ones_like(length), where=length > FARTHEST)
+        longest = np.divide(LONGEST_MOVE, length, out=np.ones_like(length), where=length > LONGEST_MOVE)
         begun, done, step = tree[active].copy(), np.zeros(target.shape[1]), longest.copy()
         running = np.flatnonzero((length > 0.0) & (length <= LONGEST_WAY))
         done[length == 0.0] = 1.0
@@ -133,7 +134,7 @@ class LoopEquations:
             tree[:, good], done[good] = solution[:, closes], share[closes]
             step[good] = np.minimum(2.0 * step[good], longest[good])
             step[running[~closes]] *= 0.5
-            running = running[(done[running] < 1.0) & (step[running] * length[running] > SHORTEST)]
+            running = running[(done[running] < 1.0) & (step[running] * length[running] > SHORTEST_MOVE)]
         return Followed(tree, done)
 
     def assembled(self, derivatives: Sequence[FloatArray], linear: FloatArray) -> FloatArray:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.recording.quality.outliers import FAR, TOO_MANY, without_outliers
+from daq.recording.quality.outliers import OUTLIER_DISTANCE, TOO_MANY, without_outliers
 
 RATE = 500.0
 TIME = np.arange(5000) / RATE
@@ -101,8 +101,9 @@ def test_too_many_stay():
 def test_a_spike_of_a_noisy_signal():
     noise = np.random.default_rng(5).standard_normal((5000, 1))
     places = np.arange(40, 4950, 500)
-    clean = without_outliers(TIME, glitched(noise, 2.0 * FAR, places))
-    assert np.flatnonzero(clean.values[:, 0] != glitched(noise, 2.0 * FAR, places)[:, 0]).tolist() == places.tolist()
+    recorded = glitched(noise, 2.0 * OUTLIER_DISTANCE, places)
+    clean = without_outliers(TIME, recorded)
+    assert np.flatnonzero(clean.values[:, 0] != recorded[:, 0]).tolist() == places.tolist()
 
 
 @given(

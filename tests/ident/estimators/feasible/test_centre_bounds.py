@@ -8,7 +8,7 @@ import pytest
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import RobotFileError
 from ident.checks.robot_check import check_robot
-from ident.estimators.feasible.centre_bounds import CLOSE, centre_bounds, half_spaces
+from ident.estimators.feasible.centre_bounds import HULL_TOLERANCE, centre_bounds, half_spaces
 from ident.estimators.feasible.consistent import consistent_parameters
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import build_model
@@ -77,7 +77,7 @@ def test_a_hull_is_enclosed_closely(kind):
     for direction in np.random.default_rng(1).standard_normal((10, 3)):
         direction /= np.linalg.norm(direction)
         reach = -linprog(-direction, A_ub=normals, b_ub=offsets, bounds=[(None, None)] * 3).fun
-        assert reach <= np.max(points @ direction) + 4 * CLOSE * extent
+        assert reach <= np.max(points @ direction) + 4 * HULL_TOLERANCE * extent
 
 
 def test_points_in_a_plane_enclose_nothing():

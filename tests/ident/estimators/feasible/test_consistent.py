@@ -13,7 +13,7 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.errors import RobotFileError
 from ident.estimators.feasible.consistent import ConsistentParameters, consistent_parameters
 from ident.estimators.feasible.prior import link_priors
-from ident.estimators.feasible.problem import MARGIN, build_problem
+from ident.estimators.feasible.problem import INTERIOR, build_problem
 from ident.estimators.feasible.pseudo_inertia import BASIS, pseudo_inertia
 from ident.model.base_parameters import BaseParameters, base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
@@ -205,7 +205,7 @@ def test_undetermined_parameters_come_from_the_prior_and_say_so() -> None:
     assert np.isfinite(found.std[names.index("Fs3")])
     system = estimate.root @ estimate.combinations(base.projection)
     prior = link_priors(model, robot_file, system, estimate.root @ estimate.values)
-    assert found.values[names.index("M1")] == pytest.approx(prior.links[0, 9], rel=MARGIN * 2)
+    assert found.values[names.index("M1")] == pytest.approx(prior.links[0, 9], rel=INTERIOR * 2)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from daq.robot.loader import parse_robot
 from drivers.core.errors import IdentificationError, UsageError
 from ident.estimators.method_choice import chosen_method
 from ident.estimators.methods.iv import repeated_segment
-from ident.estimators.methods.ridge import GRID, cross_validated_weight
+from ident.estimators.methods.ridge import WEIGHTS, cross_validated_weight
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
@@ -183,7 +183,7 @@ def test_cross_validation_penalises_what_is_noise():
         truth = np.ones(5)
         right = matrix @ truth + 0.3 * generator.standard_normal(60)
         weight = cross_validated_weight(triangular(np.column_stack([matrix, right])), 60.0)
-        assert weight in GRID
+        assert weight in WEIGHTS
         gram = matrix.T @ matrix
         ridge.append(np.linalg.norm(np.linalg.solve(gram + weight * np.eye(5), matrix.T @ right) - truth))
         plain.append(np.linalg.norm(np.linalg.solve(gram, matrix.T @ right) - truth))
