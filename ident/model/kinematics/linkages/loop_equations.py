@@ -90,8 +90,8 @@ class LoopEquations:
     def newton(self, position: FloatArray, guess: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Tree positions (n, N) for active positions (a, N) near passive ones (p, N), and whether each closes there.
 
-        Closing means on the branch that is meant, by the sign of det J_p, and no farther than `BRANCH_DISTANCE` from the
-        guess.
+        Closing means on the branch that is meant, by the sign of det J_p, and no farther than `BRANCH_DISTANCE` from
+        the guess.
         """
         passive = list(self.passive)
         tree = np.empty((len(self.active) + len(passive), position.shape[1]))
