@@ -28,7 +28,7 @@ DISK_ERRORS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO})
 """What a disk that is full, or fails, answers to a write that nothing else is wrong with."""
 
 GENERATION_KEY = "files"
-"""In the JSON object of a result: the SHA-256 of each file that was written with it."""
+"""Key of a result's JSON object: the SHA-256 of each file that was written with it."""
 
 _UNFINISHED = ".unfinished-"
 _LARGEST_PAGE = 100_000_000  # bytes, far above any page that dynid writes

@@ -17,7 +17,7 @@ from drivers.core.errors import UsageError
 Backend = Literal["plotly", "matplotlib"]
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7C828A", "#8C564B", "#6A5ACD", "#66A61E")
-"""Of lines: the palette of Okabe and Ito, distinguishable by colour-blind readers, and three more."""
+"""Colours of lines: the palette of Okabe and Ito, distinguishable by colour-blind readers, and three more."""
 
 _DASHES = {"solid": "-", "dash": "--", "dot": ":"}
 _STYLES = [{"color": colour, "dash": dash} for dash, colour in product(_DASHES, COLOURS)]

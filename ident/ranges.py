@@ -8,17 +8,17 @@ RECORDED_POSITION = Range(-1e6, 1e6, "rad or m")
 RECORDED_VELOCITY = Range(-1e5, 1e5, "rad/s or m/s")
 RECORDED_TORQUE = Range(-1e8, 1e8, "N·m or N")
 LOOP_BANDWIDTH = Range(1.0, 1000.0, "rad/s")
-"""Of a simulated position loop; arms have 10 to 100."""
+"""Bandwidth of a simulated position loop; arms have 10 to 100."""
 SMOOTHING = Range(0.0, 10.0, "rad/s")
 PRESLIDING_TRAVEL = Range(1e-6, 1.0, "rad or m")
 SEARCH_TIME = Range(1e-3, 604_800.0, "s")
 """A week."""
 SEED = Range(0, 2**63 - 1)
 POPULATION = Range(1, 100_000)
-"""Of a swarm, and its memeplexes."""
+"""Size of a swarm, and of its memeplexes."""
 GENERATIONS = Range(1, 1_000_000)
 LEARNING_FACTOR = Range(0.0, 100.0)
-"""Of a swarm's moves towards good points."""
+"""Factor of a swarm's moves towards good points."""
 FRICTION_SHARE = Range(1e-3, 10.0)
 """Largest torque of a friction term over the joint's torque limit."""
 BOX_SHARE = Range(1e-6, 1e3)

@@ -39,19 +39,19 @@ PERIOD = 15.0
 """Period of the identification motion [s]."""
 
 VALIDATION_PERIOD = 10.0
-"""Seed of the other motion, designed in the same way: `dynid excite --seed 2` for a user."""
+"""Period of the other motion [s], designed in the same way: `dynid excite --seed 2` for a user."""
 
 ATTEMPTS = 3
-"""Of each recording: a stall of this computer ends a motion."""
+"""Attempts at each recording: a stall of this computer ends a motion."""
 
 RAMP = 2.0
 """From rest into the periodic motion and back [s]."""
 
 LIMIT_MARGIN = 0.2
-"""Of every limit: the simulated robot shares this computer with all the rest, and commands come late."""
+"""Margin to every limit: the simulated robot shares this computer with all the rest, and commands come late."""
 
 STARTS = 1
-"""Of the excitation's design: the first start already comes within a tenth of the best of many."""
+"""Starts of the excitation's design: the first start already comes within a tenth of the best of many."""
 
 RECORDINGS = ("identification.h5", "validation.h5")
 """What the `dynid record` that the demonstration starts writes into its folder."""

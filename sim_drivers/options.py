@@ -9,7 +9,7 @@ from drivers.core.options import Options, option
 from drivers.core.ranges import Range
 
 DEMO_TIME = Range(2.0, 3600.0, "s")
-"""Of the demonstration's motion."""
+"""Duration of the demonstration's motion."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -39,4 +39,4 @@ COMPLETIONS: dict[str, Callable[[str], list[str]]] = {
     **dict.fromkeys(("trajectory", "earlier"), _files(".yaml")),
     **dict.fromkeys(("model", "models", "result", "prior"), _files("result.json")),
 }
-"""By the name of an argument or option of a command."""
+"""Completions by the name of an argument or option of a command."""

@@ -73,7 +73,7 @@ class Confirmation:
         self._question = question
         self._screen = screen
         self.figures: MotionFigures | None = None
-        """Of the approach to the start pose, once it is known."""
+        """Figures of the approach to the start pose, once it is known."""
         self.to_mind: Sequence[str] = ()
         """What the controller or its drives are known for, one line each."""
 

@@ -20,7 +20,7 @@ SLOW_STEP = 2.0
 """How long [s] a step lasts before its progress is printed into a file or a pipe."""
 
 SECONDS_BETWEEN_LINES = 5.0
-"""Of the progress of one step where standard error is no terminal, so that a log stays short."""
+"""Seconds between two lines on one step where standard error is no terminal: a log stays short."""
 
 _NUMBER = re.compile(rf"(< )?[-+−±]?\d|{DASH}$|$")
 

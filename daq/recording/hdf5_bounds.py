@@ -22,7 +22,7 @@ MOST_ROWS = 100_000
 MOST_TEXT = 50 * MB
 """Characters of all events together, and bytes of one attribute."""
 MOST_ENTRIES = 1000
-"""Of one attribute: names of joints and references of dimension scales."""
+"""Entries of one attribute: names of joints and references of dimension scales."""
 SPARSE = 64 * MB
 """A dataset up to this size [B] need not be in the file: rows that were announced, but not written."""
 MOST_COMPRESSION = 100

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 1
 JOINTS_STREAM = "joints"
 COMMANDS_STREAM = "commands"
-"""Of the commands where their stamps are not those of the joints."""
+"""Stream of the commands where their stamps are not those of the joints."""
 MOTOR_SIGNALS = ("torque", "current", "voltage")
 """Quantities of a stream that are or become the joints' torques."""
 

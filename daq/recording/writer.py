@@ -78,9 +78,9 @@ class RecordingWriter:
     ) -> None:
         check_outputs([path], overwrite=overwrite)
         self.path = path
-        """Of the recording once it is closed."""
+        """Path of the recording once it is closed."""
         self.unfinished = unfinished_name(path)
-        """Of the recording until then, and where it could not be closed."""
+        """Path until then, and where it could not be closed."""
         self._overwrite = overwrite
         self._layouts = {layout.name: layout for layout in streams}
         self._growing: GrowingFile | None = None

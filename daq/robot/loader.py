@@ -155,7 +155,7 @@ def parse_robot(text: str, *, where: str, folder: Path | None, urdf_text: str | 
 
 _MOST_READ = 64
 _read: dict[str, Robot] = {}
-"""By text: reading the YAML takes 15 ms, and a recording's robot is read several times, under several names."""
+"""Robots by text: reading the YAML takes 15 ms, and a recording's robot is read several times, under several names."""
 
 
 def _robot(text: str, where: str, folder: Path | None, urdf_text: str | None) -> Robot:

@@ -16,7 +16,7 @@ LEAST_AXIS = 1e-6
 """Length of a joint's axis; a shorter one is no direction."""
 MOVING = ("revolute", "continuous", "prismatic", "planar")
 ANGLE = Range(-1e4, 1e4, "rad")
-"""Of an `rpy`: some exporters add turns."""
+"""Angles of an `rpy`: some exporters add turns."""
 
 
 def checked_urdf(xml: str, where: str) -> ElementTree.Element:

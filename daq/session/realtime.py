@@ -8,7 +8,7 @@ import threading
 from drivers.core.errors import UsageError
 
 PRIORITY = 20
-"""Of SCHED_FIFO: above all ordinary processes, below the kernel's own threads that serve interrupts (50)."""
+"""Priority of SCHED_FIFO: above all ordinary processes, below the kernel's own threads that serve interrupts (50)."""
 
 
 def ask_for_realtime() -> None:

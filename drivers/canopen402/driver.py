@@ -139,7 +139,7 @@ class Canopen402Driver:
         return self._configured.identities
 
     def holds(self) -> bool:
-        """In mode "profile", whose drives come to rest by themselves; not where they go on towards the next target."""
+        """Whether drives come to rest by themselves, as in mode "profile", or go on towards the next target."""
         return self._settings.mode == "profile"
 
     def device_limits(self) -> DeviceLimits:

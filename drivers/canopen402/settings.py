@@ -20,14 +20,14 @@ MODES: Mapping[Mode, int | None] = {
 }
 """Key `mode` → mode of operation; None where the drives are never enabled."""
 HIGHEST_ID = 127
-"""Of the node ids of CiA 301."""
+"""Largest node id of CiA 301."""
 HEARTBEATS_MISSED = 3
 """Periods without a heartbeat after which its producer, a drive or dynid, counts as gone."""
 SHORTEST_PATIENCE, LONGEST_PATIENCE = 2.0 * STALL_LIMIT, 3.0
 """For a motion: how long [s] drives wait for dynid beyond one period, at least (twice the stall that a motion may
 survive), and from its last sign of life on, at most."""
 SMALLEST, LARGEST = 1e-9, 1e12
-"""Of a positive number."""
+"""Range of a positive number."""
 
 
 class TemperatureSource(ConnectionSettings):

@@ -21,7 +21,7 @@ from drivers.rtde.connect import Connect, connect_tcp
 PORT = 30002
 ROBOT_STATE, CONFIGURATION_DATA = 16, 6
 HEADER = struct.Struct(">iB")
-"""Of a package, and of each of its parts: length with this header, type."""
+"""Header of a package, and of each of its parts: length with this header, type."""
 CONTENT = struct.Struct(">24d5d24d")
 """Configuration Data: lowest and highest position, joint by joint; highest speed and acceleration, joint by joint;
 default speeds and accelerations, size of the tool; a, d, alpha and theta (Denavit-Hartenberg) of all joints."""

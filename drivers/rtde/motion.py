@@ -35,7 +35,7 @@ SERVO_GAIN = 300.0
 SERVO_DECELERATION = 10.0
 """When leaving servo mode [m/s² of the tool]; UR's default for servoStop."""
 JOINT_DECELERATION = 2.0
-"""Of every joint after that [rad/s²]; UR's default for stopJ."""
+"""Deceleration of every joint after that [rad/s²]; UR's default for stopJ."""
 SILENCE_LIMIT = 0.5
 """Without a command for this long [s] after the first the process stops the arm and gives up control."""
 FIRST_COMMAND_LIMIT = 30.0

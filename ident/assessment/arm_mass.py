@@ -39,7 +39,7 @@ WHOLE_ARM = 5
 """An arm of fewer moving joints may be a part of one, or a SCARA: its frames do not show how long its last link is."""
 
 UNKNOWN_END = 6.0
-"""By so much more may it weigh: the first three joints of a Motoman UP6 19 times the law's."""
+"""Factor by which it may weigh more: the first three joints of a Motoman UP6 weigh 19 times the law's."""
 
 PER_PAYLOAD = (2.0, 60.0)
 """Mass of an arm over its payload, a little beyond those of the table."""

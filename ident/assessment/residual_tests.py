@@ -30,7 +30,7 @@ from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
 LARGEST_AUTOCORRELATION = 0.15
-"""Of independent residuals (AUBO section 3.2)."""
+"""Largest autocorrelation of independent residuals (AUBO section 3.2)."""
 
 LARGEST_CURVATURE = 0.05
 """Share of a linear model's residual variance that a curve in torque or velocity may explain."""
@@ -39,7 +39,7 @@ LARGEST_SPREAD = 1.5
 """Ratio of the residual's σ between the quarters of the samples where |q̇| and |τ̂| predict most and least."""
 
 LARGEST_SHAPE = 0.5
-"""Of a normal distribution: the larger of |skewness| and half the |excess kurtosis|."""
+"""Largest deviation from a normal distribution's shape: the larger of |skewness| and half the |excess kurtosis|."""
 
 FEWEST_RESIDUALS = 40
 """Residuals of a joint, far enough apart, below which a test is not made."""

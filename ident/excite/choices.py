@@ -15,7 +15,7 @@ CriterionName = Literal[
     "condition", "plain-condition", "moments", "d-optimal", "e-optimal", "hadamard", "deviations", "motion-size"
 ]
 LocalSolver = Literal["slsqp", "trust-constr", "ipopt"]
-"""With derivatives."""
+"""Solvers that use derivatives."""
 
 Solver = Literal[LocalSolver, "sfla"]
 

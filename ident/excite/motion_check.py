@@ -32,7 +32,7 @@ APPROACH_RATE = 200.0
 MOST_SAMPLES = 400_000
 """A motion of more than 400 s without repetition is checked on a grid that is coarser than 1 kHz."""
 TOLERANCE = 1e-3
-"""Of distances [m] and of limit utilisations: a design was checked on another grid."""
+"""Tolerance of distances [m] and limit utilisations: a design was checked on another grid."""
 
 
 @dataclass(frozen=True)

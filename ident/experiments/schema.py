@@ -39,7 +39,7 @@ class EstimatedValue(Stored):
 
 
 class CentreOfMass(Stored):
-    """Of the load in the tool frame [m]."""
+    """Centre of mass of the load in the tool frame [m]."""
 
     value: list[Number]
     std: list[Number]

@@ -27,13 +27,13 @@ PERIOD = 2.5
 """[s] of the motion that is tracked, from rest to rest."""
 
 SHARE = 0.25
-"""Of the position, velocity and acceleration limits that the tracked motion uses."""
+"""Share of the position, velocity and acceleration limits that the tracked motion uses."""
 
 BANDWIDTH = 30.0
 """[rad/s] of the controller that tracks it, critically damped."""
 
 STUCK = 0.05
-"""Of the amplitude: how far a joint may stay behind until the controller overcomes its dry friction."""
+"""Share of the amplitude: how far a joint may stay behind until the controller overcomes its dry friction."""
 
 LOST = 0.5
 """The motion counts as lost where a joint is farther from it than this share of its amplitude."""
@@ -60,7 +60,7 @@ class Simulation:
 
     @property
     def text(self) -> str:
-        """In a few words."""
+        """A few words for it."""
         if not self.finite:
             return f"{self.motion}: diverges"
         if self.tracking_error is not None:

@@ -19,20 +19,20 @@ from ident.friction.table import SHAPED, SHAPES, Shape
 from ident.friction.terms import FrictionTerms
 
 LARGEST_FACTOR = 2.0
-"""By which a shape may change in one step."""
+"""Factor by which a shape may change in one step."""
 
 ROOT_DISTANCE = 0.02
 """Least distance of α from 0.5, the exponent of the temperature columns, where a motor has those."""
 
 SHORTER = 0.3
-"""By which a step is shortened that does not improve the fit."""
+"""Factor that shortens a step which does not improve the fit."""
 
 LOAD_TOLERANCE = 1e-3
 SHAPE_TOLERANCE = 1e-4
 """Relative changes below which load torque and shapes count as settled."""
 
 ROUNDS = 20
-"""Of Gauss-Newton steps and new load torques."""
+"""Rounds of Gauss-Newton steps and new load torques."""
 
 SHORTENED_STEPS = 4
 """Lengths of a step that are tried."""

@@ -23,7 +23,7 @@ from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import PAIR_SYMBOLS, StandardParameter
 
 NO_CONDITIONS = FrictionConditions()
-"""Of friction that depends on the velocity alone."""
+"""Conditions of friction that depends on the velocity alone."""
 
 
 @dataclass(frozen=True)

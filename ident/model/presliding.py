@@ -87,7 +87,7 @@ class DryFriction:
         rate: float,
         conditions: FrictionConditions,
     ) -> FloatArray:
-        """By how much presliding changes the torques (T, k, N) [N·m or N] of `motors(name)`, for T travels.
+        """Changes (T, k, N) [N·m or N] of the torques of `motors(name)` by presliding, for T travels.
 
         Args:
             name: of the Coulomb parameter.

@@ -110,7 +110,7 @@ class BlockSums:
 
     @classmethod
     def empty(cls, blocks: int, parameters: int) -> BlockSums:
-        """Of no rows."""
+        """Sums of no rows."""
         return cls(np.zeros((blocks, parameters, parameters)), np.zeros((blocks, parameters)))
 
     def add(self, of_row: npt.NDArray[np.int64], regressor: FloatArray, residual: FloatArray) -> None:
@@ -257,7 +257,7 @@ def _without_each(sums: BlockSums, normal: FloatArray) -> tuple[FloatArray, Floa
 
 
 def tolerant_moves(sums: BlockSums, normal: FloatArray) -> FloatArray:
-    """As `least_squares_moves`; very far, and no error, where the other blocks do not determine a parameter."""
+    """Moves as `least_squares_moves`; very far, and no error, where the other blocks do not determine a parameter."""
 
     def move(rest: FloatArray, score: FloatArray) -> FloatArray:
         try:

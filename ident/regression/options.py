@@ -17,7 +17,7 @@ tolerance away, a moment of gravity of 100 N·m is off by 0.25 N·m, less than r
 move does so over a hundred times as much."""
 
 REVERSAL_SHARE = 0.05
-"""Of a velocity's root mean square: below it a motor is near a reversal, and its equation is left out by default
+"""Share of a velocity's root mean square: below it a motor is near a reversal, and its equation is left out by default
 (docs/identification.md has the figures)."""
 
 SIGNIFICANT_RSD = 15.0

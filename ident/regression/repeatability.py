@@ -34,7 +34,7 @@ from ident.regression.jackknife import (
 from ident.regression.least_squares import LeastSquares
 
 FEWEST_BLOCKS = 5
-"""Of a run, below which its own error bars are too uncertain to count."""
+"""Blocks of a run below which its own error bars are too uncertain to count."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,7 +44,7 @@ SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     data_quality.section,
     provenance.section,
 )
-"""In the order of the page; a section that does not apply to this result returns None."""
+"""Sections in the order of the page; one that does not apply to this result returns None."""
 
 
 def write_result_folder(folder: Path, data: ReportData, *, overwrite: bool = False) -> None:

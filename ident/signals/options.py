@@ -15,7 +15,7 @@ Differentiation = Literal["butterworth", "kalman", "five-point", "savitzky-golay
 """How positions become q, q̇ and q̈; the parallel filter is another choice (`FilterKind`)."""
 
 CUTOFF = Range(0.01, 10_000.0, "Hz")
-"""Of a filter, whose response lasts as long as a period of its cut-off."""
+"""Cut-off of a filter, whose response lasts as long as a period of its cut-off."""
 DECIMATION = Range(1, 10_000)
 WINDOW_TIME = Range(0.0, 1e7, "s")
 """From a recording's first stamp; four months."""

@@ -20,7 +20,7 @@ KEPT = 1024
 """Hashes that are kept of a recording."""
 
 BITS = 48
-"""Of a hash: every JSON reader holds such an integer exactly."""
+"""Bits of a hash: every JSON reader holds such an integer exactly."""
 
 SMALLEST_VALUE = 1e-200
 """Smaller values count as 0: ten to the power of their digits would overflow."""

@@ -17,7 +17,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 
 DIFFERENCE = 1e-5
-"""Of positions [rad] and velocities [rad/s], for the derivatives of the torque."""
+"""Steps of positions [rad] and velocities [rad/s] for the derivatives of the torque."""
 
 STEPS_AT_ONCE = 1000
 

@@ -45,7 +45,7 @@ SPEED_MARGIN = 1.2
 LEAST_STEADY = 5.0
 """Speed over a period [rad/s²] from which two commands determine how far the third should be."""
 HALT_DECELERATION = 10.0
-"""Of a stop [rad/s²]: an assumption."""
+"""Deceleration of a stop [rad/s²]: an assumption."""
 FAULT_COMMAND, FAULT_REQUESTED = 1, 2
 """Values of `fault`: a command outside the joint's limits of position or speed; a fault on request."""
 

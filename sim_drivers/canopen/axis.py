@@ -40,7 +40,7 @@ from sim_drivers.canopen.setup import DriveSetup, Feedback
 from sim_drivers.canopen.state import State, StateMachine
 
 BRAKE_DECELERATION = 20.0
-"""Of the holding brake [rad/s²]: an assumption."""
+"""Deceleration by the holding brake [rad/s²]: an assumption."""
 WARM, HOT = 80.0, 90.0
 """Housing temperatures [°C] of the warning bit and of the fault."""
 QUICK_STOP_OPTIONS = (0, 1, 2, 5, 6)

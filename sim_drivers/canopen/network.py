@@ -28,11 +28,11 @@ from sim_drivers.plant.arm import MeasurementLike
 from sim_drivers.server import LONGEST_LAG
 
 LOOP_PERIOD = 1e-3
-"""Of the drives' control loops [s]."""
+"""Period of the drives' control loops [s]."""
 TICKS_PER_CHORE = 5
 """Control periods between two checks of heartbeats and event timers."""
 PDO_IDENTIFIERS = range(0x181, 0x580)
-"""Of the predefined connection set (CiA 301, 7.3.5)."""
+"""Identifiers of the predefined connection set (CiA 301, 7.3.5)."""
 HEARTBEAT_IDENTIFIERS = range(HEARTBEAT + 1, HEARTBEAT + HIGHEST_NODE + 1)
 LONGEST_QUEUE = 100_000
 """Most queued frames of the master."""

@@ -11,7 +11,7 @@ from io import StringIO
 from typing import Any
 
 EDS_NAME = "dynid_drive.eds"
-"""In the folder `eds`; a user's master reads the same file."""
+"""File in the folder `eds`; a user's master reads the same one."""
 
 Value = int | str
 

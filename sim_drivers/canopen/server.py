@@ -45,7 +45,7 @@ LONGEST_WAIT = 0.005
 GRANULARITY = 0.25e-3
 """Frames that are over within so short a time [s] go out together, not one wake-up each."""
 LOAD_WINDOW = 1.0
-"""Of the bus load in the status [s]."""
+"""Window of the bus load in the status [s]."""
 SAMPLE_IDENTIFIERS = range(TPDO1 + 1, 0x580)
 
 

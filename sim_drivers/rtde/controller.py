@@ -67,7 +67,7 @@ PROGRAM_END_DECELERATION = 4.0
 PROTECTIVE_STOP_DECELERATION = 20.0
 """[rad/s²]: assumptions; the manufacturer publishes stopping times and distances only."""
 DRIFT_ACCELERATION = 4.0
-"""Of a drift on request [rad/s²]."""
+"""Acceleration of a drift on request [rad/s²]."""
 UNLOCK_DELAY = 5.0
 """A protective stop can be unlocked only so long [s] after it happened."""
 STEADY_TIME = 0.1
@@ -88,7 +88,7 @@ class ControlProgram(Protocol):
 
 
 ACCELERATION_LIMIT = 40.0
-"""Of a joint [rad/s²], where no robot file says it: an assumption."""
+"""Acceleration limit of a joint [rad/s²], where no robot file says it: an assumption."""
 
 
 class Controller:

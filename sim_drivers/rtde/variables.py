@@ -129,7 +129,7 @@ _E_SERIES: Mapping[str, str] = _by_type(
     UINT8="tool_output_mode tool_digital_output0_mode tool_digital_output1_mode",
     VECTOR3D="target_gravity",
 )
-"""Of all e-Series versions here: real ones brought them one after the other."""
+"""Variables of all e-Series versions here: real ones brought them one after the other."""
 
 _LATER: Mapping[str, tuple[str, int | None, int]] = {  # type, since 3.?, since 5.?
     "safety_status": ("INT32", 10, 4),

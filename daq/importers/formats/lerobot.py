@@ -31,7 +31,7 @@ SUFFIXES = {".pos": "position", ".vel": "velocity"}
 """What the names of LeRobot's motors end in."""
 GRIPPER = "gripper"
 COUNTS = 4095
-"""Of a motor's turn, as LeRobot counts them."""
+"""Counts of a motor's turn, less one, as LeRobot has them."""
 NOMINAL = 1e-3
 """[s] within which stamps are frame numbers over the rate."""
 MOST_FILES = 100_000

@@ -22,7 +22,7 @@ _UPLOAD = 0x40
 _DOWNLOAD = 0x23
 """Expedited, with its size: four bytes, less one for every 4 that are added."""
 _LENGTH = 8
-"""Of every SDO frame (CiA 301, 7.2.4.3) [bytes]."""
+"""Length of every SDO frame (CiA 301, 7.2.4.3) [bytes]."""
 
 
 class CanopenNetwork(Network):

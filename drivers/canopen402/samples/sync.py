@@ -17,13 +17,13 @@ from drivers.core.clock import SYSTEM_CLOCK, Clock, set_timer_slack
 from drivers.core.errors import ConnectionLostError
 
 LATEST = 0.5
-"""Of a period: in motion, a SYNC that would come later than this is left out, or the next one would come too soon."""
+"""Share of a period: in motion, a SYNC that would come later is left out, or the next one would come too soon."""
 BEHIND = 0.2
 """How late [s] a SYNC may be sent at rest, where the moment of a sample does not matter."""
 SPACING = 0.75
-"""Of a period: at rest, SYNCs that are overdue follow each other no sooner, so that the bus can carry the answers."""
+"""Share of a period: at rest, overdue SYNCs follow each other no sooner, so that the bus can carry the answers."""
 TARGET_ROOM = 0.35
-"""Of a period: targets need so long on the bus before the SYNC that applies them."""
+"""Share of a period: targets need so long on the bus before the SYNC that applies them."""
 PATIENCE = 0.1
 """How long [s] an adapter may refuse frames before it counts as lost."""
 

@@ -26,7 +26,7 @@ from ident.signals.resampling import shift_torque
 BLOCKS = 20
 FEWEST_BLOCKS = 5
 LEAST_SAMPLES = 4
-"""Of a block, after the parallel filter."""
+"""Samples of a block after the parallel filter."""
 
 RECORDED, SHIFTED, SLOPE, DRIFTING, CURVATURE = range(5)
 """Torques of every equation: as recorded, at the delay d, its derivative there, this times the time, and the second

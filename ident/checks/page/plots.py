@@ -24,7 +24,7 @@ MOST_COLUMNS = 32
 
 MOST_POINTS = 3000
 PAGE_POINTS = 60_000
-"""Of all signals together, and of one line at most."""
+"""Points of all signals together, and of one line at most."""
 
 SIGNAL_PANEL, INTERVAL_PANEL, SPECTRUM_PANEL = 170, 130, 260
 SPECTRUM_SECONDS = 8.0

@@ -18,7 +18,7 @@ from ident.excite.sufficiency import Sufficiency, TimesNeeded
 from ident.regression.options import SIGNIFICANT_RSD
 
 MOST_CHECKS = 4
-"""Of a recording that are printed without `--verbose`; the most serious stand first."""
+"""Checks of a recording that are printed without `--verbose`, the most serious first."""
 
 
 def print_budget(name: str, budget: Budget, *, verbose: bool = False) -> None:

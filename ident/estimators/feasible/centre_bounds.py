@@ -29,10 +29,10 @@ MOST_HALF_SPACES = 40
 """Half-spaces of a hull at most: a round one needs about so many, each costs the solver a row."""
 
 CORNERS = 16
-"""Of the polygon around a circle."""
+"""Corners of the polygon around a circle."""
 
 ALIKE_NORMALS = 0.05
-"""Of facets whose normals differ by less, one is looked at: meshes have millions."""
+"""Difference of facets' normals below which one of them stands for all: meshes have millions."""
 
 FLAT = 1e-6
 """Points whose thickness is below this share of their extent lie in a plane."""

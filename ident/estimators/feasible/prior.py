@@ -38,7 +38,7 @@ LENGTH_SHARE, WIDTH_DEVIATION = 0.04, 0.5
 """σ of a link's centre of mass over the arm's length, and of its widths, where the links' masses are estimated."""
 
 TOOL_SHARE = 0.1
-"""Of the arm's length: how far a tool or a gripper may move the last link's centre of mass."""
+"""Share of the arm's length: how far a tool or a gripper may move the last link's centre of mass."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def apparent_mass(model: DynamicModel, links: FloatArray, system: FloatArray, ta
 
 
 def _factors(model: DynamicModel, links: FloatArray, system: FloatArray, target: FloatArray) -> tuple[float, float]:
-    """By how much all links together are heavier, estimated in two ways, the smaller one first.
+    """Factors by which all links together are heavier, estimated in two ways, the smaller one first.
 
     Once all links are heavier by one factor, which is that of the wrist, whose torques are measured best. Then each has
     its own, its centre and second moments being uncertain: of those that explain the data, with no mass below 0, the

@@ -71,7 +71,7 @@ class FullFrictionEstimator(RobustEstimator):
         return replace(inner, solution=solution, loops=(*inner.loops, *outer.loops_of(fit, settled.converged)))
 
     def solver(self, active: Sequence[int]) -> Solve:
-        """As for IRLS, within the bounds; decoupled, the parameters that are no friction, friction as it was."""
+        """The solver of IRLS within the bounds; decoupled, of all but friction, which stays as it was."""
         together = super().solver(active)
         if self.bounded and not self.decoupled:
             # The bounds follow the shapes and the load torque, which are those of the kernel.

@@ -32,7 +32,7 @@ from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Prepared, Segment
 
 LEAST_INNOVATION = 1e-6
-"""Of the residual's variance; an order that leaves less is rounding."""
+"""Share of the residual's variance; an order that leaves less is rounding."""
 
 
 def whitening_filters(

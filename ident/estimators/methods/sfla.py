@@ -35,25 +35,25 @@ from ident.regression.least_squares import LeastSquares, weighted_least_squares
 from ident.signals.prepared import Step
 
 MASSES = (0.05, 3.0)
-"""Of the prior's mass and moments of inertia: the box. A link may always weigh three times the arm's mean link."""
+"""Box about the prior's mass and moments of inertia. A link may always weigh three times the arm's mean link."""
 
 REACH = 2.0
 """Radii of gyration by which a centre of mass may be off; half of the arm's longest link where that is more."""
 
 PRODUCTS = 0.5
-"""Of the geometric mean of two moments of inertia: their product of inertia at most."""
+"""Largest product of inertia over the geometric mean of its two moments of inertia."""
 
 IMPOSSIBLE = 1.0
 """Penalty, over the cost of no model, of a link whose pseudo-inertia is as negative as its prior's is positive."""
 
 LEAST_PRIOR = 1e-3
-"""Of the prior's mass and moments of inertia, whatever the factor of the box."""
+"""Least share of the prior's mass and moments of inertia, whatever the factor of the box."""
 
 POSITIVE = (0, 4, 7, 9)
 """Places of mass and moments of inertia among a body's physical parameters."""
 
 JOINTS = 2.0
-"""Of the least-squares estimate's size: a joint's own parameter at most."""
+"""Largest parameter of a joint's own, over the size of its least-squares estimate."""
 
 
 def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable[[LeastSquares, QuadraticCost], Space]:

@@ -21,7 +21,7 @@ from ident.signals.filters import ZeroPhaseFilter
 from ident.signals.prepared import Segment
 
 LEAST_EIGENVALUE = 1e-6
-"""Of the residuals' correlation matrix: smaller ones are raised to it."""
+"""Least eigenvalue of the residuals' correlation matrix: smaller ones are raised to it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ class Whitening:
     """Roots of Ω for any set of motors."""
 
     def __init__(self, covariance: FloatArray) -> None:
-        """Of a covariance (n, n) [(N·m)²]; rows and columns of motors that never take part are not looked at."""
+        """Take a covariance (n, n) [(N·m)²]; rows and columns of motors that never take part do not matter."""
         self._covariance = covariance
         self._roots: dict[tuple[int, ...], tuple[FloatArray, FloatArray]] = {}
 

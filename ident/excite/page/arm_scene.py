@@ -29,7 +29,7 @@ FRAMES = 72
 """Frames of the animation at most."""
 
 CAMERA_X, CAMERA_Y = 1.1, 1.35
-"""Of the camera along x and y, so that the arm fills a window, and a phone."""
+"""Places of the camera along x and y, so that the arm fills a window, and a phone."""
 
 _SCENE_HEIGHT, _NARROW_SCENE_HEIGHT = 640, 600
 _GRID_COLOUR = "#A9AEB5"
@@ -38,7 +38,7 @@ _SIDES = 6
 _TILT = np.pi / 4.0
 _BOX_SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 _BOX_TRIANGLES = np.array([corners for a, b, c, d in _BOX_SIDES for corners in ((a, b, c), (a, c, d))])
-"""Of corners in the order of their binary numbers."""
+"""Triangles of corners in the order of their binary numbers."""
 
 
 @dataclass(frozen=True)

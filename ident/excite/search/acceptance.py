@@ -17,7 +17,7 @@ from ident.excite.search.problem import DesignProblem
 DENSER = 10
 """The check's grid is this many times denser than the one of the design."""
 UTILISATION_TOLERANCE = 1e-6
-"""By which a limit utilisation may exceed what the margin allows."""
+"""Excess of a limit utilisation over what the margin allows that is accepted."""
 LEAST_SHARE = 1e-3
 """Smallest amplitude that a motion is shrunk to, as a share of its own."""
 _RAMP_GROWTH = 1.4

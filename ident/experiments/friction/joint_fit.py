@@ -66,7 +66,7 @@ class _Solved:
     kinds: tuple[str, ...]
 
     def value(self, kind: str, motor: int) -> float | None:
-        """Of a kind; None where there is no such column. `motor` is 0."""
+        """Value of a parameter of a kind; None where there is no such column. `motor` is 0."""
         return float(self.parameters[self.own + self.kinds.index(kind)]) if kind in self.kinds else None
 
 
@@ -139,7 +139,7 @@ class _JointFit:
 
     @property
     def load_span(self) -> ValueRange:
-        """Of |τ_L| over all equations."""
+        """Range of |τ_L| over all equations."""
         return _span(np.abs(self._data.sampled(self._load)))
 
     def kinds(self, terms: FrictionTerms) -> tuple[str, ...]:

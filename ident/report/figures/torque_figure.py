@@ -22,7 +22,7 @@ PANEL = 150
 """Height of a panel [px]."""
 
 SMALL_PANEL, SMALL_COLUMNS, SMALL_POINTS = 66, 2, 400
-"""Of the figure at a glance: a panel's height [px], panels of a row, points of a line."""
+"""Sizes of the figure at a glance: a panel's height [px], panels of a row, points of a line."""
 
 LINES = {"residual": (3, RESIDUAL, 1.0), "measured": (1, MEASURED, 2.0), "predicted": (2, PREDICTED, 1.2)}
 """Line → its place in the legend, its colour and its width [px]; in the order in which they are drawn."""

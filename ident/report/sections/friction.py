@@ -29,7 +29,7 @@ PANEL = 190
 SCATTER_POINTS = 1200
 PAGE_SCATTER_POINTS = 6_000
 SMALL_PANEL, SMALL_POINTS = 66, 150
-"""Of the figure at a glance: a panel's height [px], points of a joint."""
+"""Sizes of the figure at a glance: a panel's height [px], points of a joint."""
 
 CURVE_POINTS = 60
 """Per direction of motion."""

@@ -55,7 +55,7 @@ def reference_values(data: ReportData) -> ReferenceValues | None:
 REFERENCE_MARKER = "#7C828A"
 
 SMALL_PANEL, SMALL_COLUMNS, MOST_NAMES = 66, 3, 8
-"""Of the figure at a glance: a panel's height [px], panels of a row, parameters whose names have room below it."""
+"""Sizes of the figure at a glance: a panel's height [px], panels of a row, names with room below it."""
 
 
 def section(data: ReportData) -> ReportSection:

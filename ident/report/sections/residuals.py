@@ -20,10 +20,10 @@ from ident.report.section import ReportData, ReportSection
 from ident.views.number_text import number, whole
 
 HISTOGRAM_EDGES = np.linspace(-5.0, 5.0, 51)
-"""In standard deviations; what lies beyond counts for the first and the last bin."""
+"""Edges in standard deviations; what lies beyond counts for the first and the last bin."""
 
 PROBABILITIES = np.concatenate([[0.0005, 0.001, 0.002], np.linspace(0.005, 0.995, 100), [0.998, 0.999, 0.9995]])
-"""Of the quantiles that are compared with those of a normal distribution."""
+"""Probabilities of the quantiles that are compared with those of a normal distribution."""
 
 MEAN_ROUNDING = 1e-9
 """A mean of fewer standard deviations is what rounding left of 0: an offset column takes it out exactly."""

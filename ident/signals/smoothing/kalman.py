@@ -36,7 +36,7 @@ WHITE_CURVATURE = 2
 """Order of the model of a torque: its second derivative is white noise; it jumps where friction reverses."""
 
 _PRIOR_VARIANCE = 1e8
-"""Of the first state, in variances of a sample: samples outweigh it at once."""
+"""Variance of the first state, in variances of a sample: samples outweigh it at once."""
 
 _STATIONARY = 1e-11
 """Relative difference from the stationary gain below which a gain counts as stationary."""

@@ -10,7 +10,7 @@ from drivers.core.arrays import FloatArray
 from ident.signals.smoothing.kalman import innovations, stationary_filter
 
 HIGHEST_CUTOFF = 0.2
-"""Of the rate: the smoother's cut-off is sought below it; above, next to nothing is smoothed."""
+"""Share of the rate below which the smoother's cut-off is sought; above, next to nothing is smoothed."""
 
 MOST_SAMPLES = 20_000
 """From the middle of a longer record; more say the same."""

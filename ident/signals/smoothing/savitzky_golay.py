@@ -9,7 +9,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 
 DEGREE = 4
-"""Of the polynomial: the second derivative is exact for signals up to the fifth degree."""
+"""Degree of the polynomial: the second derivative is exact for signals up to the fifth degree."""
 
 
 def savitzky_golay_gain(relative_frequency: float, half_width: int) -> float:
