@@ -22,7 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf
+from scipy.linalg.lapack import dgesv, dpotrf
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, ModelError
@@ -158,6 +158,7 @@ class _Stepping:
 
     def __init__(self, arm: ForwardArm, step: float) -> None:
         self._arm, self._step = arm, step
+        self._identity = np.eye(arm.dof)
         self._dry = np.zeros(len(arm.dry))
         self._change = np.zeros(arm.dof)
 
@@ -170,7 +171,7 @@ class _Stepping:
             raise np.linalg.LinAlgError("not positive definite")
         viscous, driving = arm.viscous_at(velocity + 0.5 * self._change)
         limits = arm.dry_at(middle, velocity)
-        inverse = np.linalg.inv(inertia + 0.5 * step * viscous)
+        inverse = dgesv(inertia + 0.5 * step * viscous, self._identity)[2]
         free = inertia @ velocity + step * (torque - driving - 0.5 * (viscous @ velocity))
         sliding = limits > 0.0
         directions = arm.directions[sliding]
