@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import typer
 
-from daq.commands.completion import COMPLETIONS
 from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, REALTIME, VERBOSE, takes
-from sim_drivers.options import DemoOptions
+from sim_drivers.options import DemoOptions, SimOptions
 
 app = CommandApp("Simulate")
 
@@ -30,27 +27,10 @@ def demo(*, options: DemoOptions, verbose: bool = VERBOSE, force: bool = FORCE, 
 
 
 @app.command("sim")
+@takes(SimOptions)
 def sim(
-    robot: str = typer.Argument(
-        help="Built-in robot or robot file with a truth section.", autocompletion=COMPLETIONS["robot"]
-    ),
-    wire: str | None = typer.Option(
-        None, "--wire", help="rtde, canopen, slcan (CANopen), can, thermometer; default: as its robot file says."
-    ),
-    host: str = typer.Option("127.0.0.1", "--host", help="Address to listen on; several arms: 127.0.0.2, 127.0.0.3."),
-    version: str = typer.Option("5.22", "--version", help="Of the controller: 3.15 (125 Hz), 5.22, 5.23, 10.10."),
-    interface: str | None = typer.Option(None, "--interface", help="CAN interface; default: the robot file's."),
-    channel: str | None = typer.Option(None, "--channel", help="CAN channel; default: the robot file's."),
-    swap: str | None = typer.Option(None, "--swap", help="Two joints, j1,j2, whose drives have swapped node ids."),
-    worst_stuffing: bool = typer.Option(False, "--worst-stuffing", help="Stuff every CAN frame to the maximum."),
-    thermometer: bool = typer.Option(False, "--thermometer", help="Serve its serial thermometer, too."),
-    payload: str | None = typer.Option(None, "--payload", help="MASS@X,Y,Z: kg, and m in the flange frame."),
-    position: str | None = typer.Option(
-        None, "--position", help="Where it stands at first, joint after joint, rad or m; default: mid-range."
-    ),
-    seed: int = typer.Option(1, "--seed", help="Of the noise."),
-    play: Path | None = typer.Option(None, "--play", help="Of servo arms: motion to play and record, not to serve."),
-    out: Path | None = typer.Option(None, "-o", "--out", help="With --play: recording to write (.h5)."),
+    *,
+    options: SimOptions,
     force: bool = FORCE,
     realtime: bool = REALTIME,
     no_ui: bool = typer.Option(False, "--no-ui", help="No status line on standard error."),
@@ -62,16 +42,14 @@ def sim(
 
     Example: dynid sim ur5e --wire canopen
     """
-    if play is not None or out is not None:
+    if options.play is not None or options.out is not None:
         from sim_drivers.synthetic.servo import play_and_record
 
-        play_and_record(robot, play, out, seed, overwrite=force)
+        play_and_record(options.robot, options.play, options.out, options.seed, overwrite=force)
         return
     from daq.session.realtime import ask_for_realtime
     from sim_drivers.serving.serve import simulate
-    from sim_drivers.serving.served import BusOptions
 
     if realtime:
         ask_for_realtime()
-    bus = BusOptions(interface, channel, swap, worst_stuffing, thermometer)
-    simulate(robot, wire, host, version, seed, live=not (no_ui or as_json), bus=bus, payload=payload, position=position)
+    simulate(options, live=not (no_ui or as_json))

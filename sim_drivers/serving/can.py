@@ -16,14 +16,15 @@ from sim_drivers.can.bus_load import Frame, exact_bits, worst_case_bits
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.server import CanopenServer
 from sim_drivers.faults import joint_index
+from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
-from sim_drivers.serving.served import BusOptions, Served
+from sim_drivers.serving.served import Served
 
 DEFAULT_BUS = {"interface": "udp_multicast", "channel": "239.74.163.2", "options": {"hop_limit": 0}}
 """Default channel of an arm without one in its robot file."""
 
 
-def canopen(robot_file: RobotFile, plant: Plant, options: BusOptions) -> Served:
+def canopen(robot_file: RobotFile, plant: Plant, options: SimOptions) -> Served:
     """CiA 402 drives on the bus of the robot file's canopen402 connection.
 
     Raises:
@@ -32,7 +33,7 @@ def canopen(robot_file: RobotFile, plant: Plant, options: BusOptions) -> Served:
     return _drives(robot_file, plant, options, _canopen_keys(robot_file.robot, options), None)
 
 
-def slcan(robot_file: RobotFile, plant: Plant, options: BusOptions) -> Served:
+def slcan(robot_file: RobotFile, plant: Plant, options: SimOptions) -> Served:
     """The same drives behind an adapter on a pseudo-terminal.
 
     Raises:
@@ -50,7 +51,7 @@ def slcan(robot_file: RobotFile, plant: Plant, options: BusOptions) -> Served:
     return _drives(robot_file, plant, options, keys, SlcanAdapter(bus, settings.bitrate))
 
 
-def proprietary(robot_file: RobotFile, plant: Plant, options: BusOptions) -> Served:
+def proprietary(robot_file: RobotFile, plant: Plant, options: SimOptions) -> Served:
     """An arm with the signal table of the robot file's can_frames connection.
 
     Raises:
@@ -72,7 +73,7 @@ def proprietary(robot_file: RobotFile, plant: Plant, options: BusOptions) -> Ser
 
 
 def _drives(
-    robot_file: RobotFile, plant: Plant, options: BusOptions, keys: dict[str, object], adapter: SlcanAdapter | None
+    robot_file: RobotFile, plant: Plant, options: SimOptions, keys: dict[str, object], adapter: SlcanAdapter | None
 ) -> CanopenServer:
     robot = robot_file.robot
     length: Callable[[Frame], int] = worst_case_bits if options.worst_stuffing else exact_bits
@@ -81,14 +82,14 @@ def _drives(
     return CanopenServer(plant, robot, settings, swapped=swapped, length=length, adapter=adapter)
 
 
-def _canopen_keys(robot: Robot, options: BusOptions) -> dict[str, object]:
+def _canopen_keys(robot: Robot, options: SimOptions) -> dict[str, object]:
     """The keys of the canopen402 connection; default ones where the robot file has none."""
     nodes = {name: {"id": node_id} for node_id, name in enumerate(robot.joint_names, start=1)}
     keys = _connection_keys(robot, "canopen402", options)
     return keys if keys is not None else _with_options({**DEFAULT_BUS, "nodes": nodes}, options)
 
 
-def _connection_keys(robot: Robot, driver: str, options: BusOptions) -> dict[str, object] | None:
+def _connection_keys(robot: Robot, driver: str, options: SimOptions) -> dict[str, object] | None:
     """The keys of the first connection with a driver, with the options in their place; None where there is none."""
     for connection in robot.connections.values():
         if connection.driver == driver:
@@ -98,7 +99,7 @@ def _connection_keys(robot: Robot, driver: str, options: BusOptions) -> dict[str
     return None
 
 
-def _with_options(keys: dict[str, object], options: BusOptions) -> dict[str, object]:
+def _with_options(keys: dict[str, object], options: SimOptions) -> dict[str, object]:
     if options.interface is not None and options.interface != keys.get("interface"):
         keys |= {"interface": options.interface, "options": {}}
     if options.channel is not None:

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING
 
 from daq.robot.arm_lengths import arm_lengths
 from drivers.core.errors import UsageError
+from sim_drivers.options import SimOptions
 from sim_drivers.rtde.server import RtdeServer
 from sim_drivers.rtde.variables import JOINTS
-from sim_drivers.serving.served import BusOptions, Served, serve_until_interrupted
+from sim_drivers.serving.served import Served, serve_until_interrupted
 
 if TYPE_CHECKING:
     from daq.robot.loader import RobotFile
@@ -20,33 +21,12 @@ START = "start"
 WIRES = ("rtde", "canopen", "slcan", "can", "thermometer")
 _WIRE_OF_DRIVER = {"rtde": "rtde", "canopen402": "canopen", "can_frames": "can"}
 
-AS_THE_ROBOT_FILE_SAYS = BusOptions()
 
+def simulate(options: SimOptions, *, live: bool) -> None:
+    """Serve a simulated arm until Ctrl-C or SIGTERM, with a status line on standard error where `live`.
 
-def simulate(
-    robot: str,
-    wire: str | None,
-    host: str,
-    version: str,
-    seed: int,
-    *,
-    live: bool,
-    bus: BusOptions = AS_THE_ROBOT_FILE_SAYS,
-    payload: str | None = None,
-    position: str | None = None,
-) -> None:
-    """Serve a simulated arm until Ctrl-C or SIGTERM.
-
-    Args:
-        robot: built-in robot or robot file.
-        wire: its bus, one of `WIRES`; see `wire_of` where None.
-        host: address to listen on.
-        version: of a UR controller.
-        seed: of the noise.
-        live: whether a status line is shown on standard error.
-        bus: how its bus differs from its robot file's.
-        payload: see `sim_drivers.plant.altered_arm.with_payload`; None for none.
-        position: see `start_position`; the file's pose `start`, else the middle of the joints' ranges, where None.
+    Its bus is `wire_of` its file where none is named, and it stands in the file's pose `start`, or in the middle of the
+    joints' ranges, where no position is.
 
     Raises:
         UsageError: a bus, a version, a payload, a position or an arm that cannot be simulated, or wrong keys of a
@@ -58,19 +38,18 @@ def simulate(
 
     from daq.robot.loader import load_robot
 
-    if wire is not None and wire not in WIRES:
-        raise UsageError(f"'{wire}' cannot be simulated", hint=f"--wire {', '.join(WIRES)}")
-    robot_file = load_robot(robot)
-    wire = wire or wire_of(robot_file)
-    if payload is not None:
+    if options.wire is not None and options.wire not in WIRES:
+        raise UsageError(f"'{options.wire}' cannot be simulated", hint=f"--wire {', '.join(WIRES)}")
+    robot_file = load_robot(options.robot)
+    if options.payload is not None:
         from sim_drivers.plant.altered_arm import with_payload
 
-        robot_file = with_payload(robot_file, payload)
-    if position is not None:
-        start: FloatArray | None = start_position(robot_file, position)
+        robot_file = with_payload(robot_file, options.payload)
+    if options.position is not None:
+        start: FloatArray | None = start_position(robot_file, options.position)
     else:
         start = np.array(pose) if (pose := robot_file.robot.poses.get(START)) is not None else None
-    served = _served(robot_file, wire, host, version, seed, bus, start)
+    served = _served(robot_file, options, start)
     serve_until_interrupted(served, robot_file.robot.name, live=live)
 
 
@@ -106,17 +85,10 @@ def start_position(robot_file: RobotFile, text: str) -> FloatArray:
     return np.array(numbers)
 
 
-def _served(
-    robot_file: RobotFile,
-    wire: str,
-    host: str,
-    version: str,
-    seed: int,
-    bus: BusOptions,
-    position: FloatArray | None,
-) -> Served:
+def _served(robot_file: RobotFile, options: SimOptions, position: FloatArray | None) -> Served:
     from sim_drivers.plant.plant import Plant
 
+    wire, seed = options.wire or wire_of(robot_file), options.seed
     if wire == "thermometer":
         from sim_drivers.serving.thermometer import thermometer_alone
 
@@ -124,15 +96,15 @@ def _served(
     plant = Plant(robot_file, seed=seed, position=position)
     served: Served
     if wire == "rtde":
-        served = RtdeServer(plant, host=host, version=version, joints=robot_file.robot.joints)
+        served = RtdeServer(plant, host=options.host, version=options.version, joints=robot_file.robot.joints)
         if (lengths := arm_lengths(robot_file)) is not None:
             served.controller.lengths = lengths.tolist()
     else:
         from sim_drivers.serving import can as can_wires
 
         prepare = {"canopen": can_wires.canopen, "slcan": can_wires.slcan, "can": can_wires.proprietary}[wire]
-        served = prepare(robot_file, plant, bus)
-    if bus.thermometer:
+        served = prepare(robot_file, plant, options)
+    if options.thermometer:
         from sim_drivers.serving.thermometer import BesideThermometer, thermometer_keys
         from sim_drivers.thermometer.server import serve_thermometer
 

@@ -12,7 +12,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import FrameType
 from typing import Protocol, Self
 
@@ -53,24 +52,6 @@ class Served(Protocol):
         Raises:
             UsageError: not a fault.
         """
-
-
-@dataclass(frozen=True)
-class BusOptions:
-    """How a simulated arm's bus differs from its robot file's, and the devices served beside it.
-
-    Attributes:
-        interface, channel: of python-can; the connection's where None.
-        swap: two joints whose drives have each other's node id, "joint,joint"; None for none.
-        worst_stuffing: whether every frame is as long as it can be.
-        thermometer: whether the robot file's serial thermometer is served beside it.
-    """
-
-    interface: str | None = None
-    channel: str | None = None
-    swap: str | None = None
-    worst_stuffing: bool = False
-    thermometer: bool = False
 
 
 def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:

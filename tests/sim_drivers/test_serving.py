@@ -7,6 +7,7 @@ import pytest
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
+from sim_drivers.options import SimOptions
 from sim_drivers.serving.serve import simulate, start_position
 
 
@@ -29,4 +30,4 @@ def test_a_position_is_a_number_for_each_joint() -> None:
 )
 def test_what_is_no_position_is_refused_before_anything_is_served(text: str, said: str) -> None:
     with pytest.raises(UsageError, match=said):
-        simulate("ur5e", "rtde", "127.0.0.9", "5.22", 1, live=False, position=text)
+        simulate(SimOptions(robot="ur5e", wire="rtde", host="127.0.0.9", position=text), live=False)

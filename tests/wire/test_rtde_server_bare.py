@@ -18,6 +18,7 @@ from simulated_clock import START, SimulatedClock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from drivers.rtde import protocol as wire
 from sim_drivers.faults import Cut, Drop, Freeze, Heat, ProtectiveStop
+from sim_drivers.options import SimOptions
 from sim_drivers.rtde.controller import Controller
 from sim_drivers.rtde.server import LONGEST_LAG, MAXIMUM_CONNECTIONS, Ports, RtdeServer, Service
 from sim_drivers.rtde.session import RtdeSession
@@ -377,9 +378,9 @@ def test_what_cannot_be_served_is_refused(clock: SimulatedClock) -> None:
 )
 def test_the_command_refuses_in_words(robot: str, wire_name: str, version: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
-        simulate(robot, wire_name, "127.0.0.1", version, 1, live=False)
+        simulate(SimOptions(robot=robot, wire=wire_name, version=version), live=False)
     with pytest.raises(UsageError, match="is not a payload"):
-        simulate("ur5e", "rtde", "127.0.0.1", "5.22", 1, live=False, payload="2.0")
+        simulate(SimOptions(robot="ur5e", wire="rtde", payload="2.0"), live=False)
 
 
 def test_a_plant_that_breaks_down_is_reported(clock: SimulatedClock) -> None:

@@ -6,15 +6,17 @@ import pytest
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import ConnectionFailedError, DynidError, UsageError
+from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
 from sim_drivers.serving import can as can_wires
 from sim_drivers.serving.serve import simulate
-from sim_drivers.serving.served import BusOptions
 
 
 def test_the_options_choose_bus_and_nodes() -> None:
     robot_file = load_robot("ur5e")
-    served = can_wires.canopen(robot_file, Plant(robot_file), BusOptions(channel="239.74.163.201", swap="1,2"))
+    served = can_wires.canopen(
+        robot_file, Plant(robot_file), SimOptions(robot="ur5e", channel="239.74.163.201", swap="1,2")
+    )
     ready = served.ready()
     nodes = dict(zip(robot_file.robot.joint_names, (2, 1, 3, 4, 5, 6), strict=True))
     place = {"interface": "udp_multicast", "channel": "239.74.163.201"}
@@ -24,17 +26,17 @@ def test_the_options_choose_bus_and_nodes() -> None:
 
 
 @pytest.mark.parametrize(
-    ("robot", "wire", "bus", "message"),
+    ("options", "message"),
     [
-        ("ur5e", "canopen", BusOptions(swap="1"), "two joints"),
-        ("ur5e", "canopen", BusOptions(swap="1,9"), "no joint"),
-        ("ur5e", "canopen", BusOptions(interface="pigeon"), "no interface 'pigeon'"),
-        ("ur5e", "slcan", BusOptions(channel="/dev/ttyUSB0"), "its own port"),
-        ("ur5e", "can", BusOptions(), "can_frames"),
-        ("panda", "canopen", BusOptions(interface="virtual", channel="x", swap="7,7"), "two joints"),
+        (SimOptions(robot="ur5e", wire="canopen", swap="1"), "two joints"),
+        (SimOptions(robot="ur5e", wire="canopen", swap="1,9"), "no joint"),
+        (SimOptions(robot="ur5e", wire="canopen", interface="pigeon"), "no interface 'pigeon'"),
+        (SimOptions(robot="ur5e", wire="slcan", channel="/dev/ttyUSB0"), "its own port"),
+        (SimOptions(robot="ur5e", wire="can"), "can_frames"),
+        (SimOptions(robot="panda", wire="canopen", interface="virtual", channel="x", swap="7,7"), "two joints"),
     ],
 )
-def test_what_cannot_be_served_is_refused(robot: str, wire: str, bus: BusOptions, message: str) -> None:
+def test_what_cannot_be_served_is_refused(options: SimOptions, message: str) -> None:
     with pytest.raises(DynidError, match=message) as refused:
-        simulate(robot, wire, "127.0.0.1", "5.22", 1, live=False, bus=bus)
+        simulate(options, live=False)
     assert isinstance(refused.value, UsageError | ConnectionFailedError)
