@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from drivers.core.errors import DataError
 from drivers.core.reading_process import Progress
 from ident.assessment.delay.delay import DelaySearch, search_delay
 from ident.identify.cutoff_search import LoweredCutoffs, lowered_cutoffs
@@ -78,7 +79,7 @@ def prepare_data(
             replace(run, prepared=leave_out_reversals(kernel, run.prepared, choices.reversal_share)) for run in runs
         ),
         validation_runs=tuple(
-            _with_rest(_prepare_run(kernel, run, resolved, predictable, data.held), kernel, run, data.held)
+            _prepare_held_out(kernel, run, resolved, predictable, data.held)
             for run, predictable in zip(data.held_out, held_out_torques, strict=True)
         ),
         delay=delay,
@@ -130,6 +131,26 @@ def _prepare_run(
         held.model.require_temperature(None if temperature is None else temperature.T, run.signals.label)
         prepared = held.taken_off(prepared)
     return PreparedRun(run.signals, choices, prepared, tuple(torques), overlap=run.overlap)
+
+
+def _prepare_held_out(
+    kernel: RegressorKernel,
+    run: RunWindow,
+    resolved: PreprocessChoices,
+    torques: Sequence[int],
+    held: HeldFriction | None,
+) -> PreparedRun:
+    """A held-out run; an error says which part of a recording it is about."""
+    try:
+        return _with_rest(_prepare_run(kernel, run, resolved, torques, held), kernel, run, held)
+    except DataError as error:
+        if not run.start:
+            raise
+        raise DataError(
+            error.message,
+            where=f"{run.signals.label} from {run.start:.4g} s on, which is held out",
+            hint="hold out another part: --split, or name a held-out recording: --validate",
+        ) from error
 
 
 def _with_rest(run: PreparedRun, kernel: RegressorKernel, window: RunWindow, held: HeldFriction | None) -> PreparedRun:

@@ -1,6 +1,6 @@
 """Whether `--friction auto` finds friction and torque over the position with three runs: docs/measurements/friction.md.
 
-    python -m studies.friction.several_motions [SEEDS]
+    python -m studies.friction.several_motions [SEEDS [ARM…]]
 
 Simulated arms without and with a torque and a friction of one period per turn, a share of the joint's Coulomb friction;
 three motions identify, a fourth is held out, with the terms of `coulomb-viscous` and with those of `auto`.
@@ -22,7 +22,6 @@ from ident.identify.identification import Identification, IdentifyChoices, Model
 from ident.identify.identify import identify
 from studies.friction.ripple import rippled
 
-ARMS = ("ur10e", "panda")
 SHARES = (0.0, 0.1, 0.3)
 WORDS = tuple(option.word for option in OPTIONS if option.kinds[0] in POSITION_KINDS)
 
@@ -38,14 +37,14 @@ def error(found: Identification) -> float:
     return 100.0 * float(found.held_out[0].errors.all_samples.relative_error)
 
 
-def main(seeds: int) -> None:
+def main(seeds: int, arms: list[str]) -> None:
     """Print a row per arm and share."""
     print(
         "| arm | ripple | arms with terms of the position | joints with `position-n` | n = 1 | `ripple-m` | m = 1 "
         "| held-out error [%] of coulomb-viscous → auto |"
     )
     print("|---|---|---|---|---|---|---|---|")
-    for arm in ARMS:
+    for arm in arms:
         for share in SHARES:
             words: list[str] = []
             errors: list[tuple[float, float]] = []
@@ -73,4 +72,4 @@ def main(seeds: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 10, sys.argv[2:] or ["ur10e", "panda"])

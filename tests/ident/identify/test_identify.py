@@ -434,6 +434,11 @@ def test_an_arm_that_does_not_move_is_refused(recorded):
         identify([still], [], IdentifyChoices())
     assert caught.value.hint
     assert "recording in memory" in str(caught.value)
+    stopped = recorded()
+    position = stopped.streams[JOINTS_STREAM].channels["position"].values
+    position[len(position) // 2 :] = position[len(position) // 2]
+    with pytest.raises(DataError, match=r"from [\d.]+ s on, which is held out.*--validate"):
+        identify([stopped], [], IdentifyChoices(search_delay=False))
 
 
 def test_a_given_robot_file_goes_before_the_recordings(recorded, clean, three_joint):
