@@ -380,7 +380,10 @@ class Canopen402Driver:
             if settings.mode != "none":
                 self._life = heartbeat(self._sender, settings.own_id, settings.heartbeat, self._clock)
         controls = self._configured.controls
-        expected, watching = [control.present for control in controls], [one.watching is not None for one in controls]
+        expected, watching = (
+            [control.present for control in controls],
+            [control.watching is not None for control in controls],
+        )
         return DriveWatch(
             self._joints, ids, expected, presence, watching, self._sync.clock, self._moved_in, self._clocks
         )
@@ -439,7 +442,7 @@ class Canopen402Driver:
             return []
         host_time = np.array([reading.host_time for reading in readings])
         time_ = np.array([self._sync.clock(moment) for moment in host_time])
-        return [Batch("thermal", time_, host_time, {"temperature": np.stack([one.values for one in readings])})]
+        return [Batch("thermal", time_, host_time, {"temperature": np.stack([reading.values for reading in readings])})]
 
     def _check_silence(self) -> None:
         if self._sync.failure is not None:

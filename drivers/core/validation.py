@@ -257,7 +257,7 @@ def _members(annotation: Any) -> list[Any]:
 def _sections(annotation: Any) -> list[type[BaseModel]]:
     """The sections among the members of a union."""
     members = [plain_type(member) for member in _members(annotation)]
-    return [one for one in members if isinstance(one, type) and issubclass(one, BaseModel)]
+    return [member for member in members if isinstance(member, type) and issubclass(member, BaseModel)]
 
 
 def describe(value: Any) -> str:

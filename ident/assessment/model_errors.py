@@ -100,7 +100,9 @@ def most_likely(refit: Refit, runs: Sequence[Prepared], independent: float, poor
         return []
     if not poor and deviations[0].likelihood * independent / total < WORTH_A_LOOK:
         return []
-    tried = list(dict.fromkeys([*(one.unknown for one in deviations[:REFINED_UNKNOWNS]), Unknown("gravity")]))
+    tried = list(
+        dict.fromkeys([*(deviation.unknown for deviation in deviations[:REFINED_UNKNOWNS]), Unknown("gravity")])
+    )
     finer = [refit.deviation(unknown) for unknown in tried] + _other_directions(refit)
     if poor:
         finer += _far_gains(refit)
@@ -163,9 +165,9 @@ def simplest_first(deviations: Sequence[Deviation]) -> list[Deviation]:
         for deviation in deviations
         if deviation.unknown.kind == "gravity" and deviation.likelihood > best.likelihood - RIVAL_LIKELIHOOD
     ]
-    opposite = [one for one in alike if one.std == 0.0]
-    first = opposite or sorted((one for one in alike if best in alike), key=lambda one: one.value)
-    return [*first[:1], *(one for one in deviations if one not in first[:1])]
+    opposite = [rival for rival in alike if rival.std == 0.0]
+    first = opposite or sorted((rival for rival in alike if best in alike), key=lambda one: one.value)
+    return [*first[:1], *(deviation for deviation in deviations if deviation not in first[:1])]
 
 
 def model_error_checks(model: DynamicModel, deviations: Sequence[Deviation]) -> list[Check]:

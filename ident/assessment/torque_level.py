@@ -147,7 +147,7 @@ def weight_checks(
             "the drive gains"
         )
         return [raised("implausible-load", text, [name])]
-    limits = {robot.joint_names.index(one.name): one.torque for one in robot.joints if one.torque is not None}
+    limits = {robot.joint_names.index(joint.name): joint.torque for joint in robot.joints if joint.torque is not None}
     limits = {row: limit for row, limit in limits.items() if row in turning}
     if len(set(limits.values())) < 2:  # limits that are equal for all joints are placeholders of the robot file
         return []

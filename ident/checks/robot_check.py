@@ -117,7 +117,7 @@ def _limit_warnings(robot_file: RobotFile) -> list[str]:
     if without:
         warnings.append(f"no torque limit for {', '.join(without)}")
     for sliding, unit in ((False, "°/s²"), (True, "mm/s²")):
-        quick = [one.name for one in robot.joints if one.acceleration > QUICKEST and one.sliding == sliding]
+        quick = [joint.name for joint in robot.joints if joint.acceleration > QUICKEST and joint.sliding == sliding]
         if quick:
             warnings.append(f"the acceleration limit of {', '.join(quick)} is above {QUICKEST:g}: is it in {unit}?")
     return warnings

@@ -132,7 +132,9 @@ def random_states(arm: ExportedArm, count: int = STATES) -> tuple[FloatArray, Fl
     generator, limits = np.random.default_rng(0), arm.model.limits
     low, high = (np.array(limit)[:, None] for limit in zip(*(limit.position for limit in limits), strict=True))
     shape = (arm.model.dof, count)
-    fast, strong = (np.array([getattr(one, name) for one in limits])[:, None] for name in ("velocity", "acceleration"))
+    fast, strong = (
+        np.array([getattr(limit, name) for limit in limits])[:, None] for name in ("velocity", "acceleration")
+    )
     return (
         generator.uniform(low, high, shape),
         fast * generator.uniform(0.05, 1.0, shape) * generator.choice([-1.0, 1.0], shape),

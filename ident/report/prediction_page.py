@@ -76,7 +76,7 @@ def write_prediction_page(
                     "parts-plot",
                     joints,
                     segments,
-                    [(part, PART_COLOURS[part], [one.parts[part] for one in segments]) for part in PARTS],
+                    [(part, PART_COLOURS[part], [segment.parts[part] for segment in segments]) for part in PARTS],
                     "The parts of the predicted torque; together they are its whole.",
                 ),
             },
@@ -94,7 +94,7 @@ def prediction_figure(joints: Sequence[JointLimits], predicted: RecordingPredict
 def _torque_lines(segments: Sequence[SegmentPrediction]) -> list[Line]:
     measured = [segment.measured for segment in segments if segment.measured is not None]
     lines: list[Line] = [("measured", MEASURED, measured)] if measured else []
-    return [*lines, ("predicted", PREDICTED, [one.torque for one in segments])]
+    return [*lines, ("predicted", PREDICTED, [segment.torque for segment in segments])]
 
 
 def _torque_caption(predicted: RecordingPrediction) -> str:
@@ -114,7 +114,7 @@ def _residual_figure(joints: Sequence[JointLimits], predicted: RecordingPredicti
         "surroundings. An external torque that acts on the arm has the opposite sign."
     )
     if predicted.noise is not None:
-        band = [WITHIN_95_PERCENT * np.sqrt(one.std**2 + predicted.noise**2) for one in predicted.segments]
+        band = [WITHIN_95_PERCENT * np.sqrt(segment.std**2 + predicted.noise**2) for segment in predicted.segments]
         lines += [("95 %", PREDICTED, band), ("", PREDICTED, [-limit for limit in band])]
         caption += " Red: its 95 % interval without contact."
     return _figure("residual-plot", joints, predicted.segments, lines, caption)

@@ -156,7 +156,7 @@ class EstimateResult(Stored):
             blocks=self.blocks,
             within=None if self.within is None else _matrix(self.within),
             shape_covariance=self._shape_covariance(model),
-            shapes=tuple((one.kind, model.joint_names.index(one.joint)) for one in self.shapes),
+            shapes=tuple((shape.kind, model.joint_names.index(shape.joint)) for shape in self.shapes),
         )
 
     def _shape_covariance(self, model: DynamicModel) -> FloatArray:
@@ -166,7 +166,7 @@ class EstimateResult(Stored):
             free = one.joint in names and model.terms.is_free(one.kind, names.index(one.joint))
             if not free or len(one.covariance) != width:
                 raise ResultFileError("does not fit the model's friction", where="estimate.shapes", hint=AGAIN)
-        rows = [[np.inf if value is None else value for value in one.covariance] for one in self.shapes]
+        rows = [[np.inf if value is None else value for value in shape.covariance] for shape in self.shapes]
         return np.array(rows, dtype=np.float64).reshape(len(rows), width)
 
 

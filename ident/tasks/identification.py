@@ -158,7 +158,7 @@ class IdentificationResult:
         if not residuals:
             raise DataError("no torque was recorded to compare with", where=recording.label)
         residual = np.concatenate(residuals)
-        spread = np.var(residual + np.concatenate([one.torque for one in segments]), axis=0)
+        spread = np.var(residual + np.concatenate([segment.torque for segment in segments]), axis=0)
         if not np.all(spread > 0.0):
             raise DataError("the torque of a joint does not vary, which leaves R² undefined", where=recording.label)
         return float(np.mean(1.0 - np.mean(np.square(residual), axis=0) / spread))

@@ -234,19 +234,19 @@ def predict(options: PredictOptions) -> Prediction:
     robot_file = stored_model(model.result).robot_file
     predicted = predict_recording(model, robot_file, recording)
     segments = predicted.segments
-    std = np.concatenate([one.std for one in segments])
+    std = np.concatenate([segment.std for segment in segments])
     measured = [segment.measured for segment in segments if segment.measured is not None]
-    residual = [one.residual for one in segments if one.residual is not None]
+    residual = [segment.residual for segment in segments if segment.residual is not None]
     return Prediction(
         robot_file=robot_file,
         label=recording.label,
         joint_names=model.joint_names,
-        time=np.concatenate([one.time for one in segments]),
-        position=np.concatenate([one.position for one in segments]),
-        velocity=np.concatenate([one.velocity for one in segments]),
-        acceleration=np.concatenate([one.acceleration for one in segments]),
-        torque=np.concatenate([one.torque for one in segments]),
-        **{part: np.concatenate([one.parts[part] for one in segments]) for part in PARTS},
+        time=np.concatenate([segment.time for segment in segments]),
+        position=np.concatenate([segment.position for segment in segments]),
+        velocity=np.concatenate([segment.velocity for segment in segments]),
+        acceleration=np.concatenate([segment.acceleration for segment in segments]),
+        torque=np.concatenate([segment.torque for segment in segments]),
+        **{part: np.concatenate([segment.parts[part] for segment in segments]) for part in PARTS},
         std=std,
         measured=np.concatenate(measured) if measured else None,
         residual=np.concatenate(residual) if residual else None,

@@ -137,7 +137,7 @@ class NamedSignal(SignalKeys):
             raise refused(f"{dbc.path.name} has no signal '{name}'", hint)
         fitting = [candidate for candidate in candidates if self.message in (None, candidate.message)]
         if len(fitting) != 1:
-            names = ", ".join(one.message for one in candidates)
+            names = ", ".join(candidate.message for candidate in candidates)
             given = "is missing" if self.message is None else f"is {self.message!r}"
             raise refused(f"'message' {given}", f"allowed: one of those that have '{name}': {names}")
         return fitting[0]

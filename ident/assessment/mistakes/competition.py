@@ -218,7 +218,7 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
 def _simplest(alike: Sequence[Mistake]) -> list[Mistake]:
     """Those of several equal explanations that need nothing more than another one of the same kind."""
     return [
-        one
-        for one in alike
-        if not any(other.name == one.name and set(other.joints) < set(one.joints) for other in alike)
+        rival
+        for rival in alike
+        if not any(other.name == rival.name and set(other.joints) < set(rival.joints) for other in alike)
     ]

@@ -53,7 +53,7 @@ def constraints_of(
         pairs = checked_pairs(robot_file, model, geometry)
         constraints.append(SelfCollision(model, geometry, pairs))
         if pairs.by_hull:
-            return (*(one for one in constraints[:-1] if one.names), constraints[-1])
+            return (*(constraint for constraint in constraints[:-1] if constraint.names), constraints[-1])
     return tuple(constraint for constraint in constraints if constraint.names)
 
 

@@ -108,7 +108,7 @@ class _JointFit:
         self._load = self._data.load_torques(plain.parameters)
         coulomb = plain.value("coulomb", 0) or 0.0
         self.least_load_span = LEAST_LOAD_SHARE * abs(coulomb)
-        heat = [one.temperature for one in periods if one.temperature is not None]
+        heat = [period.temperature for period in periods if period.temperature is not None]
         self.temperature = _span(self._data.sampled(heat)) if len(heat) == len(periods) else None
         self._notes: dict[str, str] = {}
         if np.ptp(self._data.torque) <= LEAST_TORQUE:
@@ -314,7 +314,7 @@ class _JointFit:
             of_beta = to_beta @ covariance[np.ix_(places, places)] @ to_beta.T
             fields["temperature"] = (to_beta @ values[places]).tolist()
             fields["temperature_std"] = np.sqrt(np.diag(of_beta)).tolist()
-        kelvin, velocity = self.temperature, self._data.sampled([one.velocity for one in self._data.periods])
+        kelvin, velocity = self.temperature, self._data.sampled([period.velocity for period in self._data.periods])
         stored = JointFrictionExperiment(
             joint=self._name,
             **fields,

@@ -122,7 +122,7 @@ def joint_periods(
     if not any(periods):
         raise DataError(
             "no joint moves forth and back while all others rest",
-            where=", ".join(one.label for one in recordings),
+            where=", ".join(recording.label for recording in recordings),
             hint="record the motion that dynid sweep designs",
         )
     return JointPeriods(model, _with_phases(periods), data)

@@ -81,7 +81,7 @@ def header(description: Description, functions: Sequence[Function], dialect: Dia
     declarations = "\n\n".join(
         f"/* {function.summary} */\n{_signature(function, prefix, len(description.joints))};" for function in functions
     )
-    friction = next((", ".join(one.inputs) for one in functions if one.name == "friction"), "dq")
+    friction = next((", ".join(function.inputs) for function in functions if function.name == "friction"), "dq")
     origin = _lines(("", *description.origin)) if description.origin else ""
     lacking = (
         _lines(("", "Not there:", *(f"  {line}" for line in description.left_out))) if description.left_out else ""

@@ -51,7 +51,7 @@ def interval_panel(
     return Panel(
         name,
         heading,
-        [_trace(one, rows, unit) for one in series],
+        [_trace(entry, rows, unit) for entry in series],
         x=axis,
         y={
             "type": "category",
