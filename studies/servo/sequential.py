@@ -1,7 +1,7 @@
 """Motion time to given intervals: sequential design of a servo arm's motions against one long design.
 
 A simulated SO-101 plays a first motion of `dynid excite --for servo`, is identified, and plays what `--after` designs
-for the intervals that are still wide, until no more is designed; and it plays ladders of several lengths at once.
+for the intervals that are still wide, until all are within the wanted; and it plays ladders of several lengths at once.
 Half-widths of 95 % intervals are those of the identification, not the predicted ones, of stiffness, damping, armature
 and Coulomb friction of all joints, of those that the data determine.
 
@@ -30,7 +30,7 @@ WANTED = 10.0
 FIRST, NEXT, MOST = 25.0, 20.0, 3
 """[s] of the first motion, of each further one, and the number of those."""
 
-LADDERS = (50.0, 100.0, 200.0)
+LADDERS = (45.0, 75.0)
 """[s]"""
 
 
@@ -88,6 +88,8 @@ def main() -> None:
             model = dynid.identify_servo(runs, validation=held_out)
             model.save(folder / "model", overwrite=True)
             row(f"sequential, {len(runs)} part(s)", seconds, model)
+            if half_widths(model).max() <= WANTED:
+                break
         for length in ladders:
             new = played(folder, f"ladder{length:g}", length=length)
             assert new is not None

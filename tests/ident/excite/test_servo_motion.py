@@ -31,6 +31,7 @@ class EverywhereClear:
 @pytest.fixture(autouse=True)
 def few_poses(monkeypatch):
     monkeypatch.setattr(servo_motion, "POSES", 1)
+    monkeypatch.setattr(servo_motion, "LADDER", (1.0,))
 
 
 @pytest.fixture(scope="module")
@@ -76,14 +77,16 @@ def test_pieces_keep_limits_and_begin_and_end_at_rest_in_their_pose(file):
 def test_a_first_motion_has_every_kind_and_a_stated_time_and_is_played_by_the_simulated_arm(
     tmp_path, monkeypatch, capsys
 ):
-    motion, expected = dynid.design_servo_motion("so101", length=18.0)
-    assert 12.0 < motion.duration <= 18.0
-    assert {piece.kind for piece in expected.segments} == set(KINDS)
-    motion.save(tmp_path / "motion.yaml")
-    motion.save_csv(tmp_path / "motion.csv")
+    target = ["--length", "15", "-o", tmp_path / "motion.yaml", "--csv", tmp_path / "motion.csv", "--json"]
+    status, output, error = command_line.run(monkeypatch, capsys, "excite", "so101", "--for", "servo", *target)
+    assert status == 0, error
+    told = json.loads(output)
+    assert 8.0 < told["duration"] <= 15.0
+    assert {piece["kind"] for piece in told["pieces"]} == set(KINDS)
+    motion = dynid.load_trajectory(tmp_path / "motion.yaml", "so101")
+    assert motion.duration == pytest.approx(told["duration"])
     table = np.loadtxt(tmp_path / "motion.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(table[:, 1:], motion.evaluate(table[:, 0])[0], atol=1e-6)
-    assert dynid.load_trajectory(tmp_path / "motion.yaml", "so101").duration == motion.duration
     target = ["sim", "so101", "--play", tmp_path / "motion.yaml", "-o", tmp_path / "run.h5"]
     status, _, error = command_line.run(monkeypatch, capsys, *target)
     assert status == 0, error
@@ -119,22 +122,16 @@ def test_what_is_wide_decides_and_enough_is_said(file):
     assert more.motion.duration <= 20.0
 
 
-def test_the_command_writes_the_motion_and_its_table_or_says_enough(file, tmp_path, monkeypatch, capsys):
+def test_a_model_that_is_good_enough_needs_no_motion_and_one_of_another_arm_is_refused(
+    file, tmp_path, monkeypatch, capsys
+):
     model = tmp_path / "model"
     dynid.ServoModel(known(file, 0.02)).save(model)
-    target = ["-o", tmp_path / "m.yaml", "--csv", tmp_path / "m.csv"]
-    arguments = ["excite", "so101", "--for", "servo", "--after", model, *target]
-    status, output, error = command_line.run(monkeypatch, capsys, *arguments)
+    arguments = ["--for", "servo", "--after", model, "-o", tmp_path / "m.yaml"]
+    status, output, error = command_line.run(monkeypatch, capsys, "excite", "so101", *arguments)
     assert status == 0, error
     assert "enough" in output
     assert not (tmp_path / "m.yaml").exists()
-    more = ["--wanted", "3", "--length", "15", "--json"]
-    status, output, error = command_line.run(monkeypatch, capsys, *arguments, *more)
-    assert status == 0, error
-    told = json.loads(output)
-    assert not told["enough"]
-    assert told["duration"] <= 15.0
-    assert (tmp_path / "m.csv").read_text(encoding="utf-8").startswith("time,shoulder_pan,")
-    status, _, error = command_line.run(monkeypatch, capsys, "excite", "ur5e", *arguments[2:], "--force")
+    status, _, error = command_line.run(monkeypatch, capsys, "excite", "ur5e", *arguments)
     assert status == 2
     assert "so101" in error

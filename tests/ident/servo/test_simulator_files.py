@@ -20,6 +20,7 @@ import dynid
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import TruthServo
+from ident.servo import arm_rollout
 from ident.servo.actuator_law import FAITHFUL, actuator_law
 from ident.servo.identify import read_motions
 from ident.servo.isaaclab import PHYSICS_STEP, read_isaaclab
@@ -32,6 +33,12 @@ from sim_drivers.plant.altered_arm import with_servos
 from sim_drivers.synthetic.servo import record_servo, servo_commands
 
 PERIOD = 0.02
+
+
+@pytest.fixture(autouse=True)
+def few_passes(monkeypatch):
+    """Roll-outs of files and of the model are compared with each other: how far their paths settle does not matter."""
+    monkeypatch.setattr(arm_rollout, "PASSES", 2)
 
 
 @pytest.fixture(scope="module")
