@@ -10,7 +10,6 @@ from drivers.core.errors import UsageError
 from drivers.core.options import Options, default_of, flag_of, option, same_named
 from ident.excite.gravity_choices import PoseCount
 from ident.excite.servo_choices import ServoMotionLength
-from ident.excite.servo_segments import KINDS
 from ident.tasks.options import ExciteOptions, GravityMotionOptions, ServoMotionOptions
 
 if TYPE_CHECKING:
@@ -149,6 +148,7 @@ def design_gravity(options: ExciteCommandOptions, progress: Callable[[str], None
 
 def design_servo(options: ExciteCommandOptions, progress: Callable[[str], None]) -> DesignedMotion:
     """Design ramps, steps and chirps, for all parameters or for those that are still wide."""
+    from ident.excite.servo_segments import KINDS
     from ident.tasks.excitation import design_servo_motion
 
     progress("pieces of motion")
