@@ -31,7 +31,7 @@ def main() -> None:
     if len(sys.argv) > 1:
         model = dynid.load_servo_model(sys.argv[1])
     else:
-        run, other = (simulate_servo("so101", duration=duration, seed=1) for duration in (45.0, 6.0))
+        run, other = (simulate_servo("so101", duration=duration, seed=1) for duration in (30.0, 6.0))
         model = dynid.identify_servo(run, validation=other)
     file = load_robot("so101")
     told = {
