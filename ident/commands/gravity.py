@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.core.errors import UsageError
-from drivers.core.options import default_of, flag_of
-from ident.commands.options import ExportOptions
+from ident.commands.options import ExportOptions, refuse_options_but
 from ident.tasks.options import IdentifyOptions
 
 if TYPE_CHECKING:
@@ -29,15 +27,7 @@ def identify_gravity_command(
     """
     from ident.tasks.gravity import identify_gravity
 
-    strange = [
-        flag_of(of).partition("/")[0]
-        for of in fields(options)
-        if of.name not in _TAKEN and getattr(options, of.name) != default_of(of)
-    ]
-    if limited:
-        strange.append("--accept, --max-…")
-    if strange:
-        raise UsageError(f"{', '.join(strange)} does nothing with --gravity", hint="leave it out")
+    refuse_options_but(_TAKEN, options, "--gravity", limited=limited)
     found = identify_gravity(options.runs, validation=options.validation, robot=options.robot, progress=progress)
     progress("report")
     found.save(folder, overwrite=overwrite)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from drivers.core.errors import UsageError
-from drivers.core.options import Options, argument, flag_of, option
+from drivers.core.options import Options, argument, default_of, flag_of, option
 
 if TYPE_CHECKING:
     from ident.result.delivered import Parameters
+    from ident.tasks.options import IdentifyOptions
 
 
 def _list_methods(text: str) -> str:
@@ -66,6 +67,29 @@ def limits_option(
         if limit is not None:
             limits |= declared({key: limit}, flag).model_dump(exclude_none=True)
     return limits or None
+
+
+def refuse_options_but(taken: Collection[str], options: IdentifyOptions, mode: str, *, limited: bool) -> None:
+    """Refuse options of identify that do nothing in one of its modes.
+
+    Args:
+        taken: fields that do.
+        options: as given.
+        mode: such as "--method servo".
+        limited: whether acceptance limits are given, which no such mode has.
+
+    Raises:
+        UsageError: names them all.
+    """
+    strange = [
+        flag_of(of).partition("/")[0]
+        for of in fields(options)
+        if of.name not in taken and getattr(options, of.name) != default_of(of)
+    ]
+    if limited:
+        strange.append("--accept, --max-…")
+    if strange:
+        raise UsageError(f"{', '.join(strange)} does nothing with {mode}", hint="leave it out")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.core.errors import UsageError
-from drivers.core.options import default_of, flag_of
-from ident.commands.options import ExportOptions
+from ident.commands.options import ExportOptions, refuse_options_but
 from ident.tasks.options import IdentifyOptions
 
 if TYPE_CHECKING:
@@ -45,13 +44,7 @@ def identify_servo_command(
     """
     from ident.tasks.servo import identify_servo
 
-    strange = [
-        flag_of(of) for of in fields(options) if of.name not in _TAKEN and getattr(options, of.name) != default_of(of)
-    ]
-    if limited:
-        strange.append("--accept, --max-…")
-    if strange:
-        raise UsageError(f"{', '.join(strange)} does nothing with --method servo", hint="leave it out")
+    refuse_options_but(_TAKEN, options, "--method servo", limited=limited)
     model = identify_servo(options.runs, validation=options.validation, robot=options.robot, progress=progress)
     progress("report")
     model.save(folder, overwrite=overwrite)
