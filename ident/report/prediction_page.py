@@ -27,6 +27,7 @@ from ident.report.figures.figures import (
     plain,
     row_domains,
 )
+from ident.report.figures.panels import TIME_AXIS
 from ident.report.figures.traces import broken_line, curve_trace, points_per_trace
 from ident.report.html_file import page_templates
 from ident.report.section import Tile
@@ -134,9 +135,7 @@ def _figure(
     domains = row_domains(len(joints), height, GAP)
     points = points_per_trace(len(joints))
     data: list[dict[str, Any]] = []
-    axes: dict[str, Any] = {
-        "xaxis": {"title": {"text": "time [s]"}, "anchor": axis_ref("y", len(joints)), "zeroline": False}
-    }
+    axes: dict[str, Any] = {"xaxis": {**TIME_AXIS, "anchor": axis_ref("y", len(joints))}}
     notes = []
     for joint, (limits, domain) in enumerate(zip(joints, domains, strict=True)):
         unit = limits.unit("N·m")

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain
-from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.panels import TIME_AXIS, Panel, panel_figure
 from ident.report.figures.traces import broken_line, packed, points_per_trace
 from ident.report.html_file import page_templates
 from ident.report.section import Tile
@@ -81,7 +81,7 @@ def _rollout_figure(result: ServoResult, identification: ServoIdentification) ->
             )
         unit = "m" if result.sliding[joint] else "rad"
         last = joint == len(result.joints) - 1
-        x_axis = {"title": {"text": "time [s]"}} if last else {}
+        x_axis = TIME_AXIS if last else {}
         rows.append([Panel(name, f"<b>{plain(name)}</b>", traces, x=x_axis, y={"title": {"text": unit}})])
     return panel_figure("rollout-plot", rows, ROLLOUT_CAPTION, linked=True)
 

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.servo.result import ServoResult
 from ident.servo.terms import INDEX, TERMS, from_search, to_search
 
 SCHEMA = 1
-
-NORMAL = 1.96
-"""Half of a 95 % box over σ."""
 
 MJCF_PLACES = {
     "stiffness": "actuator gainprm[0], and biasprm[1] = -stiffness",
@@ -55,7 +53,7 @@ def unit_ranges(result: ServoResult, unit_spread: float) -> dict[str, dict[str, 
             if TERMS[INDEX[name]].positive:
                 ends = np.log(np.array([low, high]) / parameter.value)
                 low, high = (
-                    parameter.value * np.exp(np.array([-1.0, 1.0]) * np.hypot(ends, NORMAL * unit_spread))
+                    parameter.value * np.exp(np.array([-1.0, 1.0]) * np.hypot(ends, WITHIN_95_PERCENT * unit_spread))
                 ).tolist()
             own[name] = UnitRange(parameter.value, float(low), float(high))
     return boxes

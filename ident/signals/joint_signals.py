@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from daq.recording.commanded_motion import command_stream
+from daq.recording.commanded_motion import TARGET, command_stream
 from daq.recording.quality.outliers import without_outliers
 from daq.recording.quality.quantisation import encoder_step
 from daq.recording.quality.stale_samples import StaleSamples, fresh_recording
@@ -277,9 +277,6 @@ def _joint_values(stream: Stream, quantity: str, robot: Robot, recording: Record
     return channel.values[:, order]
 
 
-QUANTITY = "target_position"
-
-
 def joint_target(joints: Stream, joint_names: tuple[str, ...], position: FloatArray) -> FloatArray | None:
     """Target positions (N, n) [rad or m] of the joints, nan where a value cannot be one.
 
@@ -291,7 +288,7 @@ def joint_target(joints: Stream, joint_names: tuple[str, ...], position: FloatAr
         joint_names: (n,).
         position: (N, n) recorded [rad or m].
     """
-    channel = joints.channels.get(QUANTITY)
+    channel = joints.channels.get(TARGET)
     if channel is None or any(name not in channel.columns for name in joint_names):
         return None
     values = channel.values[:, [channel.columns.index(name) for name in joint_names]]

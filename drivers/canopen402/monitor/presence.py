@@ -6,10 +6,10 @@ import math
 import threading
 from typing import Protocol
 
-from drivers.canopen402.protocol.objects import STATE_BOOT_UP
+from drivers.canopen402.protocol.objects import GUARDING_TOGGLE, STATE_BOOT_UP
 from drivers.canopen402.settings import HEARTBEATS_MISSED
 
-_TOGGLE, _STATE = 0x80, 0x7F
+_STATE = 0x7F
 
 
 class Presence(Protocol):
@@ -122,10 +122,10 @@ class NodeGuarding:
             if content & _STATE == STATE_BOOT_UP:
                 self._toggle[index] = None
                 return
-            if content & _TOGGLE == self._toggle[index]:
+            if content & GUARDING_TOGGLE == self._toggle[index]:
                 self._invalid[index] += 1
                 return
-            self._toggle[index] = content & _TOGGLE
+            self._toggle[index] = content & GUARDING_TOGGLE
             self._unanswered[index] = []
             self._invalid[index] = 0
 

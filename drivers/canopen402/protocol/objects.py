@@ -138,6 +138,8 @@ RPDO_BASES = (RPDO1, 0x300, 0x400, 0x500)
 SDO_ANSWER = 0x580
 SDO_REQUEST = 0x600
 HEARTBEAT = 0x700
+GUARDING_TOGGLE = 0x80
+"""Bit of a drive's answer to node guarding; a heartbeat does not have it (CiA 301, 7.2.8.3.2)."""
 
 NMT_START = 0x01
 NMT_PRE_OPERATIONAL = 0x80

@@ -13,8 +13,6 @@ from drivers.core.errors import MotionRefusedError
 LISTEN = 0.5
 """How long [s] is listened, or for two periods of the heartbeat where that is longer."""
 LONGEST_LISTEN = 2.0
-_TOGGLE = 0x80
-"""Bit of a drive's answer to node guarding; a heartbeat does not have it (CiA 301, 7.2.8.3.2)."""
 
 
 def masters_heartbeats(ids: Sequence[int], own_id: int) -> dict[int, int]:
@@ -46,7 +44,7 @@ def require_alone(
     heard: set[str] = set()
 
     def note(identifier: int, data: bytearray, _arrived: float) -> None:
-        if identifier - objects.HEARTBEAT not in ids or (data and data[0] & _TOGGLE):
+        if identifier - objects.HEARTBEAT not in ids or (data and data[0] & objects.GUARDING_TOGGLE):
             heard.add(signs[identifier])
 
     for identifier in signs:

@@ -14,7 +14,7 @@ from drivers.core.units import common_unit
 from drivers.streams import UNITS
 from ident.assessment.recorded_motion import RecordedMotion
 from ident.report.figures.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, plain, shortened
-from ident.report.figures.panels import Line, Panel, panel_figure
+from ident.report.figures.panels import TIME_AXIS, Line, Panel, panel_figure
 from ident.report.figures.traces import broken_line, curve_trace, envelope_indices, points_trace
 from ident.signals.resampling import gap_free_segments
 from ident.views.number_text import number
@@ -30,7 +30,6 @@ SIGNAL_PANEL, INTERVAL_PANEL, SPECTRUM_PANEL = 170, 130, 260
 SPECTRUM_SECONDS = 8.0
 """Length of Welch's segments: a resolution of an eighth of a hertz, which shows the motion's band."""
 
-TIME = {"title": {"text": "time [s]"}, "zeroline": False}
 BAND, TORQUE_CUTOFF, POSITION_CUTOFF = (
     {"color": RESIDUAL, "width": 1.5, "dash": "dot"},
     {"color": PREDICTED, "width": 1.5, "dash": "dash"},
@@ -75,7 +74,7 @@ def signals_figure(recording: Recording) -> Figure | None:
         unit = f" [{plain(shown_unit(channel.unit))}]" if channel.unit else ""
         shown_count = f" ({len(shown)} of {len(channel.columns)} columns)" if len(shown) < len(channel.columns) else ""
         heading = f"<b>{plain(shortened(label, 34))}</b>{unit}{shown_count}"
-        rows.append([Panel(label, heading, traces, x=TIME, y={"zeroline": False}, height=SIGNAL_PANEL)])
+        rows.append([Panel(label, heading, traces, x=TIME_AXIS, y={"zeroline": False}, height=SIGNAL_PANEL)])
     caption = (
         f"As recorded, not filtered. Each line has at most about {points} points, the least and the largest value of "
         "every interval, which keeps all peaks; it breaks at gaps. Drag to zoom, double-click to reset."
@@ -109,7 +108,7 @@ def intervals_figure(recording: Recording, streams: Mapping[str, StreamQuality])
                     name,
                     f"<b>{plain(shortened(name, 20))}</b>: {number(quality.rate_hz, 4)} Hz, {_lost(quality)}",
                     lines,
-                    x=TIME,
+                    x=TIME_AXIS,
                     y={**LOG_AXIS, "title": {"text": "ms"}, "range": [np.log10(low), np.log10(high)]},
                     horizontal=[(LOST_FROM * period, {"color": PREDICTED, "width": 1, "dash": "dash"})],
                     height=INTERVAL_PANEL,

@@ -22,7 +22,7 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
-from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.panels import TIME_AXIS, Panel, panel_figure
 from ident.report.figures.traces import curve_trace, points_trace
 
 POINTS = 1200
@@ -31,7 +31,6 @@ POINTS = 1200
 PANEL, TOOL_PANEL, CLEARANCE_PANEL = 110, 150, 300
 """Heights of a plot [px]."""
 
-_TIME = {"title": {"text": "time [s]"}, "zeroline": False}
 _LIMIT = {"color": PREDICTED, "width": 1, "dash": "dash"}
 
 
@@ -103,7 +102,7 @@ def _joint_panel(limits: JointLimits, quantity: str, unit: str, time: FloatArray
         f"{name}: {quantity} [{unit}]" if quantity == "position" else f"{quantity} [{unit}]",
         [line, _invisible(time[0], bounds)] if bounds else [line],
         f"{name}: {quantity} [{unit}]",
-        x=_TIME,
+        x=TIME_AXIS,
         y={"nticks": 4, "zeroline": False},
         horizontal=[(bound, _LIMIT) for bound in bounds],
         height=PANEL,
@@ -146,7 +145,7 @@ def _tool_panel(label: str, shown: Shown, values: FloatArray, limits: tuple[floa
         label,
         f"<b>{label}</b>",
         [line] if limits is None else [line, _invisible(shown.path.time[0], limits)],
-        x=_TIME,
+        x=TIME_AXIS,
         y={"zeroline": False},
         horizontal=[(limit, _LIMIT) for limit in limits or ()],
         height=TOOL_PANEL,
@@ -190,7 +189,7 @@ def clearance_figure(robot_file: RobotFile, shown: Shown) -> Figure | None:
         "clearance [m]",
         "<b>clearance</b> [m]",
         traces,
-        x=_TIME,
+        x=TIME_AXIS,
         y={"rangemode": "tozero", "zeroline": False},
         horizontal=kept_lines,
         height=CLEARANCE_PANEL,

@@ -18,6 +18,9 @@ from ident.report.figures.figures import (
     note,
 )
 
+TIME_AXIS: dict[str, Any] = {"title": {"text": "time [s]"}, "zeroline": False}
+"""Abscissa of what is drawn over time."""
+
 HEADING, EDGE, TICKS, TITLE = 24, 6, 22, 18
 """Room of a heading above a panel, and below it of nothing, of tick labels, of an axis title [px]."""
 

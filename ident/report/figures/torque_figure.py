@@ -13,7 +13,7 @@ from drivers.core.units import joint_unit
 from ident.assessment.validation import Fit
 from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
-from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.panels import TIME_AXIS, Panel, panel_figure
 from ident.report.figures.traces import broken_line, curve_trace, lay_out, points_per_trace, points_trace
 from ident.result.schema import Result
 from ident.views.number_text import number, percent, whole
@@ -121,7 +121,7 @@ class _Drawing:
             self.result.joints[joint],
             "",
             traces,
-            x={"title": {"text": "time [s]"}, "zeroline": False},
+            x=TIME_AXIS,
             y={"title": {"text": self.unit(joint)}},
             vertical=[(x, {"dash": "dot", "width": 1}) for x in self.borders],
             height=self.height,

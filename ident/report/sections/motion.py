@@ -8,7 +8,7 @@ from typing import Any
 from drivers.core.arrays import FloatArray
 from drivers.core.units import joint_unit
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
-from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.panels import TIME_AXIS, Panel, panel_figure
 from ident.report.figures.traces import Timeline, broken_line, curve_trace, lay_out
 from ident.report.recorded_runs import MotionSegment, TemperatureSeries
 from ident.report.section import ReportData, ReportSection
@@ -17,7 +17,6 @@ from ident.result.schema import Result
 PAGE_POINTS = 15_000
 MOST_POINTS = 2000
 PANEL, TEMPERATURE_PANEL = 110, 200
-TIME = {"title": {"text": "time [s]"}, "zeroline": False}
 
 
 def section(data: ReportData) -> ReportSection | None:
@@ -92,7 +91,7 @@ def _panel(
         f"{name}: position [{unit}]" if quantity == "position" else f"velocity [{unit}]",
         traces,
         f"{name}: {quantity} [{unit}]",
-        x=TIME,
+        x=TIME_AXIS,
         y={"nticks": 4},
         height=PANEL,
     )
@@ -119,6 +118,6 @@ def _temperatures(channels: Sequence[TemperatureSeries]) -> Figure:
                 )
             )
         heading = f"<b>{plain(shortened(name, 32))}</b>"
-        rows.append([Panel(name, heading, traces, x=TIME, y={"title": {"text": "°C"}}, height=TEMPERATURE_PANEL)])
+        rows.append([Panel(name, heading, traces, x=TIME_AXIS, y={"title": {"text": "°C"}}, height=TEMPERATURE_PANEL)])
     caption = "As recorded. Friction falls as gears and grease warm up; the parameters hold for these temperatures."
     return panel_figure("temperature-plot", rows, caption, hovermode="x unified")
