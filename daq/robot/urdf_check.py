@@ -30,7 +30,7 @@ def checked_urdf(xml: str, where: str) -> ElementTree.Element:
         RobotFileError: no XML, more links than `MOST_LINKS`, an axis without direction, numbers out of range; names
             the joint or link. A name that holds a control character.
     """
-    if _XACRO.search(xml):
+    if _is_xacro(xml):
         raise RobotFileError("is a xacro file, not a URDF", where=where, hint="convert it: xacro FILE > arm.urdf")
     root, problem = _checked(xml)
     if problem is not None:
@@ -41,6 +41,15 @@ def checked_urdf(xml: str, where: str) -> ElementTree.Element:
 
 _XACRO = re.compile(r"<\w+:(?:macro|include|property|arg|if|unless)\b|=\s*[\"'][^\"'<>]*\$[({]")
 """Tags of xacro, and attributes that it fills in: `${mass}`, `$(arg name)`."""
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+"""Converted files keep the comments of their xacro."""
+
+
+@lru_cache(maxsize=16)
+def _is_xacro(xml: str) -> bool:
+    return _XACRO.search(_COMMENT.sub("", xml)) is not None
+
+
 _OTHERS = {"mujoco": "an MJCF file", "sdf": "an SDF file"}
 
 

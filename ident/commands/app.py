@@ -13,6 +13,7 @@ from ident.commands import (
     friction,
     identify,
     info,
+    lint,
     merge,
     payload,
     predict,
@@ -25,6 +26,7 @@ app = typer.Typer()
 for command in (
     robot,
     check,
+    lint,
     excite,
     sweep,
     info,

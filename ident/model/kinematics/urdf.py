@@ -7,7 +7,7 @@ import sys
 import tempfile
 import threading
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from typing import Any
@@ -196,7 +196,24 @@ def _lock(full: Any, names: Sequence[str], locked: Mapping[str, float], where: s
             reference[joint.idx_q : joint.idx_q + 2] = np.cos(position), np.sin(position)
         else:
             raise RobotFileError(f"joint '{name}' has more than one degree of freedom", where=f"{where}: model.locked")
-    return pin.buildReducedModel(full, [full.getJointId(name) for name in locked], reference)
+    return _reduced(full, locked, reference)
+
+
+def _reduced(full: Any, locked: Iterable[str], reference: Any) -> Any:
+    """The model without the locked joints; Pinocchio confuses a link with a joint of its name (SO-100: gripper)."""
+    import pinocchio as pin
+
+    links = [frame for frame in full.frames if frame.type == pin.FrameType.BODY]
+    for frame in links:
+        frame.name += _LINK
+    reduced = pin.buildReducedModel(full, [full.getJointId(name) for name in locked], reference)
+    for frame in reduced.frames:
+        frame.name = frame.name.removesuffix(_LINK)
+    return reduced
+
+
+_LINK = "\n"
+"""End of a link's name while joints are locked: no name holds one."""
 
 
 def _motion_subspace(joint: Any, name: str, where: str) -> Any:

@@ -108,7 +108,11 @@ def test_a_urdf_of_the_wild_runs_or_is_refused_in_one_line(tmp_path: Path) -> No
         "degrees": (PLAIN.replace('"-2" upper="2"', '"-90" upper="90"'), "no limits in rad"),
         "limits in the wrong order": (PLAIN.replace('"-2" upper="2"', '"2" upper="-2"'), "[TODO, TODO]"),
         "windows": (PLAIN.replace(">", ">\r\n").encode(), "name: arm"),
-        "comments": (PLAIN.replace("<joint", "<!-- <joint> --><joint"), "name: arm"),
+        "comments": (PLAIN.replace("<joint", "<!-- <joint name='${x}'> --><joint"), "name: arm"),
+        "a locked joint called as its link": (
+            PLAIN.replace("</robot>", joint("jaw", "lower", "jaw") + "</robot>"),
+            "jaw: 0",
+        ),
         "a byte order mark": (b"\xef\xbb\xbf" + PLAIN.encode(), "name: arm"),
         "a declaration": (b'<?xml version="1.0" encoding="utf-8"?>\n' + PLAIN.encode(), "name: arm"),
         "below its base": (PLAIN.replace('xyz="0 0 0.4"', 'xyz="0 0 -0.4"'), "mounting: free"),

@@ -1,0 +1,39 @@
+"""The command `dynid lint`."""
+
+from __future__ import annotations
+
+import typer
+
+from daq.commands.help_text import CommandApp
+from daq.commands.options import JSON, ROBOT
+
+app = CommandApp("Robot")
+
+
+@app.command("lint")
+def lint(robot: str = ROBOT, as_json: bool = JSON) -> None:
+    """Look for wrong masses, inertias and limits in a URDF or robot file.
+
+    A line for each finding: link, what, why it matters, what to do. Exit status 1 where there are errors.
+
+    Example: dynid lint arm.urdf
+    """
+    from dataclasses import asdict
+
+    from daq.commands.console import print_json
+    from ident.checks.inertia_lint import lint as look
+
+    report = look(robot)
+    errors = sum(finding.severity == "error" for finding in report.findings)
+    if as_json:
+        listed = [asdict(finding) for finding in report.findings]
+        print_json({"robot": report.name, "links": report.links, "untrusted": report.untrusted, "findings": listed})
+    else:
+        for finding in report.findings:
+            print(finding)
+        notes = len(report.findings) - errors
+        print(f"{report.name}: {report.links} links that move: {errors} errors, {notes} notes")
+        if report.untrusted:
+            print(f"no controller can trust: {', '.join(report.untrusted)}")
+    if errors:
+        raise typer.Exit(1)
