@@ -44,7 +44,8 @@ class JointFrictionResult(Stored):
     """Friction of one joint; null where the model has no such column.
 
     F = sign(q̇)·(coulomb + viscous·|q̇|^exponent + stribeck·exp(−(q̇/stribeck_velocity)²) + load·|τ_L|^load_power
-    + √|q̇|·(β1 + β2·T + β3·T⁻³)) + offset, T in kelvin, τ_L the load torque (`model_options.terms`).
+    + √|q̇|·(β1 + β2·T + β3·T⁻³)) + offset, T in kelvin, τ_L the load torque (`model_options.terms`); and what `further`
+    has, as friction and torque ripple with periods per turn: cos and sin of the shape times q.
     """
 
     joint: str
