@@ -72,6 +72,7 @@ def _arrays(
     values = {}
     for quantity, array in given.items():
         if array is not None:
+            _check_columns(quantity, array, joints)
             values[quantity] = _checked(quantity, _numbers(quantity, array), len(stamps), joints)
     _check_time(clock, stamps)
     return JointArrays(stamps, values)
@@ -81,13 +82,29 @@ def _refusal(name: str, message: str, hint: str = "") -> DataError:
     return DataError(message, where=f"{WHERE}: {name}", hint=hint)
 
 
+def _check_columns(name: str, values: npt.ArrayLike, joints: tuple[str, ...]) -> None:
+    """Refuse a data frame that names the joints in another order, which its numbers alone would not show."""
+    columns = [str(column) for column in getattr(values, "columns", ())]
+    if columns != list(joints) and sorted(columns) == sorted(joints):
+        raise _refusal(
+            name,
+            f"has the columns {', '.join(columns)}; the joints' order is {', '.join(joints)}",
+            f"give {name}[{list(joints)}]",
+        )
+
+
 def _numbers(name: str, values: npt.ArrayLike) -> FloatArray:
+    if isinstance(values, np.ma.MaskedArray):  # what is masked is no measurement
+        values = np.ma.filled(values.astype(np.float64), np.nan)
     try:
-        return np.array(values, dtype=np.float64)
+        numbers = np.array(values)
+        if not np.iscomplexobj(numbers):
+            return numbers.astype(np.float64)
     except (TypeError, ValueError) as error:
         raise _refusal(name, "does not consist of numbers in equal rows") from error
     except RuntimeError as error:  # a tensor with a gradient
         raise _refusal(name, "does not consist of numbers", str(error).partition("\n")[0]) from error
+    raise _refusal(name, "holds complex numbers", f"give {name}.real")
 
 
 def _checked(name: str, values: FloatArray, count: int, joints: tuple[str, ...]) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from daq.output_files import unfinished_files
 from daq.recording.hdf5_bounds import Hdf5Bounds, hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Channel, Event, Recording, Stream
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import RecordingError
+from drivers.core.errors import RecordingError, UsageError
 from drivers.core.files import RECORDING_FILE, check_input
 from drivers.core.ranges import STAMP
 from drivers.core.reading_process import read_apart
@@ -36,6 +37,8 @@ def read_recording(path: str | Path) -> Recording:
         Traceback (most recent call last):
         drivers.core.errors.RecordingError: nowhere.h5: no such file
     """
+    if not isinstance(path, (str, PathLike)):
+        raise UsageError(f"a {type(path).__name__} is no path of a recording", hint='dynid.read_recording("run.h5")')
     path = Path(path)
     where = str(path)
     hint = (

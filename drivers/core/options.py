@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import numbers
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator
@@ -127,6 +128,29 @@ def default_of(of: Field[Any]) -> Any:
     return of.default if of.default_factory is MISSING else of.default_factory()
 
 
+_KINDS: dict[str, tuple[type | tuple[type, ...], str]] = {
+    "int": (numbers.Integral, "an integer"),
+    "float": (numbers.Real, "a number"),
+    "str": (str, "a text"),
+    "Progress": (Callable, "a function of a step's name"),  # type: ignore[dict-item]
+}
+"""What the values of fields of these types are instances of, and in words."""
+
+
+def check_kind(name: str, type_name: str, value: Any) -> None:
+    """Refuse a value of another kind than its field's type.
+
+    Raises:
+        UsageError: names the option and what it is.
+    """
+    plain = type_name.removesuffix(" | None")
+    if plain not in _KINDS or (value is None and plain != type_name):
+        return
+    kind, words = _KINDS[plain]
+    if not isinstance(value, kind) or (plain in ("int", "float") and isinstance(value, bool)):
+        raise UsageError(f"{name} {value!r} is not {words}")
+
+
 class Options:
     """Base of a dataclass of options: its values are checked when it is made."""
 
@@ -138,6 +162,7 @@ class Options:
         """
         for of in fields(cast("Any", self)):
             if (stated := declared(of)) is not None:
+                check_kind(flag_of(of).partition("/")[0], str(of.type), getattr(self, of.name))
                 stated.check(flag_of(of).partition("/")[0], getattr(self, of.name))
 
 

@@ -140,6 +140,8 @@ def _moving(robot_file: RobotFile, choices: GravityChoices) -> list[int]:
                 where="--joints",
                 hint=did_you_mean(name, names),
             )
+    if choices.joints is not None and not len(choices.joints):
+        raise UsageError("no joint moves", hint="name at least one with --joints, or leave it out for all")
     return [index for index, name in enumerate(names) if choices.joints is None or name in choices.joints]
 
 

@@ -434,6 +434,15 @@ class Model(ExportedModel):
 
 
 def result_path(path: str | PathLike[str]) -> Path:
-    """The result.json that a path means: itself, or the one in a folder that `identify` wrote."""
+    """The result.json that a path means: itself, or the one in a folder that `identify` wrote.
+
+    Raises:
+        UsageError: it is no path.
+    """
+    if not isinstance(path, (str, PathLike)):
+        raise UsageError(
+            f"a {type(path).__name__} is no result, and no path of one",
+            hint="give the folder that identify wrote, or its result.json",
+        )
     given = Path(path)
     return given / "result.json" if given.is_dir() else given

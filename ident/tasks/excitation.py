@@ -230,6 +230,8 @@ def load_trajectory(path: str | PathLike[str], robot: str | Path | RobotFile) ->
         ...     abs(dynid.load_trajectory(path, "up6").duration - motion.duration) < 1e-9
         True
     """
+    if not isinstance(path, (str, PathLike)):
+        raise UsageError(f"a {type(path).__name__} is no path of a trajectory", hint='give "traj.yaml"')
     robot_file = load_robot(robot)
     read = read_trajectory(Path(path), robot_file.robot)
     return ExcitationTrajectory(robot_file, read.text, read.motion, find_prior(robot_file))

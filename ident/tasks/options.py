@@ -144,7 +144,7 @@ class CompareOptions(Options):
             (self.methods, "methods", '("ols", "wls")'),
             (self.friction, "friction", '("coulomb",)'),
         ):
-            if isinstance(names, str):
+            if isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(n, str) for n in names):
                 raise UsageError(f"{name} must be a list of names", hint=f"{name}={example}")
             if len(set(names)) < len(names):
                 raise UsageError(f"a name is given twice: {', '.join(names)}", where=name)

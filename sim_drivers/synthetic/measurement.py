@@ -6,6 +6,7 @@ A motion for them is the best of many random Fourier series inside the limits.
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from numbers import Integral, Real
 from pathlib import Path
 
 import numpy as np
@@ -120,8 +121,12 @@ def simulate(
         (200, 6)
     """
     for name, value in (("duration", duration), ("rate", rate)):
-        if value is not None and not 0 < value < float("inf"):
-            raise UsageError(f"{name} {value:g} is not a positive number")
+        if value is None and name == "rate":
+            continue
+        if not isinstance(value, Real) or not 0 < value < float("inf"):
+            raise UsageError(f"{name} {value!r} is not a positive number")
+    if not isinstance(seed, Integral) or seed < 0:
+        raise UsageError(f"seed {seed!r} is not a natural number")
     robot_file = load_robot(robot)
     motion = random_fourier_motion(build_model(robot_file), duration, seed)
     return simulate_recording(robot_file, motion, duration, seed, rate)

@@ -256,3 +256,30 @@ def test_help_is_a_screen():
     import pydoc
 
     assert len(pydoc.render_doc(dynid).splitlines()) <= 40
+
+
+def test_what_numbers_alone_do_not_show_is_refused():
+    pandas = pytest.importorskip("pandas")
+    masked = np.ma.masked_greater(POSITION, 0.7)
+    swapped = pandas.DataFrame(POSITION, columns=JOINTS[::-1])
+    for position, words in (
+        (swapped, "the joints' order is shoulder_pan_joint"),
+        (masked, "have NaN or infinite values"),
+        (POSITION + 0j, "holds complex numbers"),
+    ):
+        with pytest.raises(dynid.DataError, match=words):
+            dynid.Recording.from_arrays("ur5e", time=TIME, position=position, torque=POSITION)
+
+
+def test_what_is_no_path_is_said():
+    for call in (
+        lambda: dynid.load_model(None),
+        lambda: dynid.load_result(3),
+        lambda: dynid.read_recording(None),
+        lambda: dynid.load_trajectory(3, "ur5e"),
+        lambda: dynid.merge([1, 2]),
+        lambda: dynid.compare(None, methods=None),
+        lambda: dynid.simulate("ur5e", duration="5"),
+    ):
+        with pytest.raises(dynid.UsageError):
+            call()

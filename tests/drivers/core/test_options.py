@@ -6,6 +6,7 @@ import inspect
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -131,3 +132,15 @@ def test_a_function_has_the_arguments_and_the_texts_of_its_options():
 
 def test_another_dataclass_takes_the_values_of_the_same_names():
     assert same_named(Grasp("left", force=1.0), Grasp, hand="right") == Grasp("right", force=1.0)
+
+
+def test_a_value_of_another_kind_is_refused_in_words():
+    for values, words in (
+        ({"force": "10"}, "force '10' is not a number"),
+        ({"force": True}, "force True is not a number"),
+        ({"style": 3}, "style 3 is not a text"),
+    ):
+        with pytest.raises(UsageError) as refused:
+            grasp("left", **values)
+        assert refused.value.message == words
+    assert grasp("left", force=np.float32(2.0)).force == 2.0
