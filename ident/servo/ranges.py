@@ -50,7 +50,7 @@ def unit_ranges(result: ServoResult, unit_spread: float) -> dict[str, dict[str, 
         for name, parameter in joint.parameters.items():
             known = parameter.interval is not None and not parameter.unidentifiable
             low, high = (parameter.interval if known else None) or (parameter.value, parameter.value)
-            if TERMS[INDEX[name]].positive:
+            if unit_spread > 0 and TERMS[INDEX[name]].positive:
                 ends = np.log(np.array([low, high]) / parameter.value)
                 low, high = (
                     parameter.value * np.exp(np.array([-1.0, 1.0]) * np.hypot(ends, WITHIN_95_PERCENT * unit_spread))
