@@ -11,49 +11,91 @@ from collections.abc import Sequence
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.servo.contact import Contact
 from ident.servo.links import ServoLinks
-from ident.servo.motion import SETTLING, MotionLoad, ServoMotion, lanes_of, motion_load, with_coupling
+from ident.servo.motion import SETTLING, MotionLoad, ServoMotion, lanes_of, motion_load, motion_touch, with_coupling
 from ident.servo.rollout import at_samples, roll_out
 from ident.servo.terms import INDEX
 
-PASSES = 12
+AT_ONCE = 16
+"""Motions side by side."""
+
+PASSES = 8
 """At most."""
 
-SETTLED = 1e-4
+SETTLED = 5e-4
 """[rad or m] Mean change of a path between two passes at which the passes end."""
 
-EVERY = 4
-"""Links' torques are evaluated at every fourth step of the grid."""
+EVERY = 2
+"""Links' torques are evaluated at every other step of the grid."""
 
 COUPLING_SPAN = 0.04
 """[s] over which accelerations are averaged for coupling: those of a stick-slip step are impulses."""
 
 
-def roll_out_arm(motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray) -> list[FloatArray]:
+def roll_out_arm(
+    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Contact | None = None
+) -> list[FloatArray]:
     """Positions (N, n) of each motion at its samples, from its commands and first position alone [rad or m].
 
     Args:
         motions: of one arm.
         links: of the arm.
         values: (n, terms) parameters.
+        contact: what the arm may touch.
     """
-    return [_roll_out(motion, links, values) for motion in motions]
+    return [path for path, _ in touched_paths(motions, links, values, contact)]
 
 
-def _roll_out(motion: ServoMotion, links: ServoLinks, values: FloatArray) -> FloatArray:
-    zero = values[:, INDEX["zero"]]
-    path = motion.command[motion.history :].copy()
-    path[0] = motion.position[0]
-    moving = False
+def touched_paths(
+    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Contact | None = None
+) -> list[tuple[FloatArray, FloatArray]]:
+    """The same with the contact's force (N,) [N] at the samples."""
+    found: list[tuple[FloatArray, FloatArray]] = []
+    for first in range(0, len(motions), AT_ONCE):
+        found += _side_by_side(motions[first : first + AT_ONCE], links, values, contact)
+    return found
+
+
+def _side_by_side(
+    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Contact | None
+) -> list[tuple[FloatArray, FloatArray]]:
+    zero, joints = values[:, INDEX["zero"]], len(values)
+    paths = []
+    for motion in motions:
+        paths.append(motion.command[motion.history :].copy())
+        paths[-1][0] = motion.position[0]
+    moving, surface = False, None if contact is None else contact.surface(len(motions))
     for _ in range(PASSES):
-        lanes = lanes_of([motion], [path_load(links, motion, path, zero, moving)], None)
-        new = roll_out(lanes, values.T)[0][: len(path)]
-        change = float(np.mean(np.abs(new - path[: len(new)]).max(axis=1)))
-        path, moving = new, True
-        if change < SETTLED:
+        loads = [path_load(links, motion, path, zero, moving) for motion, path in zip(motions, paths, strict=True)]
+        touches = (
+            []
+            if contact is None
+            else [
+                motion_touch(links, contact.link, motion, motion.grid[: len(path)], path, zero)
+                for motion, path in zip(motions, paths, strict=True)
+            ]
+        )
+        lanes = lanes_of(motions, loads, None, touches)
+        new, _, force = roll_out(lanes, np.tile(values.T, (1, len(motions))), surface=surface)
+        times, changes = np.arange(len(new)) * lanes.step, []
+        for number, motion in enumerate(motions):
+            own = new[:, number * joints : (number + 1) * joints]
+            grid = motion.grid
+            settled = np.stack([np.interp(grid, times, column) for column in own.T], axis=1)
+            changes.append(float(np.mean(np.abs(settled - paths[number]).max(axis=1))))
+            paths[number] = settled
+        moving = True
+        if max(changes) < SETTLED:
             break
-    sampled: FloatArray = at_samples(lanes, new)
-    return sampled
+    sampled = at_samples(lanes, new)
+    return [
+        (
+            sampled[: len(motion.time), number * joints : (number + 1) * joints],
+            np.zeros(len(motion.time)) if contact is None else np.interp(motion.time, times, force[:, number]),
+        )
+        for number, motion in enumerate(motions)
+    ]
 
 
 def path_load(links: ServoLinks, motion: ServoMotion, path: FloatArray, zero: FloatArray, moving: bool) -> MotionLoad:

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import savgol_filter
 from scipy.stats import t as student
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
+from ident.servo.contact import Contact, away, find_contact, in_contact
 from ident.servo.links import ServoLinks
-from ident.servo.motion import MotionLoad, ServoMotion, lanes_of, motion_load, with_coupling
+from ident.servo.motion import (
+    MotionLoad,
+    ServoMotion,
+    lanes_of,
+    motion_load,
+    motion_touch,
+    with_coupling,
+)
 from ident.servo.rollout import Lanes, repeated
 from ident.servo.search import (
     BLOCKED_LITTLE,
@@ -40,7 +48,7 @@ from ident.servo.terms import (
 PIECES = 160
 """Pieces at most with which terms are chosen; the final fit takes `FINAL_PIECES`."""
 
-FINAL_PIECES = 300
+FINAL_PIECES = 200
 
 GAIN = 1.3
 """What a term saves on held-out pieces, over what it costs on others: no t-test, since a limit of acceleration shows in
@@ -63,6 +71,9 @@ FEWEST_PIECES = 1.2
 
 SMOOTHED = 0.14
 """[s] span of the local polynomial through measured positions that gives accelerations for coupling."""
+
+LOAD_GROUP, CONTACT = "load", "contact"
+"""A contact is looked for where the load's friction is known, and before a zero could stand for it."""
 
 FIRST_GROUP = "profile"
 """The optional term that is settled with those that every joint has."""
@@ -99,6 +110,7 @@ class ServoFit:
         covariance: per joint, of its searched terms in the search's coordinates.
         gains: per joint, the share of the held-out cost that each optional term saved; kept ones only.
         pieces: number of pieces of motion in the fit.
+        contact: what the arm touches; None without a sign of it.
     """
 
     values: FloatArray
@@ -112,6 +124,7 @@ class ServoFit:
     covariance: tuple[FloatArray, ...]
     gains: tuple[Mapping[str, float], ...]
     pieces: int
+    contact: Contact | None
 
 
 def fit_servo(
@@ -119,21 +132,23 @@ def fit_servo(
     links: ServoLinks,
     resolution: FloatArray,
     given: Mapping[tuple[int, str], float],
+    tool: tuple[int, FloatArray],
     progress: Progress,
 ) -> ServoFit:
-    """Fit every joint.
+    """Fit every joint, and what the arm touches.
 
     Args:
         motions: of one arm.
         links: of the arm.
         resolution: (n,) steps of the encoders [rad or m].
         given: known values by joint and term, which are held.
+        tool: the link and its point (3,) [m] that may touch something.
         progress: called with the name of each step.
     """
     joints = motions[0].position.shape[1]
     zero = np.zeros(joints)
     progress("links along the motion")
-    lanes = _lanes(motions, links, zero)
+    lanes = _lanes(motions, links, zero, tool[0])
     values, held = _start(motions, links), np.zeros((joints, len(TERMS)), dtype=np.bool_)
     for (joint, name), value in given.items():
         values[joint, INDEX[name]], held[joint, INDEX[name]] = value, True
@@ -146,7 +161,7 @@ def fit_servo(
     centre = to_search(values)
     least = float(np.min(resolution))
     weighted = set(links.weighted(np.concatenate([motion.position for motion in motions]).T).tolist())
-    chosen, judged = _split(lanes, PIECES)
+    chosen, judged = _split(away(lanes, tool[1]), PIECES)
     progress("first fit")
     gains: list[dict[str, float]] = [{} for _ in range(joints)]
     values, free = _first_fit(chosen, judged, values, free, centre, np.flatnonzero(moving), held, least, gains)
@@ -154,21 +169,38 @@ def fit_servo(
     scaled = (heavy & moving) | held[:, [INDEX[name] for name in TORQUES]].any(axis=1)
     values, free, held, assumed = _tied(values, free, held, centre, scaled, moving, given)
     values = search(chosen, values, free, _scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
-    for group in GROUPS:
+    contact: Contact | None = None
+    kept = lanes
+    groups = list(GROUPS)
+    groups[groups.index(FIRST_GROUP)] = LOAD_GROUP
+    groups[groups.index(LOAD_GROUP, 1)] = CONTACT
+    for group in groups:
+        if group == CONTACT:
+            progress("does the arm touch something?")
+            contact = find_contact(lanes, values, *tool, least)
+            kept = lanes if contact is None else _untouched(lanes, values, contact)
+            chosen, judged = _split(kept, PIECES)
+            values = search(chosen, values, free, _scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
+            continue
         able = [joint for joint in np.flatnonzero(moving).tolist() if not held[joint, members(group)].any()]
         if group == "zero":
             able = [joint for joint in able if joint in weighted]
-        if not able or group == FIRST_GROUP:
+        if not able:
             continue
-        progress(f"is there a {group}?" if group != "load" else "does friction follow the load?")
+        progress(f"is there a {group}?" if group != LOAD_GROUP else "does friction follow the load?")
         values, free, saved = _tried(chosen, judged, values, free, centre, able, group, least)
         for joint, share in saved.items():
             gains[joint][group] = share
         if group == "zero" and saved:
             zero = values[:, INDEX["zero"]].copy()
-            lanes = _lanes(motions, links, zero)
-            chosen, judged = _split(lanes, PIECES)
-    final = _pieces(lanes, FINAL_PIECES)
+            lanes = _lanes(motions, links, zero, tool[0])
+            contact = None if contact is None else find_contact(lanes, values, *tool, least)
+            kept = lanes if contact is None else _untouched(lanes, values, contact)
+            chosen, judged = _split(kept, PIECES)
+    if contact is not None:
+        contact = find_contact(lanes, values, *tool, least, contact)
+        kept = lanes if contact is None else _untouched(lanes, values, contact)
+    final = _pieces(kept, FINAL_PIECES)
     progress("final fit")
     values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
     values, free, pruned = _pruned(final, values, free, least, gains)
@@ -183,11 +215,22 @@ def fit_servo(
         values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
     low, high, seen, _, covariance = _intervals(final, values, free, least)
     pieces = len(np.unique(final.piece))
-    return ServoFit(values, low, high, free, seen, held, assumed, moving, covariance, tuple(gains), pieces)
+    if contact is not None:
+        progress("contact")
+        contact = find_contact(lanes, values, *tool, least, contact)
+    return ServoFit(values, low, high, free, seen, held, assumed, moving, covariance, tuple(gains), pieces, contact)
 
 
-def _lanes(motions: Sequence[ServoMotion], links: ServoLinks, zero: FloatArray) -> Lanes:
-    return lanes_of(motions, [measured_load(links, motion, zero) for motion in motions])
+def _lanes(motions: Sequence[ServoMotion], links: ServoLinks, zero: FloatArray, link: int) -> Lanes:
+    """Pieces of measured motions, with what a link may touch."""
+    loads = [measured_load(links, motion, zero) for motion in motions]
+    touches = [motion_touch(links, link, motion, motion.time, motion.position, zero) for motion in motions]
+    return lanes_of(motions, loads, touches=touches)
+
+
+def _untouched(lanes: Lanes, values: FloatArray, contact: Contact) -> Lanes:
+    """The lanes without the samples that a contact bends."""
+    return replace(lanes, measured=np.where(in_contact(lanes, values, contact), np.nan, lanes.measured))
 
 
 def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray) -> MotionLoad:

@@ -19,15 +19,18 @@ from drivers.core.reading_process import Progress
 from ident.assessment.command_checks import refuse_unusable_commands
 from ident.identify.summary import values_sha256
 from ident.result.result_file import file_sha256
-from ident.servo.arm_rollout import roll_out_arm, rollout_errors
+from ident.servo.arm_rollout import rollout_errors, touched_paths
+from ident.servo.contact import PRESSING, Contact, tool_point
 from ident.servo.fit import ServoFit, fit_servo
 from ident.servo.links import ServoLinks, servo_links
 from ident.servo.motion import ServoMotion, servo_motions
 from ident.servo.references import command_paths, delay_and_lag, delayed_paths
 from ident.servo.result import (
+    ContactStretch,
     MotionError,
     References,
     RolloutFit,
+    ServoContact,
     ServoJoint,
     ServoParameter,
     ServoRecording,
@@ -38,6 +41,9 @@ from ident.servo.terms import TERMS
 
 HELD_OUT = 0.3
 """Share at the end of each recording that validates, where no other recording does."""
+
+PAUSE = 0.5
+"""[s] without contact between two contacts."""
 
 FAR_ZERO = 0.15
 """[rad or m] of an encoder's zero against that of the URDF that is named."""
@@ -98,11 +104,14 @@ def identify_servo(
     moving = np.array([max(np.ptp(motion.command[:, joint]) for motion in motions) for joint in range(robot.dof)])
     if not np.any(moving > 5 * steps):
         raise IdentificationError("no joint is commanded to move by more than five encoder steps")
-    fitted = fit_servo(motions, links, steps, _given(given, robot.joint_names), progress)
+    tool = tool_point(file, links)
+    fitted = fit_servo(motions, links, steps, _given(given, robot.joint_names), tool, progress)
     progress("roll-out")
     lag = delay_and_lag(motions)
-    fit, _ = judge(motions, links, fitted.values, lag, held_out=False)
-    validation, paths = judge(judged, links, fitted.values, lag, held_out=not _same_data(recordings, held_out))
+    contact = fitted.contact
+    fit, _ = judge(motions, links, fitted.values, lag, contact, held_out=False)
+    own = not _same_data(recordings, held_out)
+    validation, paths = judge(judged, links, fitted.values, lag, contact, held_out=own)
     joints = [_joint(fitted, row, name, links.model.sliding[row]) for row, name in enumerate(robot.joint_names)]
     result = ServoResult(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -115,6 +124,14 @@ def identify_servo(
         resolution=steps.tolist(),
         step=motions[0].step,
         servo=joints,
+        contact=None
+        if contact is None
+        else ServoContact(
+            link=links.model.link_names[contact.link],
+            point=contact.point.tolist(),
+            height=contact.height,
+            stiffness=contact.stiffness,
+        ),
         covariance=[matrix.tolist() for matrix in fitted.covariance],
         searched=[[TERMS[index].name for index in np.flatnonzero(row)] for row in fitted.free],
         fit=fit,
@@ -125,7 +142,7 @@ def identify_servo(
             *(_use(recording, file, "validation") for recording in held_out),
         ],
         versions=software_versions(),
-        verdict=verdict(robot.joint_names, joints, validation, steps),
+        verdict=verdict(robot.joint_names, joints, validation, steps, contact),
     )
     return ServoIdentification(result, judged, paths)
 
@@ -142,13 +159,15 @@ def revalidate_servo(
     motions = [motion for recording in recordings for motion in read_motions(recording, robot_file)]
     used = {use.sha256 for use in result.recordings if use.role == "identification"}
     held_out = not any(_hash(recording) in used for recording in recordings)
-    fit, paths = judge(motions, links, result.values, delay_and_lag(motions), held_out=held_out)
+    lag = delay_and_lag(motions)
+    contact = contact_of(result, links)
+    fit, paths = judge(motions, links, result.values, lag, contact, held_out=held_out)
     steps = np.array(result.resolution)
     changed = result.model_copy(
         update={
             "validation": fit,
             "validation_source": "recordings of their own",
-            "verdict": verdict(tuple(result.joints), result.servo, fit, steps),
+            "verdict": verdict(tuple(result.joints), result.servo, fit, steps, contact),
         }
     )
     return ServoIdentification(changed, motions, paths)
@@ -165,11 +184,26 @@ def read_motions(recording: Recording, robot_file: RobotFile) -> list[ServoMotio
     return servo_motions(recorded, recording.label)
 
 
+def contact_of(result: ServoResult, links: ServoLinks) -> Contact | None:
+    """What a stored model's arm touches."""
+    stored = result.contact
+    if stored is None:
+        return None
+    return Contact(links.model.link_names.index(stored.link), np.array(stored.point), stored.height, stored.stiffness)
+
+
 def judge(
-    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, lag: tuple[float, float], *, held_out: bool
+    motions: Sequence[ServoMotion],
+    links: ServoLinks,
+    values: FloatArray,
+    lag: tuple[float, float],
+    contact: Contact | None,
+    *,
+    held_out: bool,
 ) -> tuple[RolloutFit, list[FloatArray]]:
     """Roll-out errors of motions beside the references, and the paths."""
-    paths = roll_out_arm(motions, links, values)
+    found = touched_paths(motions, links, values, contact)
+    paths = [path for path, _ in found]
     errors = rollout_errors(motions, paths)
     command = rollout_errors(motions, command_paths(motions))
     lagged = rollout_errors(motions, delayed_paths(motions, *lag))
@@ -191,6 +225,11 @@ def judge(
                 )
                 for label, rows in own.items()
             ],
+            contacts=[
+                stretch
+                for motion, (_, force) in zip(motions, found, strict=True)
+                for stretch in _stretches(motion, force)
+            ],
             held_out=held_out,
             seconds=float(seconds.sum()),
         ),
@@ -198,7 +237,31 @@ def judge(
     )
 
 
-def verdict(names: Sequence[str], joints: Sequence[ServoJoint], judged: RolloutFit, steps: FloatArray) -> ServoVerdict:
+def _stretches(motion: ServoMotion, force: FloatArray) -> list[ContactStretch]:
+    """When a motion's roll-out touches something; pauses below `PAUSE` are not told apart."""
+    times = motion.time[force > PRESSING]
+    if not len(times):
+        return []
+    ends = np.flatnonzero(np.diff(times) > PAUSE)
+    begins = np.concatenate([[0], ends + 1])
+    return [
+        ContactStretch(
+            recording=motion.label,
+            begin=motion.begin + float(times[first]),
+            end=motion.begin + float(times[last]),
+            force=float(force[(motion.time >= times[first]) & (motion.time <= times[last])].max()),
+        )
+        for first, last in zip(begins, [*ends, len(times) - 1], strict=True)
+    ]
+
+
+def verdict(
+    names: Sequence[str],
+    joints: Sequence[ServoJoint],
+    judged: RolloutFit,
+    steps: FloatArray,
+    contact: Contact | None = None,
+) -> ServoVerdict:
     """A grade for rolling out motions, by held-out errors against encoder steps and references."""
     error, lagged = np.array(judged.rollout_error), np.array(judged.references.delay_and_lag)
     worse = [name for name, own, other in zip(names, error, lagged, strict=True) if own > other + 0.5 * steps.mean()]
@@ -219,6 +282,8 @@ def verdict(names: Sequence[str], joints: Sequence[ServoJoint], judged: RolloutF
             f"for gravity the encoder's zero is not that of the URDF: {', '.join(far)}; compare a pose of the arm with "
             "its picture"
         )
+    if contact is not None:
+        checks.append(_contact_words(contact, judged.contacts))
     if worse:
         checks.append(f"{', '.join(worse)}: no better than one delay and lag for all joints")
     loose = [joint.joint for joint in joints if joint.parameters["stiffness"].origin == "assumed"]
@@ -234,6 +299,20 @@ def verdict(names: Sequence[str], joints: Sequence[ServoJoint], judged: RolloutF
         "delay and lag"
     )
     return ServoVerdict(grade=grade, headline=f"{grade.capitalize()} for simulation: {reach}.", checks=checks)
+
+
+def _contact_words(contact: Contact, stretches: Sequence[ContactStretch]) -> str:
+    """What the arm touches, and when."""
+    text = f"the arm touches something at a height of {contact.height:.3f} m"
+    if not stretches:
+        return f"{text} in other motions; the joints are fitted without these stretches"
+    longest = max(stretches, key=lambda stretch: stretch.end - stretch.begin)
+    seconds = sum(stretch.end - stretch.begin for stretch in stretches)
+    others = f" and {len(stretches) - 1} more stretches" if len(stretches) > 1 else ""
+    return (
+        f"{text}: in {longest.recording} from {longest.begin:.1f} s to {longest.end:.1f} s{others}, {seconds:.0f} s in "
+        "all; the joints are fitted without such stretches"
+    )
 
 
 def _joint(fitted: ServoFit, row: int, name: str, sliding: bool) -> ServoJoint:

@@ -10,8 +10,9 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray, IntArray
 from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import DynamicModel, build_model
+from ident.model.energy import EnergyKernel
 from ident.model.kinematics.urdf import urdf_inertias
-from ident.model.parameters import INERTIAL, link_parameters
+from ident.model.parameters import INERTIAL, LINK_SIZE, link_parameters
 from ident.model.regressor import model_torque
 
 DIFFERENCE = 1e-4
@@ -58,10 +59,18 @@ class ServoLinks:
             inertia[joint] = self.torque(position, still, moved)[joint] - gravity[joint]
         return gravity, slope, inertia
 
-    def coupling(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """Torques (n, N) of a motion beyond gravity and each joint's own inertia: the other joints, Coriolis."""
-        gravity, _, inertia = self.along(position)
-        return self.torque(position, velocity, acceleration) - gravity - inertia * acceleration
+    def heights(self, link: int, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Heights (4, N) [m] of a link's origin and of its axes' unit vectors at positions (n, N), levers (4, n, N).
+
+        A point p of the link is at `heights[0] + p @ heights[1:]`, against gravity from the base frame's origin. Levers
+        are derivatives by the joints. Both are the energy and the torques of a unit mass.
+        """
+        strength = float(np.linalg.norm(self.model.gravity))
+        columns = [LINK_SIZE * link + INERTIAL.index(name) for name in ("M", "MX", "MY", "MZ")]
+        still = np.zeros_like(position)
+        height = EnergyKernel(self.model, columns).energy(position, still) / strength
+        levers = [model_torque(self.model, columns, unit, position, still, still) for unit in np.eye(len(columns))]
+        return height, np.array(levers) / strength
 
     def weighted(self, position: FloatArray) -> IntArray:
         """Indices of the joints that gravity loads somewhere along positions (n, N)."""

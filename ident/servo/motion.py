@@ -12,9 +12,9 @@ from daq.recording.commanded_motion import TARGET, CommandedMotion
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
 from ident.servo.links import ServoLinks
-from ident.servo.rollout import Lanes
+from ident.servo.rollout import Lanes, Touch
 
-STEP = 0.005
+STEP = 0.01
 """[s] Longest step of a roll-out."""
 
 HISTORY = 0.5
@@ -170,42 +170,83 @@ def with_coupling(
         moved: positions with `zero` added, velocities and accelerations (N, n) at these times.
     """
     position, velocity, acceleration = moved
-    coupling = links.coupling(position.T, velocity.T, acceleration.T)
-    between = np.stack([np.interp(motion.grid, times, row) for row in coupling], axis=1)
+    grid = motion.grid
+
+    def on_grid(rows: FloatArray) -> FloatArray:
+        return np.stack([np.interp(grid, times, row) for row in rows], axis=1)
+
+    moving = links.torque(position.T, velocity.T, acceleration.T) - links.gravity(position.T)
+    between = on_grid(moving) - load.inertia * on_grid(acceleration.T)
     return MotionLoad(load.torque + between, load.slope, load.inertia)
 
 
-def lanes_of(motions: Sequence[ServoMotion], loads: Sequence[MotionLoad], piece: float | None = PIECE) -> Lanes:
+def motion_touch(
+    links: ServoLinks, link: int, motion: ServoMotion, times: FloatArray, moved: FloatArray, zero: FloatArray
+) -> Touch:
+    """Heights and levers of a link's frame along positions (N, n) at times (N,), on a motion's grid; one piece."""
+    thin = np.unique(np.append(np.arange(0, len(times), THINNED), len(times) - 1))
+    height, lever = links.heights(link, (moved[thin] + zero).T)
+    grid = motion.grid
+
+    def on_grid(stamps: FloatArray, values: FloatArray) -> FloatArray:
+        return np.stack([np.interp(grid, stamps, row) for row in values], axis=1)
+
+    return Touch(
+        on_grid(times, moved.T),
+        np.stack([on_grid(times[thin], row[None]) for row in height]),
+        np.stack([on_grid(times[thin], rows) for rows in lever]),
+    )
+
+
+def lanes_of(
+    motions: Sequence[ServoMotion],
+    loads: Sequence[MotionLoad],
+    piece: float | None = PIECE,
+    touches: Sequence[Touch] = (),
+) -> Lanes:
     """Lanes of all joints of motions, cut into pieces [s]; whole where None.
 
-    Samples of a piece's first `SETTLING` seconds do not count.
+    Samples of a piece's first `SETTLING` seconds do not count. `touches` are those of the motions, where a contact is
+    looked for.
     """
     step, joints = min(motion.step for motion in motions), motions[0].position.shape[1]
     cuts = []
-    for motion, load in zip(motions, loads, strict=True):
+    for number, motion in enumerate(motions):
         end = float(motion.time[-1])
         length = end if piece is None else piece
         begin = 0.0
         while begin < end - SETTLING:
-            cuts.append((motion, load, begin, min(begin + SETTLING + length, end)))
+            cuts.append((number, begin, min(begin + SETTLING + length, end)))
             begin += length
-    steps = max(int(np.ceil((last - begin) / step)) + 2 for _, _, begin, last in cuts)
-    samples = max(int(np.count_nonzero((m.time >= begin) & (m.time <= last))) for m, _, begin, last in cuts)
+    steps = max(int(np.ceil((last - begin) / step)) + 2 for _, begin, last in cuts)
+    samples = max(
+        int(np.count_nonzero((motions[number].time >= begin) & (motions[number].time <= last)))
+        for number, begin, last in cuts
+    )
     history = max(motion.history for motion in motions)
     width = len(cuts) * joints
     command = np.empty((history + steps, width))
     start, inertia = np.empty(width), np.empty((steps, width))
     torque, slope = np.empty((steps, width)), np.empty((steps, width))
     sample, measured = np.zeros((samples, width)), np.full((samples, width), np.nan)
-    for number, (motion, load, begin, last) in enumerate(cuts):
+    reference, height, lever = np.empty((steps, width)), np.empty((4, steps, len(cuts))), np.empty((4, steps, width))
+    for number, (source, begin, last) in enumerate(cuts):
+        motion, load = motions[source], loads[source]
         lanes = slice(number * joints, (number + 1) * joints)
         inside = np.flatnonzero((motion.time >= begin) & (motion.time <= last))
         origin = float(motion.time[inside[0]])
         grid = (origin + np.arange(-history, steps) * step) / motion.step
-        rows = np.clip(np.rint(grid).astype(np.intp) + motion.history, 0, len(motion.command) - 1)
-        command[:, lanes] = motion.command[rows]
+        place = np.clip(grid + motion.history, 0.0, len(motion.command) - 1.0)
+        before = np.minimum(place.astype(np.intp), len(motion.command) - 2)
+        part = (place - before)[:, None]
+        command[:, lanes] = motion.command[before] * (1.0 - part) + motion.command[before + 1] * part
+        rows = np.rint(place).astype(np.intp)
         own = np.clip(rows[history:] - motion.history, 0, len(load.torque) - 1)
         torque[:, lanes], slope[:, lanes], inertia[:, lanes] = load.torque[own], load.slope[own], load.inertia[own]
+        if touches:
+            touch = touches[source]
+            reference[:, lanes], lever[:, :, lanes] = touch.reference[own], touch.lever[:, own]
+            height[:, :, number] = touch.height[:, own, 0]
         start[lanes] = motion.position[inside[0]]
         sample[: len(inside), lanes] = ((motion.time[inside] - origin) / step)[:, None]
         counted = motion.time[inside] - origin >= SETTLING
@@ -222,4 +263,5 @@ def lanes_of(motions: Sequence[ServoMotion], loads: Sequence[MotionLoad], piece:
         slope,
         sample,
         measured,
+        Touch(reference, height, lever) if touches else None,
     )

@@ -58,6 +58,24 @@ class MotionError(Stored):
     rollout_error: list[Value]
 
 
+class ServoContact(Stored):
+    """A horizontal surface that the arm touches, with one point."""
+
+    link: str = Field(description="to which the point belongs")
+    point: list[Value] = Field(description="in the frame of the link's joint [m]")
+    height: Value = Field(description="of the surface, against gravity from the base frame's origin [m]")
+    stiffness: Value = Field(description="[N/m]")
+
+
+class ContactStretch(Stored):
+    """A stretch of a roll-out in which the arm touches the surface."""
+
+    recording: str
+    begin: Value = Field(description="in the recording's clock [s]")
+    end: Value
+    force: Value = Field(description="largest [N]")
+
+
 class RolloutFit(Stored):
     """Roll-out on commands alone, its first second left out; mean absolute errors per joint [rad or m]."""
 
@@ -65,6 +83,7 @@ class RolloutFit(Stored):
     rollout_mean: Value = Field(description="over the joints")
     references: References
     recordings: list[MotionError]
+    contacts: list[ContactStretch] = Field(default=[])
     held_out: bool
     seconds: Value
 
@@ -103,6 +122,7 @@ class ServoResult(Stored):
     resolution: list[Value] = Field(description="steps of the encoders [rad or m]")
     step: Value = Field(description="of the roll-out [s]")
     servo: list[ServoJoint]
+    contact: ServoContact | None = Field(default=None, description="what the arm touches; null without a sign of it")
     covariance: list[list[list[Value]]] = Field(
         default=[],
         description="per joint, of its searched terms in the order of `searched`; logarithms of positive ones",

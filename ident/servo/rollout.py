@@ -14,14 +14,32 @@ import numpy as np
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.terms import INDEX, TERMS
 
-DELAY_SPAN = 1e-3
-"""[s] Half of the span of the difference that gives the derivative by a delay."""
-
 STEEPNESS_SPAN = 0.03
 """The same of the logarithm of an acceleration limit."""
 
 UNLIMITED = 1e6
 """[rad/s²] From this acceleration on, a profile is its target."""
+
+TOUCH_DAMPING = 0.01
+"""[s] Damping of a contact over its stiffness."""
+
+TOUCH_ROUNDS = 4
+"""Newton steps at most to the force of a contact, whose joints stick and slip."""
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """Where a point of a link is along pieces of motion, linear in the point; P pieces, all n joints of each in turn.
+
+    Attributes:
+        reference: (K, L) positions along which it holds [rad or m].
+        height: (4, K, P) of the link's origin and of its axes' unit vectors [m].
+        lever: (4, K, L) derivatives of the heights by each joint's position.
+    """
+
+    reference: FloatArray
+    height: FloatArray
+    lever: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +58,7 @@ class Lanes:
         load_slope: (K, L) derivative of gravity by the joint's own position [N·m/rad].
         sample: (S, L) where the measured samples are on the grid, as fractions of steps.
         measured: (S, L) positions; nan where a sample does not count.
+        touch: of the point that may touch something; None where the lanes are not those of whole arms.
     """
 
     step: float
@@ -53,6 +72,16 @@ class Lanes:
     load_slope: FloatArray
     sample: FloatArray
     measured: FloatArray
+    touch: Touch | None = None
+
+    def of_pieces(self, pieces: IndexArray) -> Lanes:
+        """All lanes of some pieces, by number, with what they touch."""
+        chosen = np.flatnonzero(np.isin(self.piece, pieces))
+        if self.touch is None:
+            return self.of(chosen)
+        kept = np.flatnonzero(np.isin(np.unique(self.piece), pieces))
+        touch = Touch(self.touch.reference[:, chosen], self.touch.height[:, :, kept], self.touch.lever[:, :, chosen])
+        return replace(self.of(chosen), touch=touch)
 
     def of(self, chosen: IndexArray) -> Lanes:
         """Some of the lanes."""
@@ -75,40 +104,82 @@ def repeated(lanes: Lanes, times: int, joints: int) -> Lanes:
     """The lanes several times side by side, as those of further joints: a few long steps cost less than many."""
     wide = lanes.of(np.tile(np.arange(len(lanes.joint)), times))
     offsets = np.repeat(np.arange(times) * joints, len(lanes.joint))
-    return replace(wide, joint=wide.joint + offsets)
+    touch = lanes.touch
+    if touch is not None:
+        touch = Touch(
+            np.tile(touch.reference, (1, times)),
+            np.tile(touch.height, (1, 1, times)),
+            np.tile(touch.lever, (1, 1, times)),
+        )
+    return replace(wide, joint=wide.joint + offsets, touch=touch)
 
 
-def roll_out(lanes: Lanes, values: FloatArray, free: IndexArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Positions on the grid, and their derivatives.
+def roll_out(
+    lanes: Lanes, values: FloatArray, free: IndexArray | None = None, surface: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Positions on the grid, their derivatives without contact, and the force of the contact.
 
     Args:
         lanes: K steps, L lanes.
         values: (terms, L) parameters of each lane.
         free: (F,) indices of the terms to derive by; none where None.
+        surface: (5, P) height [m] and stiffness [N/m] of what each piece may touch, and the point (3) [m] that touches;
+            nothing is touched where None.
 
     Returns:
-        (K, L) positions [rad or m]; (F, K, L) derivatives by the search's coordinates (logarithms of positive terms).
+        (K, L) positions [rad or m]; (F, K, L) derivatives by the search's coordinates (logarithms of positive terms);
+        (K, P) forces [N], without columns where nothing is touched.
     """
     free = np.zeros(0, dtype=np.intp) if free is None else free
     rows = {TERMS[term].name: row for row, term in enumerate(free)}
     p = {name: values[index] for name, index in INDEX.items()}
     goals, d_goals = _goals(lanes, p["delay"], p["acceleration_limit"], rows)
+    inertia = _inertia(lanes, p["armature"], p["damping"])
     h, (count, width) = lanes.step, lanes.load.shape
     position, velocity = lanes.start.copy(), np.zeros(width)
     d_position, d_velocity = np.zeros((len(free), width)), np.zeros((len(free), width))
     path, tangents = np.empty((count, width)), np.zeros((len(free), count, width))
+    contact = None if surface is None or lanes.touch is None else _Surface(lanes, lanes.touch, surface)
+    force = np.zeros((count, 0 if contact is None else contact.pieces))
     for index in range(count):
-        path[index], tangents[:, index] = position, d_position
-        step = _step(lanes, p, index, goals[index], position, velocity)
+        path[index] = position
+        if len(free):
+            tangents[:, index] = d_position
+        step = _step(lanes, p, inertia.carried[index], index, goals[index] - position - p["bias"], velocity)
+        if contact is not None:
+            step = contact.pushed(step, index, position, force[index])
         if len(free):
             d_error = -d_position
             for row, derivative in d_goals.items():
                 d_error[row] += derivative[index]
-            d_velocity = _derived(lanes, p, rows, index, step, velocity, d_error, d_velocity)
+            d_velocity = _derived(lanes, p, rows, inertia, index, step, velocity, d_error, d_velocity)
             d_position = d_position + h * d_velocity
         velocity = step.velocity
         position = position + h * velocity
-    return path, tangents
+    return path, tangents, force
+
+
+@dataclass(frozen=True, eq=False)
+class _Inertia:
+    """Inertias (K, L) that carry a velocity over a step, and their derivatives by the logarithms of two terms.
+
+    With x = h·damping/inertia a velocity fades by exp(−x) in a step: an implicit step does just that where the inertia
+    is h·damping/(exp(x) − 1), without the inertia that its step would add.
+    """
+
+    carried: FloatArray
+    by_armature: FloatArray
+    by_damping: FloatArray
+
+
+def _inertia(lanes: Lanes, armature: FloatArray, damping: FloatArray) -> _Inertia:
+    whole = armature + lanes.inertia
+    lost = lanes.step * damping
+    exponent = np.minimum(lost / whole, 50.0)
+    grown = np.expm1(exponent)
+    carried = lost / grown
+    slope = exponent * (grown + 1.0) / grown
+    return _Inertia(carried, armature * (carried / whole) * slope, carried * (1.0 - slope))
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +190,11 @@ class _Step:
     side: FloatArray
     torque: FloatArray
     acting: FloatArray
-    inertia: FloatArray
     divisor: FloatArray
     faded: FloatArray
     static: FloatArray
+    momentum: FloatArray
+    friction: FloatArray
     moving: BoolArray
     direction: FloatArray
     velocity: FloatArray
@@ -131,33 +203,75 @@ class _Step:
 def _step(
     lanes: Lanes,
     p: dict[str, FloatArray],
+    carried: FloatArray,
     index: int,
-    goal: FloatArray,
-    position: FloatArray,
+    error: FloatArray,
     velocity: FloatArray,
 ) -> _Step:
+    """One step; velocities are those half a step after their positions, which the error belongs to."""
     h = lanes.step
-    error = goal - position - p["bias"]
     outside, side = np.abs(error) > p["dead_band"], np.sign(error)
     linear = p["stiffness"] * np.where(outside, error - side * p["dead_band"], 0.0)
-    torque = np.clip(linear, -p["torque_limit"], p["torque_limit"])
-    acting = np.where(outside & (np.abs(linear) < p["torque_limit"]), p["stiffness"], 0.0)
-    inertia = p["armature"] + lanes.inertia[index]
-    divisor = inertia + h * p["damping"] + h * h * acting
-    momentum = inertia * velocity + h * (torque - lanes.load[index] - p["zero"] * lanes.load_slope[index])
+    torque = np.minimum(np.maximum(linear, -p["torque_limit"]), p["torque_limit"])
+    acting = np.where(outside & (torque == linear), p["stiffness"], 0.0)
+    # Implicit in the stiffness only where damping does not keep the step stable: that would damp, too.
+    divisor = carried + np.maximum(h * p["damping"], h * h * acting)
+    momentum = carried * velocity + h * (torque - lanes.load[index] - p["zero"] * lanes.load_slope[index])
     loaded = np.abs(torque)
     static = p["breakaway"] + p["load_breakaway"] * loaded
     faded = np.exp(-((velocity / p["stribeck_velocity"]) ** 2))
     friction = h * (p["coulomb"] + p["load_friction"] * loaded + static * faded)
     moving, direction = np.abs(momentum) > friction, np.sign(momentum)
     after = np.where(moving, (momentum - direction * friction) / divisor, 0.0)
-    return _Step(outside, side, torque, acting, inertia, divisor, faded, static, moving, direction, after)
+    return _Step(outside, side, torque, acting, divisor, faded, static, momentum, friction, moving, direction, after)
+
+
+class _Surface:
+    """What pieces of motion may touch."""
+
+    def __init__(self, lanes: Lanes, touch: Touch, surface: FloatArray) -> None:
+        """For lanes; `surface` as of `roll_out`."""
+        weights = np.concatenate([np.ones((1, surface.shape[1])), surface[2:]])
+        self.pieces = surface.shape[1]
+        self.joints = len(lanes.joint) // self.pieces
+        self._step = lanes.step
+        self._clear = np.einsum("ckp,cp->kp", touch.height, weights) - surface[0]
+        self._lever = np.einsum("ckl,cl->kl", touch.lever, np.repeat(weights, self.joints, axis=1))
+        self._reference = touch.reference
+        self._stiffness = surface[1]
+
+    def pushed(self, step: _Step, index: int, position: FloatArray, force: FloatArray) -> _Step:
+        """The step with what the surface adds; its forces (P,) are written into `force`."""
+        lever, h = self._lever[index], self._step
+        clear = self._clear[index] + self._sum(lever * (position - self._reference[index]))
+        if np.all(clear > 0.02):
+            return step
+        hardness, damping = self._stiffness, TOUCH_DAMPING * self._stiffness
+        give = lever * lever * (h / step.divisor)
+        velocity, moving, direction = step.velocity, step.moving, step.direction
+        for _ in range(TOUCH_ROUNDS):
+            rate = self._sum(lever * velocity)
+            lacking = -hardness * (clear + h * rate) - damping * rate - force
+            change = lacking / (1.0 + (h * hardness + damping) * self._sum(np.where(moving, give, 0.0)))
+            after = np.maximum(force + change, 0.0)
+            if not np.any(np.abs(after - force) > 1e-6 * (1.0 + force)):
+                break
+            force[:] = after
+            momentum = step.momentum + h * lever * np.repeat(force, self.joints)
+            moving, direction = np.abs(momentum) > step.friction, np.sign(momentum)
+            velocity = np.where(moving, (momentum - direction * step.friction) / step.divisor, 0.0)
+        return replace(step, velocity=velocity, moving=moving, direction=direction)
+
+    def _sum(self, values: FloatArray) -> FloatArray:
+        summed: FloatArray = values.reshape(self.pieces, self.joints).sum(axis=1)
+        return summed
 
 
 def _derived(
     lanes: Lanes,
     p: dict[str, FloatArray],
     rows: dict[str, int],
+    inertia: _Inertia,
     index: int,
     step: _Step,
     velocity: FloatArray,
@@ -186,12 +300,13 @@ def _derived(
     add(d_friction, "breakaway", h * p["breakaway"] * step.faded)
     add(d_friction, "load_breakaway", h * p["load_breakaway"] * loaded * step.faded)
     add(d_friction, "stribeck_velocity", h * step.static * step.faded * slowness)
-    d_momentum = step.inertia * d_velocity + h * d_torque
-    add(d_momentum, "zero", -h * lanes.load_slope[index])
-    d_after = d_momentum - step.direction * d_friction
-    add(d_after, "armature", p["armature"] * (velocity - step.velocity))
-    add(d_after, "damping", -h * p["damping"] * step.velocity)
-    add(d_after, "stiffness", -h * h * step.acting * step.velocity)
+    d_after = inertia.carried[index] * d_velocity + h * d_torque - step.direction * d_friction
+    add(d_after, "zero", -h * lanes.load_slope[index])
+    slowed = velocity - step.velocity
+    add(d_after, "armature", inertia.by_armature[index] * slowed)
+    lost, stiff = h * p["damping"], h * h * step.acting
+    add(d_after, "damping", inertia.by_damping[index] * slowed - np.where(lost >= stiff, lost * step.velocity, 0.0))
+    add(d_after, "stiffness", np.where(lost >= stiff, 0.0, -stiff * step.velocity))
     return np.where(step.moving, d_after / step.divisor, 0.0)
 
 
@@ -207,13 +322,12 @@ def at_samples(lanes: Lanes, path: FloatArray) -> FloatArray:
 def _goals(
     lanes: Lanes, delay: FloatArray, steepest: FloatArray, rows: dict[str, int]
 ) -> tuple[FloatArray, dict[int, FloatArray]]:
-    """Goals (K, L) of the servos' profiles after each step, and their derivatives by the rows that are asked for.
+    """Goals (K, L) of the servos' profiles on the grid, and their derivatives by the rows that are asked for.
 
-    A profile that switches between its limits has no smooth derivative: differences over a finite span stand for it.
+    A profile that switches between its limits has no smooth derivative by them: differences over a finite span stand
+    for it.
     """
     shifted = [(delay, steepest)]
-    if "delay" in rows:
-        shifted += [(delay + DELAY_SPAN, steepest), (delay - DELAY_SPAN, steepest)]
     if "acceleration_limit" in rows:
         shifted += [(delay, steepest * np.exp(STEEPNESS_SPAN)), (delay, steepest * np.exp(-STEEPNESS_SPAN))]
     times = len(shifted)
@@ -222,14 +336,15 @@ def _goals(
     parts = np.split(paths, times, axis=1)
     derivatives = {}
     if "delay" in rows:
-        derivatives[rows["delay"]] = (parts[1] - parts[2]) / (2 * DELAY_SPAN)
+        # A later command is followed later, and otherwise alike.
+        derivatives[rows["delay"]] = -np.gradient(parts[0], lanes.step, axis=0)
     if "acceleration_limit" in rows:
         derivatives[rows["acceleration_limit"]] = (parts[-2] - parts[-1]) / (2 * STEEPNESS_SPAN)
     return parts[0], derivatives
 
 
 def profile_goals(lanes: Lanes, delay: FloatArray, steepest: FloatArray) -> FloatArray:
-    """Goals (K, L) of the servos' profiles after each step, for delays [s] and accelerations [rad/s²] (L,)."""
+    """Goals (K, L) of the servos' profiles on the grid, for delays [s] and accelerations [rad/s²] (L,)."""
     return _profile(lanes.command, lanes.history, len(lanes.load), lanes.step, delay, steepest)
 
 
@@ -247,18 +362,19 @@ def _profile(
     goals = np.empty((count, command.shape[1]))
     goal = command[np.clip(newer, 0, last), lane]
     pace = np.zeros(command.shape[1])
+    rows = np.clip(newer + np.arange(-1, count)[:, None], 0, last)
+    told = command[rows, lane]
+    targets: FloatArray = told[1:] + late * (told[:-1] - told[1:])
+    if unlimited:
+        return targets
+    twice, square = 2.0 * steepest, half * half
     for index in range(count):
-        first = command[np.clip(newer + index + 1, 0, last), lane]
-        second = command[np.clip(newer + index, 0, last), lane]
-        target = first + late * (second - first)
-        if unlimited:
-            goals[index] = target
-            continue
+        target = targets[index]
         ahead = target - goal
         distance = np.abs(ahead)
         # never past the target in one step
-        braking = np.minimum(np.sqrt(2.0 * steepest * distance + half * half) - half, distance / step)
-        pace = np.clip(np.copysign(braking, ahead), pace - most, pace + most)
+        braking = np.minimum(np.sqrt(twice * distance + square) - half, distance / step)
+        pace = np.minimum(np.maximum(np.copysign(braking, ahead), pace - most), pace + most)
         goal = goal + step * pace
         goals[index] = goal
     return goals

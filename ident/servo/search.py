@@ -15,8 +15,8 @@ from ident.servo.terms import TERMS, from_search, to_search
 
 DAMPING_START = 1e-2
 DAMPING_FACTOR = 4.0
-DAMPING_LIMIT = 1e6
-STILL = 1e-4
+DAMPING_LIMIT = 1e3
+STILL = 1e-3
 """Relative fall of a joint's cost at which its search ends."""
 
 _SPREAD = np.array([term.spread for term in TERMS])
@@ -25,7 +25,7 @@ _SPREAD = np.array([term.spread for term in TERMS])
 def evaluate(lanes: Lanes, values: FloatArray, free: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
     """Residuals (S, L) and their derivatives (F, S, L) by the terms that are free in some joint."""
     columns = None if free is None else np.flatnonzero(free.any(axis=0))
-    path, tangents = roll_out(lanes, values[lanes.joint].T, columns)
+    path, tangents, _ = roll_out(lanes, values[lanes.joint].T, columns)
     residual = at_samples(lanes, path) - lanes.measured
     if columns is None or not len(columns):
         return residual, np.empty((0, *residual.shape))
@@ -116,6 +116,10 @@ def search(
         residual[:, taken], tangents[:, :, taken] = new_residual[:, taken], new_tangents[:, :, taken]
         if done.all():
             break
+        left = np.flatnonzero(~done[lanes.joint])
+        if len(left) < len(lanes.joint):
+            # what has settled is not rolled out again
+            lanes, residual, tangents = lanes.of(left), residual[:, left], tangents[:, :, left]
     return np.where(free, from_search(point), values)
 
 

@@ -28,7 +28,7 @@ from ident.result.tables import Table
 from ident.servo import isaaclab, usd
 from ident.servo.actuator_law import ActuatorLaw, ServoReplay, replay_law
 from ident.servo.arm_rollout import roll_out_arm
-from ident.servo.identify import ServoIdentification, read_motions, revalidate_servo
+from ident.servo.identify import ServoIdentification, contact_of, read_motions, revalidate_servo
 from ident.servo.identify import identify_servo as identify_recordings
 from ident.servo.links import servo_links
 from ident.servo.mjcf import replay, servo_mjcf
@@ -87,7 +87,7 @@ class ServoModel:
             DataError: the recording has no commands, or is of another arm.
         """
         motions = read_motions(recording_of(run), self._robot)
-        paths = roll_out_arm(motions, self._links, self.result.values)
+        paths = roll_out_arm(motions, self._links, self.result.values, contact_of(self.result, self._links))
         return [(motion.begin + motion.time, path) for motion, path in zip(motions, paths, strict=True)]
 
     def validate(self, runs: Runs) -> ServoModel:
