@@ -23,19 +23,27 @@ def predict_torque(
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
-    """Predict a recording's torques: gravity, friction, inertia, rest.
+    """Predict a recording's torques: gravity, friction, inertia, rest; of a servo model, its positions.
 
     Example: dynid predict model run.h5 -o predicted.h5 --page predicted.html
     """
     from daq.commands.console import print_json, print_table, progress_line
     from daq.output_files import check_outputs
+    from drivers.core.errors import UsageError
+    from ident.commands.servo import predict_servo_command
     from ident.result.model import result_path
+    from ident.servo.result import is_servo_file
     from ident.tasks.arguments import paths_of
     from ident.tasks.prediction import predict
 
     model, recording = paths_of(options.identified, options.run)
     file = out if out is not None else Path(f"{recording.stem}-predicted.h5")
     check_outputs([file, page], [recording, result_path(model)], overwrite=force)
+    if is_servo_file(result_path(model)):
+        if page is not None or options.parameters is not None:
+            raise UsageError("--page and --parameters are of models with torques", hint="leave them out")
+        predict_servo_command(model, recording, file, as_json=as_json, force=force)
+        return
     with progress_line(quiet=as_json) as progress:
         progress("prediction")
         prediction = predict(**vars(options))

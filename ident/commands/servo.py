@@ -85,6 +85,25 @@ def validate_servo_command(path: Path, runs: object, *, as_json: bool) -> None:
     _print(judged.verdict, [judged.errors])
 
 
+def predict_servo_command(path: Path, run: Path, out: Path, *, as_json: bool, force: bool) -> None:
+    """Write a recording whose positions are rolled out on another's commands."""
+    from daq.recording.writer import write_recording
+    from ident.tasks.servo import load_servo_model
+
+    model = load_servo_model(path)
+    rolled = model.predict(run)
+    judged = model.validate(run)
+    write_recording(out, rolled, overwrite=force)
+    if as_json:
+        from daq.commands.console import print_json
+
+        validation = judged.result.validation
+        assert validation is not None
+        print_json({"file": str(out), "joints": judged.result.joints, "validation": validation.model_dump(mode="json")})
+        return
+    _print(f"Positions rolled out on the commands alone: {out}", [judged.errors])
+
+
 def refuse_servo_formats(options: ExportOptions) -> None:
     """Refuse what only a servo model has.
 

@@ -72,7 +72,7 @@ def _side_by_side(
             []
             if contact is None
             else [
-                motion_touch(links, contact.link, motion, motion.grid[: len(path)], path, zero)
+                motion_touch(links, contact.link, motion, motion.grid[: len(path)], path)
                 for motion, path in zip(motions, paths, strict=True)
             ]
         )

@@ -15,7 +15,7 @@ from ident.model.kinematics.loops import main_chain
 from ident.model.kinematics.urdf import urdf_model
 from ident.servo.links import ServoLinks
 from ident.servo.rollout import Lanes, at_samples, repeated, roll_out
-from ident.servo.search import BLOCKED_LITTLE, lane_cost, loss, robust_scale
+from ident.servo.search import EVERY_ERROR, lane_cost, loss, robust_scale
 
 STIFFNESS = 2000.0
 """[N/m] Start: that of gripper, links and gears, which is less than a table's."""
@@ -29,10 +29,11 @@ NEAR = 0.02
 PIECES = 60
 """At most, in the search; every other one judges."""
 
-SPREADS = np.array([0.02, 1.0, 0.01, 0.01, 0.01])
-"""σ of the weak prior about the start: height [m], logarithm of the stiffness, point [m]."""
+SPREADS = np.array([0.01, 1.0])
+"""σ of the weak prior about the start: height [m], logarithm of the stiffness. The point is not searched: it would go
+where it makes up for what the joints' models lack."""
 
-DIFFERENCES = np.array([1e-4, 0.02, 2e-4, 2e-4, 2e-4])
+DIFFERENCES = np.array([1e-4, 0.02])
 """Steps of the differences that give derivatives, in the same coordinates."""
 
 EVALUATIONS = 8
@@ -119,16 +120,16 @@ def find_contact(
         near = near[np.linspace(0, len(near) - 1, PIECES).astype(np.intp)]
     chosen, judged = lanes.of_pieces(near[::2]), lanes.of_pieces(near[1::2])
     starts = (
-        [np.array([floor + band, np.log(STIFFNESS), *point]) for band in BANDS]
+        [np.array([floor + band, np.log(STIFFNESS)]) for band in BANDS]
         if known is None
-        else [np.array([known.height, np.log(known.stiffness), *known.point])]
+        else [np.array([known.height, np.log(known.stiffness)])]
     )
-    fits = [_search(chosen, values, start, least) for start in starts]
+    fits = [_search(chosen, values, point, start, least) for start in starts]
     best = min(fits, key=lambda fit: fit[1])[0]
-    if not _helps(judged, values, best, least):
+    if not _helps(judged, values, point, best, least):
         return None
-    refined = _search(lanes.of_pieces(near), values, best, least)[0]
-    return Contact(link, refined[2:], float(refined[0]), float(np.exp(refined[1])))
+    refined = _search(lanes.of_pieces(near), values, point, best, least)[0]
+    return Contact(link, point, float(refined[0]), float(np.exp(refined[1])))
 
 
 def away(lanes: Lanes, point: FloatArray) -> Lanes:
@@ -159,61 +160,59 @@ def lowest_points(lanes: Lanes, point: FloatArray) -> FloatArray:
     return lowest
 
 
-def _residual(lanes: Lanes, values: FloatArray, points: FloatArray) -> FloatArray:
-    """(v, S, L) residuals with several surfaces (v, 5), all side by side."""
-    count, joints = len(points), len(values)
+def _residual(lanes: Lanes, values: FloatArray, point: FloatArray, surfaces: FloatArray) -> FloatArray:
+    """(v, S, L) residuals with several surfaces (v, 2), all side by side."""
+    count, joints = len(surfaces), len(values)
     wide = repeated(lanes, count, joints)
-    coordinates = points.copy()
-    coordinates[:, 1] = np.exp(coordinates[:, 1])
-    surface = np.repeat(coordinates.T, len(np.unique(lanes.piece)), axis=1)
+    each = np.column_stack([surfaces[:, 0], np.exp(surfaces[:, 1]), np.tile(point, (count, 1))])
+    surface = np.repeat(each.T, len(np.unique(lanes.piece)), axis=1)
     path = roll_out(wide, values[wide.joint % joints].T, surface=surface)[0]
-    residual = at_samples(wide, path) - wide.measured
-    return np.stack(np.split(residual, count, axis=1))
+    return np.stack(np.split(at_samples(wide, path) - wide.measured, count, axis=1))
 
 
-def _search(lanes: Lanes, values: FloatArray, start: FloatArray, least: float) -> tuple[FloatArray, float]:
-    """The surface (5,) that minimises the robust cost, and the cost."""
-    scale = robust_scale(_residual(lanes, values, start[None])[0], lanes, len(values), least)[lanes.joint]
-    point, damping, best = start.copy(), 1e-2, np.inf
-    residual = _residual(lanes, values, _varied(point))
-    cost = _cost(residual[0], scale, point, start)
+def _search(
+    lanes: Lanes, values: FloatArray, point: FloatArray, start: FloatArray, least: float
+) -> tuple[FloatArray, float]:
+    """The surface (2,), height and logarithm of the stiffness, that minimises the robust cost, and the cost."""
+    residual = _residual(lanes, values, point, _varied(start))
+    scale = robust_scale(residual[0], lanes, len(values), least)[lanes.joint]
+    found, damping = start.copy(), 1e-2
+    cost = _cost(residual[0], scale, found, start)
     for _ in range(EVALUATIONS):
         counted = np.isfinite(residual[0])
         error = (residual[0] / scale)[counted]
         slopes = ((residual[1:] - residual[0]) / scale)[:, counted] / DIFFERENCES[:, None]
-        weight = loss(error, BLOCKED_LITTLE)[1]
+        weight = loss(error, EVERY_ERROR)[1]
         curvature = (slopes * weight) @ slopes.T + np.diag(SPREADS**-2)
-        gradient = slopes @ (weight * error) + (point - start) / SPREADS**2
+        gradient = slopes @ (weight * error) + (found - start) / SPREADS**2
         move = -np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), gradient)
-        trial = point + np.clip(move, -SPREADS, SPREADS)
-        new = _residual(lanes, values, _varied(trial))
+        trial = found + np.clip(move, -0.5 * SPREADS, 0.5 * SPREADS)
+        new = _residual(lanes, values, point, _varied(trial))
         new_cost = _cost(new[0], scale, trial, start)
         if new_cost >= cost:
             damping *= 8.0
             continue
-        best = cost - new_cost
-        point, residual, cost, damping = trial, new, new_cost, damping / 4.0
-        if best < STILL * cost:
+        fall, found, residual, cost, damping = cost - new_cost, trial, new, new_cost, damping / 4.0
+        if fall < STILL * cost:
             break
-    return point, cost
+    return found, cost
 
 
-def _varied(point: FloatArray) -> FloatArray:
-    return np.vstack([point, point + np.diag(DIFFERENCES)])
+def _varied(surface: FloatArray) -> FloatArray:
+    return np.vstack([surface, surface + np.diag(DIFFERENCES)])
 
 
-def _cost(residual: FloatArray, scale: FloatArray, point: FloatArray, start: FloatArray) -> float:
-    robust = np.nansum(loss(residual / scale, BLOCKED_LITTLE)[0])
-    return float(robust + np.sum(((point - start) / SPREADS) ** 2))
+def _cost(residual: FloatArray, scale: FloatArray, surface: FloatArray, start: FloatArray) -> float:
+    robust = np.nansum(loss(residual / scale, EVERY_ERROR)[0])
+    return float(robust + np.sum(((surface - start) / SPREADS) ** 2))
 
 
-def _helps(lanes: Lanes, values: FloatArray, point: FloatArray, least: float) -> bool:
+def _helps(lanes: Lanes, values: FloatArray, point: FloatArray, surface: FloatArray, least: float) -> bool:
     """Whether a surface lowers the cost of pieces clearly."""
-    away = point.copy()
-    away[0] = -1e3
-    without, touched = _residual(lanes, values, np.stack([away, point]))
+    away = np.array([surface[0] - 1e3, surface[1]])
+    without, touched = _residual(lanes, values, point, np.stack([away, surface]))
     scale = robust_scale(without, lanes, len(values), least)
-    before, after = (lane_cost(each, lanes, scale, BLOCKED_LITTLE) for each in (without, touched))
+    before, after = (lane_cost(each, lanes, scale, EVERY_ERROR) for each in (without, touched))
     change = before - after
-    gain, loss_of_it = float(change[change > 0].sum()), -float(change[change < 0].sum())
-    return gain > BETTER * loss_of_it and gain - loss_of_it > LEAST_GAIN * float(before.sum())
+    saved, spent = float(change[change > 0].sum()), -float(change[change < 0].sum())
+    return saved > BETTER * spent and saved - spent > LEAST_GAIN * float(before.sum())

@@ -148,7 +148,7 @@ def fit_servo(
     joints = motions[0].position.shape[1]
     zero = np.zeros(joints)
     progress("links along the motion")
-    lanes = _lanes(motions, links, zero, tool[0])
+    lanes = lanes_with_touch(motions, links, zero, tool[0])
     values, held = _start(motions, links), np.zeros((joints, len(TERMS)), dtype=np.bool_)
     for (joint, name), value in given.items():
         values[joint, INDEX[name]], held[joint, INDEX[name]] = value, True
@@ -169,38 +169,11 @@ def fit_servo(
     scaled = (heavy & moving) | held[:, [INDEX[name] for name in TORQUES]].any(axis=1)
     values, free, held, assumed = _tied(values, free, held, centre, scaled, moving, given)
     values = search(chosen, values, free, _scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
-    contact: Contact | None = None
-    kept = lanes
-    groups = list(GROUPS)
-    groups[groups.index(FIRST_GROUP)] = LOAD_GROUP
-    groups[groups.index(LOAD_GROUP, 1)] = CONTACT
-    for group in groups:
-        if group == CONTACT:
-            progress("does the arm touch something?")
-            contact = find_contact(lanes, values, *tool, least)
-            kept = lanes if contact is None else _untouched(lanes, values, contact)
-            chosen, judged = _split(kept, PIECES)
-            values = search(chosen, values, free, _scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
-            continue
-        able = [joint for joint in np.flatnonzero(moving).tolist() if not held[joint, members(group)].any()]
-        if group == "zero":
-            able = [joint for joint in able if joint in weighted]
-        if not able:
-            continue
-        progress(f"is there a {group}?" if group != LOAD_GROUP else "does friction follow the load?")
-        values, free, saved = _tried(chosen, judged, values, free, centre, able, group, least)
-        for joint, share in saved.items():
-            gains[joint][group] = share
-        if group == "zero" and saved:
-            zero = values[:, INDEX["zero"]].copy()
-            lanes = _lanes(motions, links, zero, tool[0])
-            contact = None if contact is None else find_contact(lanes, values, *tool, least)
-            kept = lanes if contact is None else _untouched(lanes, values, contact)
-            chosen, judged = _split(kept, PIECES)
-    if contact is not None:
-        contact = find_contact(lanes, values, *tool, least, contact)
-        kept = lanes if contact is None else _untouched(lanes, values, contact)
-    final = _pieces(kept, FINAL_PIECES)
+    state = _State(lanes, lanes, values, free, None, gains)
+    told = np.array([joint in weighted for joint in range(joints)])
+    _settle_terms(state, (chosen, judged), motions, links, (centre, held, told, moving), tool, least, progress)
+    lanes, values, free, contact = state.lanes, state.values, state.free, state.contact
+    final = _pieces(state.kept, FINAL_PIECES)
     progress("final fit")
     values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
     values, free, pruned = _pruned(final, values, free, least, gains)
@@ -221,16 +194,83 @@ def fit_servo(
     return ServoFit(values, low, high, free, seen, held, assumed, moving, covariance, tuple(gains), pieces, contact)
 
 
-def _lanes(motions: Sequence[ServoMotion], links: ServoLinks, zero: FloatArray, link: int) -> Lanes:
+@dataclass(eq=False)
+class _State:
+    """A fit under way: all lanes, those without contact, values and free terms, the contact, and what terms saved."""
+
+    lanes: Lanes
+    kept: Lanes
+    values: FloatArray
+    free: BoolArray
+    contact: Contact | None
+    gains: list[dict[str, float]]
+
+
+def _settle_terms(
+    state: _State,
+    parts: tuple[Lanes, Lanes],
+    motions: Sequence[ServoMotion],
+    links: ServoLinks,
+    joints: tuple[FloatArray, BoolArray, BoolArray, BoolArray],
+    tool: tuple[int, FloatArray],
+    least: float,
+    progress: Progress,
+) -> None:
+    """Try the optional terms one after the other, and a contact among them.
+
+    Args:
+        state: changed in place.
+        parts: pieces to fit and pieces to judge, away from what the arm may touch.
+        motions: of the arm.
+        links: of the arm.
+        joints: prior (n, terms), held terms (n, terms), whether gravity loads a joint (n,), whether it moves (n,).
+        tool: the link and its point that may touch something.
+        least: smallest scale of errors.
+        progress: called with the name of each step.
+    """
+    centre, held, weighted, moving = joints
+    chosen, judged = parts
+    groups = list(GROUPS)
+    groups[groups.index(FIRST_GROUP)] = LOAD_GROUP
+    groups[groups.index(LOAD_GROUP, 1)] = CONTACT
+    for group in groups:
+        if group == CONTACT:
+            progress("does the arm touch something?")
+            state.contact = find_contact(state.lanes, state.values, *tool, least)
+            chosen, judged = _left(state)
+            scale = _scale(chosen, state.values, least)
+            state.values = search(chosen, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
+            continue
+        offered = moving & weighted if group == "zero" else moving
+        able = np.flatnonzero(offered & ~held[:, members(group)].any(axis=1)).tolist()
+        if not able:
+            continue
+        progress(f"is there a {group}?" if group != LOAD_GROUP else "does friction follow the load?")
+        state.values, state.free, saved = _tried(chosen, judged, state.values, state.free, centre, able, group, least)
+        for joint, share in saved.items():
+            state.gains[joint][group] = share
+        if group == "zero" and saved:
+            state.lanes = lanes_with_touch(motions, links, state.values[:, INDEX["zero"]], tool[0])
+            chosen, judged = _left(state)
+    if state.contact is not None:
+        state.contact = find_contact(state.lanes, state.values, *tool, least, state.contact)
+        _left(state)
+
+
+def _left(state: _State) -> tuple[Lanes, Lanes]:
+    """Pieces to fit and to judge, without the samples that the contact bends."""
+    state.kept = state.lanes
+    if state.contact is not None:
+        bent = in_contact(state.lanes, state.values, state.contact)
+        state.kept = replace(state.lanes, measured=np.where(bent, np.nan, state.lanes.measured))
+    return _split(state.kept, PIECES)
+
+
+def lanes_with_touch(motions: Sequence[ServoMotion], links: ServoLinks, zero: FloatArray, link: int) -> Lanes:
     """Pieces of measured motions, with what a link may touch."""
     loads = [measured_load(links, motion, zero) for motion in motions]
-    touches = [motion_touch(links, link, motion, motion.time, motion.position, zero) for motion in motions]
+    touches = [motion_touch(links, link, motion, motion.time, motion.position) for motion in motions]
     return lanes_of(motions, loads, touches=touches)
-
-
-def _untouched(lanes: Lanes, values: FloatArray, contact: Contact) -> Lanes:
-    """The lanes without the samples that a contact bends."""
-    return replace(lanes, measured=np.where(in_contact(lanes, values, contact), np.nan, lanes.measured))
 
 
 def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray) -> MotionLoad:

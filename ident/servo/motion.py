@@ -180,19 +180,20 @@ def with_coupling(
     return MotionLoad(load.torque + between, load.slope, load.inertia)
 
 
-def motion_touch(
-    links: ServoLinks, link: int, motion: ServoMotion, times: FloatArray, moved: FloatArray, zero: FloatArray
-) -> Touch:
-    """Heights and levers of a link's frame along positions (N, n) at times (N,), on a motion's grid; one piece."""
+def motion_touch(links: ServoLinks, link: int, motion: ServoMotion, times: FloatArray, position: FloatArray) -> Touch:
+    """Heights and levers of a link's frame along positions (N, n) at times (N,), on a motion's grid; one piece.
+
+    Without the joints' `zero`: gravity tells it too badly to move the surface's height by it.
+    """
     thin = np.unique(np.append(np.arange(0, len(times), THINNED), len(times) - 1))
-    height, lever = links.heights(link, (moved[thin] + zero).T)
+    height, lever = links.heights(link, position[thin].T)
     grid = motion.grid
 
     def on_grid(stamps: FloatArray, values: FloatArray) -> FloatArray:
         return np.stack([np.interp(grid, stamps, row) for row in values], axis=1)
 
     return Touch(
-        on_grid(times, moved.T),
+        on_grid(times, position.T),
         np.stack([on_grid(times[thin], row[None]) for row in height]),
         np.stack([on_grid(times[thin], rows) for rows in lever]),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
@@ -16,9 +17,12 @@ from daq.output_files import (
     replace_files,
     write_folder,
 )
+from daq.recording.commanded_motion import TARGET
+from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError, UsageError
+from drivers.streams import UNITS
 from ident.export.mujoco_reading import mujoco_installed
 from ident.ranges import UNIT_SPREAD
 from ident.report.servo_page import servo_page
@@ -89,6 +93,30 @@ class ServoModel:
         motions = read_motions(recording_of(run), self._robot)
         paths = roll_out_arm(motions, self._links, self.result.values, contact_of(self.result, self._links))
         return [(motion.begin + motion.time, path) for motion, path in zip(motions, paths, strict=True)]
+
+    def predict(self, run: Run) -> Recording:
+        """The recording with positions rolled out on its commands; without samples of motions that are too short.
+
+        Raises:
+            DataError: the recording has no commands, or is of another arm.
+        """
+        recording = recording_of(run)
+        rolled = self.roll_out(recording)
+        stream = recording.streams[JOINTS_STREAM]
+        time = np.concatenate([times for times, _ in rolled])
+        rows = np.searchsorted(stream.time, time - 1e-9)
+        names = tuple(self.result.joints)
+        position = Channel(
+            "position",
+            np.concatenate([path for _, path in rolled]),
+            self._robot.robot.column_unit(UNITS["position"], names),
+            names,
+            "rolled out on the commands alone by a servo model",
+        )
+        target = stream.channels.get(TARGET)
+        kept = {} if target is None else {TARGET: replace(target, values=target.values[rows])}
+        played = Stream(JOINTS_STREAM, stream.time[rows], stream.host_time[rows], {"position": position, **kept})
+        return replace(recording, path=None, streams={**recording.streams, JOINTS_STREAM: played})
 
     def validate(self, runs: Runs) -> ServoModel:
         """The same model judged on other recordings.

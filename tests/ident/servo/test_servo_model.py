@@ -116,10 +116,13 @@ def test_the_commands_validate_and_export_take_it(folder, short_run, tmp_path, m
     status, _, error = command_line.run(monkeypatch, capsys, "export", folder, "--urdf", tmp_path / "arm.urdf")
     assert status == 2
     assert "ranges" in error
-    status, _, error = command_line.run(monkeypatch, capsys, "predict", folder, run)
-    assert status == 2
-    assert "servo model" in error
-    assert len(error.strip().splitlines()) <= 2
+    status, output, error = command_line.run(
+        monkeypatch, capsys, "predict", folder, run, "-o", tmp_path / "rolled.h5", "--json"
+    )
+    assert status == 0, error
+    assert json.loads(output)["validation"]["rollout_mean"] == pytest.approx(judged["rollout_mean"])
+    rolled = dynid.read_recording(tmp_path / "rolled.h5")
+    assert np.abs(rolled.position - short_run.position)[100:].mean() == pytest.approx(judged["rollout_mean"], rel=0.3)
 
 
 def test_what_an_mjcf_holds_moves_in_mujoco_as_in_the_roll_out(model):
