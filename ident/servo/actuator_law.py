@@ -203,7 +203,8 @@ def shaped_commands(links: ServoLinks, motion: ServoMotion, values: FloatArray) 
     zero = np.zeros(len(values))
     lanes = lanes_of([motion], [motion_load(links, motion, motion.time, motion.position, zero)], None)
     goals = profile_goals(lanes, np.zeros(len(values)), values[:, INDEX["acceleration_limit"]])
-    return np.concatenate([motion.command[: motion.history], goals])[: len(motion.command)]
+    # A goal is that at the end of its step.
+    return np.concatenate([motion.command[: motion.history + 1], goals])[: len(motion.command)]
 
 
 def replay_law(

@@ -26,8 +26,8 @@ PASSES = 8
 SETTLED = 5e-4
 """[rad or m] Mean change of a path between two passes at which the passes end."""
 
-EVERY = 2
-"""Links' torques are evaluated at every other step of the grid."""
+EVERY = 4
+"""Links' torques are evaluated at every fourth step of the grid."""
 
 COUPLING_SPAN = 0.04
 """[s] over which accelerations are averaged for coupling: those of a stick-slip step are impulses."""

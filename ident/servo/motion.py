@@ -14,7 +14,7 @@ from drivers.core.errors import DataError
 from ident.servo.links import ServoLinks
 from ident.servo.rollout import Lanes, Touch
 
-STEP = 0.01
+STEP = 0.005
 """[s] Longest step of a roll-out."""
 
 HISTORY = 0.5

@@ -134,7 +134,7 @@ def roll_out(
     rows = {TERMS[term].name: row for row, term in enumerate(free)}
     p = {name: values[index] for name, index in INDEX.items()}
     goals, d_goals = _goals(lanes, p["delay"], p["acceleration_limit"], rows)
-    inertia = _inertia(lanes, p["armature"], p["damping"])
+    inertia = p["armature"] + lanes.inertia
     h, (count, width) = lanes.step, lanes.load.shape
     position, velocity = lanes.start.copy(), np.zeros(width)
     d_position, d_velocity = np.zeros((len(free), width)), np.zeros((len(free), width))
@@ -145,41 +145,18 @@ def roll_out(
         path[index] = position
         if len(free):
             tangents[:, index] = d_position
-        step = _step(lanes, p, inertia.carried[index], index, goals[index] - position - p["bias"], velocity)
+        step = _step(lanes, p, inertia[index], index, goals[index] - position - p["bias"], velocity)
         if contact is not None:
             step = contact.pushed(step, index, position, force[index])
         if len(free):
             d_error = -d_position
             for row, derivative in d_goals.items():
                 d_error[row] += derivative[index]
-            d_velocity = _derived(lanes, p, rows, inertia, index, step, velocity, d_error, d_velocity)
+            d_velocity = _derived(lanes, p, rows, inertia[index], index, step, velocity, d_error, d_velocity)
             d_position = d_position + h * d_velocity
         velocity = step.velocity
         position = position + h * velocity
     return path, tangents, force
-
-
-@dataclass(frozen=True, eq=False)
-class _Inertia:
-    """Inertias (K, L) that carry a velocity over a step, and their derivatives by the logarithms of two terms.
-
-    With x = h·damping/inertia a velocity fades by exp(−x) in a step: an implicit step does just that where the inertia
-    is h·damping/(exp(x) − 1), without the inertia that its step would add.
-    """
-
-    carried: FloatArray
-    by_armature: FloatArray
-    by_damping: FloatArray
-
-
-def _inertia(lanes: Lanes, armature: FloatArray, damping: FloatArray) -> _Inertia:
-    whole = armature + lanes.inertia
-    lost = lanes.step * damping
-    exponent = np.minimum(lost / whole, 50.0)
-    grown = np.expm1(exponent)
-    carried = lost / grown
-    slope = exponent * (grown + 1.0) / grown
-    return _Inertia(carried, armature * (carried / whole) * slope, carried * (1.0 - slope))
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,20 +180,18 @@ class _Step:
 def _step(
     lanes: Lanes,
     p: dict[str, FloatArray],
-    carried: FloatArray,
+    inertia: FloatArray,
     index: int,
     error: FloatArray,
     velocity: FloatArray,
 ) -> _Step:
-    """One step; velocities are those half a step after their positions, which the error belongs to."""
     h = lanes.step
     outside, side = np.abs(error) > p["dead_band"], np.sign(error)
     linear = p["stiffness"] * np.where(outside, error - side * p["dead_band"], 0.0)
     torque = np.minimum(np.maximum(linear, -p["torque_limit"]), p["torque_limit"])
     acting = np.where(outside & (torque == linear), p["stiffness"], 0.0)
-    # Implicit in the stiffness only where damping does not keep the step stable: that would damp, too.
-    divisor = carried + np.maximum(h * p["damping"], h * h * acting)
-    momentum = carried * velocity + h * (torque - lanes.load[index] - p["zero"] * lanes.load_slope[index])
+    divisor = inertia + h * p["damping"] + h * h * acting
+    momentum = inertia * velocity + h * (torque - lanes.load[index] - p["zero"] * lanes.load_slope[index])
     loaded = np.abs(torque)
     static = p["breakaway"] + p["load_breakaway"] * loaded
     faded = np.exp(-((velocity / p["stribeck_velocity"]) ** 2))
@@ -271,7 +246,7 @@ def _derived(
     lanes: Lanes,
     p: dict[str, FloatArray],
     rows: dict[str, int],
-    inertia: _Inertia,
+    inertia: FloatArray,
     index: int,
     step: _Step,
     velocity: FloatArray,
@@ -300,13 +275,11 @@ def _derived(
     add(d_friction, "breakaway", h * p["breakaway"] * step.faded)
     add(d_friction, "load_breakaway", h * p["load_breakaway"] * loaded * step.faded)
     add(d_friction, "stribeck_velocity", h * step.static * step.faded * slowness)
-    d_after = inertia.carried[index] * d_velocity + h * d_torque - step.direction * d_friction
+    d_after = inertia * d_velocity + h * d_torque - step.direction * d_friction
     add(d_after, "zero", -h * lanes.load_slope[index])
-    slowed = velocity - step.velocity
-    add(d_after, "armature", inertia.by_armature[index] * slowed)
-    lost, stiff = h * p["damping"], h * h * step.acting
-    add(d_after, "damping", inertia.by_damping[index] * slowed - np.where(lost >= stiff, lost * step.velocity, 0.0))
-    add(d_after, "stiffness", np.where(lost >= stiff, 0.0, -stiff * step.velocity))
+    add(d_after, "armature", p["armature"] * (velocity - step.velocity))
+    add(d_after, "damping", -h * p["damping"] * step.velocity)
+    add(d_after, "stiffness", -h * h * step.acting * step.velocity)
     return np.where(step.moving, d_after / step.divisor, 0.0)
 
 
@@ -322,7 +295,7 @@ def at_samples(lanes: Lanes, path: FloatArray) -> FloatArray:
 def _goals(
     lanes: Lanes, delay: FloatArray, steepest: FloatArray, rows: dict[str, int]
 ) -> tuple[FloatArray, dict[int, FloatArray]]:
-    """Goals (K, L) of the servos' profiles on the grid, and their derivatives by the rows that are asked for.
+    """Goals (K, L) of the servos' profiles after each step, and their derivatives by the rows that are asked for.
 
     A profile that switches between its limits has no smooth derivative by them: differences over a finite span stand
     for it.
@@ -344,7 +317,7 @@ def _goals(
 
 
 def profile_goals(lanes: Lanes, delay: FloatArray, steepest: FloatArray) -> FloatArray:
-    """Goals (K, L) of the servos' profiles on the grid, for delays [s] and accelerations [rad/s²] (L,)."""
+    """Goals (K, L) of the servos' profiles after each step, for delays [s] and accelerations [rad/s²] (L,)."""
     return _profile(lanes.command, lanes.history, len(lanes.load), lanes.step, delay, steepest)
 
 
@@ -362,7 +335,7 @@ def _profile(
     goals = np.empty((count, command.shape[1]))
     goal = command[np.clip(newer, 0, last), lane]
     pace = np.zeros(command.shape[1])
-    rows = np.clip(newer + np.arange(-1, count)[:, None], 0, last)
+    rows = np.clip(newer + np.arange(count + 1)[:, None], 0, last)
     told = command[rows, lane]
     targets: FloatArray = told[1:] + late * (told[:-1] - told[1:])
     if unlimited:

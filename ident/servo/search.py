@@ -15,8 +15,8 @@ from ident.servo.terms import TERMS, from_search, to_search
 
 DAMPING_START = 1e-2
 DAMPING_FACTOR = 4.0
-DAMPING_LIMIT = 1e3
-STILL = 1e-3
+DAMPING_LIMIT = 1e5
+STILL = 3e-4
 """Relative fall of a joint's cost at which its search ends."""
 
 _SPREAD = np.array([term.spread for term in TERMS])
