@@ -263,8 +263,12 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
 
 def with_hashes(text: str, others: Mapping[str, str]) -> str:
     """The text of a JSON object with the SHA-256 of the files that are written with it, for `strange_files`."""
-    hashes = {name: _hash(content.encode()) for name, content in others.items()}
-    return text.replace("{", f"{{\n {json.dumps({GENERATION_KEY: hashes})[1:-1]},", 1)
+    return text.replace("{", f"{{\n {json.dumps({GENERATION_KEY: hashes_of(others)})[1:-1]},", 1)
+
+
+def hashes_of(texts: Mapping[str, str]) -> dict[str, str]:
+    """Name → SHA-256 of a text as it is written."""
+    return {name: _hash(content.encode()) for name, content in texts.items()}
 
 
 def warn_of_strange_files(path: Path, content: Mapping[str, object]) -> None:
@@ -324,8 +328,10 @@ _together: dict[Path, str] | None = None
 
 
 @contextmanager
-def written_together() -> Iterator[None]:
+def written_together() -> Iterator[dict[Path, str]]:
     """Let the files that `replace_files` is given within the context be written at its end: all, or none on an error.
+
+    The context is given their texts, path → text, the first one that which takes its place last.
 
     Raises:
         UsageError, DiskError: as `replace_files`, at the end.
@@ -333,7 +339,7 @@ def written_together() -> Iterator[None]:
     global _together
     _together = {}
     try:
-        yield
+        yield _together
         texts, _together = _together, None
         if texts:
             replace_files(texts)

@@ -14,6 +14,8 @@ COMPARING_LIMIT = 1.0
 """How long [s] two clocks may take to show whether they differ, before a motion goes on without."""
 STEADY_RATIO = 1.3
 """Largest over smallest ratio in them: a wrong clock is wrong evenly, late samples and stalled simulators are not."""
+SET_BACK = 5e-3
+"""A clock that says so much less [s] than before was set back: how long an arm was without a command is unknown."""
 
 
 class ClockRates:
@@ -33,6 +35,7 @@ class ClockRates:
         self.compared = False
         self._own, self._rate = own, rate
         self._begun: tuple[float, float] | None = None
+        self._latest = float("-inf")
         self._ratios: deque[float] = deque(maxlen=WINDOWS)
 
     def add(self, time: float, host_time: float) -> str:
@@ -58,3 +61,8 @@ class ClockRates:
         return (
             f"{self._own} runs at {ratio:.2f} times the rate of this computer's: one of them is wrong, or {self._rate}"
         )
+
+    def looked(self, now: float) -> str:
+        """Take the host's time [s], asked whenever samples come; what is wrong where it was set back, or nothing."""
+        before, self._latest = self._latest, now
+        return f"this computer's clock was set back by {before - now:.3f} s" if now < before - SET_BACK else ""

@@ -12,7 +12,7 @@ import typer
 
 from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, REALTIME, ROBOT_ARGUMENT, host_option, takes
-from drivers.core.errors import UsageError
+from drivers.core.errors import MotionRefusedError, UsageError
 from drivers.core.options import Options, option, required
 from drivers.core.ranges import RECORDING_TIME
 from drivers.core.text import percent_text
@@ -124,6 +124,7 @@ def _planned(options: RecordOptions, clock: Clock, *, overwrite: bool, as_json: 
     from daq.output_files import check_outputs
     from daq.recording.recorder import require_room
     from daq.robot.assumptions import assumed_limits
+    from daq.robot.fingerprint import changed_since
     from daq.robot.loader import load_robot
     from daq.session.bus_room import session_warnings
     from daq.session.session import load_driver
@@ -140,6 +141,9 @@ def _planned(options: RecordOptions, clock: Clock, *, overwrite: bool, as_json: 
     warnings = session_warnings(robot_file, options.wire, moves=moves)
     if moves:
         warnings += [f"assumed: {limit}" for limit in assumed_limits(robot_file)]
+    designed_for = loaded.trajectory.designed_for if loaded is not None else {}
+    changed = changed_since(designed_for, robot, robot_file.urdf_text)
+    warnings += [changed] if changed else []
     samples = loaded.samples if loaded is not None else None
     check_outputs([options.out], [*robot_file.files, trajectory, samples, options.prior], overwrite=overwrite)
     require_room(options.out)
@@ -147,7 +151,11 @@ def _planned(options: RecordOptions, clock: Clock, *, overwrite: bool, as_json: 
     played = None
     if loaded is not None and motion is not None:
         check = load_motion_check(robot_file, options.prior)
-        figures = check.trajectory(motion, str(trajectory))
+        try:
+            figures = check.trajectory(motion, str(trajectory))
+        except MotionRefusedError as error:
+            error.hint = changed or error.hint
+            raise
         played = _PlannedMotion(
             motion, loaded.text, figures, Confirmation(motion, robot.joints, check, question, screen)
         )
@@ -164,8 +172,9 @@ def _recorded(plan: _Plan, options: RecordOptions, clock: Clock, *, overwrite: b
 
     from daq.live.terminal_view import live_view
     from daq.recording.recorder import Recorder
+    from daq.recording.serial_numbers import SERIAL_EVENT
     from daq.session.arm_lock import only_mover
-    from daq.session.device_limits import require_same_arm
+    from daq.session.device_limits import require_same_arm, serial_number
     from daq.session.play import Play
     from daq.session.session import record
     from daq.session.supervisor import Limits, Supervisor
@@ -193,6 +202,8 @@ def _recorded(plan: _Plan, options: RecordOptions, clock: Clock, *, overwrite: b
         if plan.screen is not None:
             into = f"recording into {recorder.file}, which becomes {options.out} when it is closed"
             print(into, file=plan.screen, flush=True)
+        if number := serial_number(driver):
+            recorder.event(math.nan, "info", "driver", f"{SERIAL_EVENT}{number}")
         for warning in (*plan.warnings, *to_mind):
             recorder.event(math.nan, "warning", "session", warning)
         if options.speed_scale != 1.0:

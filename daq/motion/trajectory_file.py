@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, Self
@@ -40,6 +41,8 @@ from daq.motion.trajectories import (
     SampledMotion,
     SumOfSines,
 )
+from daq.output_files import GENERATION_KEY, hashes_of, warn_of_strange_files
+from daq.robot.fingerprint import changed_since
 from daq.robot.schema import Robot
 from daq.robot.section import Finite, NonNegative, NotTruthValue, within
 from drivers.core.arrays import FloatArray
@@ -82,6 +85,8 @@ class _Trajectory(BaseModel):
 
     robot: str = Field(min_length=1)
     comment: str = ""
+    designed_for: dict[str, str] = Field(default_factory=dict, description="fingerprint of the robot file's sections")
+    files: dict[str, str] = Field(default_factory=dict, description="SHA-256 of the files written with it")
 
 
 class FourierTrajectory(_Trajectory):
@@ -227,7 +232,9 @@ def load_trajectory(path: Path, robot: Robot) -> TrajectoryFile:
         UsageError: names file and key, what was found and what is allowed.
     """
     text = read_text(path, TRAJECTORY_FILE, UsageError)
-    return parse_trajectory(text, robot, where=str(path), folder=path.parent)
+    read = parse_trajectory(text, robot, where=str(path), folder=path.parent)
+    warn_of_strange_files(path, {GENERATION_KEY: read.trajectory.files})
+    return read
 
 
 def parse_trajectory(text: str, robot: Robot, *, where: str, folder: Path | None) -> TrajectoryFile:
@@ -252,7 +259,11 @@ def parse_trajectory(text: str, robot: Robot, *, where: str, folder: Path | None
         )
     motion = _plausible(trajectory, where)
     with np.errstate(all="ignore"):  # a move of almost no duration has an infinite velocity, which is refused
-        check_limits(motion, robot.joints, where)
+        try:
+            check_limits(motion, robot.joints, where)
+        except UsageError as error:
+            error.hint = changed_since(trajectory.designed_for, robot) or error.hint
+            raise
         check_rest(motion, robot.joints, where)
     return TrajectoryFile(trajectory, motion, text, samples)
 
@@ -316,4 +327,13 @@ def _read_csv(path: Path, joints: tuple[str, ...]) -> tuple[FloatArray, FloatArr
 
 def dump_trajectory(trajectory: Trajectory) -> str:
     """A trajectory as the text of its file."""
-    return yaml.safe_dump(trajectory.model_dump(mode="json"), allow_unicode=True, sort_keys=False)
+    content = trajectory.model_dump(mode="json")
+    for key in ("designed_for", GENERATION_KEY):
+        if not content[key]:
+            del content[key]
+    return yaml.safe_dump(content, allow_unicode=True, sort_keys=False)
+
+
+def with_files(text: str, others: Mapping[str, str]) -> str:
+    """A trajectory file's text with the SHA-256 of the files that are written with it; name → their text."""
+    return text + yaml.safe_dump({GENERATION_KEY: hashes_of(others)})

@@ -77,7 +77,8 @@ class Course:
         if batch.stream == JOINTS_STREAM and len(batch.time):
             self.position = batch.values["position"][-1].copy()
             self.heard = float(batch.host_time[-1])
-            self.untrusted = self.rates.add(float(batch.time[-1]), self.heard) or self.untrusted
+            differ = self.rates.looked(self.clock.now()) or self.rates.add(float(batch.time[-1]), self.heard)
+            self.untrusted = differ or self.untrusted
             watched = [batch.values[name] for name in ("position", "target_position") if name in batch.values]
             for host_time, row in zip(batch.host_time.tolist(), np.hstack(watched), strict=True):
                 self.rest.add(host_time, row)

@@ -10,7 +10,7 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from daq.session.sources import Sources
 from daq.session.supervisor import TRACKING_ERROR
-from drivers.base import Cautioning, DeviceLimits, Driver, Limiting, Measured
+from drivers.base import Cautioning, DeviceLimits, Driver, Limiting, Measured, Numbered
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 
@@ -28,6 +28,12 @@ def before_a_motion(robot: Robot, driver: Driver) -> list[str]:
     main = driver.main if isinstance(driver, Sources) else driver
     said = looser_limits(robot, main.device_limits()) if isinstance(main, Limiting) else []
     return said + (list(main.cautions()) if isinstance(main, Cautioning) else [])
+
+
+def serial_number(driver: Driver) -> str:
+    """Serial number of the controller of a driver that is open; empty where it tells none."""
+    main = driver.main if isinstance(driver, Sources) else driver
+    return main.serial_number() if isinstance(main, Numbered) else ""
 
 
 def require_same_arm(robot_file: RobotFile, driver: Driver) -> None:

@@ -19,10 +19,11 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, DriverStateError, MotionRefusedError, UsageError
 from drivers.first_step import check_first_step, finite_position
 from drivers.gains import gives_torque, joint_torque, torque_channel
+from drivers.paced_clock import ArmTime
 from drivers.rtde import protocol as wire
 from drivers.rtde.configuration import Configuration, read_configuration
 from drivers.rtde.connect import Connect, connect_tcp
-from drivers.rtde.dashboard import stop_program
+from drivers.rtde.dashboard import serial_number, stop_program
 from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode
 from drivers.rtde.motion import JOINTS, MotionProcess, require_ur_rtde
 from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
@@ -80,12 +81,14 @@ class ControllerIdentity:
         software: version of the controller's software.
         rate: of the samples [Hz].
         variables: that the controller delivers.
+        serial: number, as its dashboard tells it; empty where it does not.
     """
 
     controller: str
     software: str
     rate: float
     variables: int
+    serial: str = ""
 
 
 class ArmControl(Protocol):
@@ -154,13 +157,25 @@ class RtdeDriver:
         """Connect and agree on what will be delivered, within the connection's `timeout`.
 
         Raises:
-            ConnectionFailedError: no answer, or not from the expected device.
+            ConnectionFailedError: no answer, not from the expected device, or of another serial number.
             UsageError: the controller does not reach the connection's `rate`.
             DriverStateError: it is open already.
         """
         require_state(self._state, "closed", "open")
         self._receiver.connect()
+        if (expected := self._settings.serial) is not None and (own := self.serial_number()) != expected:
+            self._receiver.close()
+            raise ConnectionFailedError(
+                f"the controller {f'has serial number {own}' if own else 'tells no serial number'}, but the robot file "
+                f"expects {expected}",
+                where=self._settings.host,
+                hint="is this the right arm? The key 'serial' is the connection's; the number is told on port 29999",
+            )
         self._state = "open"
+
+    def serial_number(self) -> str:
+        """The controller's serial number, asked now at its dashboard; empty where it tells none."""
+        return serial_number(self._settings.host, LIMITS_TIMEOUT, self._connect, self._clock)
 
     def identify(self) -> tuple[ControllerIdentity, ...]:
         """The controller.
@@ -172,7 +187,13 @@ class RtdeDriver:
             require_state(self._state, "open", "identify the controller")
         receiver = self._receiver
         return (
-            ControllerIdentity(receiver.where, str(receiver.version), receiver.rate, len(receiver.recipe.variables)),
+            ControllerIdentity(
+                receiver.where,
+                str(receiver.version),
+                receiver.rate,
+                len(receiver.recipe.variables),
+                self.serial_number(),
+            ),
         )
 
     def device_limits(self) -> DeviceLimits:
@@ -284,6 +305,10 @@ class RtdeDriver:
     def notices(self) -> Sequence[Notice]:
         """What the controller reported since the last call: modes, messages, refused variables, reconnections."""
         return self._receiver.notices() + drained(self._notices)
+
+    def arm_time(self) -> ArmTime | None:
+        """The controller's clock in the newest data package; None before the first."""
+        return self._receiver.arm_time()
 
     def command_rate(self) -> float:
         """The controller's own rate, whatever that of the samples; 0 where it is closed.

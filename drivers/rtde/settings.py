@@ -18,6 +18,7 @@ class RtdeSettings(ConnectionSettings):
     rate: float | None = Field(
         None, ge=1, le=500, description="[Hz] of the samples, usually 500 or 125; left out, the controller's maximum"
     )
+    serial: Text | None = Field(None, description="the serial number that the controller must have; left out, any")
     timeout: float = Field(5.0, ge=0.1, le=300, description="[s] for connecting, and for taking control of the arm")
 
 

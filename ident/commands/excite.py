@@ -31,6 +31,7 @@ def excite(
     Example: dynid excite ur5e -o traj.yaml --page traj.html
     """
     from daq.commands.console import print_json, print_table, progress_line
+    from daq.motion.trajectory_file import with_files
     from daq.output_files import check_outputs, written_together
     from daq.robot.loader import load_robot
     from ident.commands.excite_purposes import purpose_of
@@ -44,7 +45,7 @@ def excite(
     with progress_line(quiet=as_json) as progress:
         designed = purpose.design(options, progress)
         trajectory = designed.trajectory
-        with written_together():
+        with written_together() as texts:
             if trajectory is not None:
                 trajectory.save(out, overwrite=force)
             if trajectory is not None and csv is not None:
@@ -52,6 +53,8 @@ def excite(
             if trajectory is not None and page is not None:
                 progress("page")
                 trajectory.page(page, overwrite=force)
+                if page.parent == out.parent:
+                    texts[out] = with_files(texts[out], {page.name: texts[page]})
     if as_json:
         print_json(
             {

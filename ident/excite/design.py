@@ -12,10 +12,11 @@ from daq.motion.trajectories import Motion
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
-from drivers.core.errors import UsageError
+from drivers.core.errors import IdentificationError, UsageError
 from drivers.core.text import did_you_mean
 from ident.excite.choices import DesignChoices
 from ident.excite.constraints.constraints import constraints_of
+from ident.excite.constraints.self_collision import SelfCollision
 from ident.excite.constraints.within_limits import constraints_within_limits, criterion_within_limits
 from ident.excite.criteria import Criterion, MotionSize, RegressorCriterion
 from ident.excite.families.fourier import FourierFamily, FourierQuinticFamily
@@ -32,9 +33,10 @@ from ident.excite.measures import (
     moments_apart,
     plain_condition,
 )
+from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.path import Family
 from ident.excite.prior import PriorKnowledge
-from ident.excite.search.acceptance import accepted
+from ident.excite.search.acceptance import accepted, shrunk_to_fit
 from ident.excite.search.error_bars import ErrorBars
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.problem import DesignProblem
@@ -126,8 +128,17 @@ def design(
     if searched.best is None:
         raise KeyboardInterrupt
     variables = searched.best.variables
-    checked = accepted(problem, variables)
-    assert checked is not None, "a candidate has passed this check already"
+    checked = accepted(problem, variables, final=True)
+    if checked is None:  # on the finer grid of that check
+        fitting = shrunk_to_fit(problem, variables, problem.family.middle(variables), final=True)
+        if fitting is None:
+            said = problem.refusal(problem.family.motion(variables))
+            raise IdentificationError(
+                f"the design would be refused before it is played: {said}",
+                hint="give a larger --margin, or change mounting and workspace of the robot file",
+            )
+        checked = accepted(problem, fitting, final=True)
+        assert checked is not None, "it has passed this check already"
     return Design(
         choices=choices,
         motion=checked.motion,
@@ -150,14 +161,17 @@ def build_problem(robot_file: RobotFile, prior: PriorKnowledge, choices: DesignC
     model = build_model(robot_file)
     family = build_family(model, choices)
     time = family.grid(POINTS_PER_WAVE * _waves(choices))
-    constraints = constraints_within_limits(
-        model, constraints_of(robot_file, model, prior.parameters, self_collision=choices.self_collision)
-    )
+    limits = constraints_of(robot_file, model, prior.parameters, self_collision=choices.self_collision)
+    constraints = constraints_within_limits(model, limits)
+    check = ArmMotionCheck(robot_file, self_collision=choices.self_collision)
     columns = excitable_columns(model, family, _wanted(model, base_parameters(model), choices))
     criterion = criterion_within_limits(model, build_criterion(model, columns, prior, choices))
     conditioning = criterion_within_limits(model, RegressorCriterion(model, columns, condition))
     error_bars = _error_bars(model, columns, prior, choices)
-    return DesignProblem(family, criterion, conditioning, constraints, time, 1.0 - choices.margin, error_bars)
+    by_hull = any(isinstance(one, SelfCollision) and one.pairs.by_hull for one in limits)
+    return DesignProblem(
+        family, criterion, conditioning, constraints, time, 1.0 - choices.margin, error_bars, check.refusal, by_hull
+    )
 
 
 def build_family(model: DynamicModel, choices: DesignChoices) -> Family:

@@ -67,12 +67,13 @@ class _Watched:
 class ArmMotionCheck:
     """Keeps an arm clear of its mounting surface, obstacles and itself, and within its torque limits."""
 
-    def __init__(self, robot_file: RobotFile, prior: Path | None = None) -> None:
+    def __init__(self, robot_file: RobotFile, prior: Path | None = None, *, self_collision: bool = True) -> None:
         """Prepare for an arm.
 
         Args:
             robot_file: the arm.
             prior: result.json whose parameters predict torque; those of the file's truth where None.
+            self_collision: whether links are kept apart; a design may be told to leave that to its user.
 
         Raises:
             DynidError: the geometry or the result cannot be used.
@@ -80,7 +81,7 @@ class ArmMotionCheck:
         self._robot = robot_file.robot
         self._model = build_model(robot_file)
         parameters = find_prior(robot_file, prior).parameters
-        constraints = constraints_of(robot_file, self._model, parameters, self_collision=True)
+        constraints = constraints_of(robot_file, self._model, parameters, self_collision)
         self._workspace = [limits for limits in constraints if isinstance(limits, WorkspaceLimits)]
         self._pairs = [limits for limits in constraints if isinstance(limits, SelfCollision)]
         self._unchecked = unchecked_pairs(robot_file, self._model)
@@ -93,6 +94,14 @@ class ArmMotionCheck:
             MotionRefusedError: names link, obstacle and time, or joint, torque and time.
         """
         return self._check(motion, GRID_RATE, where, from_here=False)
+
+    def refusal(self, motion: Motion) -> str:
+        """Why `trajectory` would refuse a motion, in words; empty where it does not."""
+        try:
+            self.trajectory(motion, "")
+        except MotionRefusedError as error:
+            return error.message
+        return ""
 
     def approach(self, motion: Motion) -> MotionFigures:
         """Check the approach on a grid of 200 Hz; links that are too near already must not come nearer.

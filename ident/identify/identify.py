@@ -9,6 +9,7 @@ from typing import get_args
 import numpy as np
 
 from daq.recording.recording import Recording
+from daq.recording.serial_numbers import warn_of_other_arms
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
@@ -76,6 +77,7 @@ def identify(  # noqa: PLR0915 — the steps, in their order
     """
     if not recordings:
         raise UsageError("no recording to identify from")
+    warn_of_other_arms([*recordings, *validation])
     robot_file = recordings[0].robot() if robot_file is None else robot_file
     model = apply_model_choices(build_model(robot_file), choices.model, robot_file.robot.friction)
     data = split_data(recordings, validation, robot_file.robot, choices.preprocess, choices.split)

@@ -14,8 +14,8 @@ from daq.motion.trajectory_file import PointsTrajectory, SamplesTrajectory, dump
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
 from daq.output_files import check_outputs, replace_files
 from daq.robot.assumptions import assumed_limits
+from daq.robot.fingerprint import fingerprint
 from daq.robot.loader import RobotFile, load_robot
-from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, UsageError
 from drivers.core.options import keywords_of, same_named
@@ -205,7 +205,7 @@ def design_excitation(options: ExciteOptions) -> ExcitationTrajectory:
         earlier = load_trajectory(earlier, robot_file)
     designed = design(robot_file, known, choices, search, None if earlier is None else earlier.motion, options.progress)
     figures = excitation_figures(robot_file, designed.motion, known)
-    text = trajectory_text(robot_file.robot, designed, figures)
+    text = trajectory_text(robot_file, designed, figures)
     trajectory = ExcitationTrajectory(robot_file, text, designed.motion, known, designed)
     trajectory.__dict__["figures"] = figures  # known already; the property would compute them again
     return trajectory
@@ -250,14 +250,16 @@ def design_summary(designed: Design, figures: ExcitationFigures) -> str:
     )
 
 
-def trajectory_text(robot: Robot, designed: Design, figures: ExcitationFigures) -> str:
+def trajectory_text(robot_file: RobotFile, designed: Design, figures: ExcitationFigures) -> str:
     """The file's text, read back and checked as `dynid record` will do it.
 
     Raises:
         IdentificationError: it would be refused.
     """
     comment = f"designed by dynid excite: {design_summary(designed, figures)}"
-    text = dump_trajectory(designed.family.trajectory(designed.variables, robot.name, comment))
+    robot = robot_file.robot
+    trajectory = designed.family.trajectory(designed.variables, robot.name, comment)
+    text = dump_trajectory(trajectory.model_copy(update={"designed_for": fingerprint(robot, robot_file.urdf_text)}))
     try:
         parse_trajectory(text, robot, where="the designed trajectory", folder=None)
     except UsageError as error:

@@ -43,12 +43,14 @@ from daq.session.session import record
 from daq.session.supervisor import Limits, Supervisor
 from drivers.can_signals.motion import Commander
 from drivers.can_signals.settings import parse_settings
+from drivers.canopen402.monitor.heartbeat_clocks import JITTER as BEAT_JITTER
 from drivers.canopen402.motion.target_path import TargetPath
 from drivers.canopen402.samples.sync import LATEST
 from drivers.clock_rates import COMPARING_LIMIT, ClockRates
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
 from drivers.core.errors import SafetyStopError
+from drivers.paced_clock import JITTER, ArmTime, PacedClock
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.canopen.motion import AxisReference, CyclicPosition, SyncClock
@@ -68,6 +70,8 @@ SETTLED = 0.3
 COUNTS = 524288 / (2.0 * np.pi)
 HEARTBEAT = 0.1
 """Of CiA 402 drives [s], as where the connection does not say."""
+LATENCY = 3e-4
+"""After which a sample or heartbeat of the arm has arrived [s]."""
 BUSES = ("RTDE", "CiA 402", "signal table")
 
 
@@ -250,6 +254,25 @@ class World(Clock):
     def now(self) -> float:
         return self.jump(self.time)
 
+    def arm_time(self) -> ArmTime:
+        """The arm's newest reading: of its samples, or of the drives' heartbeats."""
+        every = self.own_step or self._period
+        own = self.begun + np.floor((self.time - LATENCY - self.begun) / every + 1e-9) * every
+        jitter = BEAT_JITTER * every if self.own_step else JITTER
+        return ArmTime(own, self.jump(self.free(own + LATENCY)), every, jitter)
+
+    def _when(self, moment: float) -> float:
+        """The true time from now on at which the clock, whatever it says, shows a moment: sleeps end then."""
+        if self.now() >= moment:
+            return self.time
+        least, most = self.time, self.time + 1e-3
+        while self.jump(most) < moment:
+            least, most = most, most + 2.0 * (most - self.time)
+        for _ in range(30):
+            middle = 0.5 * (least + most)
+            least, most = (middle, most) if self.jump(middle) < moment else (least, middle)
+        return most
+
     def free(self, moment: float) -> float:
         """When this computer runs, from a moment on."""
         for begin, end in self._stalls:
@@ -258,9 +281,13 @@ class World(Clock):
         return moment
 
     def sleep_until(self, moment: float) -> float:
-        goal = max(moment - (self.now() - self.time), self.time)
-        goal = self.free(goal)
+        goal = self.free(self._when(moment))
         slept = goal - self.time
+        if self.gate is not None and slept > 2.0 * self._period:  # samples come while the player sleeps
+            for when in np.arange(self.time, goal, self._period).tolist():
+                if said := self.rates.looked(self.jump(self.free(when))):
+                    self.time = when
+                    raise SafetyStopError(said)
         self.time = goal
         self.arm.advance(goal)
         if self.gate is not None and not self.frozen:
@@ -403,7 +430,8 @@ def played(case: Case, start: FloatArray) -> Outcome:
             if case.take and world.time >= world.begun + case.slow_from:
                 world.sleep_until(world.now() + case.take)
 
-        world.gate = gate = CommandGate(send, lambda *_: None, LIMITS, period, world)
+        pace = PacedClock(world, world.arm_time)
+        world.gate = gate = CommandGate(send, lambda *_: None, LIMITS, period, world, pace)
         gate.measured(world.now(), case.measure(world.time, here))
         world.frozen = case.frozen
 
@@ -412,7 +440,7 @@ def played(case: Case, start: FloatArray) -> Outcome:
             gate.command(position, due)
 
         path = MotionSequence([slow_move(here, goal, JOINTS, 0.8), case.motion], case.rate)
-        world.player = player = Player(command, path, LIMITS.acceleration, world, held=case.bus == "RTDE")
+        world.player = player = Player(command, path, LIMITS.acceleration, pace, held=case.bus == "RTDE")
         world.stop_at = world.begun + case.restart if part == 0 else np.inf
         player.start()
         said = "" if player.failure is None else str(player.failure)
@@ -637,8 +665,18 @@ def named_cases() -> dict[str, dict[str, Any]]:
         cases[f"measured position {word}, motion is fastest"] = {"measure": after(FASTEST, change)}
     cases["no measured position after the first"] = {"frozen": True}
     cases["measured position stays what it was"] = {"measure": lambda now, position: START}
-    for word, jump in (("back 1 ms", -1e-3), ("back 0.5 s", -0.5), ("on 0.01 s", 0.01), ("on 0.5 s", 0.5)):
+    for word, jump in (
+        ("back 1 ms", -1e-3),
+        ("back 0.5 s", -0.5),
+        ("on 0.003 s", 0.003),
+        ("on 0.01 s", 0.01),
+        ("on 0.04 s", 0.04),
+        ("on 0.5 s", 0.5),
+    ):
         cases[f"clock jumps {word}"] = {"lie": lambda now, jump=jump: now + jump * (now > 100.0 + FASTEST)}
+    cases["clock at three times the speed, from when the motion is fastest"] = {
+        "lie": lambda now: now + 2.0 * max(0.0, now - 100.0 - FASTEST)
+    }
     cases["clock at half speed"] = {"lie": lambda now: 0.5 * now}
     cases["clock at double speed"] = {"lie": lambda now: 2.0 * now}
     cases["clock at double speed, from when the motion is fastest"] = {
@@ -658,7 +696,7 @@ def name_cases() -> None:
             outcome = played(Case(bus, rate, **{"motion": WAY, **differs}), START)
             most = max(float(np.max(outcome.sender)), outcome.moved)
             worst = max(worst, most)
-            cells.append(f"{most:.3f}" if outcome.sent else "nothing sent")
+            cells.append(f"{most:.3f} / {np.max(outcome.fed):.3f}" if outcome.sent else "nothing sent")
             ended = ended or outcome.refused
         print(f"| {name} | {' | '.join(cells)} | {ended.partition(';')[0].partition(' (')[0] or 'its end'} |")
     print(f"\n{len(named_cases())} cases on {len(BUSES)} buses, at most {worst:.3f}")

@@ -48,8 +48,14 @@ def dense_use(problem: DesignProblem, variables: FloatArray) -> float:
     return float(problem.use_along(problem.family.path(variables, dense)).max(initial=0.0))
 
 
-def accepted(problem: DesignProblem, variables: FloatArray) -> Accepted | None:
-    """The motion of x (size,) as it is played; None where it exceeds a limit, however long its ramp."""
+def accepted(problem: DesignProblem, variables: FloatArray, *, final: bool = False) -> Accepted | None:
+    """The motion of x (size,) as it is played; None where it exceeds a limit, however long its ramp.
+
+    Args:
+        problem: with family and limits.
+        variables: x (size,).
+        final: whether the check before a motion is played is asked, too; it always is where it knows more.
+    """
     if float(problem.use(variables).max(initial=0.0)) > problem.allowed + UTILISATION_TOLERANCE:
         return None
     if dense_use(problem, variables) > 1.0:
@@ -63,6 +69,8 @@ def accepted(problem: DesignProblem, variables: FloatArray) -> Accepted | None:
         time = np.linspace(0.0, looked.duration, count)
         use = problem.use_along(JointPath(time, *looked.evaluate(time)))
         if use.max(initial=0.0) <= 1.0 and _within_joint_limits(family, motion):
+            if (final or problem.by_hull) and problem.refusal(motion):
+                return None
             return Accepted(family, variables, motion, use)
         family = family.with_longer_ramp(_RAMP_GROWTH)
     return None
@@ -78,7 +86,12 @@ def _within_joint_limits(family: Family, motion: Motion) -> bool:
 
 
 def shrunk_to_fit(
-    problem: DesignProblem, variables: FloatArray, pose: FloatArray, tick: Callable[[], None] = lambda: None
+    problem: DesignProblem,
+    variables: FloatArray,
+    pose: FloatArray,
+    tick: Callable[[], None] = lambda: None,
+    *,
+    final: bool = False,
 ) -> FloatArray | None:
     """The x of the same motion about another pose, with the largest accepted amplitude, up to its own, by bisection.
 
@@ -87,6 +100,7 @@ def shrunk_to_fit(
         variables: x (size,).
         pose: (moving joints,) its new middle [rad or m].
         tick: called before every check; what it raises ends the bisection.
+        final: see `accepted`.
 
     Returns:
         None where not even a thousandth of the amplitude is accepted.
@@ -95,7 +109,7 @@ def shrunk_to_fit(
     def fits(share: float) -> FloatArray | None:
         tick()
         about = problem.family.about(variables, pose, share)
-        return about if accepted(problem, about) is not None else None
+        return about if accepted(problem, about, final=final) is not None else None
 
     largest = fits(1.0)
     if largest is not None:

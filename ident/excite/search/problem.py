@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from daq.motion.trajectories import Motion
 from drivers.core.arrays import FloatArray
 from ident.excite.criteria import Criterion
 from ident.excite.path import Constraint, Family, JointPath
@@ -25,6 +26,8 @@ class DesignProblem:
         time: (N,) grid [s] on which both are evaluated.
         allowed: largest limit utilisation, 1 minus a margin for what lies between the grid's points.
         error_bars: to expect, for progress; None where no parameters are known beforehand.
+        refusal: why the check before a motion is played would refuse a motion, in words; empty where it does not.
+        by_hull: whether that check also keeps links apart that the constraints leave out.
     """
 
     family: Family
@@ -34,6 +37,8 @@ class DesignProblem:
     time: FloatArray
     allowed: float
     error_bars: ErrorBars | None = None
+    refusal: Callable[[Motion], str] = lambda _: ""
+    by_hull: bool = False
 
     def path(self, variables: FloatArray) -> JointPath:
         """The motion of x (size,) on the grid."""

@@ -55,6 +55,13 @@ def test_an_arm_that_stalls_and_catches_up_in_part_is_nothing(stalls: list[tuple
         assert rates.add(own, host) == ""
 
 
+def test_a_computers_clock_that_is_set_back_is_said() -> None:
+    rates = ClockRates()
+    said = [rates.looked(0.01 * tick - 0.02 * (tick > 20)) for tick in range(40)]
+    assert [tick for tick, words in enumerate(said) if words] == [21]
+    assert said[21] == "this computer's clock was set back by 0.010 s"
+
+
 @pytest.mark.parametrize("moving", [False, True])
 def test_no_motion_is_played_by_a_clock_that_cannot_be_trusted(tmp_path: Path, moving: bool) -> None:
     table = {"signals": [TIME if signal["quantity"] == "counter" else signal for signal in KEYS["signals"]]}

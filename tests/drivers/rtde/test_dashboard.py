@@ -10,8 +10,9 @@ from exact_plant import ExactPlant
 from rtde_in_process import HOST, NOWHERE, serving
 from simulated_clock import START, SimulatedClock
 
-from drivers.rtde.dashboard import PORT, stop_program
+from drivers.rtde.dashboard import PORT, serial_number, stop_program
 from sim_drivers.rtde.control_script import ControlScript
+from sim_drivers.rtde.dashboard import SERIAL_NUMBER
 from sim_drivers.rtde.server import RtdeServer
 
 GREETING = b"Connected: Universal Robots Dashboard Server\n"
@@ -53,6 +54,16 @@ def test_it_ends_a_program(clock: SimulatedClock) -> None:
         assert server.controller.script is None
         assert network.asked == [PORT]
         assert clock.now() <= START + 0.1 + 2 * 0.002
+
+
+def test_it_tells_the_serial_number_or_nothing(clock: SimulatedClock) -> None:
+    server = RtdeServer(ExactPlant(), ports=NOWHERE, clock=clock)
+    with serving(server) as network:
+        assert serial_number(HOST, 2.0, network.connect, clock) == SERIAL_NUMBER
+    for answer, told in ((b"20195500123\r\n", "20195500123"), (b"could not understand: get\n", ""), (b"\xff\n", "")):
+        other = Answering(clock, (GREETING, answer))
+        assert serial_number(HOST, 30.0, other.connect, clock) == told
+        other.close()
 
 
 @pytest.mark.parametrize(

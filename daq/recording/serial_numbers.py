@@ -1,0 +1,33 @@
+"""Which arm a recording is of, as its controller told: recordings of two arms are used together by mistake only."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+
+from daq.recording.recording import Recording
+from drivers.core.errors import DynidWarning
+
+SERIAL_EVENT = "serial number of the controller: "
+"""Begins the event of a recording that tells it."""
+
+
+def serial_number(recording: Recording) -> str:
+    """The controller's serial number; empty where it was not told."""
+    told = [event.message for event in recording.events if event.message.startswith(SERIAL_EVENT)]
+    return told[-1].removeprefix(SERIAL_EVENT) if told else ""
+
+
+def warn_of_other_arms(recordings: Sequence[Recording]) -> None:
+    """Warn (`DynidWarning`) where recordings that are used together are of controllers with different numbers."""
+    of_number: dict[str, str] = {}
+    for recording in recordings:
+        if number := serial_number(recording):
+            of_number.setdefault(number, recording.label)
+    if len(of_number) > 1:
+        told = ", ".join(f"{label} of {number}" for number, label in of_number.items())
+        warnings.warn(
+            f"these recordings are of different arms, by the serial numbers of their controllers: {told}",
+            DynidWarning,
+            stacklevel=3,
+        )
