@@ -82,21 +82,20 @@ class PacedClock(Clock):
         Raises:
             SafetyStopError: the arm's clock stands.
         """
-        late = self.now() - moment
-        while late < 0.0:
+        explained = False
+        while (late := self.now() - moment) < -1e-9 or (late > LATE and not explained):
+            if late > LATE:
+                self._explain(late)
+                explained = True
+                continue
             goal = min(moment, self._bound)
             slept = self._clock.sleep_until(self._clock.now() + goal - self.now())
             if goal < moment and not self._look():
                 self._hold()
             elif slept > LATE:
                 self._explain(slept)
-            late = self.now() - moment
-            if 0.0 > late > -1e-9:  # rounding
-                break
-        else:
-            if late > LATE:
-                self._explain(late)
-        return max(0.0, self.now() - moment)
+                explained = True
+        return max(0.0, late)
 
     def event(self) -> threading.Event:
         """An event of the host's clock."""
