@@ -33,6 +33,7 @@ from ident.identify.body_checks import body_checks, with_opposite_torques
 from ident.identify.cutoff_search import cutoff_checks
 from ident.identify.identification import Identification
 from ident.identify.residual_bursts import burst_checks
+from ident.model.inverse_dynamics import weights_in_offsets
 from ident.model.regressor import RegressorKernel
 from ident.regression.estimate import estimate_of
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -114,6 +115,12 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         None if consistent is None else (identification.fit.relative_error, consistent.fit.relative_error),
     )
     checks += [] if named or levels else _weight_checks(identification)
+    if consistent is not None and (sliding := weights_in_offsets(identification.model, identification.base)):
+        text = (
+            f"the data hold the sum of weight and constant friction of {', '.join(sliding)}; how much of it is weight, "
+            "the physically consistent model says by its masses alone, which the prior decides with the data"
+        )
+        checks.append(raised("weight-not-separate", text))
     if consistent is not None:
         whole = identification.experiment == whole_arm(identification.model)
         bodies = body_checks(identification.model, identification.robot_file, consistent.parameters, whole=whole)

@@ -184,18 +184,16 @@ class InverseDynamics:
 
     def _regrouped_weight(self, standard: FloatArray | None) -> tuple[FloatArray, tuple[str, ...]]:
         """`weight` and `confounded`."""
-        parameters, links = self.model.parameters, len(INERTIAL) * len(self.model.joints)
-        at_motors, confounded = np.zeros((self.model.dof, 1)), []
-        for row, column in enumerate(self.base.columns):
-            shares = self.base.projection[row, :links]
-            if parameters[column].kind != "offset" or not np.any(np.abs(shares) > NEGLIGIBLE_WEIGHT):
-                continue
-            if standard is None:
-                confounded.append(self.model.link_names[parameters[column].joint])
-                continue
-            for motor, factor in joint_column(self.model, parameters[column]).rows:
-                at_motors[motor] += factor * float(shares @ standard[:links])
-        return self._to_joints(at_motors)[:, 0], tuple(confounded)
+        at_motors = np.zeros((self.model.dof, 1))
+        held = weights_in_offsets(self.model, self.base)
+        if standard is None:
+            return self._to_joints(at_motors)[:, 0], tuple(held)
+        for row in held.values():
+            shares = self.base.projection[row]
+            links = len(INERTIAL) * len(self.model.joints)
+            for motor, factor in joint_column(self.model, self.model.parameters[self.base.columns[row]]).rows:
+                at_motors[motor] += factor * float(shares[:links] @ standard[:links])
+        return self._to_joints(at_motors)[:, 0], ()
 
     def _summed_rotors(self) -> FloatArray:
         """Inertia (n, n) [kg·m²] of the motors, and of what turns with a coupled joint beside its motor."""
@@ -209,6 +207,24 @@ class InverseDynamics:
 
     def _to_joints(self, motors: FloatArray) -> FloatArray:
         return self.model.transmission.at_joints(motors)
+
+
+def weights_in_offsets(model: DynamicModel, base: BaseParameters) -> dict[str, int]:
+    """Joints whose weight no motion separates from a constant friction torque → the base parameter that is both.
+
+    Those that slide along gravity, whatever the other joints do.
+
+    Args:
+        model: the arm.
+        base: its base parameters.
+    """
+    links = len(INERTIAL) * len(model.joints)
+    return {
+        model.link_names[model.parameters[column].joint]: row
+        for row, column in enumerate(base.columns)
+        if model.parameters[column].kind == "offset"
+        and np.any(np.abs(base.projection[row, :links]) > NEGLIGIBLE_WEIGHT)
+    }
 
 
 def _arms(model: DynamicModel, inertial: FloatArray, extra: dict[int, float]) -> list[_Arm]:

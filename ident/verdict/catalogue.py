@@ -466,6 +466,11 @@ _MODEL = (
         "Correct `known` or `prior` of the robot file, or check gains and geometry.",
     ),
     _note(
+        "weight-not-separate",
+        "no motion separates a joint's weight from its constant friction",
+        "The torque is right, gravity alone as right as the masses: state them under `known` or `prior.links`.",
+    ),
+    _note(
         "consistency-rejected",
         "no bodies explain the data as well as the unconstrained parameters do",
         "Large errors of the model make this, too; see how much the error rises, and geometry, gains and signs.",

@@ -74,6 +74,11 @@ def test_what_no_motion_separates_has_no_error_bar(model):
         assert values[name].std is not None
 
 
+def test_the_verdict_says_that_the_data_hold_the_sum_of_weight_and_friction(model):
+    (check,) = [check for check in model.result.verdict.checks if check.name == "weight-not-separate"]
+    assert "of lift;" in check.text
+
+
 def test_the_full_model_refuses_what_it_does_not_know(model):
     full = Model(model.result, "full")
     assert full.confounded == ("lift",)
