@@ -36,13 +36,11 @@ class ArmTime:
         time: of the arm's clock [s].
         arrived: at this computer [s, host's monotonic clock].
         period: after which the next one is due [s].
-        jitter: how much later than others it may arrive [s].
     """
 
     time: float
     arrived: float
     period: float
-    jitter: float = JITTER
 
 
 class PacedClock(Clock):
@@ -61,7 +59,7 @@ class PacedClock(Clock):
         super().__init__()
         self._clock, self._arm_time = clock, arm_time
         self._newest = -math.inf
-        self._offset = self._late = self._jitter = self._period = 0.0
+        self._offset = self._late = self._period = 0.0
         self._bound = -math.inf
         self._behind = 0.0
         self._asked = clock.now()
@@ -69,7 +67,7 @@ class PacedClock(Clock):
     def now(self) -> float:
         """Monotonic time [s]: the host's, or less."""
         host = self._clock.now()
-        if self._behind and self._late <= self._jitter:
+        if self._behind and self._late <= JITTER:
             self._behind = max(0.0, self._behind - RECOVERY * max(0.0, host - self._asked))
         self._asked = host
         if host - self._behind > self._bound:
@@ -111,7 +109,7 @@ class PacedClock(Clock):
         Raises:
             SafetyStopError: it goes on too slowly, and then stands.
         """
-        begun, suspect = self._clock.now(), self._late > self._jitter
+        begun, suspect = self._clock.now(), self._late > JITTER
         while not self._look():
             waited = self._clock.now() - begun
             if waited > LOST and not suspect:  # frames were lost: whoever supervises the arm waits no longer than this
@@ -125,16 +123,16 @@ class PacedClock(Clock):
                     hint="do its samples stay away? Is this a virtual machine, whose clock jumps?",
                 )
             self._clock.sleep(POLL)
-        self._behind = self._late if self._late > self._jitter else 0.0
+        self._behind = self._late if self._late > JITTER else 0.0
 
     def _explain(self, late: float) -> None:
         """Find out whether a sleep that ended late [s] was a stall: the next reading arrives as others do then."""
         if self._period > COARSE:
             return
         begun = self._clock.now()
-        while (host := self._clock.now()) - begun < self._period + self._jitter:
+        while (host := self._clock.now()) - begun < self._period + JITTER:
             if self._look():
-                self._behind = self._late if self._late > self._jitter else self._behind
+                self._behind = self._late if self._late > JITTER else self._behind
                 return
             if host - self._behind <= self._bound:
                 return
@@ -154,6 +152,6 @@ class PacedClock(Clock):
             self._offset = latency  # it began anew
         self._offset = min(self._offset + DRIFT * min(passed, 1.0), latency)
         self._late = latency - self._offset
-        self._newest, self._period, self._jitter = reading.time, reading.period, reading.jitter
-        self._bound = max(self._bound, self._newest + self._offset + reading.period + reading.jitter)
+        self._newest, self._period = reading.time, reading.period
+        self._bound = max(self._bound, self._newest + self._offset + reading.period + JITTER)
         return True

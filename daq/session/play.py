@@ -216,8 +216,9 @@ def prepare(
     recorder.event(course.source_time(), "info", "player", f"approach to the start pose, {approach:.2f} s")
     main = driver.main if isinstance(driver, Sources) else driver
     held = main.holds() if isinstance(main, Holding) else True
-    timed = held and isinstance(main, KeepingTime) and main.arm_time() is not None  # others bridge stalls by skipping
-    pace = PacedClock(course.clock, main.arm_time) if timed and isinstance(main, KeepingTime) else course.clock
+    pace = course.clock
+    if isinstance(main, KeepingTime) and main.arm_time() is not None:
+        pace = PacedClock(course.clock, main.arm_time)
     course.gate = CommandGate(driver.command, supervisor.commanded, limits, 1.0 / path.rate, course.clock, pace)
     if course.position is not None:
         course.gate.measured(course.clock.now(), course.position)

@@ -22,7 +22,6 @@ from drivers.core.arrays import FloatArray
 from drivers.core.clock import STALL_LIMIT
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
-from drivers.paced_clock import ArmTime
 from drivers.standstill import REST_WINDOW, StandstillWatch
 from drivers.streams import Batch, StreamLayout
 
@@ -157,11 +156,6 @@ class CanFramesDriver:
     def command_rate(self) -> float:
         """Rate of the commands [Hz], that of the joints' rows; 0 where the table has no command frames."""
         return 0.0 if self._settings.command is None else self._settings.rate
-
-    def arm_time(self) -> ArmTime | None:
-        """The counter or time in the arm's newest frame; None where its table has neither."""
-        newest = self._streams.newest
-        return None if newest is None or self._receiver is None else newest.of(self._receiver.latest)
 
     def holds(self) -> bool:
         """No: what an arm does without commands is its controller's choice."""

@@ -13,7 +13,7 @@ from drivers.can.bus import Frame
 from drivers.can_signals.monitor import FaultWatch, RateWatch, Troubles
 from drivers.can_signals.polling import PollAnswers, Poller
 from drivers.can_signals.rows.assembly import Assembler, Rows
-from drivers.can_signals.rows.sample_clock import NewestTime, SourceClock
+from drivers.can_signals.rows.sample_clock import SourceClock
 from drivers.can_signals.settings import CanFramesSettings
 from drivers.can_signals.table.signal_keys import WHOLE_ARM
 from drivers.can_signals.table.signals import batches
@@ -37,7 +37,6 @@ class FrameStreams:
     Attributes:
         joints: puts the rows of the stream `joints` together.
         clock: the arm's own; None where the table has neither counter nor time.
-        newest: reads that clock apart from the rows; None likewise.
         latest_position: (n,) [rad] of the newest row; None before the first.
         last_row: when the newest row was taken [s, host's monotonic clock].
     """
@@ -63,7 +62,6 @@ class FrameStreams:
         self.joints = self._assemblers["joints"]
         self._clock_signal = next((signal for signal in settings.signals if signal.quantity in WHOLE_ARM), None)
         self.clock = SourceClock(self._clock_signal, settings.rate) if self._clock_signal is not None else None
-        self.newest = NewestTime(self._clock_signal, settings.rate) if self._clock_signal is not None else None
         self._troubles = Troubles(notices, host_clock)
         self._faults = FaultWatch(notices)
         self._rate_watch = RateWatch(notices, settings.rate)

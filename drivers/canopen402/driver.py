@@ -39,7 +39,6 @@ from drivers.canopen402.setup.other_masters import masters_heartbeats, require_a
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, MotionRefusedError
 from drivers.first_step import check_first_step, finite_position
-from drivers.paced_clock import ArmTime
 from drivers.standstill import StandstillWatch
 from drivers.streams import Batch, StreamLayout
 
@@ -231,10 +230,6 @@ class Canopen402Driver:
     def command_rate(self) -> float:
         """The rate of SYNC; 0 where the connection's mode is "none"."""
         return 0.0 if self._mode is None else self._settings.sync_rate
-
-    def arm_time(self) -> ArmTime | None:
-        """The time that the drives' heartbeats have counted; None where they send none."""
-        return None if self._clocks is None else self._clocks.arm_time()
 
     def take_control(self) -> None:
         """Enable the drives, each holding its position; that lasts a few tenths of a second and more.

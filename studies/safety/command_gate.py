@@ -43,14 +43,13 @@ from daq.session.session import record
 from daq.session.supervisor import Limits, Supervisor
 from drivers.can_signals.motion import Commander
 from drivers.can_signals.settings import parse_settings
-from drivers.canopen402.monitor.heartbeat_clocks import JITTER as BEAT_JITTER
 from drivers.canopen402.motion.target_path import TargetPath
 from drivers.canopen402.samples.sync import LATEST
 from drivers.clock_rates import COMPARING_LIMIT, ClockRates
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
 from drivers.core.errors import SafetyStopError
-from drivers.paced_clock import JITTER, ArmTime, PacedClock
+from drivers.paced_clock import ArmTime, PacedClock
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.canopen.motion import AxisReference, CyclicPosition, SyncClock
@@ -255,11 +254,9 @@ class World(Clock):
         return self.jump(self.time)
 
     def arm_time(self) -> ArmTime:
-        """The arm's newest reading: of its samples, or of the drives' heartbeats."""
-        every = self.own_step or self._period
-        own = self.begun + np.floor((self.time - LATENCY - self.begun) / every + 1e-9) * every
-        jitter = BEAT_JITTER * every if self.own_step else JITTER
-        return ArmTime(own, self.jump(self.free(own + LATENCY)), every, jitter)
+        """The newest sample of a controller with a clock of its own."""
+        own = self.begun + np.floor((self.time - LATENCY - self.begun) / self._period + 1e-9) * self._period
+        return ArmTime(own, self.jump(self.free(own + LATENCY)), self._period)
 
     def _when(self, moment: float) -> float:
         """The true time from now on at which the clock, whatever it says, shows a moment: sleeps end then."""
@@ -430,7 +427,7 @@ def played(case: Case, start: FloatArray) -> Outcome:
             if case.take and world.time >= world.begun + case.slow_from:
                 world.sleep_until(world.now() + case.take)
 
-        pace = PacedClock(world, world.arm_time)
+        pace = PacedClock(world, world.arm_time) if case.bus == "RTDE" else world
         world.gate = gate = CommandGate(send, lambda *_: None, LIMITS, period, world, pace)
         gate.measured(world.now(), case.measure(world.time, here))
         world.frozen = case.frozen

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from drivers.can.bus import Frame
-from drivers.can_signals.table.bits import FRAME_BYTES
 from drivers.can_signals.table.signals import Signal
 from drivers.core.arrays import FloatArray
-from drivers.paced_clock import ArmTime
 
 RESTART = 1.0
 """A clock that is so much [s] further on than the host's between two rows has been set, or its arm restarted."""
@@ -91,35 +87,3 @@ class SourceClock:
         times = time + np.cumsum(steps)
         self._last = float(reading[-1]), float(host_time[-1]), float(times[-1])
         return Times(kept, times[kept], int(missing.sum()), int(jumped.sum()))
-
-
-class NewestTime:
-    """The arm's clock in the newest frame that holds it; apart from the rows, which are put together later.
-
-    Args:
-        signal: as of `SourceClock`.
-        rate: of the rows [Hz].
-    """
-
-    def __init__(self, signal: Signal, rate: float) -> None:
-        self._signal, self._period = signal, 1.0 / rate
-        self._clock = SourceClock(signal, rate)
-        self._frame: Frame | None = None
-        self._known: ArmTime | None = None
-
-    def of(self, newest: Mapping[int, Frame]) -> ArmTime | None:
-        """The newest reading, from identifier → newest frame; None before the first."""
-        frame = newest.get(self._signal.identifier)
-        if frame is None or frame is self._frame:
-            return self._known
-        self._frame = frame
-        arrived, _, data = frame
-        selected = self._signal.multiplexer is None or self._signal.selector is None
-        payloads = np.frombuffer(data.ljust(FRAME_BYTES, b"\0"), dtype=np.uint8)[np.newaxis]
-        if self._signal.multiplexer is not None and self._signal.selector is not None:
-            selected = int(self._signal.multiplexer.raw(payloads)[0]) == self._signal.selector
-        if selected and len(data) >= self._signal.field.size:
-            times = self._clock.take(self._signal.values(payloads), np.array([arrived])).time
-            if len(times):
-                self._known = ArmTime(float(times[-1]), arrived, self._period)
-        return self._known

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from drivers.clock_rates import COMPARING_LIMIT, ClockRates
 from drivers.core.clock import Clock
-from drivers.paced_clock import ArmTime
 
 _POLL = 0.01
-JITTER = 0.5
-"""Of a period: drives time their heartbeats roughly."""
 
 
 class HeartbeatClocks:
@@ -24,8 +21,6 @@ class HeartbeatClocks:
         self._beats = [0] * count
         self._rates = [ClockRates("the drives' clock", "their heartbeat time (0x1017)") for _ in range(count)]
         self._said = [""] * count
-        self._begun = [0.0] * count
-        self._newest: ArmTime | None = None
 
     @property
     def wrong(self) -> str:
@@ -35,18 +30,8 @@ class HeartbeatClocks:
 
     def take(self, index: int, arrived: float) -> None:
         """A drive's heartbeat, which arrived at a time [s, host's monotonic clock]."""
-        if not self._beats[index]:
-            self._begun[index] = arrived
         self._beats[index] += 1
-        passed = self._period * self._beats[index]
-        self._said[index] = self._rates[index].add(passed, arrived)
-        time = self._begun[index] + passed - self._period
-        if self._newest is None or time > self._newest.time:  # of the drive that has counted most
-            self._newest = ArmTime(time, arrived, self._period, JITTER * self._period)
-
-    def arm_time(self) -> ArmTime | None:
-        """The time that the drives' heartbeats have counted; None before the first."""
-        return self._newest
+        self._said[index] = self._rates[index].add(self._period * self._beats[index], arrived)
 
     def wait(self, clock: Clock) -> str:
         """What is wrong, once the clocks could be compared, or `COMPARING_LIMIT` has passed."""
