@@ -13,6 +13,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from exported_arms import exported_arm
+from lift import LIFT
 
 from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Channel, Event, Recording, Stream
 from daq.robot.loader import RobotFile, parse_robot
@@ -364,6 +365,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "known-contradicts-data": (
         lambda b: b.in_a_narrow_range(),
         lambda b: b.found(robot_file=b.said({"drives:\n": "known: {Fv1: {max: 9}, M3: 2}\ndrives:\n"})),
+    ),
+    "weight-not-separate": (
+        lambda b: b.found(simulate_recording(LIFT, random_fourier_motion(build_model(LIFT), PERIOD, 1), PERIOD, 1)),
+        lambda b: b.clean(),
     ),
     "consistency-rejected": (lambda b: b.opposite(), lambda b: b.clean()),
     "armature-assumed": (
