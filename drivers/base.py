@@ -22,7 +22,6 @@ from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import DriverStateError
 from drivers.gains import DriveGain
-from drivers.paced_clock import ArmTime
 from drivers.streams import Batch, StreamLayout
 
 DRIVERS_GROUP = "dynid.drivers"
@@ -214,14 +213,6 @@ class Holding(Protocol):
 
     def holds(self) -> bool:
         """Whether it comes to rest in order and is held, so that a motion may go on from there."""
-
-
-@runtime_checkable
-class KeepingTime(Protocol):
-    """A driver whose arm has a clock of its own; its commands go no faster than that (`drivers.paced_clock`)."""
-
-    def arm_time(self) -> ArmTime | None:
-        """The newest reading that arrived; None before the first, and where this arm has none. Must be quick."""
 
 
 @runtime_checkable

@@ -85,7 +85,6 @@ class CommandGate:
         limits: to keep.
         period: of the commands [s].
         clock: the host's.
-        pace: in whose time commands are due; the host's where None.
     """
 
     def __init__(
@@ -95,14 +94,13 @@ class CommandGate:
         limits: GateLimits,
         period: float,
         clock: Clock = SYSTEM_CLOCK,
-        pace: Clock | None = None,
     ) -> None:
         self._send = send
         self._noted = noted
         self._limits = limits
         self._period = period
         self._longest_step = (1 + skip_limit(period)) * period + 1e-6
-        self._clock, self._pace = clock, pace or clock
+        self._clock = clock
         self._measured: tuple[float, FloatArray] | None = None
         self._last: tuple[float, FloatArray] | None = None
         self._velocity = np.zeros(len(limits.joints))
@@ -116,7 +114,7 @@ class CommandGate:
         self._measured = (now, position)  # one assignment: the player's thread reads it
 
     def command(self, position: FloatArray, due: float) -> None:
-        """Send a position (n,) [rad or m] that is due at `due` [s, clock of the pace].
+        """Send a position (n,) [rad or m] that is due at `due` [s, host clock].
 
         Raises:
             SafetyStopError: it does not pass; says which limit it breaks, and by how much.
@@ -126,29 +124,29 @@ class CommandGate:
             raise SafetyStopError(self._closed.message, hint=self._closed.hint)
         now = self._clock.now()
         try:
-            self._check(now, self._pace.now(), position, due)
+            self._check(now, position, due)
         except SafetyStopError as error:
             self._closed = error
             raise
         self._noted(now, position)
         self._send(position)
 
-    def _check(self, now: float, paced: float, position: FloatArray, due: float) -> None:
+    def _check(self, now: float, position: FloatArray, due: float) -> None:
         """Check a command, and remember it as the last one."""
         limits = self._limits
         if position.shape != limits.lowest.shape or not np.all(np.isfinite(position)):
             raise SafetyStopError(f"a command must be {len(limits.joints)} finite positions, not {position}")
         self._require("position", position, limits.highest + _ROUNDING, above=True)
         self._require("position", position, limits.lowest - _ROUNDING, above=False)
-        if due > paced + 1e-6:
-            raise SafetyStopError(f"a command came {1e3 * (due - paced):.3g} ms before it was due", hint=_CLOCK_CURE)
+        if due > now + 1e-6:
+            raise SafetyStopError(f"a command came {1e3 * (due - now):.3g} ms before it was due", hint=_CLOCK_CURE)
         measured = self._fresh_position(now)
         if self._last is None:
             # The arm is at rest where it was measured: this is where the path begins.
             self._require_step("first step", np.abs(position - measured), limits.velocity * self._period)
             self._recent[:] = position
         else:
-            self._check_step(paced, position, due, *self._last)
+            self._check_step(now, position, due, *self._last)
         self._recent[self._sent % len(self._recent)] = position
         self._sent += 1
         travelled = self._recent.max(axis=0) - self._recent.min(axis=0)

@@ -18,11 +18,10 @@ from daq.session.command_gate import COMMAND_RATE, CommandGate, GateLimits
 from daq.session.course import GAP, REST_TIME, Course
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
-from drivers.base import Driver, Holding, KeepingTime, ReportingSafety
+from drivers.base import Driver, Holding, ReportingSafety
 from drivers.clock_rates import COMPARING_LIMIT
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionLostError, DynidError, MotionRefusedError, UsageError, WorkError
-from drivers.paced_clock import PacedClock
 from drivers.standstill import StandstillWatch
 
 MOVED_MEANWHILE = 0.02
@@ -216,13 +215,10 @@ def prepare(
     recorder.event(course.source_time(), "info", "player", f"approach to the start pose, {approach:.2f} s")
     main = driver.main if isinstance(driver, Sources) else driver
     held = main.holds() if isinstance(main, Holding) else True
-    pace = course.clock
-    if isinstance(main, KeepingTime) and main.arm_time() is not None:
-        pace = PacedClock(course.clock, main.arm_time)
-    course.gate = CommandGate(driver.command, supervisor.commanded, limits, 1.0 / path.rate, course.clock, pace)
+    course.gate = CommandGate(driver.command, supervisor.commanded, limits, 1.0 / path.rate, course.clock)
     if course.position is not None:
         course.gate.measured(course.clock.now(), course.position)
-    return Player(course.gate.command, path, limits.acceleration, pace, held=held)
+    return Player(course.gate.command, path, limits.acceleration, course.clock, held=held)
 
 
 def follow_motion(

@@ -19,7 +19,6 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, DriverStateError, MotionRefusedError, UsageError
 from drivers.first_step import check_first_step, finite_position
 from drivers.gains import gives_torque, joint_torque, torque_channel
-from drivers.paced_clock import ArmTime
 from drivers.rtde import protocol as wire
 from drivers.rtde.configuration import Configuration, read_configuration
 from drivers.rtde.connect import Connect, connect_tcp
@@ -305,10 +304,6 @@ class RtdeDriver:
     def notices(self) -> Sequence[Notice]:
         """What the controller reported since the last call: modes, messages, refused variables, reconnections."""
         return self._receiver.notices() + drained(self._notices)
-
-    def arm_time(self) -> ArmTime | None:
-        """The controller's clock in the newest data package; None before the first."""
-        return self._receiver.arm_time()
 
     def command_rate(self) -> float:
         """The controller's own rate, whatever that of the samples; 0 where it is closed.

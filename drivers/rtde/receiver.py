@@ -23,7 +23,6 @@ from drivers.base import Level, Notice, drained
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
-from drivers.paced_clock import ArmTime
 from drivers.rtde import protocol as wire
 from drivers.rtde.connect import Connect, connect_tcp
 
@@ -106,7 +105,6 @@ class RtdeReceiver:
         self._ring: deque[tuple[bytes, float]] = deque()
         self._failure: tuple[str, str] | None = ("not connected", "")
         self._last_stored = -math.inf
-        self._newest: ArmTime | None = None
         self._last_taken = math.nan
         self._repeated = 0
         self._pausing = False
@@ -167,7 +165,7 @@ class RtdeReceiver:
         with self._arrival:
             self._ring.clear()
             self._failure = None
-        self._last_stored, self._newest, self._pausing = -math.inf, None, False
+        self._last_stored, self._pausing = -math.inf, False
         self._thread = self._clock.thread(self._receive, f"rtde {self.where}")
         self._thread.start()
 
@@ -192,10 +190,6 @@ class RtdeReceiver:
         rows = wire.decode_data(self.recipe, b"".join([raw for raw, _ in batch]))
         host_time = np.array([arrived for _, arrived in batch], dtype=np.float64)
         return Samples(rows, host_time, self._count_lost(rows[TIMESTAMP]))
-
-    def arm_time(self) -> ArmTime | None:
-        """The controller's clock in the newest data package; None before the first."""
-        return self._newest
 
     def notices(self) -> list[Notice]:
         """Notices since the last call."""
@@ -389,7 +383,6 @@ class RtdeReceiver:
         if not (clock > self._last_stored and math.isfinite(clock)):
             raise ConnectionLostError(f"the controller's clock jumped from {self._last_stored:.3f} s to {clock:.3f} s")
         self._last_stored = clock
-        self._newest = ArmTime(clock, arrived, 1.0 / self.rate)
         if len(self._ring) >= BUFFER_SECONDS * self.rate:
             self._ring.popleft()
             if not self.overflow:

@@ -49,7 +49,6 @@ from drivers.clock_rates import COMPARING_LIMIT, ClockRates
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
 from drivers.core.errors import SafetyStopError
-from drivers.paced_clock import ArmTime, PacedClock
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.canopen.motion import AxisReference, CyclicPosition, SyncClock
@@ -69,8 +68,6 @@ SETTLED = 0.3
 COUNTS = 524288 / (2.0 * np.pi)
 HEARTBEAT = 0.1
 """Of CiA 402 drives [s], as where the connection does not say."""
-LATENCY = 3e-4
-"""After which a sample or heartbeat of the arm has arrived [s]."""
 BUSES = ("RTDE", "CiA 402", "signal table")
 
 
@@ -253,11 +250,6 @@ class World(Clock):
     def now(self) -> float:
         return self.jump(self.time)
 
-    def arm_time(self) -> ArmTime:
-        """The newest sample of a controller with a clock of its own."""
-        own = self.begun + np.floor((self.time - LATENCY - self.begun) / self._period + 1e-9) * self._period
-        return ArmTime(own, self.jump(self.free(own + LATENCY)), self._period)
-
     def _when(self, moment: float) -> float:
         """The true time from now on at which the clock, whatever it says, shows a moment: sleeps end then."""
         if self.now() >= moment:
@@ -427,8 +419,7 @@ def played(case: Case, start: FloatArray) -> Outcome:
             if case.take and world.time >= world.begun + case.slow_from:
                 world.sleep_until(world.now() + case.take)
 
-        pace = PacedClock(world, world.arm_time) if case.bus == "RTDE" else world
-        world.gate = gate = CommandGate(send, lambda *_: None, LIMITS, period, world, pace)
+        world.gate = gate = CommandGate(send, lambda *_: None, LIMITS, period, world)
         gate.measured(world.now(), case.measure(world.time, here))
         world.frozen = case.frozen
 
@@ -437,7 +428,7 @@ def played(case: Case, start: FloatArray) -> Outcome:
             gate.command(position, due)
 
         path = MotionSequence([slow_move(here, goal, JOINTS, 0.8), case.motion], case.rate)
-        world.player = player = Player(command, path, LIMITS.acceleration, pace, held=case.bus == "RTDE")
+        world.player = player = Player(command, path, LIMITS.acceleration, world, held=case.bus == "RTDE")
         world.stop_at = world.begun + case.restart if part == 0 else np.inf
         player.start()
         said = "" if player.failure is None else str(player.failure)

@@ -20,7 +20,6 @@ def be_patient() -> None:
     from daq.motion import player
     from daq.session import command_gate, play
     from daq.session import supervisor as safety
-    from drivers import paced_clock
     from drivers.canopen402 import driver, settings
     from drivers.canopen402.motion import drive_motion, target_path
     from drivers.canopen402.setup import configuration, readiness
@@ -34,7 +33,6 @@ def be_patient() -> None:
         command_gate.STALL_LIMIT
     ) = command_gate.FRESH = PATIENCE
     target_path.RUN_OUT = 1e6
-    paced_clock.HELD = paced_clock.STALL_LIMIT = PATIENCE
     play.ARRIVAL_LIMIT = play.REST_LIMIT = PATIENCE
     play.FIRST_SAMPLE_LIMIT = PATIENCE
     receiver.SILENCE_LIMIT = PATIENCE

@@ -256,8 +256,8 @@ def test_a_motion_process_that_is_killed_ends_the_motion(bench: Bench, tmp_path:
     report = bench.record(trajectory(tmp_path, 20.0))
     bench.assert_stopped(report)
     assert "motion process ended" in str(report.stopped_by)
-    # The player's next position finds it gone; the session sees that at the sample after that.
-    assert [bench.stop_event()[0], bench.times()[-1]] == pytest.approx([NEXT_PERIOD + 2 * PERIOD] * 2)
+    # The player's next position finds it gone; the session sees that at the sample after that, and looks once more.
+    assert [bench.stop_event()[0], bench.times()[-1]] == pytest.approx([NEXT_PERIOD + 3 * PERIOD] * 2)
     assert any("was ended by its dashboard" in event.message for event in bench.recording.events)
 
 

@@ -79,7 +79,9 @@ def test_json_is_one_object_with_the_figures_and_an_earlier_design_is_improved_o
     assert max(told["limits"].values()) <= 1.0
     assert len(told["figures"]["forecast"]["parameters"]) == 25
     assert [joint["joint"] for joint in told["figures"]["joints"]] == ["j1", "j2", "j3"]
-    assert told["figures"]["forecast"]["scaled_condition"] < 50  # which optimum a start ends in differs between processors
+    assert (
+        told["figures"]["forecast"]["scaled_condition"] < 50
+    )  # which optimum a start ends in differs between processors
     more = ("--starts", "1", "--harmonics", "2", "--from", str(path), "--json")
     again = json.loads(run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "b.yaml", *more)[1])
     assert again["cost"] <= 1.02 * told["cost"]
