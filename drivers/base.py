@@ -24,9 +24,6 @@ from drivers.core.errors import DriverStateError
 from drivers.gains import DriveGain
 from drivers.streams import Batch, StreamLayout
 
-DRIVERS_GROUP = "dynid.drivers"
-"""Entry-point group: driver name → callable(settings: DriverSettings) -> Driver."""
-
 _Item = TypeVar("_Item")
 State = Literal["closed", "open", "running"]
 Level = Literal["info", "warning", "error"]

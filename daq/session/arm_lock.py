@@ -12,7 +12,7 @@ from daq.robot.schema import Robot
 from daq.session.connections import connection_keys, connection_names
 from drivers.core.errors import MotionRefusedError
 from drivers.core.files import held_lock
-from drivers.rtde.protocol import PORT
+from drivers.declaration import declared
 
 _WITHIN_A_PROCESS = "virtual"
 """python-can's interface that no other program can reach."""
@@ -40,7 +40,7 @@ def only_mover(robot: Robot, wire: str | None = None, host: str | None = None) -
     keys = connection_keys(robot, name)
     if host is not None:
         keys["host"] = host
-    places = _places(keys)
+    places = _places(keys, robot.connections[name].driver)
     with ExitStack() as held:
         for place in places:
             if not held.enter_context(held_lock(place)):
@@ -50,10 +50,11 @@ def only_mover(robot: Robot, wire: str | None = None, host: str | None = None) -
         yield
 
 
-def _places(keys: Mapping[str, object]) -> list[str]:
+def _places(keys: Mapping[str, object], driver: str) -> list[str]:
     """Where a connection's keys say that an arm is, in one spelling; several for a host with several addresses."""
     if (host := keys.get("host")) is not None:
-        return [f"{address}, port {keys.get('port') or PORT}" for address in sorted(_addresses(str(host)))]
+        port = keys.get("port") or declared(driver).port
+        return [f"{address}, port {port}" for address in sorted(_addresses(str(host)))]
     if (channel := keys.get("channel")) is not None and keys.get("interface") != _WITHIN_A_PROCESS:
         return [f"{keys.get('interface')} {_bus(str(channel))}"]
     return [str(keys["url"])] if keys.get("url") is not None else []

@@ -1,16 +1,17 @@
-"""Whether a connection's frames fit on its CAN bus, before the bus is touched."""
+"""Whether a connection's frames fit on its bus, before the bus is touched."""
 
 from __future__ import annotations
 
 from daq.robot.loader import RobotFile
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
-from drivers.bus_budget import TIGHT_SHARE, Budget, connection_budget
+from drivers.bus_budget import TIGHT_SHARE, Budget
 from drivers.core.errors import RobotFileError
 from drivers.core.text import percent_text
+from drivers.declaration import declared
 
 
 def bus_budget(robot_file: RobotFile, name: str, *, moves: bool = True) -> Budget | None:
-    """Bus load of a connection, where it moves its arm or only records; None where it is not on a CAN bus.
+    """Bus load of a connection, where it moves its arm or only records; None where its bus cannot be too full.
 
     Raises:
         UsageError: the connection's keys are wrong.
@@ -20,7 +21,7 @@ def bus_budget(robot_file: RobotFile, name: str, *, moves: bool = True) -> Budge
     where = f"{robot_file.where}: connections.{name}"
     keys = connection_keys(robot, name, moves=moves)
     with errors_of_connection(robot_file.where, name):
-        budget = connection_budget(robot.connections[name].driver, driver_settings(robot, keys, robot_file.folder))
+        budget = declared(robot.connections[name].driver).budget_of(driver_settings(robot, keys, robot_file.folder))
     if budget is not None and budget.load > 1.0:
         raise RobotFileError(
             f"{budget.rate:g} Hz do not fit on a bus of {budget.bitrate:.0f} bit/s: {percent_text(budget.load)} of it",

@@ -7,14 +7,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from daq.robot.loops import coupling_matrix
-from daq.robot.schema import Robot
+from daq.robot.schema import Connection, Robot
 from drivers.base import DriverSettings
 from drivers.connection_settings import WITH
 from drivers.core.errors import UsageError
+from drivers.declaration import declared
 from drivers.gains import DriveGain
-
-READ_ONLY: Mapping[str, Mapping[str, object]] = {"canopen402": {"mode": "none"}}
-"""Keys by driver with which it prepares nothing for a motion, and sends no device anything that could end another's."""
 
 
 def connection_names(robot: Robot, wire: str | None = None, place: str = "") -> list[str]:
@@ -48,9 +46,25 @@ def connection_names(robot: Robot, wire: str | None = None, place: str = "") -> 
 
 
 def connection_keys(robot: Robot, name: str, *, moves: bool = True) -> dict[str, object]:
-    """A connection's keys without those of the session; where its arm is not to be moved, with those of `READ_ONLY`."""
-    keys = {key: value for key, value in (robot.connections[name].model_extra or {}).items() if key != WITH}
-    return keys if moves else {**keys, **READ_ONLY.get(robot.connections[name].driver, {})}
+    """A connection's keys without those of the session; where its arm is not to be moved, its driver's `read_only`.
+
+    Raises:
+        UsageError: its driver is not installed.
+    """
+    connection = robot.connections[name]
+    keys = _without_session(connection)
+    if moves:
+        return keys
+    return {**keys, **declared(connection.driver, f"{robot.name}: connections.{name}.driver").read_only}
+
+
+def keys_of_driver(robot: Robot, driver: str) -> dict[str, object] | None:
+    """The keys of a robot's first connection with a driver, without those of the session; None where there is none."""
+    return next((_without_session(one) for one in robot.connections.values() if one.driver == driver), None)
+
+
+def _without_session(connection: Connection) -> dict[str, object]:
+    return {key: value for key, value in (connection.model_extra or {}).items() if key != WITH}
 
 
 @contextmanager

@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib.metadata import entry_points
 from pathlib import Path
 from types import FrameType
 
@@ -33,9 +32,10 @@ from daq.session.play import (
 )
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
-from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
+from drivers.base import Attributing, Driver, Notice
 from drivers.core.clock import SYSTEM_CLOCK, Clock
-from drivers.core.errors import DynidError, MotionRefusedError, SafetyStopError, UsageError, WorkError
+from drivers.core.errors import DynidError, MotionRefusedError, SafetyStopError, WorkError
+from drivers.declaration import declared
 
 READ_TIMEOUT = 0.01
 LOSS_LIMIT = 0.01
@@ -113,31 +113,20 @@ def load_driver(
     """
     place = place or robot.name
     name, *others = connection_names(robot, wire, place)
-    keys = connection_keys(robot, name, moves=moves)
-    if host is not None:
-        keys["host"] = host
-    main = _make_driver(robot, name, keys, folder, clock, place)
-    beside = {
-        other: _make_driver(robot, other, connection_keys(robot, other, moves=False), folder, clock, place)
-        for other in others
-    }
+    main = _make_driver(robot, name, folder, clock, place, host, moves=moves)
+    beside = {other: _make_driver(robot, other, folder, clock, place, moves=False) for other in others}
     return Sources(name, main, beside) if beside else main
 
 
 def _make_driver(
-    robot: Robot, name: str, keys: Mapping[str, object], folder: Path | None, clock: Clock, place: str
+    robot: Robot, name: str, folder: Path | None, clock: Clock, place: str, host: str | None = None, *, moves: bool
 ) -> Driver:
-    driver = robot.connections[name].driver
-    drivers = {entry.name: entry for entry in entry_points(group=DRIVERS_GROUP)}
-    if driver not in drivers:
-        raise UsageError(
-            f"no driver is called '{driver}'",
-            where=f"{place}: connections.{name}.driver",
-            hint=f"installed: {', '.join(sorted(drivers)) or 'none'}",
-        )
-    make: Callable[[DriverSettings], Driver] = drivers[driver].load()
+    declaration = declared(robot.connections[name].driver, f"{place}: connections.{name}.driver")
+    keys = connection_keys(robot, name, moves=moves)
+    if host is not None:
+        keys["host"] = host
     with errors_of_connection(place, name):
-        return make(replace(driver_settings(robot, keys, folder), clock=clock))
+        return declaration.make(replace(driver_settings(robot, keys, folder), clock=clock))
 
 
 def record(  # noqa: C901, PLR0912 — the steps, in their order

@@ -19,7 +19,8 @@ from drivers.base import DeviceLimits, Driver, Identifying, Limiting
 from drivers.connection_settings import WITH
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
-from drivers.core.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError, UsageError
+from drivers.declaration import declared
 from drivers.streams import Batch
 
 LISTEN = 1.0
@@ -87,7 +88,7 @@ def check_connections(
         wire: which of them; the first where None.
         host: in place of the connection's own.
         clock: the host's.
-        reset_faults: whether faults of the first one's drives are reset; its driver must have such a key.
+        reset_faults: whether faults of the first one's drives are reset; its driver must declare how.
 
     Raises:
         UsageError: no such connection, or its keys are wrong.
@@ -115,7 +116,14 @@ def check_connection(
     """
     robot = robot_file.robot
     kind = robot.connections[name].driver
-    more = {"reset_faults": True} if reset_faults else {}
+    declaration = declared(kind, f"{robot_file.where}: connections.{name}.driver")
+    more = declaration.reset_faults if reset_faults else {}
+    if reset_faults and not more:
+        raise UsageError(
+            f"the driver '{kind}' cannot reset faults",
+            where=f"{robot_file.where}: connections.{name}",
+            hint="leave --reset-faults out",
+        )
     alone = robot.connections[name].model_copy(update={WITH: [], **more})
     changed = robot.model_copy(update={"connections": {**robot.connections, name: alone}})
     driver = load_driver(changed, name, host, robot_file.folder, clock, robot_file.where, moves=False)
@@ -130,7 +138,7 @@ def check_connection(
                 if dataclasses.is_dataclass(one) and not isinstance(one, type)
             )
         own = driver.device_limits() if isinstance(driver, Limiting) else None
-        to_mind = before_a_motion(robot, driver)
+        to_mind = [*before_a_motion(robot, driver), *declaration.check_open(driver)]
         driver.start()
         batches = _listen(driver, name, clock)
         driver.stop()

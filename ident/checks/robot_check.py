@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 
 import numpy as np
 
@@ -12,10 +11,11 @@ from daq.motion.motion_check import UNCHECKED
 from daq.robot.assumptions import assumptions
 from daq.robot.loader import RobotFile
 from daq.session.bus_room import bus_budget, tight_bus
+from daq.session.connections import connection_keys, driver_settings
 from daq.session.session import load_driver
-from drivers.base import DRIVERS_GROUP
 from drivers.bus_budget import TIGHT_SHARE, Budget
 from drivers.core.errors import InputError
+from drivers.declaration import declared, installed_drivers
 from ident.checks.tool_pose import ToolPose, tool_poses
 from ident.estimators.feasible.centre_bounds import CentreBound, centre_bounds
 from ident.excite.constraints.collision_geometry import arm_geometry
@@ -39,7 +39,7 @@ class RobotCheck:
         warnings: doubts, in words.
         assumed: assumptions in place of what the file does not state, in words.
         poses: of the tool at position zero and at the file's named poses; empty where the kinematics cannot be used.
-        budgets: bus load of each CAN connection, by the connection's name.
+        budgets: bus load of each connection whose bus can be too full, by the connection's name.
     """
 
     problems: tuple[InputError, ...]
@@ -87,7 +87,7 @@ def check_robot(robot_file: RobotFile) -> RobotCheck:
         except InputError as error:
             problems.append(error)
     budgets: dict[str, Budget] = {}
-    installed = {entry.name for entry in entry_points(group=DRIVERS_GROUP)}
+    installed = installed_drivers()
     for name, connection in robot_file.robot.connections.items():
         if connection.driver not in installed:
             known = ", ".join(sorted(installed)) or "none in this version"
@@ -100,6 +100,9 @@ def check_robot(robot_file: RobotFile) -> RobotCheck:
             load_driver(robot_file.robot, name, folder=robot_file.folder, place=robot_file.where)
             if (budget := bus_budget(robot_file, name)) is not None:
                 budgets[name] = budget
+            keys = connection_keys(robot_file.robot, name)
+            settings = driver_settings(robot_file.robot, keys, robot_file.folder)
+            warnings += [f"connection '{name}': {line}" for line in declared(connection.driver).advice_on(settings)]
         except InputError as error:
             error.where = error.where or f"{robot_file.where}: connections.{name}"
             problems.append(error)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING
 
-from daq.robot.arm_lengths import arm_lengths
+from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import UsageError
+from drivers.declaration import SimulatedBackEnd, declared, installed_drivers, named
 from sim_drivers.options import SimOptions
-from sim_drivers.rtde.server import RtdeServer
-from sim_drivers.rtde.variables import JOINTS
-from sim_drivers.serving.served import Served, serve_until_interrupted
+from sim_drivers.served import Served
+from sim_drivers.serving.served import serve_until_interrupted
 
 if TYPE_CHECKING:
     from daq.robot.loader import RobotFile
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
 
 START = "start"
 """Name of the pose in which a simulated arm stands at first."""
-
-WIRES = ("rtde", "canopen", "slcan", "can", "thermometer")
-_WIRE_OF_DRIVER = {"rtde": "rtde", "canopen402": "canopen", "can_frames": "can"}
 
 
 def simulate(options: SimOptions, *, live: bool) -> None:
@@ -38,8 +36,8 @@ def simulate(options: SimOptions, *, live: bool) -> None:
 
     from daq.robot.loader import load_robot
 
-    if options.wire is not None and options.wire not in WIRES:
-        raise UsageError(f"'{options.wire}' cannot be simulated", hint=f"--wire {', '.join(WIRES)}")
+    if options.wire is not None:
+        back_end_of(options.wire)
     robot_file = load_robot(options.robot)
     if options.payload is not None:
         from sim_drivers.plant.altered_arm import with_payload
@@ -49,17 +47,45 @@ def simulate(options: SimOptions, *, live: bool) -> None:
         start: FloatArray | None = start_position(robot_file, options.position)
     else:
         start = np.array(pose) if (pose := robot_file.robot.poses.get(START)) is not None else None
-    served = _served(robot_file, options, start)
+    served = served_arm(robot_file, options, start)
     serve_until_interrupted(served, robot_file.robot.name, live=live)
 
 
+def back_end_of(wire: str) -> SimulatedBackEnd:
+    """The simulated back end that a word of `--wire` means.
+
+    Raises:
+        UsageError: no installed driver declares it.
+    """
+    declared_ones = {back_end.wire: back_end for back_end in _back_ends()}
+    if wire not in declared_ones:
+        raise UsageError(f"'{wire}' cannot be simulated", hint=f"--wire {', '.join(declared_ones)}")
+    return declared_ones[wire]
+
+
 def wire_of(robot_file: RobotFile) -> str:
-    """The bus of an arm: that of its first connection which can be simulated, else RTDE for six turning joints."""
+    """The bus of an arm: that of its first connection which can be simulated, else of a back end that stands in."""
     robot = robot_file.robot
+    installed = installed_drivers()
     for connection in robot.connections.values():
-        if connection.driver in _WIRE_OF_DRIVER:
-            return _WIRE_OF_DRIVER[connection.driver]
-    return "rtde" if robot.dof == JOINTS and not any(robot.sliding) else "canopen"
+        if connection.driver in installed:
+            for back_end in declared(connection.driver).simulated:
+                if back_end.arm:
+                    return back_end.wire
+    turning = None if any(robot.sliding) else robot.dof
+    fitting = [one for one in _back_ends() if one.stands_in and one.turning in (turning, None)]
+    return min(fitting, key=lambda one: one.turning is None).wire  # one for just such arms before one for all
+
+
+def _back_ends() -> list[SimulatedBackEnd]:
+    """All that installed drivers declare; a package that cannot be loaded is named on standard error."""
+    found: list[SimulatedBackEnd] = []
+    for driver in sorted(installed_drivers()):
+        try:
+            found += declared(driver).simulated
+        except UsageError as error:  # a third party's package must not take the others down
+            print(f"dynid: {error}", file=sys.stderr)
+    return found
 
 
 def start_position(robot_file: RobotFile, text: str) -> FloatArray:
@@ -85,28 +111,27 @@ def start_position(robot_file: RobotFile, text: str) -> FloatArray:
     return np.array(numbers)
 
 
-def _served(robot_file: RobotFile, options: SimOptions, position: FloatArray | None) -> Served:
+def served_arm(
+    robot_file: RobotFile, options: SimOptions, position: FloatArray | None = None, clock: Clock = SYSTEM_CLOCK
+) -> Served:
+    """A simulated arm on its bus, not started yet.
+
+    Args:
+        robot_file: of the arm.
+        options: its bus, and how both differ from the robot file's.
+        position: (n,) of its joints at first [rad or m]; the middle of their ranges where None.
+        clock: of all that is served.
+
+    Raises:
+        UsageError: a bus, a version or an arm that cannot be simulated, or wrong keys of a connection.
+        RobotFileError: the robot file has no truth.
+    """
     from sim_drivers.plant.plant import Plant
 
-    wire, seed = options.wire or wire_of(robot_file), options.seed
-    if wire == "thermometer":
-        from sim_drivers.serving.thermometer import thermometer_alone
-
-        return thermometer_alone(robot_file, seed)
-    plant = Plant(robot_file, seed=seed, position=position)
-    served: Served
-    if wire == "rtde":
-        served = RtdeServer(plant, host=options.host, version=options.version, joints=robot_file.robot.joints)
-        if (lengths := arm_lengths(robot_file)) is not None:
-            served.controller.lengths = lengths.tolist()
-    else:
-        from sim_drivers.serving import can as can_wires
-
-        prepare = {"canopen": can_wires.canopen, "slcan": can_wires.slcan, "can": can_wires.proprietary}[wire]
-        served = prepare(robot_file, plant, options)
-    if options.thermometer:
-        from sim_drivers.serving.thermometer import BesideThermometer, thermometer_keys
-        from sim_drivers.thermometer.server import serve_thermometer
-
-        served = BesideThermometer(served, serve_thermometer(plant, thermometer_keys(robot_file.robot), seed))
+    back_end = back_end_of(options.wire or wire_of(robot_file))
+    plant = Plant(robot_file, seed=options.seed, position=position)
+    served: Served = named(back_end.serve)(robot_file, plant, options, clock)
+    if options.thermometer and back_end.arm:
+        for beside in filter(None, (one.beside for one in _back_ends())):
+            served = named(beside)(served, robot_file, plant, options, clock)
     return served

@@ -7,9 +7,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.base import DriverSettings
-from drivers.bus_budget import Budget, FrameGroup, connection_budget, frame_bits, synchronous_cycle
+from drivers.bus_budget import Budget, FrameGroup
+from drivers.can.frame_length import can_frames, frame_bits
+from drivers.can_signals.declaration import DECLARATION as TABLE
+from drivers.canopen402.budget import synchronous_cycle
+from drivers.canopen402.declaration import DECLARATION as DRIVES
 from drivers.core.errors import UsageError
 from drivers.gains import DriveGain
+from drivers.rtde.declaration import DECLARATION as CONTROLLER
 from sim_drivers.can.bus_load import Frame, exact_bits, worst_case_bits
 
 JOINTS = tuple(f"j{number}" for number in range(1, 7))
@@ -49,7 +54,7 @@ def test_six_drives_at_a_megabit(tpdos: int, rpdos: int, highest: int, at_80_per
     assert round(budget.highest_rate(0.8)) == at_80_percent
 
 
-groups = st.builds(FrameGroup, st.just("frames"), st.integers(1, 30), st.integers(0, 8), st.booleans())
+groups = st.builds(can_frames, st.just("frames"), st.integers(1, 30), st.integers(0, 8), extended=st.booleans())
 
 
 @given(
@@ -66,12 +71,12 @@ def test_the_highest_rate_fills_the_bus_and_more_never_takes_less(
     if full > 0:
         assert Budget(bitrate, full, tuple(cycle), tuple(beside)).load == pytest.approx(1.0)
     assert (budget.load > 1.0) == (rate > full) or budget.load == pytest.approx(1.0)
-    assert Budget(bitrate, rate, (*cycle, FrameGroup("one more", 1, 0)), tuple(beside)).load > budget.load
+    assert Budget(bitrate, rate, (*cycle, can_frames("one more", 1, 0)), tuple(beside)).load > budget.load
 
 
 def test_a_canopen_connection_is_counted_frame_by_frame() -> None:
-    recording = connection_budget("canopen402", settings({**CANOPEN, "mode": "none"}))
-    moving = connection_budget("canopen402", settings(CANOPEN))
+    recording = DRIVES.budget_of(settings({**CANOPEN, "mode": "none"}))
+    moving = DRIVES.budget_of(settings(CANOPEN))
     assert recording is not None
     assert moving is not None
     # TPDO1 carries 7 bytes, TPDO2 8, RPDO1 7.
@@ -81,12 +86,12 @@ def test_a_canopen_connection_is_counted_frame_by_frame() -> None:
     assert recording.beside_rate == pytest.approx(6 * 65 / 0.1)
     assert moving.beside_rate == pytest.approx(7 * 65 / 0.1)
     assert moving.load == pytest.approx((2365 * 300 + 4550) / 1e6)
-    guarded = connection_budget("canopen402", settings({**CANOPEN, "guarding": {"period": 0.2}}))
+    guarded = DRIVES.budget_of(settings({**CANOPEN, "guarding": {"period": 0.2}}))
     assert guarded is not None
     # A remote frame has no data, however many bytes it asks for.
     assert guarded.beside_rate == pytest.approx(6 * (55 + 65) / 0.2)
     nodes = {joint: {"id": number, "temperature": {"index": 0x2031}} for number, joint in enumerate(JOINTS, start=1)}
-    warm = connection_budget("canopen402", settings({**CANOPEN, "nodes": nodes}))
+    warm = DRIVES.budget_of(settings({**CANOPEN, "nodes": nodes}))
     assert warm is not None
     assert warm.beside_rate == pytest.approx(4550 + 5 * 6 * 2 * 135)
 
@@ -98,17 +103,15 @@ def test_frames_of_a_table_are_counted() -> None:
         for number, joint in enumerate(JOINTS)
     ]
     keys: dict[str, object] = {"interface": "virtual", "channel": "x", "rate": 200, "signals": signals}
-    budget = connection_budget("can_frames", settings(keys))
+    budget = TABLE.budget_of(settings(keys))
     assert budget is not None
     assert budget.cycle_bits == 3 * 135
-    polled = connection_budget(
-        "can_frames", settings({**keys, "poll": {"id": 0x100, "data": "01 00", "period": 0.005}})
-    )
+    polled = TABLE.budget_of(settings({**keys, "poll": {"id": 0x100, "data": "01 00", "period": 0.005}}))
     assert polled is not None
     assert polled.cycle_bits == 3 * 135 + frame_bits(2)
 
 
 def test_other_drivers_have_no_budget_and_wrong_keys_are_refused() -> None:
-    assert connection_budget("rtde", settings({"host": "127.0.0.1"})) is None
+    assert CONTROLLER.budget_of(settings({"host": "127.0.0.1"})) is None
     with pytest.raises(UsageError):
-        connection_budget("canopen402", settings({**CANOPEN, "bitrate": "fast"}))
+        DRIVES.budget_of(settings({**CANOPEN, "bitrate": "fast"}))

@@ -23,9 +23,10 @@ MOST_CHECKS = 4
 
 def print_budget(name: str, budget: Budget, *, verbose: bool = False) -> None:
     """Print the load of a bus; with `verbose` what a cycle consists of."""
+    worst = f" {budget.worst}" if budget.worst else ""
     print(
         f"  connection {name}: bus load {percent_text(budget.load)} ({budget.bitrate / 1e3:g} kbit/s) at "
-        f"{budget.rate:g} Hz with every stuffed bit; at most {budget.highest_rate():.0f} Hz, "
+        f"{budget.rate:g} Hz{worst}; at most {budget.highest_rate():.0f} Hz, "
         f"{budget.highest_rate(TIGHT_SHARE):.0f} Hz for {percent_text(TIGHT_SHARE)}"
     )
     if not verbose:

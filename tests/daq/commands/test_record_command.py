@@ -29,6 +29,8 @@ from daq.recording.growing_file import SPARE
 from daq.recording.reader import read_recording
 from daq.recording.recover import follow_recording, half_written
 from daq.session import session
+from drivers import declaration
+from drivers.canopen402.declaration import DECLARATION as DRIVES
 from drivers.core.errors import RecordingError
 from dynid import command
 
@@ -50,13 +52,14 @@ def bench(tmp_path, monkeypatch):
     (tmp_path / "traj.yaml").write_text(yaml.safe_dump(TRAJECTORY))
     made = []
 
-    def install(fault="", name="kinematic"):
+    def install(fault="", name="kinematic", known=None):
         def make(settings):
             made.append((settings, KinematicArm(fault, 0.802, clock=settings.clock)))
             return made[-1][1]
 
-        entry = SimpleNamespace(name=name, load=lambda: make)
-        monkeypatch.setattr(session, "entry_points", lambda group: [entry])
+        found = declaration.DriverDeclaration(make) if known is None else replace(known, driver=make)
+        entry = SimpleNamespace(name=name, load=lambda: found)
+        monkeypatch.setattr(declaration, "entry_points", lambda group: [entry])
 
     install()
     return SimpleNamespace(folder=tmp_path, made=made, install=install)
@@ -169,7 +172,7 @@ def on_canopen(bench, bitrate):
     """The robot file with a CANopen connection, and that driver in place of the real one."""
     content = yaml.safe_load(ROBOT_FILE.text) | yaml.safe_load(CANOPEN.format(bitrate=bitrate))
     (bench.folder / "robot.yaml").write_text(yaml.safe_dump(content))
-    bench.install(name="canopen402")
+    bench.install(name="canopen402", known=DRIVES)
 
 
 def test_a_bus_that_is_too_slow_is_refused_before_it_is_touched(bench, dynid):
@@ -454,10 +457,10 @@ arm = Arm()
 MAIN = """
 import sys
 from types import SimpleNamespace
-from daq.session import session
+from drivers import declaration
 from dynid import command
-entry = SimpleNamespace(name="kinematic", load=lambda: lambda settings: arm)
-session.entry_points = lambda group: [entry]
+entry = SimpleNamespace(name="kinematic", load=lambda: declaration.DriverDeclaration(lambda settings: arm))
+declaration.entry_points = lambda group: [entry]
 try:
     command.main()
 finally:
@@ -574,10 +577,11 @@ def main():
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
     sys.path.insert(0, sys.argv.pop(1))
     from kinematic_arm import KinematicArm
-    from daq.session import session
+    from drivers import declaration
     from dynid import command
-    entry = SimpleNamespace(name="kinematic", load=lambda: lambda settings: KinematicArm())
-    session.entry_points = lambda group: [entry]
+    driver = declaration.DriverDeclaration(lambda settings: KinematicArm())
+    entry = SimpleNamespace(name="kinematic", load=lambda: driver)
+    declaration.entry_points = lambda group: [entry]
     command.main()
 
 if __name__ == "__main__":

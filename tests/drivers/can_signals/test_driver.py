@@ -14,10 +14,11 @@ import pytest
 from scripted_can_arm import ANSWER_TIME, JOINTS, RATE, ScriptedCanArm, connection, moving, two_frames
 from simulated_clock import START, SimulatedClock
 
-from drivers.base import DRIVERS_GROUP, Attributing, Driver, DriverSettings, Notice
+from drivers.base import Attributing, Driver, DriverSettings, Notice
 from drivers.can_signals.driver import SILENCE_LIMIT, STOP_INTERVAL, STOP_LIMIT, CanFramesDriver
 from drivers.can_signals.monitor import RATE_TIME, RATE_TIMES
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
+from drivers.declaration import DRIVERS_GROUP, named
 from drivers.gains import DriveGain
 from drivers.standstill import REST_WINDOW
 from drivers.streams import Batch
@@ -93,7 +94,7 @@ def test_the_driver_is_registered() -> None:
     # From the source: an installation in place keeps the entry points of the day it was made.
     project = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())
     value = project["project"]["entry-points"][DRIVERS_GROUP]["can_frames"]
-    assert EntryPoint("can_frames", value, DRIVERS_GROUP).load() is CanFramesDriver
+    assert named(EntryPoint("can_frames", value, DRIVERS_GROUP).load().driver) is CanFramesDriver
 
 
 def test_blocks_are_what_the_streams_promise(arm: Arm, make_driver: Make, read_for: Read) -> None:

@@ -11,11 +11,12 @@ import pytest
 from canopen_bench import JOINTS, RATE, READ, bench
 from scripted_drives import FRAME_TIME, ScriptedDrive
 
-from drivers.base import DRIVERS_GROUP, Driver, DriverSettings
+from drivers.base import Driver, DriverSettings
 from drivers.can.receiver import POLL
 from drivers.canopen402.driver import FIRST_ROW_LIMIT, SILENCE_LIMIT, Canopen402Driver
 from drivers.canopen402.monitor.drives import ALIGNMENT_PERIOD
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
+from drivers.declaration import DRIVERS_GROUP, named
 
 TEMPERATURE: dict[str, object] = {"index": 0x2031, "subindex": 1, "scale": 0.1, "offset": -1.0}
 
@@ -24,7 +25,7 @@ def test_the_driver_is_registered() -> None:
     # From the source: an installation in place keeps the entry points of the day it was made.
     project = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())
     value = project["project"]["entry-points"][DRIVERS_GROUP]["canopen402"]
-    assert EntryPoint("canopen402", value, DRIVERS_GROUP).load() is Canopen402Driver
+    assert named(EntryPoint("canopen402", value, DRIVERS_GROUP).load().driver) is Canopen402Driver
 
 
 def test_blocks_are_what_the_streams_promise() -> None:

@@ -14,7 +14,7 @@ from scripted_rtde import Cut, Never, Sample, ScriptedController, Step, Wait, pa
 from simulated_clock import START, SimulatedClock
 
 from daq.session.play import unreported_safety
-from drivers.base import DRIVERS_GROUP, Driver, DriverSettings, Identifying
+from drivers.base import Driver, DriverSettings, Identifying
 from drivers.core.errors import (
     ConnectionFailedError,
     ConnectionLostError,
@@ -22,6 +22,7 @@ from drivers.core.errors import (
     MotionRefusedError,
     UsageError,
 )
+from drivers.declaration import DRIVERS_GROUP, named
 from drivers.gains import DriveGain
 from drivers.rtde.driver import DASHBOARD_TIMEOUT, ArmControl, RtdeDriver
 from drivers.rtde.motion import STOP_LIMIT, require_ur_rtde
@@ -82,7 +83,7 @@ def test_the_driver_is_registered() -> None:
     # From the source: an installation in place keeps the entry points of the day it was made.
     project = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())
     value = project["project"]["entry-points"][DRIVERS_GROUP]["rtde"]
-    assert EntryPoint("rtde", value, DRIVERS_GROUP).load() is RtdeDriver
+    assert named(EntryPoint("rtde", value, DRIVERS_GROUP).load().driver) is RtdeDriver
 
 
 def test_it_tells_who_answers(controller: Make, make_driver: MakeDriver) -> None:

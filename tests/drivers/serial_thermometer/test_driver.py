@@ -15,9 +15,10 @@ import pytest
 from serial_lines import SerialLine
 from simulated_clock import SimulatedClock
 
-from drivers.base import DRIVERS_GROUP, DriverSettings, Notice
+from drivers.base import DriverSettings, Notice
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, DriverStateError, UsageError
+from drivers.declaration import DRIVERS_GROUP, named
 from drivers.gains import DriveGain
 from drivers.serial_thermometer.driver import STREAM, SerialThermometerDriver
 from drivers.serial_thermometer.port import BUFFER_BYTES, CHUNK_BYTES, READ_TIMEOUT
@@ -99,7 +100,7 @@ def told(notices: list[Notice]) -> list[str]:
 def test_the_driver_is_registered() -> None:
     project = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())
     value = project["project"]["entry-points"][DRIVERS_GROUP]["serial_thermometer"]
-    assert EntryPoint("serial_thermometer", value, DRIVERS_GROUP).load() is SerialThermometerDriver
+    assert named(EntryPoint("serial_thermometer", value, DRIVERS_GROUP).load().driver) is SerialThermometerDriver
 
 
 def test_states_follow_the_contract(clock: SimulatedClock, line: SerialLine) -> None:

@@ -11,9 +11,11 @@ from kinematic_arm import ROBOT_FILE
 
 from daq.motion.trajectory_file import parse_trajectory
 from daq.session.connections import driver_settings
-from drivers.bus_budget import Budget, connection_budget, synchronous_cycle
+from drivers.bus_budget import Budget
 from drivers.can_signals.settings import parse_settings as parse_frames
+from drivers.canopen402.budget import synchronous_cycle
 from drivers.canopen402.settings import parse_settings as parse_canopen
+from drivers.declaration import declared
 from drivers.serial_thermometer.settings import parse_settings as parse_thermometer
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "can.md").read_text(encoding="utf-8")
@@ -34,7 +36,7 @@ CONNECTIONS = {
 def test_connections_are_accepted(driver: str) -> None:
     keys = CONNECTIONS[driver]
     assert PARSERS[driver](keys, ("shoulder", "elbow"))
-    budget = connection_budget(driver, driver_settings(ROBOT_FILE.robot, keys))
+    budget = declared(driver).budget_of(driver_settings(ROBOT_FILE.robot, keys))
     assert budget is None or budget.load < 0.8
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from dataclasses import dataclass
-from importlib.metadata import EntryPoint
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -15,11 +14,14 @@ from kinematic_arm import KinematicArm
 
 from daq.robot.loader import load_robot, parse_robot
 from daq.session import session
-from drivers.base import DRIVERS_GROUP, Notice
+from drivers import declaration
+from drivers.base import Notice
+from drivers.canopen402.declaration import DECLARATION as DRIVES
 from drivers.core.errors import ConnectionFailedError, RobotFileError, UsageError
+from drivers.declaration import DriverDeclaration
+from drivers.rtde.declaration import DECLARATION as CONTROLLER
 from drivers.streams import ChannelLayout, StreamLayout
 from dynid import command
-from ident.checks import robot_check
 from ident.checks.connection_check import FIRST_SAMPLE_LIMIT, LISTEN, check_connections
 from ident.checks.robot_check import check_robot
 
@@ -103,13 +105,14 @@ class Oven(Bench):
 def drivers(monkeypatch):
     """Drivers of this test beside the real ones, whatever was installed."""
     Bench.made.clear()
-    real = {"canopen402": "drivers.canopen402.driver:Canopen402Driver", "rtde": "drivers.rtde.driver:RtdeDriver"}
-    known = [EntryPoint(name, value, DRIVERS_GROUP) for name, value in real.items()]
-    known += [
-        SimpleNamespace(name=name, load=lambda kind=kind: kind) for name, kind in (("bench", Bench), ("oven", Oven))
-    ]
-    for module in (session, robot_check):
-        monkeypatch.setattr(module, "entry_points", lambda group: known)
+    install(
+        monkeypatch, canopen402=DRIVES, rtde=CONTROLLER, bench=DriverDeclaration(Bench), oven=DriverDeclaration(Oven)
+    )
+
+
+def install(monkeypatch, **declarations):
+    entries = [SimpleNamespace(name=name, load=lambda found=found: found) for name, found in declarations.items()]
+    monkeypatch.setattr(declaration, "entry_points", lambda group: entries)
 
 
 def run(monkeypatch, capsys, *arguments):
@@ -220,7 +223,7 @@ def test_drives_are_not_prepared_for_a_motion(monkeypatch):
         seen.append(dict(settings.connection))
         raise ConnectionFailedError("far enough")
 
-    monkeypatch.setattr(session, "entry_points", lambda group: [SimpleNamespace(name="canopen402", load=lambda: make)])
+    install(monkeypatch, canopen402=replace(DRIVES, driver=make))
     for asked in (False, True):
         with pytest.raises(ConnectionFailedError):
             check_connections(load_robot("ur5e"), "canopen", reset_faults=asked)

@@ -31,9 +31,9 @@ from drivers.gains import DriveGain
 from drivers.serial_thermometer.driver import SerialThermometerDriver
 from drivers.serial_thermometer.port import READ_TIMEOUT
 from drivers.streams import Batch
+from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
 from sim_drivers.pseudo_terminal import PseudoTerminal
-from sim_drivers.serving.thermometer import PERIOD, BesideThermometer, thermometer_alone, thermometer_keys
 from sim_drivers.thermometer.server import (
     SLICE,
     SimulatedThermometer,
@@ -41,6 +41,7 @@ from sim_drivers.thermometer.server import (
     serve_thermometer,
     simulated_thermometer,
 )
+from sim_drivers.thermometer.serving import PERIOD, BesideThermometer, serve, thermometer_keys
 
 PATTERN = r"T(?P<channel>\w+)=(?P<value>[-+.\d]+)"
 JOINTS = ("shoulder", "elbow")
@@ -272,7 +273,8 @@ def test_dynid_sim_serves_it_alone(pendulum, opened: Make, clock: SimulatedClock
     with pytest.raises(UsageError, match="has no serial thermometer"):
         thermometer_keys(pendulum().robot)
     begun = clock.now()
-    with thermometer_alone(robot_file, 1, line, clock) as alone:
+    plant = Plant(robot_file, seed=1)
+    with serve(robot_file, plant, SimOptions(robot="pendulum"), clock, line) as alone:
         assert alone.ready() == {"thermometer": line.path, "thermometer_baudrate": 9600}
         driver = opened(joints=(joint,), channels={1: joint})
         twin = Plant(robot_file, seed=1)

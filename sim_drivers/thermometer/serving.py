@@ -9,12 +9,14 @@ from typing import Self
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
+from daq.session.connections import keys_of_driver
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import UsageError
 from sim_drivers.faults import Fault, Heat
+from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
+from sim_drivers.served import Served
 from sim_drivers.server import FaultyServer
-from sim_drivers.serving.served import Served
 from sim_drivers.thermometer.server import ThermometerServer, WritableLineEnd, serve_thermometer
 
 DRIVER = "serial_thermometer"
@@ -123,24 +125,32 @@ class ThermometerAlone(FaultyServer):
             self._plant.advance(PERIOD)
 
 
-def thermometer_alone(
-    robot_file: RobotFile, seed: int, line_end: WritableLineEnd | None = None, clock: Clock = SYSTEM_CLOCK
+def serve(
+    robot_file: RobotFile,
+    plant: Plant,
+    options: SimOptions,
+    clock: Clock = SYSTEM_CLOCK,
+    line_end: WritableLineEnd | None = None,
 ) -> ThermometerAlone:
-    """The thermometer of a robot file, on its arm at rest.
-
-    Args:
-        robot_file: of the arm.
-        seed: of noise and garbage.
-        line_end: the thermometer's end of the line; a pseudo-terminal where None.
-        clock: the host's.
+    """The thermometer of a robot file, on its arm at rest; its end of the line is a pseudo-terminal where None.
 
     Raises:
         UsageError: the robot file has no serial thermometer, or its keys are wrong.
-        RobotFileError: the robot file has no truth.
     """
     keys = thermometer_keys(robot_file.robot)
-    plant = Plant(robot_file, seed=seed)
-    return ThermometerAlone(plant, serve_thermometer(plant, keys, seed, line_end, clock), clock)
+    return ThermometerAlone(plant, serve_thermometer(plant, keys, options.seed, line_end, clock), clock)
+
+
+def serve_beside(
+    served: Served, robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock
+) -> BesideThermometer:
+    """The thermometer of a robot file beside its arm, which is served on its own bus.
+
+    Raises:
+        UsageError: the robot file has no serial thermometer, or its keys are wrong.
+    """
+    keys = thermometer_keys(robot_file.robot)
+    return BesideThermometer(served, serve_thermometer(plant, keys, options.seed, clock=clock))
 
 
 def thermometer_keys(robot: Robot) -> Mapping[str, object]:
@@ -149,9 +159,8 @@ def thermometer_keys(robot: Robot) -> Mapping[str, object]:
     Raises:
         UsageError: it has none.
     """
-    for connection in robot.connections.values():
-        if connection.driver == DRIVER:
-            return dict(connection.model_extra or {})
+    if (keys := keys_of_driver(robot, DRIVER)) is not None:
+        return keys
     raise UsageError(
         "the robot file has no serial thermometer",
         where=f"{robot.name}: connections",

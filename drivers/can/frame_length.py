@@ -1,0 +1,31 @@
+"""How long frames of classic CAN are at worst.
+
+Longest frames, with every stuffed bit that may occur and three bits of intermission: 47 + 8n + ⌊(34 + 8n − 1)/4⌋ bits
+for 11-bit identifiers and n data bytes, 67 + 8n + ⌊(54 + 8n − 1)/4⌋ for 29-bit ones, as in Davis, Burns, Bril and
+Lukkien, Controller Area Network (CAN) schedulability analysis, Real-Time Systems 35 (2007).
+"""
+
+from __future__ import annotations
+
+from drivers.bus_budget import FrameGroup
+
+FRAME_BYTES = 8
+WORST = "with every stuffed bit"
+"""What a budget of such frames includes, in words."""
+
+
+def frame_bits(data_bytes: int, *, extended: bool = False) -> int:
+    """Longest length [bit] of a frame with 0 to 8 data bytes, intermission included.
+
+    Raises:
+        ValueError: not 0 to 8 bytes.
+    """
+    if not 0 <= data_bytes <= FRAME_BYTES:
+        raise ValueError(f"a classic CAN frame has 0 to {FRAME_BYTES} data bytes, not {data_bytes}")
+    fixed, stuffable = (67, 54) if extended else (47, 34)
+    return fixed + 8 * data_bytes + (stuffable + 8 * data_bytes - 1) // 4
+
+
+def can_frames(meaning: str, count: int, data_bytes: int, *, extended: bool = False) -> FrameGroup:
+    """Equal frames of classic CAN, for a budget; `extended`: whether identifiers have 29 bits."""
+    return FrameGroup(meaning, count, data_bytes, frame_bits(data_bytes, extended=extended))
