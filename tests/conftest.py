@@ -144,6 +144,29 @@ def with_checks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("ident.identify.held_out.open_loop", open_loop)
 
 
+@pytest.fixture(scope="module")
+def not_simulated() -> Iterator[None]:
+    """Identify without the simulated motion: for a module whose tests look at the checks."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ident.identify.held_out.track_longest", lambda *_: (None, "left out by this test"))
+        patch.setattr("ident.identify.held_out.open_loop", lambda *_: None)
+        yield
+
+
+@pytest.fixture(scope="module")
+def stated_friction() -> Iterator[None]:
+    """Identify with the terms of friction that the robot file has; to look for others takes half of an estimate's time.
+
+    For a module in which other terms, and pre-sliding, are not what is tested.
+    """
+    from ident.identify.identification import IdentifyChoices
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(IdentifyChoices, "chooses_friction", lambda self, _: self.model.friction == "auto")
+        patch.setattr(IdentifyChoices, "finds_travels", lambda *_: False)
+        yield
+
+
 @pytest.fixture
 def clock() -> Iterator[SimulatedClock]:
     """Simulated time, see tests/support/simulated_clock.py."""

@@ -12,7 +12,7 @@ from drivers.core.arrays import FloatArray
 
 def cross(left: FloatArray, right: FloatArray) -> FloatArray:
     """Cross product of (…, 3, m) arrays; np.cross is three times slower on short ones."""
-    product = np.empty(np.broadcast_shapes(left.shape, right.shape))
+    product = np.empty(np.broadcast(left, right).shape)
     for component, (first, second) in enumerate(((1, 2), (2, 0), (0, 1))):
         out = product[..., component, :]
         np.multiply(left[..., first, :], right[..., second, :], out=out)

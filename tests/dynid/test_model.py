@@ -199,7 +199,8 @@ def test_torque_std_covers_the_error_of_repeated_identifications():
     truth = true_model("rocr6").torque(q, dq, ddq)
     normalised = []
     for seed in range(4):
-        model = dynid.identify(dynid.simulate("rocr6", duration=10.0, seed=seed, rate=100.0)).model
+        run = dynid.simulate("rocr6", duration=10.0, seed=seed, rate=100.0)
+        model = dynid.identify(run, friction="coulomb-viscous", presliding=False).model
         deviations = model.torque_std(q, dq, ddq)
         normalised.append((model.torque(q, dq, ddq) - truth) / deviations)
     assert 0.6 < np.sqrt(np.median(np.square(normalised))) / 0.6745 < 1.5

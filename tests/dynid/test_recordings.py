@@ -26,6 +26,7 @@ def arrays(run: dynid.Recording) -> dict[str, np.ndarray]:
     return {"time": stream.time, **{name: channel.values for name, channel in stream.channels.items()}}
 
 
+@pytest.mark.usefixtures("estimate_alone")
 def test_arrays_identify_as_their_file_does(run, other, result, tmp_path):
     given = dynid.Recording.from_arrays("ur5e", **arrays(run), comment="mine")
     held_out = dynid.Recording.from_arrays(dynid.load_robot("ur5e"), **arrays(other))

@@ -92,6 +92,7 @@ def test_validate_takes_results_models_and_folders(result, other, tmp_path):
     assert len(validation.errors) == 6
 
 
+@pytest.mark.usefixtures("estimate_alone")
 def test_merge_halves_the_variance(result, other, run):
     second = dynid.identify(other, validation=run)
     merged = dynid.merge([result, second.model], validation=run)

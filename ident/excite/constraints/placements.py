@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.core.arrays import FloatArray, IndexArray
-from ident.linear_algebra.vectors import axis_rotation
+from ident.linear_algebra.vectors import axis_rotation, cross
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX, Joint, ancestors
 
@@ -52,13 +52,22 @@ def place(joints: tuple[Joint, ...], position: FloatArray) -> Placements:
         else:
             rotation[index] = np.einsum("ijt,jkt->ikt", start, axis_rotation(joint.axis, q))
             screw[index, :3] = axis
-            screw[index, 3:] = np.cross(origin[index], axis, axis=0)
+            screw[index, 3:] = cross(origin[index], axis)
     return Placements(rotation, origin, screw)
 
 
 def place_arm(model: DynamicModel, position: FloatArray) -> Placements:
     """The same for positions (dof, N) of the joints with a motor; the others follow."""
-    return place(model.joints, model.tree_position(position))
+    for placed, along, placements in _LAST:
+        if placed is model and np.array_equal(along, position):
+            return placements
+    placements = place(model.joints, model.tree_position(position))
+    _LAST[:] = [(model, position.copy(), placements)]
+    return placements
+
+
+_LAST: list[tuple[DynamicModel, FloatArray, Placements]] = []
+"""The arm that was placed last, and along what: the limits of a design ask for the same, one after the other."""
 
 
 def tool_point(model: DynamicModel, placements: Placements, tool: Sequence[float]) -> FloatArray:

@@ -29,6 +29,8 @@ from ident.regression.observability import whole_arm
 from ident.signals.prepared import Segment
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
+pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction")
+
 BOTH = Columns((0, 1, 2), (1.0, 1.0, 1.0))
 
 

@@ -20,6 +20,8 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
+pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction")
+
 MODEL_ERRORS = {"inconsistent-gain", "inconsistent-length", "joint-zero", "gravity-direction"}
 
 

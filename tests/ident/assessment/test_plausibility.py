@@ -17,6 +17,8 @@ from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
+pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction")
+
 
 @pytest.mark.parametrize("name", ["ur5e", "rocr6", "aubo_i5", "panda"])
 def test_inertia_matrix_of_base_parameters_is_pinocchios(name):

@@ -43,7 +43,7 @@ from ident.signals.filters import butterworth, no_filter
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 METHODS = ("energy", "power")
 

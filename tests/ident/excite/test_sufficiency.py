@@ -62,7 +62,7 @@ def test_twice_the_duration_gives_one_over_root_two(three_joint, torque):
 
 
 def test_predicted_from_torque_is_what_repeated_recordings_show(three_joint):
-    found = [sufficiency_of(recording_of(three_joint, 21.0, seed), three_joint) for seed in range(20)]
+    found = [sufficiency_of(recording_of(three_joint, 21.0, seed), three_joint) for seed in range(12)]
     values = np.array([[parameter.value for parameter in each.forecast.parameters] for each in found])
     spread = values.std(axis=0, ddof=1)
     predicted = np.median([deviations(each) for each in found], axis=0)

@@ -24,6 +24,8 @@ from studies.synthetic.data_mistakes import (
     with_velocity,
 )
 
+pytestmark = pytest.mark.usefixtures("not_simulated")
+
 ARMS = ("ur5e", "rocr6")
 DATA_CHECKS = {"encoder-stuck", "rows-repeated", "filled-with-zeros", "residual-bursts", "positions-jitter"}
 MODEL_CHECKS = {

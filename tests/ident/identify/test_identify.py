@@ -31,6 +31,9 @@ from ident.result.schema import Result
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
+STATED = IdentifyChoices(search_delay=False, presliding=False, model=ModelChoices(friction="coulomb-viscous"))
+"""The terms that the arm has, and no search: a third of the time of an identification without its checks."""
+alone = pytest.mark.usefixtures("estimate_alone")
 SLIGHTLY = 3e-3
 """Share of a random motion's amplitude that is motion, but slower than what counts as such."""
 
@@ -71,14 +74,21 @@ def cut(recording: Recording, kept) -> Recording:
     return replace(recording, streams={JOINTS_STREAM: stream})
 
 
-@pytest.mark.parametrize("method", ["ols", "wls"])
-@pytest.mark.parametrize("rate", [200.0, 1000.0])
-def test_the_truth_comes_back_from_perfect_sensors(noise_free, method, rate):
+@alone
+@pytest.mark.parametrize(
+    ("rate", "choices"),
+    [
+        (200.0, IdentifyChoices()),
+        (200.0, replace(STATED, method="ols", search_delay=True)),
+        (1000.0, replace(STATED, search_delay=True)),
+    ],
+)
+def test_the_truth_comes_back_from_perfect_sensors(noise_free, rate, choices):
     """To 1e-3; what limits it is the central difference at 200 Hz (ω²/6 of a period squared) and, at 1000 Hz, the
     low-pass of the positions."""
     motion = random_fourier_motion(build_model(noise_free), 10.0, seed=1)
     recording = simulate_recording(noise_free, motion, 15.0, seed=1, rate=rate)
-    found = identify([recording], [], IdentifyChoices(method=method))
+    found = identify([recording], [], choices)
     truth = truth_of(noise_free)
     size = np.maximum(np.abs(truth), 0.01 * np.max(np.abs(truth)))
     assert np.max(np.abs(found.solution.parameters - truth) / size) < 1e-3
@@ -105,6 +115,7 @@ OPTIONS = [
 ]
 
 
+@alone
 @pytest.mark.parametrize(("method", "friction", "offset", "inertia", "smoothing", "kind", "search"), OPTIONS)
 def test_every_option_runs_with_every_other(
     recorded, three_joint, method, friction, offset, inertia, smoothing, kind, search
@@ -115,6 +126,7 @@ def test_every_option_runs_with_every_other(
         model=ModelChoices(friction=friction, offset=offset, motor_inertia=inertia, smoothing=smoothing),
         preprocess=PreprocessChoices(filter=kind),
         search_delay=search,
+        presliding=False,
     )
     found = identify([recorded()], [], choices)
     kinds = set(found.base.kinds)
@@ -135,6 +147,7 @@ def test_every_option_runs_with_every_other(
         assert found.validation.relative_error > found.fit.relative_error * 0.5
 
 
+@alone
 def test_the_full_model_is_within_its_error_bars(recorded, three_joint):
     found = identify([recorded(40.0)], [], IdentifyChoices())
     error = np.abs(found.solution.parameters - truth_of(three_joint)) / found.std
@@ -156,10 +169,11 @@ def test_choices_of_columns_change_the_model_and_nothing_else(three_joint):
             apply_model_choices(model, ModelChoices(smoothing=wrong))
 
 
+@alone
 def test_several_recordings_stack(recorded, three_joint):
     parts = [recorded(12.0, seed) for seed in (1, 2, 3)]
-    alone = identify(parts[:1], [recorded(8.0, 9)], IdentifyChoices(search_delay=False))
-    together = identify(parts, [recorded(8.0, 9)], IdentifyChoices(search_delay=False))
+    alone = identify(parts[:1], [recorded(8.0, 9)], STATED)
+    together = identify(parts, [recorded(8.0, 9)], STATED)
     cutoffs = {run.choices.torque_cutoff for run in (*together.runs, *together.validation_runs)}
     assert len(cutoffs) == 1  # all are treated like the first
     assert together.runs[0].choices.torque_cutoff == alone.runs[0].choices.torque_cutoff
@@ -200,8 +214,9 @@ def test_the_order_of_recordings_changes_no_filter(recorded, three_joint):
     assert single[0].position_cutoff != single[1].position_cutoff
 
 
+@alone
 def test_another_recording_may_be_held_out(recorded, clean):
-    found = identify([recorded()], [recorded(8.0, 5)], IdentifyChoices())
+    found = identify([recorded()], [recorded(8.0, 5)], STATED)
     assert found.validation_source == "recording in memory"
     assert found.runs[0].choices.stop is None
     whole = sum(segment.position.shape[1] for segment in found.runs[0].prepared.segments)
@@ -209,8 +224,9 @@ def test_another_recording_may_be_held_out(recorded, clean):
     assert whole > 1.3 * sum(segment.position.shape[1] for segment in part.prepared.segments)
 
 
+@alone
 def test_split_sets_the_border(recorded):
-    found = identify([recorded()], [], IdentifyChoices(split=9.0))
+    found = identify([recorded()], [], replace(STATED, split=9.0))
     assert (found.runs[0].choices.start, found.runs[0].choices.stop) == (0.0, 9.0)
     assert found.validation_runs[0].choices.start == 9.0
     assert found.runs[0].prepared.segments[-1].time[-1] < 9.0 <= found.validation_runs[0].prepared.segments[0].time[0]
@@ -239,25 +255,27 @@ def test_nothing_to_identify_from_is_refused():
         identify([], [], IdentifyChoices())
 
 
+@alone
 def test_a_delay_is_found_and_used(recorded, three_joint):
     late = recorded(20.0)
     stream = late.streams[JOINTS_STREAM]
     current = stream.channels["current"].values
     current[:] = np.roll(current, 2, axis=0)  # 10 ms
     current[:2] = current[2]
-    found = identify([late], [], IdentifyChoices())
+    found = identify([late], [], replace(STATED, search_delay=True))
     assert found.choices.preprocess.delay == pytest.approx(0.010, abs=1e-3)
-    ignored = identify([late], [], IdentifyChoices(search_delay=False))
+    ignored = identify([late], [], STATED)
     assert found.validation.relative_error < ignored.validation.relative_error
-    given = identify([late], [], IdentifyChoices(search_delay=False, preprocess=PreprocessChoices(delay=0.010)))
+    given = identify([late], [], replace(STATED, preprocess=PreprocessChoices(delay=0.010)))
     assert given.validation.relative_error == pytest.approx(found.validation.relative_error, rel=0.1)
 
 
+@alone
 def test_a_joint_that_is_later_than_the_others_gets_its_own_delay_in_the_result_too(recorded, three_joint):
     late = recorded(20.0)
     current = late.streams[JOINTS_STREAM].channels["current"].values
     current[:, 1] = np.roll(current[:, 1], 4)  # 20 ms
-    found = identify([late], [], IdentifyChoices())
+    found = identify([late], [], replace(STATED, search_delay=True))
     first, second, third = found.choices.preprocess.joint_delays
     assert second == pytest.approx(0.020, abs=1.5e-3)
     assert max(abs(first), abs(third)) < 3e-3
@@ -324,7 +342,7 @@ def test_a_rest_tolerance_that_is_a_motion_is_refused(tolerance):
 
 
 def test_recordings_that_were_not_closed_are_warned_of(recorded):
-    found = identify([replace(recorded(), complete=False)], [], IdentifyChoices())
+    found = identify([replace(recorded(), complete=False)], [], STATED)
     assert "recording-not-closed" in [check.name for check in found.checks]
 
 
@@ -380,19 +398,20 @@ def test_the_torque_of_a_joint_at_rest_is_used_where_it_is_asked_for(three_joint
     motion.sine[1] = motion.cosine[1] = 0.0
     recording = simulate_recording(three_joint, motion, 20.0, seed=1)
     choices = ExperimentChoices(torques_of=("j1", "j2", "j3"))
-    found = identify([recording], [], IdentifyChoices(experiment=choices))
+    found = identify([recording], [], replace(STATED, experiment=choices))
     assert found.experiment.torques == (0, 1, 2)
     assert any(name.endswith("2") for name in found.base.names)  # what its motor holds
     assert np.all(found.joint_std > 0)
     assert any("is at rest, and its torque is used" in text for text in found.warnings)
 
 
+@alone
 @pytest.mark.parametrize("method", ["ols", "wls"])
 def test_only_the_chosen_torques_count(recorded, three_joint, method):
     """What the others say does not matter, and the values are those of the arm."""
     spoilt = recorded(20.0)
     spoilt.streams[JOINTS_STREAM].channels["current"].values[:, :2] *= 3.0
-    choices = IdentifyChoices(method=method, experiment=ExperimentChoices(torques_of=("j3",)))
+    choices = replace(STATED, method=method, experiment=ExperimentChoices(torques_of=("j3",)), search_delay=True)
     found, clean = identify([spoilt], [], choices), identify([recorded(20.0)], [], choices)
     assert np.array_equal(found.solution.parameters, clean.solution.parameters)
     assert np.array_equal(found.std, clean.std)
@@ -414,6 +433,7 @@ def test_a_held_out_motion_of_a_locked_joint_is_refused(recorded, three_joint):
         identify([recording], [recorded(8.0, 5)], IdentifyChoices())
 
 
+@alone
 def test_energy_methods_take_locked_joints_but_no_choice_of_torques(three_joint):
     motion = random_fourier_motion(build_model(three_joint), 10.0, seed=1)
     motion.sine[0] = motion.cosine[0] = 0.0
@@ -441,6 +461,7 @@ def test_an_arm_that_does_not_move_is_refused(recorded):
         identify([stopped], [], IdentifyChoices(search_delay=False))
 
 
+@alone
 def test_a_given_robot_file_goes_before_the_recordings(recorded, clean, three_joint):
     doubled = parse_robot(three_joint.text.replace("gain: 10,", "gain: 20,"), where="doubled", folder=None)
     found = identify([recorded()], [], IdentifyChoices(), robot_file=doubled)
@@ -461,9 +482,10 @@ def test_a_robot_with_other_joints_is_refused(recorded):
         identify([recorded()], [], IdentifyChoices(), robot_file=load_robot("ur5e"))
 
 
+@alone
 def test_the_last_joint_has_its_acceleration(recorded, three_joint):
     """figaroh lost it: Ia of the last joint then has nothing to be found from."""
-    found = identify([recorded(20.0)], [], IdentifyChoices())
+    found = identify([recorded(20.0)], [], STATED)
     for run in found.runs:
         for segment in run.prepared.segments:
             assert np.all(np.std(segment.acceleration, axis=1) > 0.5)
@@ -474,11 +496,12 @@ def test_the_last_joint_has_its_acceleration(recorded, three_joint):
     assert found.std[place] < 0.03
 
 
+@alone
 def test_filters_follow_the_recordings_rate(noise_free):
     """figaroh's filter was made for 100 Hz and 2 Hz whatever it got."""
     motion = random_fourier_motion(build_model(noise_free), 10.0, seed=1)
     found = [
-        identify([simulate_recording(noise_free, motion, 14.0, 1, rate=rate)], [], IdentifyChoices())
+        identify([simulate_recording(noise_free, motion, 14.0, 1, rate=rate)], [], STATED)
         for rate in (100.0, 200.0, 500.0)
     ]
     assert [run.runs[0].prepared.segments[0].rate for run in found] == [100.0, 200.0, 500.0]
@@ -488,6 +511,7 @@ def test_filters_follow_the_recordings_rate(noise_free):
         assert one.fit.relative_error < 2e-3
 
 
+@alone
 def test_gaps_make_segments_and_do_no_harm(recorded, three_joint):
     whole = recorded(40.0)
     time = whole.streams[JOINTS_STREAM].time
@@ -496,7 +520,7 @@ def test_gaps_make_segments_and_do_no_harm(recorded, three_joint):
         holes[(time > start) & (time < start + 0.7)] = False
     broken = cut(whole, holes)
     # A shorter stretch blurs the motion's band: with cut-offs of their own the two could not be compared.
-    choices = IdentifyChoices(preprocess=PreprocessChoices(position_cutoff=20.0, torque_cutoff=10.0))
+    choices = replace(STATED, preprocess=PreprocessChoices(position_cutoff=20.0, torque_cutoff=10.0))
     found, reference = identify([broken], [], choices), identify([whole], [], choices)
     assert len(found.runs[0].prepared.segments) == 4
     assert len(found.fit_series) == 4
@@ -506,6 +530,7 @@ def test_gaps_make_segments_and_do_no_harm(recorded, three_joint):
     assert np.max(error) < 5.0
 
 
+@alone
 def test_weights_belong_to_identified_joints_not_to_all_of_the_urdf(three_joint):
     """figaroh sized its weights by model.nv: wrong as soon as a joint is locked (a gripper's finger)."""
     urdf = """<robot name="locked"><link name="l0"/><link name="l1"/><link name="l2"/><link name="l3"/>
@@ -531,7 +556,7 @@ truth:
 """
     robot_file = parse_robot(text, where="locked", folder=None, urdf_text=urdf)
     recording = simulate_recording(robot_file, random_fourier_motion(build_model(robot_file), 10.0, 1), 14.0, 1)
-    found = identify([recording], [], IdentifyChoices())
+    found = identify([recording], [], STATED)
     assert found.solution.weights.shape == (2,)
     assert found.solution.weights[1] > 30 * found.solution.weights[0]
     error = np.abs(found.solution.parameters - truth_of(robot_file)) / found.std
@@ -561,7 +586,7 @@ def test_error_bars_cover_the_truth(three_joint):
     for seed in range(10):
         motion = random_fourier_motion(build_model(three_joint), 20.0, seed, candidates=3)
         found = identify(
-            [simulate_recording(three_joint, motion, 22.0, seed, rate=100.0)], [], IdentifyChoices(split=20.0)
+            [simulate_recording(three_joint, motion, 22.0, seed, rate=100.0)], [], replace(STATED, split=20.0)
         )
         error = np.abs(found.solution.parameters - truth)
         corrected.append(error <= 1.96 * found.std)
@@ -571,13 +596,14 @@ def test_error_bars_cover_the_truth(three_joint):
     assert naive < share - 0.1
 
 
+@alone
 def test_recordings_of_different_rates_get_the_same_cut_offs(three_joint):
     model = build_model(three_joint)
     fast, slow = (
         simulate_recording(three_joint, random_fourier_motion(model, 12.0, seed, 3), 12.0, seed, rate=rate)
         for seed, rate in ((1, 500.0), (2, 125.0))
     )
-    found = identify([fast], [slow], IdentifyChoices(search_delay=False))
+    found = identify([fast], [slow], STATED)
     filters = [run.prepared.parallel_filter for run in (*found.runs, *found.validation_runs)]
     cutoffs = {run.prepared.choices.torque_cutoff for run in (*found.runs, *found.validation_runs)}
     assert len(cutoffs) == 1
@@ -590,7 +616,7 @@ def test_friction_that_sticks_at_reversals_is_warned_of(recorded, three_joint):
         return [text for text in found.warnings if "near velocity reversals" in text]
 
     clean = recorded(20.0)
-    assert not warned(identify([clean], [], IdentifyChoices(reversals=0.0)))
+    assert not warned(identify([clean], [], IdentifyChoices(reversals=0.0, search_delay=False)))
     stream = clean.streams[JOINTS_STREAM]
     current = stream.channels["current"]
     speed = np.gradient(stream.channels["position"].values, stream.time, axis=0)
@@ -598,10 +624,10 @@ def test_friction_that_sticks_at_reversals_is_warned_of(recorded, three_joint):
     stuck = current.values - np.where(slow, 0.3 * np.abs(current.values).mean(axis=0) * np.sign(speed), 0.0)
     channels = dict(stream.channels) | {"current": replace(current, values=stuck)}
     sticking = replace(clean, streams={JOINTS_STREAM: replace(stream, channels=channels)})
-    stated = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False)
+    stated = STATED
     (told,) = warned(identify([sticking], [], replace(stated, reversals=0.0)))
     assert "Fs" in told
     assert f"--reversals {STICKING_SHARE:g}" in told
     assert warned(identify([sticking], [], stated))
     assert not warned(identify([sticking], [], replace(stated, reversals=STICKING_SHARE)))
-    assert not warned(identify([sticking], [], IdentifyChoices(model=ModelChoices(friction="viscous"))))
+    assert not warned(identify([sticking], [], replace(STATED, model=ModelChoices(friction="viscous"))))

@@ -16,7 +16,7 @@ from ident.regression.least_squares import ordinary_least_squares, weighted_leas
 from ident.regression.systematic_errors import gain_sensitivity, relative_gain_std
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 DURATION = 12.0
 STATIC = np.array([5.0, 6.0, 1.5])

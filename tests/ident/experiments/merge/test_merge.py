@@ -119,19 +119,20 @@ def test_exact_values_of_combinations_give_the_exact_parameters(seed, first, sec
 
 def test_error_bars_come_from_the_covariances_not_from_the_weights():
     """Wrong weights cost accuracy, not honesty: x = Σ G·θ has the covariance Σ G·C·Gᵀ."""
-    generator = np.random.default_rng(3)
-    true_std = (0.1, 0.7)
-    values = []
-    for _ in range(4000):
+    true_std = np.array([0.1, 0.7])
+
+    def merged(values):
         parts = [
-            Information(
-                np.array([2.0 + std * generator.standard_normal()]), np.eye(1), np.eye(1), np.array([[std**2]]), BLOCKS
-            )
-            for std in true_std
+            Information(np.array([value]), np.eye(1), np.eye(1), np.array([[std**2]]), BLOCKS)
+            for value, std in zip(values, true_std, strict=True)
         ]
-        merged = merge(parts, [0])
-        values.append(merged.solution.parameters[0])
-    assert np.std(values) == pytest.approx(float(np.sqrt(merged.covariance[0, 0])), rel=0.05)
+        return merge(parts, [0])
+
+    shares = np.array([merged(values).solution.parameters[0] for values in np.eye(2)])
+    assert shares.sum() == pytest.approx(1.0)
+    both = merged((2.1, 1.6))
+    assert both.solution.parameters[0] == pytest.approx(shares @ (2.1, 1.6))
+    assert both.covariance[0, 0] == pytest.approx(np.sum((shares * true_std) ** 2), rel=1e-9)
 
 
 def test_estimates_that_belong_together_pass_and_others_do_not(dense_reduction):

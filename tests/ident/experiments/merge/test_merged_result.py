@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,6 +30,8 @@ from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 SECONDS = 40.0
+STATED = ModelChoices(friction="coulomb-viscous")
+"""The terms that the arm has: to look for them takes half of the time."""
 
 
 @pytest.fixture(scope="module")
@@ -50,9 +53,12 @@ def recorded(three_joint, tmp_path_factory):
     return make
 
 
-def result_of(recording, *, locked=(), torques_of=(), robot_file=None, **options):
+def result_of(recording, *, locked=(), torques_of=(), robot_file=None, model=STATED):
     choices = IdentifyChoices(
-        experiment=ExperimentChoices(locked=locked, torques_of=torques_of), search_delay=False, **options
+        experiment=ExperimentChoices(locked=locked, torques_of=torques_of),
+        search_delay=False,
+        presliding=False,
+        model=model,
     )
     return summarise(identify([recording], [], choices, robot_file=robot_file), [recording], [])
 
@@ -237,7 +243,7 @@ def test_models_of_different_arms_are_refused(results, recorded, three_joint):
     with pytest.raises(UsageError, match=r"differ at line \d+: '- \{joint: j1, gain: 10,.*gain: 20") as caught:
         merge_results([("a", results[0]), ("b", other)])
     assert "--robot" in (caught.value.hint or "")
-    other = result_of(recorded(4), model=ModelChoices(offset=False))
+    other = result_of(recorded(4), model=replace(STATED, offset=False))
     with pytest.raises(UsageError, match="different columns: offset"):
         merge_results([("a", results[0]), ("b", other)])
 
