@@ -1,4 +1,4 @@
-"""From motor signals to joint torque: Γ = G_T·V (SR400 §4.3 point 1), τ = K·I (AUBO eq. 2), coupled motors by Rᵀ."""
+"""Joint torque out of motor signals: Γ = G_T·V (SR400 §4.3 point 1), τ = K·I (AUBO eq. 2), coupled motors by Rᵀ."""
 
 from __future__ import annotations
 

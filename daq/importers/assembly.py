@@ -1,4 +1,4 @@
-"""From a table to SI quantities in the robot's joint order."""
+"""Assemble a table's columns into SI quantities in the robot's joint order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From named arrays to a `Table`: columns are gathered by quantity, (N, n) each."""
+"""Collect named arrays into a `Table`: columns are gathered by quantity, (N, n) each."""
 
 from __future__ import annotations
 

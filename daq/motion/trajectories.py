@@ -175,7 +175,7 @@ class SumOfSines:
 
 @dataclass(frozen=True)
 class PointToPoint:
-    """From point to point by fifth-order polynomials, at rest in each (SR400 .4.3).
+    """Moves from point to point by fifth-order polynomials, at rest in each (SR400 .4.3).
 
     Between points a and b, with u = t/T: q = a + (b − a)(10u³ − 15u⁴ + 6u⁵); then it waits for `dwell`.
 
@@ -245,7 +245,7 @@ class SampledMotion:
         )
 
     def pieces(self) -> Pieces:
-        """From knot to knot; there the jerk is constant."""
+        """The pieces between knots, in which the jerk is constant."""
         knots = np.asarray(self._position.x, dtype=np.float64)
         velocity, acceleration = self._velocity(knots), np.abs(self._acceleration(knots))
         jerk = np.abs(np.diff(self._acceleration(knots), axis=1)) / np.diff(knots)

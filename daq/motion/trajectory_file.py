@@ -107,7 +107,7 @@ class FourierTrajectory(_Trajectory):
         return self
 
     def motion(self) -> Motion:
-        """From rest to rest."""
+        """The motion from rest to rest."""
         build = FourierSeries if self.amplitudes == "velocity" else FourierSeries.from_position_amplitudes
         series = build(self.period, np.array(self.offset), np.array(self.sine), np.array(self.cosine))
         return RestToRest(series, self.periods, self.ramp)
@@ -129,7 +129,7 @@ class FourierQuinticTrajectory(_Trajectory):
         return self
 
     def motion(self) -> Motion:
-        """From rest to rest, as every period is."""
+        """The motion from rest to rest, as every period is."""
         coefficients = np.array(self.offset), np.array(self.sine), np.array(self.cosine)
         return FourierQuintic(self.period, *coefficients, self.periods)
 
@@ -152,7 +152,7 @@ class SinesTrajectory(_Trajectory):
         return self
 
     def motion(self) -> Motion:
-        """From rest to rest."""
+        """The motion from rest to rest."""
         sines = SumOfSines(self.duration, np.array(self.offset), np.array(self.amplitude), np.array(self.frequency))
         return RestToRest(sines, 1, self.ramp)
 
@@ -175,7 +175,7 @@ class PointsTrajectory(_Trajectory):
         return self
 
     def motion(self) -> Motion:
-        """From rest to rest, as every move is."""
+        """The motion from rest to rest, as every move is."""
         return PointToPoint(np.array(self.points), np.array(self.durations), self.dwell)
 
 
@@ -201,7 +201,7 @@ class SamplesTrajectory(_Trajectory):
         return self
 
     def motion(self) -> Motion:
-        """From rest to rest: the spline's ends are."""
+        """The motion from rest to rest, since the spline's ends are at rest."""
         return SampledMotion(np.array(self.time) - self.time[0], np.array(self.position).T)
 
 

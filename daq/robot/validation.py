@@ -1,4 +1,4 @@
-"""From the keys of a robot file to a `Robot`, or to the list of everything that is wrong with them."""
+"""Make a `Robot` of a robot file's keys, or list everything that is wrong with them."""
 
 from __future__ import annotations
 

@@ -170,7 +170,7 @@ def permitted_approach(driver: Driver, cycle: Callable[[], None], course: Course
 
 
 def _require_unmoved(course: Course, shown: FloatArray, when: str) -> FloatArray:
-    """Where the arm is, which must be about where it was shown to be.
+    """Read where the arm is, which must be about where it was shown to be.
 
     Raises:
         MotionRefusedError: it is not.

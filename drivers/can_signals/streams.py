@@ -1,4 +1,4 @@
-"""From frames to the streams of a recording: which there are, and the blocks that arrive."""
+"""The streams of a recording out of frames: which there are, and the blocks that arrive."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ def drop_unwritten() -> None:
 
 
 def show_visibly() -> None:
-    """From now on whatever this process prints is visible; what draws on a terminal asks for `styled`.
+    """Make whatever this process prints from now on visible; what draws on a terminal asks for `styled`.
 
     What the encoding of a stream lacks is escaped.
     """

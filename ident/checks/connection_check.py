@@ -227,7 +227,7 @@ def _limit_warnings(supervisor: Supervisor, batches: list[Batch], now: float) ->
 
 
 def _gain_warnings(robot_file: RobotFile, identities: tuple[Mapping[str, Any], ...]) -> list[str]:
-    """Where a drive's rated torque over its rated current is not the robot file's gain."""
+    """Warn where a drive's rated torque over its rated current is not the robot file's gain."""
     warnings = []
     for identity in identities:
         current, torque, joint = (identity.get(key) for key in ("rated_current", "rated_torque", "joint"))

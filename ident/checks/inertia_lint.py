@@ -94,7 +94,7 @@ class Finding:
 
 
 @dataclass(frozen=True, eq=False)
-class LinkBody:
+class LintedBody:
     """A link as its description has it, in its own frame.
 
     Attributes:
@@ -206,7 +206,7 @@ def _arm(robot_file: RobotFile, model: DynamicModel) -> RigidArm:
     return rigid_arm(model, inertial.ravel(), np.zeros(model.dof))
 
 
-def bodies_of_truth(robot_file: RobotFile, model: DynamicModel) -> tuple[LinkBody, ...]:
+def bodies_of_truth(robot_file: RobotFile, model: DynamicModel) -> tuple[LintedBody, ...]:
     """The links of `truth`, in the frames of their joints; those that it does not name have no mass."""
     bodies = []
     for index, joint in enumerate(model.joints):
@@ -218,17 +218,17 @@ def bodies_of_truth(robot_file: RobotFile, model: DynamicModel) -> tuple[LinkBod
             if link is None
             else (link.mass, np.array(link.com), _matrix(link.inertia))
         )
-        bodies.append(LinkBody(joint.name, joint.parent, mass, com, inertia, None, reach))
+        bodies.append(LintedBody(joint.name, joint.parent, mass, com, inertia, None, reach))
     return tuple(bodies)
 
 
-def bodies_of_urdf(robot_file: RobotFile) -> tuple[LinkBody, ...]:
+def bodies_of_urdf(robot_file: RobotFile) -> tuple[LintedBody, ...]:
     """The links of a URDF that a joint moves, each as it stands there, but fixed ones without an inertial."""
     root = ElementTree.fromstring(robot_file.urdf_text or "<robot/>")
     joints = [joint for joint in root.findall("joint") if joint.find("child") is not None]
     by_child = {link_of(joint, "child"): joint for joint in joints}
     folders = mesh_folders(robot_file)
-    bodies: list[LinkBody] = []
+    bodies: list[LintedBody] = []
     places: dict[str, int] = {}
     for link in _from_the_base([link.get("name", "") for link in root.findall("link")], by_child):
         above: str | None = link
@@ -249,7 +249,7 @@ def bodies_of_urdf(robot_file: RobotFile) -> tuple[LinkBody, ...]:
             above = link_of(by_child[above], "parent")
         places[link] = len(bodies)
         reach = max((float(np.linalg.norm(one)) for one in carried), default=0.0)
-        bodies.append(LinkBody(link, places.get(above, -1), mass, com, inertia, _box(element, folders), reach))
+        bodies.append(LintedBody(link, places.get(above, -1), mass, com, inertia, _box(element, folders), reach))
     return tuple(bodies)
 
 
@@ -316,7 +316,7 @@ def _box(link: ElementTree.Element, folders: Sequence[Path]) -> FloatArray | Non
 # --- the checks -------------------------------------------------------------------------------------------------------
 
 
-def link_findings(bodies: Sequence[LinkBody]) -> Iterator[Finding]:
+def link_findings(bodies: Sequence[LintedBody]) -> Iterator[Finding]:
     """What is wrong with each link by itself, then with several beside each other."""
     placeholders = _placeholders(bodies)
     for body in bodies:
@@ -344,7 +344,7 @@ def link_findings(bodies: Sequence[LinkBody]) -> Iterator[Finding]:
                 )  # fmt: skip
 
 
-def _of_one(body: LinkBody) -> Iterator[Finding]:
+def _of_one(body: LintedBody) -> Iterator[Finding]:
     name, mass, inertia = (body.name,), body.mass, body.inertia
     if mass <= 0.0:
         what = "has an inertia but no mass" if np.any(inertia) else "moves and has no mass"
@@ -370,7 +370,7 @@ def _of_one(body: LinkBody) -> Iterator[Finding]:
     yield from _placed(body)
 
 
-def _moved(body: LinkBody) -> FloatArray | None:
+def _moved(body: LintedBody) -> FloatArray | None:
     """Inertia about the centre of mass if the stated one is about the link's origin; None if no body has it then."""
     central = body.inertia - body.mass * (body.com @ body.com * np.eye(3) - np.outer(body.com, body.com))
     moments = np.linalg.eigvalsh(central)
@@ -378,7 +378,7 @@ def _moved(body: LinkBody) -> FloatArray | None:
     return central if possible else None
 
 
-def _spread(body: LinkBody, moments: FloatArray) -> Iterator[Finding]:
+def _spread(body: LintedBody, moments: FloatArray) -> Iterator[Finding]:
     """How far the mass is spread, against the size of the link."""
     size = body.size
     if not size > 0.0:
@@ -414,8 +414,8 @@ def _spread(body: LinkBody, moments: FloatArray) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _placed(body: LinkBody) -> Iterator[Finding]:
-    """Where the centre of mass is, and how heavy the link is for its size."""
+def _placed(body: LintedBody) -> Iterator[Finding]:
+    """Findings on where the centre of mass is, and on how heavy the link is for its size."""
     if body.box is None:
         distance = float(np.linalg.norm(body.com))
         if body.reach > 0.0 and distance > 2.0 * body.reach + 0.1:
@@ -443,7 +443,7 @@ def _placed(body: LinkBody) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def _placeholders(bodies: Sequence[LinkBody]) -> dict[str, None]:
+def _placeholders(bodies: Sequence[LintedBody]) -> dict[str, None]:
     """Links whose three moments are one round number; or whose mass is, as several links' masses are."""
 
     def is_round(value: float) -> bool:
@@ -459,9 +459,9 @@ def _placeholders(bodies: Sequence[LinkBody]) -> dict[str, None]:
     return found
 
 
-def _copies(bodies: Sequence[LinkBody], placeholders: Collection[str]) -> Iterator[Finding]:
+def _copies(bodies: Sequence[LintedBody], placeholders: Collection[str]) -> Iterator[Finding]:
     """Links, one carrying the next, that share mass and moments to the last digit."""
-    groups: dict[tuple[float, ...], list[LinkBody]] = {}
+    groups: dict[tuple[float, ...], list[LintedBody]] = {}
     for body in bodies:
         if body.mass > 0.0 and np.any(body.inertia) and body.name not in placeholders:
             key = (body.mass, *np.sort(np.round(np.linalg.eigvalsh(body.inertia), 12)).tolist())

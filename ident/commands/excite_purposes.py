@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from drivers.core.errors import UsageError
 from drivers.core.options import Options, default_of, flag_of, option, same_named
-from ident.excite.gravity_choices import PoseCount
-from ident.excite.servo_choices import ServoMotionLength
+from ident.excite.purpose_choices import PoseCount, ServoMotionLength
 from ident.tasks.options import ExciteOptions, GravityMotionOptions, ServoMotionOptions
 
 if TYPE_CHECKING:

@@ -23,21 +23,21 @@ def export(*, options: ExportOptions, force: bool = FORCE, as_json: bool = JSON)
     from ident.commands.gravity import export_gravity_command
     from ident.commands.servo import export_servo_command, refuse_servo_formats
     from ident.export.c_code.names import source_paths
-    from ident.result.gravity import is_gravity_file
     from ident.result.load_model import load_model
     from ident.result.model import result_path
-    from ident.servo.result import is_servo_file
+    from ident.result.result_file import GRAVITY, SERVO, kind_of
     from ident.verdict.verdict import judge, together
 
     model, result = options.model, result_path(options.model)
     code = source_paths(options.c) if options.c is not None else ()
     targets = [path for path in options.targets if path != options.c]
     check_outputs([*targets, *code], [result, options.into, *options.replay], overwrite=force)
-    if is_servo_file(result):
+    kind = kind_of(result)
+    if kind == SERVO:
         export_servo_command(options, force=force, as_json=as_json)
         return
     refuse_servo_formats(options)
-    if is_gravity_file(result):
+    if kind == GRAVITY:
         export_gravity_command(options, force=force, as_json=as_json)
         return
     written = []

@@ -36,41 +36,19 @@ def identify_gravity_command(
 
 def print_gravity(found: IdentifiedGravity, folder: Path, *, verbose: bool, as_json: bool) -> None:
     """The verdict and the errors; with `verbose` every parameter; or the JSON object alone."""
-    from daq.output_files import REPORT_FILE, RESULT_FILE
-    from ident.commands.printing.result import print_tables
+    from ident.commands.printing.graded import print_identified
 
-    if as_json:
-        print((folder / RESULT_FILE).read_text(encoding="utf-8"), end="")
-        return
-    print(found.verdict)
-    print()
-    print_tables([found.errors, *([found.parameters] if verbose else [])])
-    print(f"\n{'' if verbose else 'Parameters with intervals: --verbose, or the report. '}{folder / REPORT_FILE}")
-    print(f'next: dynid export {folder} --c arm; in Python dynid.load_model("{folder}").gravity(q)')
+    use = f'dynid export {folder} --c arm; in Python dynid.load_model("{folder}").gravity(q)'
+    print_identified(found, folder, use, verbose=verbose, as_json=as_json)
 
 
 def validate_gravity_command(path: Path, runs: object, *, as_json: bool) -> None:
     """Judge a stored model of gravity on other recordings."""
-    from ident.commands.printing.result import print_tables
+    from ident.commands.printing.graded import print_validated
     from ident.tasks.gravity import load_gravity
 
-    result = load_gravity(path).validate(runs).result  # type: ignore[arg-type]
-    assert result.validation is not None
-    if as_json:
-        from daq.commands.console import print_json
-
-        print_json(
-            {
-                "result": str(path),
-                "joints": result.joints,
-                "validation": result.validation.model_dump(mode="json"),
-                "verdict": result.verdict.model_dump(mode="json"),
-            }
-        )
-        return
-    print("\n".join([result.verdict.headline, *(f"  {check}" for check in result.verdict.checks)]))
-    print()
-    print_tables([result.validation_errors])
+    judged = load_gravity(path).validate(runs)  # type: ignore[arg-type]
+    print_validated(judged, path, judged.result.validation_errors, as_json=as_json)
 
 
 def export_gravity_command(options: ExportOptions, *, force: bool, as_json: bool) -> None:

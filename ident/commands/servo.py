@@ -53,41 +53,25 @@ def identify_servo_command(
 
 def print_servo(model: ServoModel, folder: Path, *, verbose: bool, as_json: bool) -> None:
     """The verdict and the errors; with `verbose` every parameter; or the JSON object alone."""
-    from daq.output_files import REPORT_FILE, RESULT_FILE
+    from ident.commands.printing.graded import print_identified
 
-    if as_json:
-        print((folder / RESULT_FILE).read_text(encoding="utf-8"), end="")
-        return
-    _print(model.verdict, [model.errors, *([model.parameters] if verbose else [])])
-    print(f"\n{'' if verbose else 'Parameters with intervals: --verbose, or the report. '}{folder / REPORT_FILE}")
-    print(f"next: dynid validate {folder} OTHER.h5, dynid export {folder} --mjcf arm.xml")
+    use = f"dynid validate {folder} OTHER.h5, dynid export {folder} --mjcf arm.xml"
+    print_identified(model, folder, use, verbose=verbose, as_json=as_json)
 
 
 def validate_servo_command(path: Path, runs: object, *, as_json: bool) -> None:
     """Judge a stored servo model on other recordings."""
+    from ident.commands.printing.graded import print_validated
     from ident.tasks.servo import load_servo_model
 
     judged = load_servo_model(path).validate(runs)  # type: ignore[arg-type]
-    if as_json:
-        from daq.commands.console import print_json
-
-        result = judged.result
-        assert result.validation is not None
-        print_json(
-            {
-                "result": str(path),
-                "joints": result.joints,
-                "validation": result.validation.model_dump(mode="json"),
-                "verdict": result.verdict.model_dump(mode="json"),
-            }
-        )
-        return
-    _print(judged.verdict, [judged.errors])
+    print_validated(judged, path, judged.errors, as_json=as_json)
 
 
 def predict_servo_command(path: Path, run: Path, out: Path, *, as_json: bool, force: bool) -> None:
     """Write a recording whose positions are rolled out on another's commands."""
     from daq.recording.writer import write_recording
+    from ident.commands.printing.result import print_tables
     from ident.tasks.servo import load_servo_model
 
     model = load_servo_model(path)
@@ -101,7 +85,8 @@ def predict_servo_command(path: Path, run: Path, out: Path, *, as_json: bool, fo
         assert validation is not None
         print_json({"file": str(out), "joints": judged.result.joints, "validation": validation.model_dump(mode="json")})
         return
-    _print(f"Positions rolled out on the commands alone: {out}", [judged.errors])
+    print(f"Positions rolled out on the commands alone: {out}")
+    print_tables([judged.errors])
 
 
 def refuse_servo_formats(options: ExportOptions) -> None:
@@ -176,10 +161,3 @@ def export_servo_command(options: ExportOptions, *, force: bool, as_json: bool) 
             print(f"  {file['text']}")
     if not runs and any(file["left_out"] for file in files):
         print("not rolled out: the recordings of the identification are not where they were; --replay RUN.h5")
-
-
-def _print(verdict: str, tables: list[object]) -> None:
-    from ident.commands.printing.result import print_tables
-
-    print(verdict)
-    print_tables(tables)  # type: ignore[arg-type]

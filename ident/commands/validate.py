@@ -39,23 +39,19 @@ def validate_model(
     from ident.commands.gravity import validate_gravity_command
     from ident.commands.options import limits_option
     from ident.commands.servo import validate_servo_command
-    from ident.result.gravity import is_gravity_file
     from ident.result.model import result_path
-    from ident.servo.result import is_servo_file
+    from ident.result.result_file import GRAVITY, SERVO, kind_of
     from ident.tasks.validation import validate
 
     path = result_path(str(options.identified))
-    if is_servo_file(path):
-        if any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse)):
-            raise UsageError("a servo model has no torque errors to limit", hint="leave --accept and --max-… out")
-        validate_servo_command(path, options.runs, as_json=as_json)
-        return
-    if is_gravity_file(path):
+    kind = kind_of(path)
+    if kind in {SERVO, GRAVITY}:
         if any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse)):
             raise UsageError(
-                "a model of gravity has no torque errors of motions", hint="leave --accept and --max-… out"
+                f"a {kind} model has no torque errors of motions to limit", hint="leave --accept and --max-… out"
             )
-        validate_gravity_command(path, options.runs, as_json=as_json)
+        judge = validate_servo_command if kind == SERVO else validate_gravity_command
+        judge(path, options.runs, as_json=as_json)
         return
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:

@@ -127,6 +127,6 @@ def _unit_columns(gram: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _through_scaling(gradient: FloatArray, scaled: FloatArray, lengths: FloatArray) -> FloatArray:
-    """From the derivative by the scaled matrix to the one by the matrix: A_ij = S_ij l_i l_j, l_i² = A_ii."""
+    """Turn the derivative by the scaled matrix into the one by the matrix: A_ij = S_ij l_i l_j, l_i² = A_ii."""
     by_length = np.sum(gradient * scaled, axis=1) / lengths**2
     return gradient / np.outer(lengths, lengths) - np.diag(by_length)

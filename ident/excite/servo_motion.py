@@ -18,8 +18,8 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import BoolArray, FloatArray
 from drivers.core.errors import MotionRefusedError, UsageError
 from ident.excite.motion_check import ArmMotionCheck
-from ident.excite.servo_choices import ServoMotionChoices
-from ident.excite.servo_segments import KINDS, LADDER, PERIOD, Room, Segment, joined, segment, way
+from ident.excite.purpose_choices import ServoMotionChoices
+from ident.excite.servo_segments import KINDS, LADDER, PERIOD, Room, ServoSegment, joined, segment, way
 from ident.servo.links import ServoLinks, servo_links
 from ident.servo.motion import SETTLING, ServoMotion, lanes_of, motion_load
 from ident.servo.result import ServoResult
@@ -45,7 +45,7 @@ SIGMAS = 1.96
 
 
 @dataclass(frozen=True)
-class ParameterForecast:
+class ServoForecast:
     """What a motion does to a parameter; half-widths of 95 % intervals, of logarithms where it is positive [%].
 
     Attributes:
@@ -77,8 +77,8 @@ class ServoExcitation:
 
     motion: SampledMotion | None
     position: FloatArray
-    segments: tuple[Segment, ...]
-    forecast: tuple[ParameterForecast, ...]
+    segments: tuple[ServoSegment, ...]
+    forecast: tuple[ServoForecast, ...]
     enough: bool
     figures: MotionFigures | None
 
@@ -107,10 +107,10 @@ def servo_excitation(
     pieces = _clear_pieces(check, poses, room, choices.seed)
     if result is None:
         chosen = _ladder(pieces, poses, room, choices.length)
-        forecast: tuple[ParameterForecast, ...] = ()
+        forecast: tuple[ServoForecast, ...] = ()
     else:
-        told = known.told(servo_links(robot_file), pieces)
-        chosen, forecast = _narrowing(known, pieces, told, poses, room, choices.length)
+        shown = known.shown_by(servo_links(robot_file), pieces)
+        chosen, forecast = _narrowing(known, pieces, shown, poses, room, choices.length)
     position = joined(chosen, poses, room)
     time = np.asarray(np.arange(len(position)) * PERIOD, dtype=np.float64)
     motion = SampledMotion(time, position.T)
@@ -160,7 +160,7 @@ def _poses(robot_file: RobotFile, check: ArmMotionCheck, room: Room, seed: int) 
     return np.array(kept)
 
 
-def _clear_pieces(check: ArmMotionCheck, poses: FloatArray, room: Room, seed: int) -> list[Segment]:
+def _clear_pieces(check: ArmMotionCheck, poses: FloatArray, room: Room, seed: int) -> list[ServoSegment]:
     """Pieces of every kind, amplitude and pose in which the arm is clear; kind by kind and amplitude by amplitude.
 
     Raises:
@@ -180,14 +180,14 @@ def _clear_pieces(check: ArmMotionCheck, poses: FloatArray, room: Room, seed: in
     return pieces
 
 
-def _seconds(pieces: Sequence[Segment], poses: FloatArray, room: Room) -> float:
+def _seconds(pieces: Sequence[ServoSegment], poses: FloatArray, room: Room) -> float:
     return len(joined(pieces, poses, room)) * PERIOD
 
 
-def _ladder(pieces: list[Segment], poses: FloatArray, room: Room, length: float) -> list[Segment]:
+def _ladder(pieces: list[ServoSegment], poses: FloatArray, room: Room, length: float) -> list[ServoSegment]:
     """Pieces of all kinds in turn, pose after pose and amplitude after amplitude, as long as there is time."""
     turns = [[one for one in pieces if one.kind == kind] for kind in KINDS]
-    chosen: list[Segment] = []
+    chosen: list[ServoSegment] = []
     for turn in range(round(length)):
         for own in turns:
             if not own:
@@ -233,14 +233,14 @@ class _Known:
         ]
 
     def wide(self, information: Sequence[FloatArray]) -> BoolArray:
-        """Of all parameters one after the other, whether they are wider than wanted."""
+        """Whether each parameter's interval is wider than wanted, all joints one after the other."""
         return np.concatenate(self.half_widths(information)) > 1.0
 
     def cost(self, information: Sequence[FloatArray]) -> float:
         """Sum over the parameters of the logarithm by which they are too wide."""
         return float(np.sum(np.log(np.maximum(np.concatenate(self.half_widths(information)), 1.0))))
 
-    def told(self, links: ServoLinks, pieces: Sequence[Segment]) -> list[list[FloatArray]]:
+    def shown_by(self, links: ServoLinks, pieces: Sequence[ServoSegment]) -> list[list[FloatArray]]:
         """Information (f, f) of each piece about each joint."""
         values, joints = self.result.values, len(self.result.joints)
         motions = [_held_before(one.position) for one in pieces]
@@ -282,19 +282,19 @@ _STEP = 0.01
 
 def _narrowing(
     known: _Known,
-    pieces: list[Segment],
-    told: list[list[FloatArray]],
+    pieces: list[ServoSegment],
+    shown: list[list[FloatArray]],
     poses: FloatArray,
     room: Room,
     length: float,
-) -> tuple[list[Segment], tuple[ParameterForecast, ...]]:
+) -> tuple[list[ServoSegment], tuple[ServoForecast, ...]]:
     """Pieces that narrow wide parameters most per second, and what is to be expected of them.
 
     Raises:
         MotionRefusedError: no piece tells anything of what is still wide.
     """
     information = [matrix.copy() for matrix in known.information]
-    chosen: list[Segment] = []
+    chosen: list[ServoSegment] = []
     while known.wide(information).any():
         before = known.cost(information)
         best: tuple[float, int] | None = None
@@ -303,14 +303,14 @@ def _narrowing(
             longer = _seconds([*chosen, one], poses, room)
             if longer > length:
                 continue
-            after = known.cost([old + new for old, new in zip(information, told[number], strict=True)])
+            after = known.cost([old + new for old, new in zip(information, shown[number], strict=True)])
             rate = (before - after) / max(longer - used, PERIOD)
             if best is None or rate > best[0]:
                 best = rate, number
         if best is None or best[0] < LEAST_GAIN:
             break
         chosen.append(pieces[best[1]])
-        information = [old + new for old, new in zip(information, told[best[1]], strict=True)]
+        information = [old + new for old, new in zip(information, shown[best[1]], strict=True)]
     if not chosen:
         raise MotionRefusedError(
             "no piece of motion within the limits narrows what is still wide",
@@ -320,7 +320,7 @@ def _narrowing(
     return chosen, _forecast(known, information)
 
 
-def _forecast(known: _Known, information: Sequence[FloatArray]) -> tuple[ParameterForecast, ...]:
+def _forecast(known: _Known, information: Sequence[FloatArray]) -> tuple[ServoForecast, ...]:
     now, then = known.half_widths(known.information), known.half_widths(information)
     rows = []
     for row, (joint, order) in enumerate(zip(known.result.joints, known.result.searched, strict=True)):
@@ -330,7 +330,7 @@ def _forecast(known: _Known, information: Sequence[FloatArray]) -> tuple[Paramet
                 unit = 1.0 if TERMS[INDEX[name]].positive else TERMS[INDEX[name]].spread
                 scale = 100.0 * limit / unit
                 rows.append(
-                    ParameterForecast(
+                    ServoForecast(
                         joint,
                         name,
                         float(scale * now[row][place]),

@@ -56,7 +56,7 @@ class Room:
 
 
 @dataclass(frozen=True, eq=False)
-class Segment:
+class ServoSegment:
     """A piece of motion.
 
     Attributes:
@@ -72,7 +72,7 @@ class Segment:
     position: FloatArray
 
 
-def segment(kind: str, share: float, pose: int, centre: FloatArray, room: Room, seed: int) -> Segment:
+def segment(kind: str, share: float, pose: int, centre: FloatArray, room: Room, seed: int) -> ServoSegment:
     """A piece about a pose; a joint that exceeds a limit moves less far."""
     generator = np.random.default_rng([seed, pose, KINDS.index(kind), round(100 * share)])
     reach = share * np.minimum(LARGEST, np.minimum(room.high - centre, centre - room.low))
@@ -82,7 +82,7 @@ def segment(kind: str, share: float, pose: int, centre: FloatArray, room: Room, 
         for joint in range(len(centre))
     ]
     moved = np.stack(columns, axis=1)
-    return Segment(kind, share, pose, centre + moved * _fitting(moved, room))
+    return ServoSegment(kind, share, pose, centre + moved * _fitting(moved, room))
 
 
 def way(start: FloatArray, end: FloatArray, room: Room) -> FloatArray:
@@ -154,7 +154,7 @@ def _fitting(moved: FloatArray, room: Room) -> FloatArray:
     return factors
 
 
-def joined(segments: Sequence[Segment], poses: FloatArray, room: Room) -> FloatArray:
+def joined(segments: Sequence[ServoSegment], poses: FloatArray, room: Room) -> FloatArray:
     """Positions (K, n) of pieces one after the other, from the first pose and back to it, with rests at both ends."""
     rest = round(0.5 / PERIOD)
     parts = [np.repeat(poses[:1], rest, axis=0)]

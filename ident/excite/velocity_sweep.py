@@ -20,7 +20,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import MotionRefusedError, UsageError
 from drivers.core.text import did_you_mean
 from ident.excite.families.moving_joints import middle_of_range
-from ident.excite.sweep_choices import SMALLEST_STROKE, SweepChoices
+from ident.excite.purpose_choices import SMALLEST_STROKE, SweepChoices
 
 LIMIT_SHARE = 0.9
 """Share of position range, velocity and acceleration limits that is used."""
@@ -143,7 +143,7 @@ def _peaks(limits: JointLimits, stroke: float, choices: SweepChoices) -> tuple[f
 def _strokes(
     limits: JointLimits, index: int, pose: FloatArray, low: float, high: float, peaks: Sequence[float]
 ) -> PointToPoint:
-    """From the pose to the lower end, forth and back at rising and falling speeds, back to the pose."""
+    """Moves from the pose to the lower end, forth and back at rising and falling speeds, back to the pose."""
     ends = [float(pose[index]), low]
     speeds = [min(peaks[-1], 2.0 * peaks[0])]
     for peak in (*peaks, *reversed(peaks)):

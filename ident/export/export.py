@@ -41,7 +41,7 @@ class Export:
 
     @property
     def lines(self) -> list[str]:
-        """For the terminal."""
+        """Lines for the terminal."""
         return [
             f"{self.path}: {self.format}",
             *(f"  {line}" for reading in self.readings for line in reading.lines),

@@ -91,7 +91,7 @@ class ReadBack:
 
     @property
     def lines(self) -> list[str]:
-        """For the terminal."""
+        """Lines for the terminal."""
         remark = f" ({self.remark})" if self.remark else ""
         first = f"{self.reader}{remark}: torques within {self.torque_error:.1e} of the model's at {self.states} states"
         return [first, *(f"{DURATION:g} s {simulation.text}" for simulation in self.simulations)]

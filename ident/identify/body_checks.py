@@ -208,7 +208,7 @@ def _centre_checks(model: DynamicModel, masses: FloatArray, centres: FloatArray)
 
 
 def _distance(point: FloatArray, end: FloatArray) -> float:
-    """From a point (3,) to the line from the origin to `end` (3,) [m]."""
+    """Distance of a point (3,) from the line between the origin and `end` (3,) [m]."""
     square = float(end @ end)
     share = float(np.clip(point @ end / square, 0.0, 1.0)) if square > 0 else 0.0
     return float(np.linalg.norm(point - share * end))

@@ -131,7 +131,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
 def consistency_checks(
     link_names: Sequence[str], consistent: ConsistentParameters | None, errors: tuple[float, float] | None = None
 ) -> list[Check]:
-    """Where physical consistency decides.
+    """Checks of physical consistency.
 
     Args:
         link_names: of the arm.

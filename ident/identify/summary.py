@@ -1,4 +1,4 @@
-"""From an identification to the Result that is written to disk."""
+"""Summarise an identification as the Result that is written to disk."""
 
 from __future__ import annotations
 
@@ -182,7 +182,7 @@ def model_options(model: DynamicModel) -> ModelOptions:
 
 
 def _torque_step(identification: Identification) -> Step:
-    """Where the joint torques come from, among the steps."""
+    """The step that says where the joint torques come from."""
     origin = identification.runs[0].signals.torque_origin
     return Step("joint torque", {"origin": origin}, origin)
 
@@ -333,8 +333,10 @@ def _plain(values: object) -> dict[str, Any]:
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(values).items()}
 
 
-def values_sha256(recording: Recording) -> str:
-    """SHA-256 of the values of a recording that has no file, as hexadecimal digits."""
+def recording_sha256(recording: Recording) -> str:
+    """SHA-256 of a recording's file, or of its values where it has none, as hexadecimal digits."""
+    if recording.path is not None:
+        return file_sha256(recording.path)
     digest = sha256()
     for stream in recording.streams.values():
         for name, values in (("time", stream.time), *((name, c.values) for name, c in stream.channels.items())):
@@ -350,7 +352,7 @@ def _use(
     path = recording.path
     return RecordingUse(
         file=str(Path(run.signals.label).name) if path is not None else run.signals.label,
-        sha256=file_sha256(path) if path is not None else values_sha256(recording),
+        sha256=recording_sha256(recording),
         role=role,
         window=(
             run.choices.start or 0.0,

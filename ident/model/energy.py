@@ -67,7 +67,7 @@ class EnergyKernel:
     """
 
     def __init__(self, model: DynamicModel, columns: Sequence[int] | None = None) -> None:
-        """For an arm and some standard columns; all of them where None."""
+        """Prepare an arm and some standard columns; all of them where None."""
         self.model = model
         parameters = model.parameters
         self.columns = tuple(range(len(parameters))) if columns is None else tuple(columns)

@@ -24,7 +24,7 @@ from ident.friction.terms import FrictionConditions
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
-from ident.model.parameters import INERTIAL
+from ident.model.parameters import INERTIAL, LINK_SIZE
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import LoadTorqueKernel, model_torque
 
@@ -238,7 +238,7 @@ def _load_arms(model: DynamicModel) -> list[_Arm]:
     load = model.terms.load_torque
     if load is None:
         return []
-    standard = np.zeros(10 * len(model.joints))
+    standard = np.zeros(LINK_SIZE * len(model.joints))
     standard[list(load.columns)] = load.values
     return _arms(model, standard, _lift_masses(model, standard))
 
@@ -265,7 +265,7 @@ def with_masses(
     apart = [mass for mass in masses if mass not in base.columns and not np.any(base.projection[of_joints, mass])]
     standard[apart] = PLACEHOLDER_MASS
     standard[list(base.columns)] = parameters - base.projection @ standard
-    return standard[: 10 * len(model.joints)], _lift_masses(model, standard)
+    return standard[: LINK_SIZE * len(model.joints)], _lift_masses(model, standard)
 
 
 def _point_masses(model: DynamicModel, masses: dict[int, float]) -> Any:

@@ -122,7 +122,7 @@ class JointParameterRow:
 def _motor_axes(
     constant: list[list[float]], varies: list[list[bool]], chain: Sequence[int]
 ) -> list[tuple[tuple[int, Share], ...]]:
-    """For each motor, (index in the chain, factor) of the axes that make up its own; empty where it moves none."""
+    """The axes that make up each motor's own, (index in the chain, factor); empty where it moves none."""
     return [
         tuple(
             (index, (motor, joint) if varying[joint] else shares[joint])
@@ -345,7 +345,7 @@ class LoadTorqueKernel:
     """Gravity torque of a model's `terms.load_torque` at the motors (AUBO eq. 18)."""
 
     def __init__(self, model: DynamicModel, chunk: int = SAMPLES_AT_ONCE) -> None:
-        """For a model with load-dependent friction, evaluated `chunk` samples at once."""
+        """Prepare a model with load-dependent friction, evaluated `chunk` samples at once."""
         load = model.terms.load_torque
         if load is None:
             raise ValueError("the model has no load torque")

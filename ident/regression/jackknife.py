@@ -148,7 +148,7 @@ class MotionBlocks:
 
     @property
     def of_segments(self) -> tuple[npt.NDArray[np.int64], ...]:
-        """For each series, the block (M,) of each filtered sample."""
+        """The block (M,) of each filtered sample, of each series."""
         return tuple(indices // self.length for indices in self.samples.indices)
 
     def sums(self, parameters: int) -> BlockSums:

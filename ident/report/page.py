@@ -24,7 +24,7 @@ from ident.report.sections import (
     torques,
     truth,
 )
-from ident.result.result_file import result_file_text
+from ident.result.result_file import result_json
 
 SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     summary.section,
@@ -54,7 +54,7 @@ def write_result_folder(folder: Path, data: ReportData, *, overwrite: bool = Fal
         UsageError: they exist already and may not be overwritten, it is a file, or cannot be written.
         DiskError: the disk is full or fails.
     """
-    texts = {RESULT_FILE: result_file_text(data.result), REPORT_FILE: render_report(data)}
+    texts = {RESULT_FILE: result_json(data.result) + "\n", REPORT_FILE: render_report(data)}
     save_folder(folder, texts, overwrite=overwrite)
 
 

@@ -23,7 +23,7 @@ TemperatureTerm = Literal["none", "linear", "full"]
 
 
 class ValueRange(BaseModel):
-    """From the least to the greatest value of what the recordings cover."""
+    """Least and greatest value of what the recordings cover."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

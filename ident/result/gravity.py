@@ -7,14 +7,12 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from daq.output_files import warn_of_strange_files
-from drivers.core.errors import ResultFileError
-from ident.result.result_file import check_kind, check_schema, read_content, stored
+from ident.result.graded import Grade, UsedRecording
+from ident.result.result_file import GRAVITY, checked, read_content
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.stored import Number, Stored, Value
 
 GRAVITY_SCHEMA = 1
-KIND = "gravity"
 
 
 class GravityParameter(Stored):
@@ -68,21 +66,10 @@ class GravityValidation(Stored):
     held_out: bool
 
 
-class GravityRecording(Stored):
-    """A recording that was used."""
+class GravityRecording(UsedRecording):
+    """A recording of poses."""
 
-    file: str
-    sha256: str
-    role: Literal["identification", "validation"]
     poses: int
-
-
-class GravityVerdict(Stored):
-    """How far the model can be trusted for gravity compensation."""
-
-    grade: Literal["good", "usable", "poor"]
-    headline: str
-    checks: list[str] = Field(default=[])
 
 
 class GravityResult(Stored):
@@ -106,7 +93,7 @@ class GravityResult(Stored):
     validation: GravityValidation | None = None
     recordings: list[GravityRecording]
     versions: dict[str, str]
-    verdict: GravityVerdict
+    verdict: Grade = Field(description="for gravity compensation")
 
     @model_validator(mode="after")
     def _sizes(self) -> Self:
@@ -162,22 +149,10 @@ class GravityResult(Stored):
         return table_of_rows(f"Torques of {self.robot} on other recordings (root mean square)", headings, rows)
 
 
-def is_gravity_file(path: Path) -> bool:
-    """Whether a result.json is one of gravity; False where it cannot be read."""
-    try:
-        return read_content(path).get("kind") == KIND
-    except ResultFileError:
-        return False
-
-
 def read_gravity_result(path: Path) -> GravityResult:
     """Read the result.json of a gravity identification.
 
     Raises:
         ResultFileError: no such file, another kind of file, a newer schema, a missing key.
     """
-    content = read_content(path)
-    check_kind(content, path, KIND, "dynid identify --gravity")
-    check_schema(content, path, GRAVITY_SCHEMA)
-    warn_of_strange_files(path, content)
-    return stored(GravityResult, content, path, "identify again")
+    return checked(GravityResult, read_content(path), path, GRAVITY, "dynid identify --gravity", GRAVITY_SCHEMA)

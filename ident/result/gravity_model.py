@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
 from os import PathLike
-from typing import Any, Literal, NoReturn
+from typing import Any, Literal, NoReturn, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +19,49 @@ from ident.model.inverse_dynamics import InverseDynamics
 from ident.result.arrays import outward, samples
 from ident.result.estimate import AGAIN
 from ident.result.gravity import GravityResult
-from ident.result.model import Model, TorquePart
+from ident.result.model import Model
 from ident.result.stored_model import StoredModel
 from ident.result.tables import Table
+
+Method = TypeVar("Method", bound=Callable[..., Any])
+
+
+def _at_rest(method: Method, meaning: str) -> Method:
+    """A method of `Model` as one of an arm at rest, which refuses motion."""
+
+    @wraps(method)
+    def of_rest(
+        self: GravityModel,
+        q: npt.ArrayLike,
+        dq: npt.ArrayLike | None = None,
+        ddq: npt.ArrayLike | None = None,
+        temperature: npt.ArrayLike | None = None,
+    ) -> Any:
+        self._refuse_motion(q, dq, ddq)
+        return method(self, q)
+
+    of_rest.__doc__ = f"""{meaning}
+
+        Raises:
+            DataError: a wrong shape, or a value is not finite.
+            ModelError: the arm moves, or a parameter that was not determined acts.
+        """
+    return cast(Method, of_rest)
+
+
+def _refused(method: Method, what: str) -> Method:
+    """A method of `Model` that gravity alone does not allow."""
+
+    @wraps(method)
+    def refuse(self: GravityModel, *_: Any, **__: Any) -> NoReturn:
+        self._refuse(what)
+
+    refuse.__doc__ = f"""Not possible: a model of gravity does not know {what}.
+
+        Raises:
+            ModelError: always.
+        """
+    return cast(Method, refuse)
 
 
 class GravityModel(Model):
@@ -87,37 +129,22 @@ class GravityModel(Model):
         """Gravity parameters and offsets with their 95 % intervals."""
         return self.result.parameters
 
-    def torque(
-        self,
-        q: npt.ArrayLike,
-        dq: npt.ArrayLike | None = None,
-        ddq: npt.ArrayLike | None = None,
-        temperature: npt.ArrayLike | None = None,
-    ) -> FloatArray:
-        """Torque [N·m] that holds the arm still, motors' offsets included, friction not; shape of `q`.
-
-        Raises:
-            DataError: a wrong shape, or a value is not finite.
-            ModelError: the arm moves, or a parameter that was not determined acts.
-        """
-        self._refuse_motion(q, dq, ddq)
-        return super().torque(q)
-
-    def torque_parts(
-        self,
-        q: npt.ArrayLike,
-        dq: npt.ArrayLike | None = None,
-        ddq: npt.ArrayLike | None = None,
-        temperature: npt.ArrayLike | None = None,
-    ) -> dict[TorquePart, FloatArray]:
-        """The parts of `torque` [N·m]: gravity, and the offsets as friction; shape of `q` each.
-
-        Raises:
-            DataError: a wrong shape, or a value is not finite.
-            ModelError: the arm moves, or a parameter that was not determined acts.
-        """
-        self._refuse_motion(q, dq, ddq)
-        return super().torque_parts(q)
+    torque = _at_rest(
+        Model.torque, "Torque [N·m] that holds the arm still, motors' offsets included, friction not; shape of `q`."
+    )
+    torque_parts = _at_rest(
+        Model.torque_parts, "The parts of `torque` [N·m]: gravity, and the offsets as friction; shape of `q` each."
+    )
+    regressor = _at_rest(Model.regressor, 'Regressor at rest, (N, n, b) or (n, b): torque = Y @ parameters["value"].')
+    to_pinocchio = _refused(Model.to_pinocchio, "the bodies that Pinocchio needs")
+    export_urdf = _refused(Model.export_urdf, "the inertias that a URDF needs")
+    export_mjcf = _refused(Model.export_mjcf, "the inertias that an MJCF needs")
+    export_ros2_inertial = _refused(Model.export_ros2_inertial, "the inertias of links")
+    friction = _refused(Model.friction, "friction at other speeds than that of the passes (`result.of_joints`)")
+    coriolis = _refused(Model.coriolis, "Coriolis torques")
+    mass_matrix = _refused(Model.mass_matrix, "the inertia matrix")
+    forward_dynamics = _refused(Model.forward_dynamics, "the inertia matrix")
+    simulate = _refused(Model.simulate, "the inertia matrix")
 
     def torque_std(
         self,
@@ -140,22 +167,6 @@ class GravityModel(Model):
         covariance = np.array(self.result.covariance)
         variance = np.einsum("nbk,bc,nck->nk", columns, covariance, columns)
         return outward(np.sqrt(np.maximum(variance, 0.0)), single=single)
-
-    def regressor(
-        self,
-        q: npt.ArrayLike,
-        dq: npt.ArrayLike | None = None,
-        ddq: npt.ArrayLike | None = None,
-        temperature: npt.ArrayLike | None = None,
-    ) -> FloatArray:
-        """Regressor at rest, (N, n, b) or (n, b): torque = Y @ parameters["value"].
-
-        Raises:
-            DataError: a wrong shape, or a value is not finite.
-            ModelError: the arm moves.
-        """
-        self._refuse_motion(q, dq, ddq)
-        return super().regressor(q)
 
     def export_c(
         self, path: str | PathLike[str], *, real: Literal["double", "float"] = "double", overwrite: bool = False
@@ -200,84 +211,6 @@ class GravityModel(Model):
             names=("gravity",),
             overwrite=overwrite,
         )
-
-    def to_pinocchio(self) -> Any:
-        """Not possible.
-
-        Raises:
-            ModelError: always.
-        """
-        self._refuse("the bodies that Pinocchio needs")
-
-    def export_urdf(
-        self, path: str | PathLike[str], *, into: str | PathLike[str] | None = None, overwrite: bool = False
-    ) -> Export:
-        """Not possible.
-
-        Raises:
-            ModelError: always.
-        """
-        self._refuse("the inertias that a URDF needs")
-
-    def export_mjcf(self, path: str | PathLike[str], *, overwrite: bool = False) -> Export:
-        """Not possible.
-
-        Raises:
-            ModelError: always.
-        """
-        self._refuse("the inertias that an MJCF needs")
-
-    def export_ros2_inertial(self, path: str | PathLike[str], *, overwrite: bool = False) -> Export:
-        """Not possible.
-
-        Raises:
-            ModelError: always.
-        """
-        self._refuse("the inertias of links")
-
-    def friction(
-        self, dq: npt.ArrayLike, q: npt.ArrayLike | None = None, temperature: npt.ArrayLike | None = None
-    ) -> FloatArray:
-        """Not possible: friction is known at the speed of the passes alone (`result.of_joints`).
-
-        Raises:
-            ModelError: always.
-        """
-        self._refuse("friction at other speeds than that of the passes")
-
-    def coriolis(self, q: npt.ArrayLike, dq: npt.ArrayLike) -> FloatArray:
-        """Not possible.
-
-        Raises:
-            ModelError: always.
-        """
-        self._refuse("Coriolis torques")
-
-    def mass_matrix(self, q: npt.ArrayLike) -> FloatArray:
-        """Not possible.
-
-        Raises:
-            ModelError: always.
-        """
-        self._refuse("the inertia matrix")
-
-    def forward_dynamics(
-        self, q: npt.ArrayLike, dq: npt.ArrayLike, tau: npt.ArrayLike, temperature: npt.ArrayLike | None = None
-    ) -> FloatArray:
-        """Not possible.
-
-        Raises:
-            ModelError: always.
-        """
-        self._refuse("the inertia matrix")
-
-    def simulate(self, *args: Any, **keywords: Any) -> NoReturn:
-        """Not possible.
-
-        Raises:
-            ModelError: always.
-        """
-        self._refuse("the inertia matrix")
 
     def _refuse_motion(self, q: npt.ArrayLike, dq: npt.ArrayLike | None, ddq: npt.ArrayLike | None) -> None:
         signals, _ = samples(self.joint_names, q=q, dq=dq, ddq=ddq)

@@ -7,10 +7,10 @@ from typing import get_args
 
 from drivers.core.errors import UsageError
 from ident.result.delivered import Parameters
-from ident.result.gravity import is_gravity_file, read_gravity_result
+from ident.result.gravity import read_gravity_result
 from ident.result.gravity_model import GravityModel
 from ident.result.model import Model, result_path
-from ident.result.result_file import read_result
+from ident.result.result_file import GRAVITY, kind_of, read_result
 
 
 def load_model(path: str | PathLike[str], parameters: Parameters | None = None) -> Model:
@@ -42,7 +42,7 @@ def load_model(path: str | PathLike[str], parameters: Parameters | None = None) 
     if parameters is not None and parameters not in get_args(Parameters):
         raise UsageError(f"there are no '{parameters}' parameters", hint="consistent, full or essential")
     file = result_path(path)
-    if is_gravity_file(file):
+    if kind_of(file) == GRAVITY:
         if parameters is not None:
             raise UsageError("a model of gravity has one set of parameters", where=str(path), hint="leave it out")
         return GravityModel(read_gravity_result(file))

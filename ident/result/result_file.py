@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from daq.output_files import replace_files, warn_of_strange_files
+from daq.output_files import warn_of_strange_files
 from drivers.core.errors import ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
 from ident.result.schema import RESULT_SCHEMA, Result
@@ -19,30 +19,14 @@ from ident.stored import Stored
 
 Kind = TypeVar("Kind", bound=BaseModel)
 
+SERVO, GRAVITY = "servo", "gravity"
+"""Kinds of results beside that of a whole model, in which the key says "result"."""
+
 _NUMBERS = re.compile(r"\[\n[-+.0-9eEnul,\s]+\]")
 """A list of nothing but numbers, which stands in one line."""
 
 
-def write_result(path: Path, result: Result) -> None:
-    """Write result.json.
-
-    Raises:
-        UsageError, DiskError: it cannot be written.
-    """
-    replace_files({path: result_file_text(result)})
-
-
-def result_file_text(result: Result) -> str:
-    """The text of result.json."""
-    return result_json(result) + "\n"
-
-
-def result_json(result: Result) -> str:
-    """The JSON text of a result."""
-    return model_json(result)
-
-
-def model_json(result: Stored) -> str:
+def result_json(result: Stored) -> str:
     """The JSON text of any kind of result, strict: null stands for what is not a number."""
     text = json.dumps(json.loads(result.model_dump_json()), ensure_ascii=False, indent=1, allow_nan=False)
     return _NUMBERS.sub(lambda match: re.sub(r"\s+", " ", match[0]), text)
@@ -55,22 +39,51 @@ def read_result(path: Path) -> Result:
         ResultFileError: no such file, no JSON, another kind of file, a newer schema, a missing key.
     """
     content = read_content(path)
-    if content.get("kind") == "servo":
+    if content.get("kind") == SERVO:
         raise ResultFileError(
             "is a servo model, which has no torques",
             where=str(path),
             hint="dynid validate and dynid export --mjcf take it, and in Python dynid.load_servo_model",
         )
-    if content.get("kind") == "gravity":
+    if content.get("kind") == GRAVITY:
         raise ResultFileError(
             "is a model of gravity, which knows no torque of a motion",
             where=str(path),
             hint="dynid validate and dynid export --c take it, and in Python dynid.load_model(…).gravity(q)",
         )
-    check_kind(content, path, "result", "dynid identify")
-    check_schema(content, path, RESULT_SCHEMA)
+    return checked(Result, content, path, "result", "dynid identify", RESULT_SCHEMA)
+
+
+def checked(form: type[Kind], content: Mapping[str, Any], path: Path, kind: str, command: str, newest: int) -> Kind:
+    """A result of a file's object.
+
+    Args:
+        form: of the object.
+        content: the object, by `read_content`.
+        path: of the file.
+        kind: what its key `kind` must say.
+        command: that writes such files.
+        newest: schema that this dynid reads.
+
+    Raises:
+        ResultFileError: another kind of file, a newer schema, a missing key.
+    """
+    check_kind(content, path, kind, command)
+    schema = content.get("dynid_schema")
+    if not isinstance(schema, int) or schema > newest:
+        raise ResultFileError(
+            f"has schema version {schema}, this dynid reads up to {newest}", where=str(path), hint="update dynid"
+        )
     warn_of_strange_files(path, content)
-    return stored(Result, content, path, "identify again")
+    return stored(form, content, path, "identify again")
+
+
+def kind_of(path: Path) -> str:
+    """What kind of result a result.json says that it is; empty where it cannot be read."""
+    try:
+        return str(read_content(path).get("kind", ""))
+    except ResultFileError:
+        return ""
 
 
 def read_content(path: Path) -> dict[str, Any]:
@@ -94,19 +107,6 @@ def check_kind(content: Mapping[str, Any], path: Path, kind: str, command: str) 
     """
     if content.get("kind") != kind:
         raise ResultFileError(f"is not a result of {command} (no key 'kind': '{kind}')", where=str(path))
-
-
-def check_schema(content: Mapping[str, Any], path: Path, newest: int) -> None:
-    """Refuse a file of a later dynid.
-
-    Raises:
-        ResultFileError: it is one, or does not say.
-    """
-    schema = content.get("dynid_schema")
-    if not isinstance(schema, int) or schema > newest:
-        raise ResultFileError(
-            f"has schema version {schema}, this dynid reads up to {newest}", where=str(path), hint="update dynid"
-        )
 
 
 def stored(kind: type[Kind], content: Mapping[str, Any], path: Path, hint: str) -> Kind:

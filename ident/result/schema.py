@@ -20,6 +20,7 @@ from ident.result.consistent_model import ConsistentModel, LinkResult
 from ident.result.delivered import Delivered
 from ident.result.estimate import EstimateResult, ExperimentResult, Merge
 from ident.result.friction import FrictionStep, JointFrictionResult, ParameterKind
+from ident.result.graded import UsedRecording
 from ident.signals.prepared import Step
 from ident.stored import Number, Real, Stored
 from ident.verdict.acceptance import Acceptance
@@ -105,12 +106,9 @@ class Excitation(Stored):
     unexcited: list[str] = Field(description="base parameters that the recording does not excite")
 
 
-class RecordingUse(Stored):
-    """A recording used in the identification or the validation."""
+class RecordingUse(UsedRecording):
+    """A recording used in the identification or the validation, and which part of it."""
 
-    file: str
-    sha256: str
-    role: Literal["identification", "validation"]
     window: tuple[float, float] = Field(description="[s], from the recording's first stamp")
     samples: int
     rate_hz: float

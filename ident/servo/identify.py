@@ -17,8 +17,8 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.reading_process import Progress
 from ident.assessment.command_checks import refuse_unusable_commands
-from ident.identify.summary import values_sha256
-from ident.result.result_file import file_sha256
+from ident.identify.summary import recording_sha256
+from ident.result.graded import Grade
 from ident.servo.arm_rollout import rollout_errors, touched_paths
 from ident.servo.contact import PRESSING, Contact, tool_point
 from ident.servo.fit import ServoFit, fit_servo
@@ -27,15 +27,14 @@ from ident.servo.motion import ServoMotion, servo_motions
 from ident.servo.references import command_paths, delay_and_lag, delayed_paths
 from ident.servo.result import (
     ContactStretch,
-    MotionError,
     References,
+    RolloutError,
     RolloutFit,
     ServoContact,
     ServoJoint,
     ServoParameter,
     ServoRecording,
     ServoResult,
-    ServoVerdict,
 )
 from ident.servo.terms import TERMS
 
@@ -158,7 +157,7 @@ def revalidate_servo(
     links = servo_links(robot_file)
     motions = [motion for recording in recordings for motion in read_motions(recording, robot_file)]
     used = {use.sha256 for use in result.recordings if use.role == "identification"}
-    held_out = not any(_hash(recording) in used for recording in recordings)
+    held_out = not any(recording_sha256(recording) in used for recording in recordings)
     lag = delay_and_lag(motions)
     contact = contact_of(result, links)
     fit, paths = judge(motions, links, result.values, lag, contact, held_out=held_out)
@@ -220,7 +219,7 @@ def judge(
             rollout_mean=float(np.mean(mean(errors))),
             references=References(command=mean(command), delay_and_lag=mean(lagged)),
             recordings=[
-                MotionError(
+                RolloutError(
                     recording=label, rollout_error=np.average(errors[rows], axis=0, weights=seconds[rows]).tolist()
                 )
                 for label, rows in own.items()
@@ -261,7 +260,7 @@ def verdict(
     judged: RolloutFit,
     steps: FloatArray,
     contact: Contact | None = None,
-) -> ServoVerdict:
+) -> Grade:
     """A grade for rolling out motions, by held-out errors against encoder steps and references."""
     error, lagged = np.array(judged.rollout_error), np.array(judged.references.delay_and_lag)
     worse = [name for name, own, other in zip(names, error, lagged, strict=True) if own > other + 0.5 * steps.mean()]
@@ -298,7 +297,7 @@ def verdict(
         f"roll-out error {1e3 * mean:.2g} mrad ({mean / step:.2g} encoder steps), {gain:.2g} times less than with one "
         "delay and lag"
     )
-    return ServoVerdict(grade=grade, headline=f"{grade.capitalize()} for simulation: {reach}.", checks=checks)
+    return Grade(grade=grade, headline=f"{grade.capitalize()} for simulation: {reach}.", checks=checks)
 
 
 def _contact_words(contact: Contact, stretches: Sequence[ContactStretch]) -> str:
@@ -366,7 +365,7 @@ def _use(recording: Recording, file: RobotFile, role: str) -> ServoRecording:
     return ServoRecording.model_validate(
         {
             "file": recording.label,
-            "sha256": _hash(recording),
+            "sha256": recording_sha256(recording),
             "role": role,
             "seconds": seconds,
             "rate_hz": (len(recorded.time) - 1) / seconds,
@@ -374,10 +373,6 @@ def _use(recording: Recording, file: RobotFile, role: str) -> ServoRecording:
     )
 
 
-def _hash(recording: Recording) -> str:
-    return values_sha256(recording) if recording.path is None else file_sha256(recording.path)
-
-
 def _same_data(recordings: Sequence[Recording], held_out: Sequence[Recording]) -> bool:
-    used = {_hash(recording) for recording in recordings}
-    return any(_hash(recording) in used for recording in held_out)
+    used = {recording_sha256(recording) for recording in recordings}
+    return any(recording_sha256(recording) in used for recording in held_out)

@@ -8,16 +8,15 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from daq.output_files import warn_of_strange_files
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ResultFileError
-from ident.result.result_file import check_kind, check_schema, read_content, stored
+from ident.result.graded import Grade, UsedRecording
+from ident.result.result_file import SERVO, checked, read_content
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.servo.terms import INDEX, TERMS
 from ident.stored import Stored, Value
 
 SERVO_SCHEMA = 1
-KIND = "servo"
 
 
 class ServoParameter(Stored):
@@ -51,7 +50,7 @@ class References(Stored):
     )
 
 
-class MotionError(Stored):
+class RolloutError(Stored):
     """Roll-out error of one recording."""
 
     recording: str
@@ -82,28 +81,17 @@ class RolloutFit(Stored):
     rollout_error: list[Value]
     rollout_mean: Value = Field(description="over the joints")
     references: References
-    recordings: list[MotionError]
+    recordings: list[RolloutError]
     contacts: list[ContactStretch] = Field(default=[])
     held_out: bool
     seconds: Value
 
 
-class ServoRecording(Stored):
-    """A recording that was used."""
+class ServoRecording(UsedRecording):
+    """A recording of commands and positions."""
 
-    file: str
-    sha256: str
-    role: Literal["identification", "validation"]
     seconds: Value
     rate_hz: Value
-
-
-class ServoVerdict(Stored):
-    """How far the model can be trusted."""
-
-    grade: Literal["good", "usable", "poor"]
-    headline: str
-    checks: list[str] = Field(default=[])
 
 
 class ServoResult(Stored):
@@ -133,7 +121,7 @@ class ServoResult(Stored):
     validation_source: str
     recordings: list[ServoRecording]
     versions: dict[str, str]
-    verdict: ServoVerdict
+    verdict: Grade = Field(description="for simulation")
 
     @property
     def values(self) -> FloatArray:
@@ -212,25 +200,13 @@ def error_table(title: str, result: ServoResult, shown: RolloutFit) -> Table:
     return table_of_rows(title, columns, rows)
 
 
-def is_servo_file(path: Path) -> bool:
-    """Whether a result.json is that of a servo model; False where it cannot be read."""
-    try:
-        return read_content(path).get("kind") == KIND
-    except ResultFileError:
-        return False
-
-
 def read_servo_result(path: Path) -> ServoResult:
     """Read the result.json of a servo model.
 
     Raises:
         ResultFileError: no such file, another kind of file, a newer schema, a missing key.
     """
-    content = read_content(path)
-    check_kind(content, path, KIND, "dynid identify --method servo")
-    check_schema(content, path, SERVO_SCHEMA)
-    warn_of_strange_files(path, content)
-    result = stored(ServoResult, content, path, "identify again")
+    result = checked(ServoResult, read_content(path), path, SERVO, "dynid identify --method servo", SERVO_SCHEMA)
     unknown = {name for joint in result.servo for name in joint.parameters} - set(INDEX)
     if unknown or len(result.servo) != len(result.joints):
         raise ResultFileError(

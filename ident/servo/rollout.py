@@ -205,7 +205,7 @@ class _Surface:
     """What pieces of motion may touch."""
 
     def __init__(self, lanes: Lanes, touch: Touch, surface: FloatArray) -> None:
-        """For lanes; `surface` as of `roll_out`."""
+        """Prepare lanes; `surface` as of `roll_out`."""
         weights = np.concatenate([np.ones((1, surface.shape[1])), surface[2:]])
         self.pieces = surface.shape[1]
         self.joints = len(lanes.joint) // self.pieces

@@ -1,1 +1,1 @@
-"""From a recording to gap-free segments of filtered signals on a uniform grid."""
+"""Preprocessing: gap-free segments of filtered signals on a uniform grid, made of a recording."""

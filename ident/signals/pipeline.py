@@ -1,4 +1,4 @@
-"""From recorded joint signals to segments that the model can be fitted to (SR400 .4.3 points 2 to 4).
+"""Prepare recorded joint signals as segments that the model can be fitted to (SR400 .4.3 points 2 to 4).
 
 `prepare` runs the steps below in this order; each is a function that returns the changed signals and
 one `Step`, a printable sentence with its numbers. The last step, parallel filtering, is only chosen here: the caller

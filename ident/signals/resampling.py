@@ -1,4 +1,4 @@
-"""From recorded stamps to a uniform grid: how irregular they are, gaps, interpolation, a delay between two signals."""
+"""Bring recorded stamps to a uniform grid: how irregular they are, gaps, interpolation, a delay between two signals."""
 
 from __future__ import annotations
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from os import PathLike
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from daq.output_files import REPORT_FILE, save_folder
 from daq.plotting import Backend
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
@@ -37,6 +34,7 @@ from ident.result.tables import Cell, Column, Table, table_of_rows
 from ident.signals.options import PreprocessChoices
 from ident.tasks.arguments import recordings_of
 from ident.tasks.options import CompareOptions
+from ident.tasks.saved_result import SavedResult
 
 COMPARISON_FILE = "comparison.json"
 """Name of the figures in the folder that `save` writes."""
@@ -74,7 +72,7 @@ class ComparedModel:
 
 
 @dataclass(frozen=True)
-class MethodComparison:
+class MethodComparison(SavedResult):
     """Errors of several methods on the same held-out recordings; the first model is what the others are compared with.
 
     Attributes:
@@ -91,6 +89,8 @@ class MethodComparison:
         >>> comparison.errors.names
         ('ols', 'ols, consistent', 'wls', 'wls, consistent')
     """
+
+    FILE = COMPARISON_FILE
 
     robot: str
     recordings: tuple[str, ...]
@@ -191,18 +191,8 @@ class MethodComparison:
             }
         )
 
-    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write `comparison.json` and `report.html` into a folder, as `dynid compare -o` does.
-
-        Args:
-            folder: made where it does not exist.
-            overwrite: replace the files where they exist.
-
-        Raises:
-            UsageError: they exist already, it is a file, or cannot be written.
-            DiskError: the disk is full or fails.
-        """
-        page = comparison_page(
+    def _page(self) -> str:
+        return comparison_page(
             self.robot,
             self.recordings,
             self.groups,
@@ -211,7 +201,6 @@ class MethodComparison:
             self.torque_unit,
             self.failures,
         )
-        save_folder(Path(folder), {COMPARISON_FILE: self.to_json() + "\n", REPORT_FILE: page}, overwrite=overwrite)
 
     def plot(self, *, backend: Backend = "plotly") -> Any:
         """The RMSE of each model on every held-out recording, as a figure.

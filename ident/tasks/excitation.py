@@ -24,16 +24,14 @@ from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
 from ident.excite.constraints.workspace import surroundings_warning
 from ident.excite.design import Design, design
 from ident.excite.forecast import ExcitationFigures, excitation_figures
-from ident.excite.gravity_choices import GravityChoices
 from ident.excite.gravity_poses import GravityMotion, gravity_motion
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.page.page import write_page
 from ident.excite.prior import PriorKnowledge, find_prior
+from ident.excite.purpose_choices import GravityChoices, ServoMotionChoices, SweepChoices
 from ident.excite.search.search import SearchChoices, SearchResult
-from ident.excite.servo_choices import ServoMotionChoices
 from ident.excite.servo_motion import ServoExcitation, servo_excitation
 from ident.excite.servo_segments import KINDS, PERIOD
-from ident.excite.sweep_choices import SweepChoices
 from ident.excite.velocity_sweep import JointSweep, velocity_sweep
 from ident.result.model import result_path
 from ident.result.tables import Table, table_of_rows
@@ -76,7 +74,7 @@ class ExcitationTrajectory:
 
     @property
     def duration(self) -> float:
-        """From rest to rest [s]."""
+        """Duration from rest to rest [s]."""
         return self.motion.duration
 
     def evaluate(self, time: npt.ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from os import PathLike
-from pathlib import Path
 
-from daq.output_files import REPORT_FILE, save_folder
 from daq.robot.loader import load_robot
 from drivers.core.options import keywords_of
 from drivers.core.text import json_text
@@ -16,11 +13,12 @@ from ident.result.friction_experiment import FRICTION_FILE, FrictionExperimentRe
 from ident.result.tables import Table
 from ident.tasks.arguments import recordings_of
 from ident.tasks.options import FrictionOptions
+from ident.tasks.saved_result import SavedResult
 from ident.views.friction_tables import friction_table
 
 
 @dataclass(frozen=True)
-class IdentifiedFriction:
+class IdentifiedFriction(SavedResult):
     """Friction of an arm's joints by experiment.
 
     Attributes:
@@ -31,6 +29,8 @@ class IdentifiedFriction:
         >>> dynid.IdentifiedFriction.table.__doc__.split(":")[0]
         'One row per joint'
     """
+
+    FILE = FRICTION_FILE
 
     experiment: FrictionExperiment
 
@@ -53,19 +53,8 @@ class IdentifiedFriction:
         """Output of `dynid friction --json`."""
         return json_text(self.result.model_dump())
 
-    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write `friction.json` and `report.html` into a folder, as `dynid friction -o` does.
-
-        Args:
-            folder: made where it does not exist.
-            overwrite: replace the files where they exist.
-
-        Raises:
-            UsageError: they exist already, it is a file, or cannot be written.
-            DiskError: the disk is full or fails.
-        """
-        page = friction_page(self.experiment)
-        save_folder(Path(folder), {FRICTION_FILE: self.to_json() + "\n", REPORT_FILE: page}, overwrite=overwrite)
+    def _page(self) -> str:
+        return friction_page(self.experiment)
 
     def __repr__(self) -> str:
         return f"<dynid.IdentifiedFriction of {', '.join(joint.joint for joint in self.result.joints)}>"

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from daq.motion.trajectory_file import parse_trajectory
-from daq.output_files import REPORT_FILE, RESULT_FILE, save_folder
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.errors import UsageError
+from drivers.core.reading_process import Progress
 from ident.experiments.gravity.experiment import GravityExperiment, analyse_gravity, revalidated
 from ident.report.gravity_page import gravity_page
 from ident.result.gravity import GravityResult, read_gravity_result
 from ident.result.gravity_model import GravityModel
 from ident.result.model import result_path
-from ident.result.result_file import model_json
-from ident.result.tables import Table
 from ident.tasks.arguments import Runs, recordings_of
+from ident.tasks.options import silent
+from ident.tasks.saved_result import GradedResult
 
 
-class IdentifiedGravity:
+class IdentifiedGravity(GradedResult):
     """Gravity of an arm, identified from poses that were passed slowly in both directions.
 
     Attributes:
@@ -32,31 +32,17 @@ class IdentifiedGravity:
 
     Example:
         >>> import dynid
-        >>> dynid.IdentifiedGravity.errors.__doc__.split(" beside")[0]
-        'Errors in held-out poses'
+        >>> dynid.IdentifiedGravity.errors.__doc__.split(",")[0]
+        'Errors of each joint on held-out data'
     """
+
+    result: GravityResult
 
     def __init__(self, experiment: GravityExperiment) -> None:
         """Hold an experiment."""
         self._experiment = experiment
-        self.result: GravityResult = experiment.result
+        self.result = experiment.result
         self.model = GravityModel(experiment.result)
-
-    @property
-    def verdict(self) -> str:
-        """How far the model can be trusted for gravity compensation, and what spoils it."""
-        verdict = self.result.verdict
-        return "\n".join([verdict.headline, *(f"  {check}" for check in verdict.checks)])
-
-    @property
-    def parameters(self) -> Table:
-        """Gravity parameters and offsets with 95 % intervals; what the poses do not determine has no value."""
-        return self.result.parameters
-
-    @property
-    def errors(self) -> Table:
-        """Errors in held-out poses beside gravity, friction with its 95 % interval, and offset of each joint."""
-        return self.result.errors
 
     def validate(self, runs: Runs) -> IdentifiedGravity:
         """The same model judged on other recordings of poses passed in both directions.
@@ -66,36 +52,11 @@ class IdentifiedGravity:
         """
         return IdentifiedGravity(revalidated(self._experiment, recordings_of(runs)))
 
-    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write `result.json` and `report.html` into a folder, as `dynid identify --gravity -o` does.
-
-        Args:
-            folder: made where it does not exist.
-            overwrite: replace the files where they exist.
-
-        Raises:
-            UsageError: they exist already, it is a file, or cannot be written.
-            DiskError: the disk is full or fails.
-        """
-        page = gravity_page(self._experiment)
-        save_folder(Path(folder), {RESULT_FILE: self.to_json() + "\n", REPORT_FILE: page}, overwrite=overwrite)
-
-    def to_json(self) -> str:
-        """The text of `result.json`."""
-        return model_json(self.result)
-
-    def __str__(self) -> str:
-        return f"{self.verdict}\n\n{self.errors}\n\n{self.parameters}"
+    def _page(self) -> str:
+        return gravity_page(self._experiment)
 
     def __repr__(self) -> str:
         return f"<dynid.IdentifiedGravity {self.result.robot}, {self.result.verdict.grade} for gravity compensation>"
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{self.verdict}</pre>{self.errors._repr_html_()}{self.parameters._repr_html_()}"
-
-
-def _silent(step: str) -> None:
-    """Take a step's name and do nothing."""
 
 
 def identify_gravity(
@@ -103,7 +64,7 @@ def identify_gravity(
     *,
     validation: Runs = (),
     robot: str | Path | RobotFile | None = None,
-    progress: Callable[[str], None] = _silent,
+    progress: Progress = silent,
 ) -> IdentifiedGravity:
     """Identify the gravity of an arm from poses passed slowly in both directions: `dynid identify --gravity`.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ from ident.identify.predict import predict_recording
 from ident.identify.summary import summarise
 from ident.regression.comparison import TorqueSeries
 from ident.regression.options import ExperimentChoices
-from ident.report import RecordedRuns, ReportData, recorded_runs, write_result_folder
+from ident.report import RecordedRuns, ReportData, recorded_runs, render_report
 from ident.report.figures.torque_figure import torque_figure
 from ident.result.delivered import Delivered
 from ident.result.friction_experiment import read_friction_experiment
@@ -34,12 +33,13 @@ from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.pipeline import PreprocessChoices
 from ident.tasks.arguments import Run, limits_of, recording_of, recordings_of
 from ident.tasks.options import IdentifyOptions
+from ident.tasks.saved_result import SavedResult
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
 from ident.views.result_tables import joint_friction_table, parameter_table
 
 
-class IdentificationResult:
+class IdentificationResult(SavedResult):
     """Result of an identification or a merge; shows itself in a notebook, and is saved as the command saves it.
 
     Attributes:
@@ -184,22 +184,8 @@ class IdentificationResult:
             raise UsageError("the result was read from a file, which holds no torques", hint=hint)
         return figure.drawn(backend)
 
-    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write `result.json` and `report.html` into a folder, as `dynid identify -o` does.
-
-        Args:
-            folder: made where it does not exist.
-            overwrite: replace the files where they exist.
-
-        Raises:
-            UsageError: they exist already, it is a file, or cannot be written.
-            DiskError: the disk is full or fails.
-        """
-        write_result_folder(
-            Path(folder),
-            ReportData(self.result, self.fit_series, self.validation_series, recorded=self.recorded),
-            overwrite=overwrite,
-        )
+    def _page(self) -> str:
+        return render_report(ReportData(self.result, self.fit_series, self.validation_series, recorded=self.recorded))
 
     def to_json(self) -> str:
         """The text of `result.json`."""

@@ -5,12 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from os import PathLike
-from pathlib import Path
 
 import numpy as np
 
-from daq.output_files import REPORT_FILE, save_folder
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
@@ -28,6 +25,7 @@ from ident.report.load_pages import gains_page, payload_page
 from ident.result.tables import Table
 from ident.tasks.arguments import recording_of
 from ident.tasks.options import GainsOptions, LoadOptions
+from ident.tasks.saved_result import SavedResult
 from ident.views.load_tables import changes_table, gains_tables, load_table
 
 Vector = Sequence[float] | FloatArray
@@ -37,7 +35,7 @@ PAYLOAD_FILE, GAINS_FILE = "payload.json", "gains.json"
 
 
 @dataclass(frozen=True)
-class IdentifiedPayload:
+class IdentifiedPayload(SavedResult):
     """The load on an arm's tool, in the tool frame; σ includes noise and the drive gains' uncertainty.
 
     Attributes:
@@ -52,6 +50,8 @@ class IdentifiedPayload:
         >>> load.parameters.row("M_L")["unit"]
         'kg'
     """
+
+    FILE = PAYLOAD_FILE
 
     estimate: Payload
 
@@ -114,19 +114,8 @@ class IdentifiedPayload:
         """Output of `dynid payload --json`."""
         return json_text(self.result.model_dump())
 
-    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write `payload.json` and `report.html` into a folder, as `dynid payload -o` does.
-
-        Args:
-            folder: made where it does not exist.
-            overwrite: replace the files where they exist.
-
-        Raises:
-            UsageError: they exist already, it is a file, or cannot be written.
-            DiskError: the disk is full or fails.
-        """
-        page = payload_page(self.result)
-        save_folder(Path(folder), {PAYLOAD_FILE: self.to_json() + "\n", REPORT_FILE: page}, overwrite=overwrite)
+    def _page(self) -> str:
+        return payload_page(self.result)
 
     def __repr__(self) -> str:
         return f"<dynid.IdentifiedPayload: {self.mass:.4g} kg, σ {self.mass_std:.2g} kg>"
@@ -140,7 +129,7 @@ class IdentifiedPayload:
 
 
 @dataclass(frozen=True)
-class IdentifiedGains:
+class IdentifiedGains(SavedResult):
     """Gains of all drives, joint side, sign included; torque = gain · signal.
 
     Attributes:
@@ -151,6 +140,8 @@ class IdentifiedGains:
         >>> dynid.IdentifiedGains.gains.__doc__.split(";")[0]
         "One row per joint: the identified gain with its σ, the robot file's [N·m/A or N·m/V], its basis."
     """
+
+    FILE = GAINS_FILE
 
     estimate: DriveGains | SlowGains
 
@@ -183,19 +174,8 @@ class IdentifiedGains:
         """Output of `dynid gains --json`."""
         return json_text(self.result.model_dump())
 
-    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write `gains.json` and `report.html` into a folder, as `dynid gains -o` does.
-
-        Args:
-            folder: made where it does not exist.
-            overwrite: replace the files where they exist.
-
-        Raises:
-            UsageError: they exist already, it is a file, or cannot be written.
-            DiskError: the disk is full or fails.
-        """
-        page = gains_page(self.result)
-        save_folder(Path(folder), {GAINS_FILE: self.to_json() + "\n", REPORT_FILE: page}, overwrite=overwrite)
+    def _page(self) -> str:
+        return gains_page(self.result)
 
     @cached_property
     def result(self) -> GainsResult | SlowGainsResult:

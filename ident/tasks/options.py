@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from drivers.core.errors import UsageError
 from drivers.core.options import Options, argument, option, read_names, read_numbers
 from ident.excite.choices import DesignChoices, SearchOptions
-from ident.excite.gravity_choices import GravityChoices
-from ident.excite.servo_choices import ServoMotionChoices
-from ident.excite.sweep_choices import SweepChoices
+from ident.excite.purpose_choices import GravityChoices, ServoMotionChoices, SweepChoices
 from ident.identify.options import ColumnOptions
 from ident.regression.options import PERCENT, EssentialOptions, ExperimentChoices, ReversalOptions
 from ident.signals.options import FilterOptions, WindowOptions, delay_option
@@ -52,12 +50,12 @@ def _split_option() -> float | None:
     )
 
 
-def _silent(step: Any) -> None:
+def silent(step: object) -> None:
     """A progress callback that shows nothing."""
 
 
 def _progress_option() -> Progress:
-    return option(_silent, meaning=_PROGRESS)
+    return option(silent, meaning=_PROGRESS)
 
 
 def _accept_option() -> Limits | None:
@@ -381,7 +379,7 @@ class ExciteOptions(SearchOptions, DesignChoices):
         command_type=Path,
     )
     progress: Callable[[SearchResult], None] = option(
-        _silent, meaning="called after each better motion, and a few times per second."
+        silent, meaning="called after each better motion, and a few times per second."
     )
 
     def __post_init__(self) -> None:

@@ -2,33 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
-from daq.output_files import (
-    REPORT_FILE,
-    RESULT_FILE,
-    check_output_folder,
-    check_outputs,
-    replace_files,
-    write_folder,
-)
+from daq.output_files import check_outputs, replace_files
 from daq.recording.commanded_motion import TARGET
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError, UsageError
+from drivers.core.reading_process import Progress
 from drivers.streams import UNITS
 from ident.export.mujoco_reading import mujoco_installed
 from ident.ranges import UNIT_SPREAD
 from ident.report.servo_page import servo_page
 from ident.result.model import result_path
-from ident.result.result_file import file_sha256, model_json
-from ident.result.tables import Table
+from ident.result.result_file import file_sha256
 from ident.servo import isaaclab, usd
 from ident.servo.actuator_law import ActuatorLaw, ServoReplay, replay_law
 from ident.servo.arm_rollout import roll_out_arm
@@ -41,9 +33,11 @@ from ident.servo.ranges import drawn, servo_ranges
 from ident.servo.result import ServoResult, read_servo_result, with_values
 from ident.servo.terms import INDEX, TERMS
 from ident.tasks.arguments import Run, Runs, recording_of, recordings_of
+from ident.tasks.options import silent
+from ident.tasks.saved_result import GradedResult
 
 
-class ServoModel:
+class ServoModel(GradedResult):
     """An arm of position-controlled servos, identified from commanded and measured positions.
 
     Attributes:
@@ -59,6 +53,8 @@ class ServoModel:
         no such file
     """
 
+    result: ServoResult
+
     def __init__(self, result: ServoResult, identification: ServoIdentification | None = None) -> None:
         """Hold a result."""
         self.result = result
@@ -67,22 +63,6 @@ class ServoModel:
             result.robot_file, where=f"{result.robot} in the result", folder=None, urdf_text=result.urdf or None
         )
         self._links = servo_links(self._robot)
-
-    @property
-    def verdict(self) -> str:
-        """How far roll-outs can be trusted, in a sentence and what spoils it."""
-        verdict = self.result.verdict
-        return "\n".join([verdict.headline, *(f"  {check}" for check in verdict.checks)])
-
-    @property
-    def parameters(self) -> Table:
-        """Every parameter of every joint with its 95 % interval, or why there is none."""
-        return self.result.parameters
-
-    @property
-    def errors(self) -> Table:
-        """Roll-out errors beside the encoder's step and the references."""
-        return self.result.errors
 
     def roll_out(self, run: Run) -> list[tuple[FloatArray, FloatArray]]:
         """Times (N,) [s] and positions (N, n) [rad or m] of each gap-free motion of a recording, on its commands alone.
@@ -247,35 +227,11 @@ class ServoModel:
         """
         return ServoModel(with_values(self.result, drawn(self.result, seed, _spread(unit_spread))))
 
-    def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write `result.json` and `report.html` into a folder.
-
-        Args:
-            folder: made where it does not exist.
-            overwrite: whether its files may be replaced.
-
-        Raises:
-            UsageError: the files exist, or cannot be written.
-            DiskError: the disk is full or fails.
-        """
-        place = Path(folder)
-        check_output_folder(place, (RESULT_FILE, REPORT_FILE), overwrite=overwrite)
-        write_folder(
-            place, {RESULT_FILE: self.to_json() + "\n", REPORT_FILE: servo_page(self.result, self.identification)}
-        )
-
-    def to_json(self) -> str:
-        """The text of `result.json`."""
-        return model_json(self.result)
-
-    def __str__(self) -> str:
-        return f"{self.verdict}\n\n{self.errors}\n\n{self.parameters}"
+    def _page(self) -> str:
+        return servo_page(self.result, self.identification)
 
     def __repr__(self) -> str:
         return f"<dynid.ServoModel {self.result.robot}, {len(self.result.joints)} joints>"
-
-    def _repr_html_(self) -> str:
-        return f"<pre>{self.verdict}</pre>{self.errors._repr_html_()}{self.parameters._repr_html_()}"
 
 
 def _spread(value: float) -> float:
@@ -289,16 +245,12 @@ def _spread(value: float) -> float:
     return value
 
 
-def _silent(step: str) -> None:
-    """Take a step's name and do nothing."""
-
-
 def identify_servo(
     runs: Runs,
     *,
     validation: Runs = (),
     robot: str | Path | RobotFile | None = None,
-    progress: Callable[[str], None] = _silent,
+    progress: Progress = silent,
 ) -> ServoModel:
     """Identify an arm of servos from commanded and measured positions: `dynid identify --method servo`.
 

@@ -110,7 +110,7 @@ class Acceptance:
 
     @property
     def lines(self) -> list[str]:
-        """For the terminal: the outcome, what failed, how many limits are kept."""
+        """Lines for the terminal: the outcome, what failed, how many limits are kept."""
         failed = [criterion for criterion in self.criteria if not criterion.passed]
         kept = len(self.criteria) - len(failed)
         headline = f"Acceptance {'passed' if self.passed else 'FAILED'}: {kept} of {len(self.criteria)} limits kept."

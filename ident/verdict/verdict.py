@@ -91,7 +91,7 @@ class Verdict:
 
     @property
     def lines(self) -> list[str]:
-        """For the terminal: the headline, what it rests on, purposes, the worst joints, checks."""
+        """Lines for the terminal: the headline, what it rests on, purposes, the worst joints, checks."""
         reasons = [
             f"  {PURPOSE_WORDS[purpose]}: {_graded(judged.grade)}, because {judged.because}"
             for purpose, judged in self.purposes.items()
@@ -202,7 +202,7 @@ def _purpose(purpose: Purpose, checks: Sequence[Check], evidence: Evidence | Non
 
 
 def _simulation_reasons(evidence: Evidence) -> list[_Reason]:
-    """From the simulated motion, and from the torque error in motion: at rest a simulation has its own stiction."""
+    """Reasons of the simulated motion and of the torque error in motion: at rest a simulation has its own stiction."""
     reasons = []
     for motion in evidence.motions:
         others = [f"{other.whole:.2g} times in the {other.text}" for other in evidence.motions if other is not motion]
@@ -215,7 +215,7 @@ def _simulation_reasons(evidence: Evidence) -> list[_Reason]:
 
 
 def _torque_reasons(evidence: Evidence) -> list[_Reason]:
-    """From the whole arm's error, and from that of the joint with the largest."""
+    """Reasons of the whole arm's error, and of that of the joint with the largest."""
     whole = evidence.whole.judged
     if whole is None:
         return [_Reason("usable", "no held-out error is known")]
@@ -231,7 +231,7 @@ def _torque_reasons(evidence: Evidence) -> list[_Reason]:
 
 
 def _motion_reasons(motion: MotionError, beside: str) -> list[_Reason]:
-    """From the whole arm's simulated motion, and from the worst joint's; `beside` says what else was simulated."""
+    """Reasons of the whole arm's simulated motion, and of the worst joint's; `beside` says what else was simulated."""
     joint = motion.worst
     against = "times that of constant velocity"
     return [

@@ -56,7 +56,7 @@ class ReferenceMotion(Protocol):
 
 
 class Standstill:
-    """From the present velocity to rest at a deceleration, then hold.
+    """Brakes from the present velocity to rest at a deceleration, then holds.
 
     Args:
         start: where it begins.

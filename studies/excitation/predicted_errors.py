@@ -29,7 +29,7 @@ from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from ident.result.result_file import write_result
+from ident.result.result_file import result_json
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 EARLIER_PERIOD, EARLIER_DURATION = 10.0, 30.0
@@ -52,7 +52,7 @@ def earlier_result(robot_file: RobotFile, recording: Recording) -> PriorKnowledg
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "result.json"
         result = identify([recording], [], CHOICES, robot_file=robot_file)
-        write_result(path, summarise(result, [recording], []))
+        path.write_text(result_json(summarise(result, [recording], [])))
         return find_prior(robot_file, path)
 
 

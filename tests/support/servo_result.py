@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from daq.robot.loader import RobotFile
+from ident.result.graded import Grade
 from ident.servo.result import (
     References,
     RolloutFit,
     ServoJoint,
     ServoParameter,
     ServoResult,
-    ServoVerdict,
 )
 from ident.servo.terms import INDEX, TERMS
 from sim_drivers.synthetic.servo import true_values
@@ -70,5 +70,5 @@ def true_servo_result(file: RobotFile, period: float, sigma: float = 0.05) -> Se
         validation_source="nothing",
         recordings=[],
         versions={},
-        verdict=ServoVerdict(grade="good", headline="Good."),
+        verdict=Grade(grade="good", headline="Good."),
     )

@@ -1,1 +1,1 @@
-"""From frames to rows of samples."""
+"""Rows of samples out of frames."""

@@ -1,1 +1,1 @@
-"""From SYNC to rows of samples."""
+"""Rows of samples, one per SYNC."""

@@ -31,7 +31,7 @@ PER_MILLE = 1e-3
 
 @dataclass(frozen=True)
 class Scaling:
-    """From a drive's numbers to a joint's; arrays (n,).
+    """Factors between a drive's numbers and a joint's; arrays (n,).
 
     Attributes:
         counts_per_turn: position counts a joint revolution.

@@ -52,7 +52,7 @@ class EnergyEquations(Protocol):
 
     @property
     def kernel(self) -> EnergyKernel:
-        """For the base columns."""
+        """The kernel of the base columns."""
 
     @property
     def overlap(self) -> int:

@@ -104,12 +104,12 @@ class Reweighting:
         function: WeightFunction,
         solve: Solve,
     ) -> Reweighting:
-        """For a system that is also known as plain equations, one factor per joint."""
+        """Make the weights of a system that is also known as plain equations, one factor per joint."""
         factor = plain.rows / max(1.0, plain.rows - len(active)) / function.variance
         return cls(runs, torques, active, function, solve, rounding_floor(plain), factor)
 
     def started(self, kernel: RegressorKernel, plain: Reduction) -> RobustFit:
-        """From weighted least squares of the plain equations.
+        """Start from weighted least squares of the plain equations.
 
         Raises:
             IdentificationError: they do not determine the parameters.
@@ -122,7 +122,7 @@ class Reweighting:
         return self.iterated(kernel, solution.parameters, np.diag(deviations**2))
 
     def iterated(self, kernel: RegressorKernel, parameters: FloatArray, covariance: FloatArray) -> RobustFit:
-        """From base parameters (b,) and Ω (n, n) until both and the weights settle.
+        """Iterate from base parameters (b,) and Ω (n, n) until both and the weights settle.
 
         Raises:
             IdentificationError: the weights leave too few equations.

@@ -1,4 +1,4 @@
-"""From one start to a local optimum: a few rounds of nonlinear programming, each with a sharper problem.
+"""Search a local optimum from one start: a few rounds of nonlinear programming, each with a sharper problem.
 
 Extreme eigenvalues and largest uses have kinks where two of them meet, and an optimum lies on such kinks. So the first
 round smooths them strongly, the last one barely.
@@ -77,7 +77,7 @@ UNWATCHED = Watch(lambda: None, lambda variables: False)
 def solve(
     problem: DesignProblem, start: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED
 ) -> Iterator[FloatArray]:
-    """From `start` towards a local optimum: the variables (size,) after every round.
+    """Step from `start` towards a local optimum: the variables (size,) after every round.
 
     Raises:
         UsageError: the solver is not installed.

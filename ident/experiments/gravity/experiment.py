@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from daq.recording.recording import Recording, software_versions
-from daq.robot.loader import RobotFile
+from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, UsageError
 from drivers.core.reading_process import Progress
@@ -19,10 +19,12 @@ from ident.assessment.recording_checks import recording_checks
 from ident.experiments.gravity.fit import GravityFit, fit_gravity, used_equations
 from ident.experiments.gravity.passes import Visit, Visits, find_visits
 from ident.experiments.gravity.suspicions import doubts, file_parameters, refuse_wrong_size
-from ident.identify.summary import values_sha256
+from ident.identify.summary import recording_sha256
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.gravity_base import gravity_base, gravity_columns, gravity_rows, resting_model
+from ident.model.parameters import LINK_SIZE
+from ident.result.graded import Grade
 from ident.result.gravity import (
     GravityJoint,
     GravityParameter,
@@ -30,9 +32,7 @@ from ident.result.gravity import (
     GravityRecording,
     GravityResult,
     GravityValidation,
-    GravityVerdict,
 )
-from ident.result.result_file import file_sha256
 from ident.result.units import parameter_unit
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 
@@ -89,7 +89,7 @@ def analyse_gravity(
     progress("poses")
     model = resting_model(file)
     base = gravity_base(model)
-    if not np.any(base.projection[:, : 10 * len(model.joints)]):
+    if not np.any(base.projection[:, : LINK_SIZE * len(model.joints)]):
         raise DataError("gravity acts on no joint of this arm", where=file.robot.name, hint="there is nothing to find")
     signals = tuple(read_joint_signals(recording, file.robot) for recording in recordings)
     found = [find_visits(one, model, base) for one in signals]
@@ -158,24 +158,24 @@ def revalidated(experiment: GravityExperiment, recordings: Sequence[Recording]) 
     Raises:
         DataError: a recording is of another arm, or passes no pose in both directions.
     """
-    from ident.result.gravity_model import GravityModel
-
     result = experiment.result
-    model = GravityModel(result)
-    dynamic, base = model._stored.model, model._base
+    file = parse_robot(result.robot_file, where="the result's robot file", folder=None, urdf_text=result.urdf or None)
+    model = resting_model(file)
+    base = gravity_base(model)
+    values = np.array([parameter.value or 0.0 for parameter in result.gravity_parameters])
     errors = []
     for recording in recordings:
-        _refuse_another_arm(recording, model._stored.robot_file)
-        visits = find_visits(read_joint_signals(recording, model._stored.robot_file.robot), dynamic, base).visits
-        used = used_equations(visits, dynamic)
+        _refuse_another_arm(recording, file)
+        visits = find_visits(read_joint_signals(recording, file.robot), model, base).visits
+        used = used_equations(visits, model)
         torque, rows = (np.array([visit.mean[part] for visit in visits]) for part in (0, 1))
-        errors.append(np.where(used, torque - rows @ np.nan_to_num(model._values), np.nan))
+        errors.append(np.where(used, torque - rows @ values, np.nan))
     error = np.concatenate(errors)
     with np.errstate(all="ignore"):
         rms = np.sqrt(np.array([np.nanmean(column**2) if np.isfinite(column).any() else np.nan for column in error.T]))
         largest = np.array([np.nanmax(np.abs(column)) if np.isfinite(column).any() else np.nan for column in error.T])
-    used_hashes = {use.sha256 for use in result.recordings if use.role == "identification"}
-    held_out = not any(_hash(recording) in used_hashes for recording in recordings)
+    own = {use.sha256 for use in result.recordings if use.role == "identification"}
+    held_out = not any(recording_sha256(recording) in own for recording in recordings)
     validation = GravityValidation(rms=_numbers(rms), max=_numbers(largest), poses=len(error), held_out=held_out)
     concerns = [(False, text) for text in result.verdict.checks]
     if not held_out:
@@ -200,7 +200,7 @@ def gravity_verdict(
     poses: int,
     concerns: Sequence[tuple[bool, str]],
     basis: str,
-) -> GravityVerdict:
+) -> Grade:
     """A grade for gravity compensation by errors (n,), root mean square and largest, in held-out poses."""
     levels: list[tuple[int, float, str]] = []
     for joint, rms, largest in zip(joints, *errors, strict=True):
@@ -236,7 +236,7 @@ def gravity_verdict(
     serious = [text for bad, text in concerns if bad]
     because = serious[0] if serious else f"{mean}{worst[2]}"
     headline = f"{grade.capitalize()} for gravity compensation, by {poses} poses {basis}: {because}."
-    return GravityVerdict(grade=grade, headline=headline, checks=list(dict.fromkeys(text for _, text in concerns)))
+    return Grade(grade=grade, headline=headline, checks=list(dict.fromkeys(text for _, text in concerns)))
 
 
 def _refuse_another_arm(recording: Recording, file: RobotFile) -> None:
@@ -256,7 +256,7 @@ def _parameters(model: DynamicModel, base: BaseParameters, fit: GravityFit) -> l
         determined, value = bool(fit.determined[index]), float(fit.values[index])
         half = float(fit.quantile[index] * deviation[index])
         offset = parameter.kind == "offset"
-        weighs = offset and bool(np.any(base.projection[index, : 10 * len(model.joints)]))
+        weighs = offset and _weighs(base, model, index)
         note = "" if determined else "not determined by these poses"
         if determined and offset:
             note = "offset and weight, which act alike" if weighs else "offset of the motor's torque"
@@ -281,11 +281,7 @@ def _of_joints(
     file: RobotFile, model: DynamicModel, base: BaseParameters, visits: Sequence[Visit], fit: GravityFit
 ) -> list[GravityJoint]:
     torque, rows = (np.array([visit.mean[part] for visit in visits]) for part in (0, 1))
-    weighing = [
-        index
-        for index in range(base.count)
-        if base.kinds[index] == "inertial" or np.any(base.projection[index, : 10 * len(model.joints)])
-    ]
+    weighing = [index for index in range(base.count) if base.kinds[index] == "inertial" or _weighs(base, model, index)]
     gravity = rows[:, :, weighing] @ fit.values[weighing]
     known = file_parameters(file, model, base)
     joints = []
@@ -321,10 +317,15 @@ def _errors(joints: Sequence[GravityJoint]) -> tuple[FloatArray, FloatArray]:
     )
 
 
+def _weighs(base: BaseParameters, model: DynamicModel, index: int) -> bool:
+    """Whether a parameter has a part of some link's inertia in it."""
+    return bool(np.any(base.projection[index, : LINK_SIZE * len(model.joints)]))
+
+
 def _slides_along(base: BaseParameters, model: DynamicModel, joint: int) -> bool:
     """Whether a joint's offset holds a weight."""
     return any(
-        model.active[joint] == of and kind == "offset" and np.any(base.projection[index, : 10 * len(model.joints)])
+        model.active[joint] == of and kind == "offset" and _weighs(base, model, index)
         for index, (of, kind) in enumerate(zip(base.joints, base.kinds, strict=True))
     )
 
@@ -334,8 +335,4 @@ def _numbers(values: FloatArray) -> list[float | None]:
 
 
 def _use(recording: Recording, role: Literal["identification", "validation"], poses: int) -> GravityRecording:
-    return GravityRecording(file=recording.label, sha256=_hash(recording), role=role, poses=poses)
-
-
-def _hash(recording: Recording) -> str:
-    return values_sha256(recording) if recording.path is None else file_sha256(recording.path)
+    return GravityRecording(file=recording.label, sha256=recording_sha256(recording), role=role, poses=poses)

@@ -46,7 +46,7 @@ GRID = 15
 
 
 @dataclass(frozen=True, eq=False)
-class Pass:
+class SlowPass:
     """A stretch of a recording in one direction.
 
     Attributes:
@@ -138,7 +138,7 @@ def find_visits(signals: JointSignals, model: DynamicModel, base: BaseParameters
     return Visits(visits, unbalanced, (np.ptp(signals.position, axis=0) > 0.0).astype(np.int64))
 
 
-def find_passes(signals: JointSignals, sliding: FloatArray) -> list[Pass]:
+def find_passes(signals: JointSignals, sliding: FloatArray) -> list[SlowPass]:
     """Stretches in which no joint turns back, ended by rest, reversal or a gap."""
     time, position = signals.time, signals.position
     if len(time) < 10:
@@ -152,14 +152,14 @@ def find_passes(signals: JointSignals, sliding: FloatArray) -> list[Pass]:
     still = np.maximum(np.where(sliding, STILL_SLIDE, STILL), 2.0 * steps / (window * period))
     sign = (np.sign(velocity) * (np.abs(velocity) > still)).astype(np.int64)
     breaks = np.concatenate([np.diff(time) > GAP * period, [True]])
-    passes: list[Pass] = []
+    passes: list[SlowPass] = []
     begin, direction = -1, np.zeros(position.shape[1], dtype=np.int64)
 
     def close(end: int) -> None:
         if end - begin >= window:
             part = slice(begin, end)
             way = position[end - 1] - position[begin]
-            passes.append(Pass(part, direction.copy(), np.abs(velocity[part]).max(axis=0), way))
+            passes.append(SlowPass(part, direction.copy(), np.abs(velocity[part]).max(axis=0), way))
 
     moving = np.any(sign != 0, axis=1)
     for sample in range(len(time)):
@@ -177,7 +177,12 @@ def find_passes(signals: JointSignals, sliding: FloatArray) -> list[Pass]:
 
 
 def _visit(
-    signals: JointSignals, one: Pass, other: Pass, shortest: FloatArray, model: DynamicModel, base: BaseParameters
+    signals: JointSignals,
+    one: SlowPass,
+    other: SlowPass,
+    shortest: FloatArray,
+    model: DynamicModel,
+    base: BaseParameters,
 ) -> Visit | None:
     """The visit that two passes make; None where they do not go the same way forth and back."""
     moving = np.abs(one.way) >= shortest
@@ -220,7 +225,7 @@ def _along(position: FloatArray, main: int, grid: FloatArray) -> FloatArray:
 
 
 def _mean_torque(
-    signals: JointSignals, part: Pass, main: int, low: float, high: float
+    signals: JointSignals, part: SlowPass, main: int, low: float, high: float
 ) -> tuple[FloatArray, FloatArray]:
     """Mean torque (n,) over the way, and its σ by white noise."""
     position, torque = signals.position[part.samples, main], signals.torque[part.samples]
@@ -238,7 +243,7 @@ def _mean_torque(
 
 
 def _unbalanced(
-    signals: JointSignals, alone: Sequence[Pass], paired: Sequence[Pass], visits: Sequence[Visit]
+    signals: JointSignals, alone: Sequence[SlowPass], paired: Sequence[SlowPass], visits: Sequence[Visit]
 ) -> list[tuple[FloatArray, IntArray, float]]:
     """Passes without a partner that are of a kind with those that have one, or all where none has, by their middle."""
     found = []

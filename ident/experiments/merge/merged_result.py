@@ -1,4 +1,4 @@
-"""From several results of one arm to one Result: which models may be merged, and the merged result."""
+"""Merge several results of one arm into one Result: which models may be merged, and the merged result."""
 
 from __future__ import annotations
 

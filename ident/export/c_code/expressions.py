@@ -62,7 +62,7 @@ class Operations:
     others: int
 
     def text(self) -> str:
-        """For a comment."""
+        """The text of a comment."""
         parts = [
             f"{self.multiplications} multiplications",
             f"{self.additions} additions",

@@ -29,7 +29,7 @@ Axes = dict[int, tuple[Vector, Vector]]
 
 
 def link_axes(graph: Graph, frames: Sequence[JointFrame]) -> list[Axes]:
-    """For every link, the axes of the joints that it hangs on, in its frame."""
+    """Axes of the joints that each link hangs on, in its frame."""
     none = constant_vector(graph, (0.0, 0.0, 0.0))
     axes: list[Axes] = []
     for index, frame in enumerate(frames):

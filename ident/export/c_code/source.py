@@ -39,7 +39,7 @@ class Parameter:
 
     @property
     def text(self) -> str:
-        """For a comment: name, unit, σ, expression."""
+        """A parameter in a comment: name, unit, σ, expression."""
         std = "unknown" if self.std is None else f"{self.std:.3g}"
         combined = f"; {self.expression}" if self.expression not in ("", self.name) else ""
         return f"{self.name} [{self.unit}] std {std}{combined}"

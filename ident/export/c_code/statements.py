@@ -1,4 +1,4 @@
-"""From expressions to C statements: temporaries for what is used more than once or would make a line too long."""
+"""C statements of expressions: temporaries for what is used more than once or would make a line too long."""
 
 from __future__ import annotations
 

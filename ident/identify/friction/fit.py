@@ -121,7 +121,7 @@ class _Solved:
         return float(np.sum(np.log(spread[spread > 0.0])))
 
     def value(self, kind: str, motor: int) -> float | None:
-        """Of a motor's own parameter of a kind; None where it was not estimated."""
+        """Value of a motor's own parameter of a kind; None where it was not estimated."""
         column = self.column(kind, motor)
         return None if column is None else float(self.solution.parameters[column])
 

@@ -176,7 +176,7 @@ class FrictionRows:
     def _equations(
         self, model: DynamicModel, base: BaseParameters, part: _SegmentRows
     ) -> Iterator[tuple[tuple[int, ...], FloatArray]]:
-        """Of each motor, the base columns in its equations, and these with the torque (k + 1, M)."""
+        """Base columns in each motor's equations, and these with the torque (k + 1, M)."""
         of_motor: list[list[tuple[int, FloatArray]]] = [[] for _ in range(model.dof)]
         segment = part.segment
         conditions = self._conditions(model, part)

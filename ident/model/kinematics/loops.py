@@ -1,4 +1,4 @@
-"""From `model.loops` and `model.coupling` of a robot file to the arm's transmission, checked against its geometry.
+"""Build the arm's transmission from `model.loops` and `model.coupling` of a robot file, checked against its geometry.
 
 A parallelogram of the joints a, b, c, d (b hangs on a, d on c, all axes parallel) keeps the link behind b parallel to
 the one behind c, and the link behind d parallel to the one behind a. With the angles about a common direction, that is

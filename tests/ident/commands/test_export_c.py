@@ -15,7 +15,7 @@ import dynid
 from daq.robot.loader import load_robot
 from drivers.core.errors import ModelError
 from drivers.core.text import percent_text
-from ident.result.result_file import write_result
+from ident.result.result_file import result_json
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +93,7 @@ def test_a_file_that_exists_needs_force(model, tmp_path, monkeypatch, capsys):
 
 
 def test_loops_solved_numerically_are_refused_in_a_sentence(tmp_path, monkeypatch, capsys):
-    write_result(tmp_path / "result.json", true_result(four_bar_arm()))
+    (tmp_path / "result.json").write_text(result_json(true_result(four_bar_arm())))
     status, _, error = run(
         monkeypatch, capsys, tmp_path / "result.json", "--c", tmp_path / "arm", "--parameters", "full"
     )

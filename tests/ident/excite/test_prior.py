@@ -16,7 +16,7 @@ from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from ident.result.result_file import write_result
+from ident.result.result_file import result_json
 from ident.result.schema import Result
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
@@ -30,7 +30,7 @@ def identification(three_joint) -> tuple[Identification, Result]:
 
 
 def written(folder: Path, result: Result) -> Path:
-    write_result(folder / "result.json", result)
+    (folder / "result.json").write_text(result_json(result))
     return folder / "result.json"
 
 

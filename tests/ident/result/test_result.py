@@ -20,7 +20,7 @@ from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.result.model import Model
-from ident.result.result_file import file_sha256, read_result, result_json, write_result
+from ident.result.result_file import file_sha256, read_result, result_json
 from ident.result.schema import Result
 from ident.result.units import UNITS
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
@@ -51,11 +51,11 @@ def no_constant(name: str) -> None:
 
 def test_a_result_comes_back_as_it_was(identified, tmp_path):
     _, _, result = identified
-    write_result(tmp_path / "result.json", result)
+    (tmp_path / "result.json").write_text(result_json(result))
     text = (tmp_path / "result.json").read_text(encoding="utf-8")
     json.loads(text, parse_constant=no_constant)  # no NaN, no Infinity
     assert read_result(tmp_path / "result.json") == result
-    write_result(tmp_path / "again.json", read_result(tmp_path / "result.json"))
+    (tmp_path / "again.json").write_text(result_json(read_result(tmp_path / "result.json")))
     assert (tmp_path / "again.json").read_text(encoding="utf-8") == text
 
 

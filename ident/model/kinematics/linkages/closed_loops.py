@@ -64,7 +64,7 @@ class ClosedLoops(Transmission):
         return True
 
     def tree_position(self, position: FloatArray) -> FloatArray:
-        """As in `Transmission`.
+        """Positions of the tree's joints, as in `Transmission`.
 
         Raises:
             DataError: a loop does not close there.

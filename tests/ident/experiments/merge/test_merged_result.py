@@ -24,7 +24,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.options import ExperimentChoices
 from ident.report.page import render_report
 from ident.report.section import ReportData
-from ident.result.result_file import read_result, result_json, write_result
+from ident.result.result_file import read_result, result_json
 from ident.result.stored_model import stored_estimate, stored_model
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
@@ -118,7 +118,7 @@ def test_the_merged_model_is_simulated_on_held_out_data(merged, results):
 
 def test_the_merged_model_is_a_result_like_others(merged, recorded, tmp_path):
     result, validated = merged
-    write_result(tmp_path / "result.json", result)
+    (tmp_path / "result.json").write_text(result_json(result))
     again = read_result(tmp_path / "result.json")
     assert again == result
     assert revalidate(again, recorded(3)).full.relative_error == validated.full.relative_error

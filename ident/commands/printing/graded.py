@@ -1,0 +1,48 @@
+"""Models with one grade, of gravity and of servos, as a person or a program reads them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from daq.commands.console import print_json
+from daq.output_files import REPORT_FILE
+from ident.commands.printing.result import print_tables
+from ident.result.tables import Table
+from ident.tasks.saved_result import GradedResult
+
+
+def print_identified(model: GradedResult, folder: Path, use: str, *, verbose: bool, as_json: bool) -> None:
+    """The verdict and the errors; with `verbose` every parameter; or the JSON object alone.
+
+    Args:
+        model: to be printed.
+        folder: to which it was saved.
+        use: what to do next.
+        verbose: print the parameters, too.
+        as_json: print what `result.json` holds.
+    """
+    if as_json:
+        print((folder / model.FILE).read_text(encoding="utf-8"), end="")
+        return
+    print(model.verdict)
+    print_tables([model.errors, *([model.parameters] if verbose else [])])
+    print(f"\n{'' if verbose else 'Parameters with intervals: --verbose, or the report. '}{folder / REPORT_FILE}")
+    print(f"next: {use}")
+
+
+def print_validated(model: GradedResult, path: Path, errors: Table, *, as_json: bool) -> None:
+    """The verdict on other recordings, and the errors; or both as a JSON object."""
+    result = model.result
+    if as_json:
+        assert result.validation is not None
+        print_json(
+            {
+                "result": str(path),
+                "joints": result.joints,
+                "validation": result.validation.model_dump(mode="json"),
+                "verdict": result.verdict.model_dump(mode="json"),
+            }
+        )
+        return
+    print(model.verdict)
+    print_tables([errors])

@@ -1,0 +1,28 @@
+"""What the results of whole models, of gravity and of servos share: the recordings, and a verdict in one grade."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from ident.stored import Stored
+
+
+class UsedRecording(Stored):
+    """A recording used in the identification or the validation."""
+
+    file: str
+    sha256: str
+    role: Literal["identification", "validation"]
+
+
+class Grade(Stored):
+    """How far a model can be trusted for its one purpose; as text, the headline and a line per check."""
+
+    grade: Literal["good", "usable", "poor"]
+    headline: str
+    checks: list[str] = Field(default=[])
+
+    def __str__(self) -> str:
+        return "\n".join([self.headline, *(f"  {check}" for check in self.checks)])
