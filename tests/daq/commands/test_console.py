@@ -6,7 +6,7 @@ import json
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from daq.commands.console import cell, print_json, print_table
@@ -32,6 +32,7 @@ def same(read, given) -> bool:
     return read == given
 
 
+@settings(max_examples=25)
 @given(content=JSON)
 def test_printed_json_is_strict_and_nothing_is_lost(content):
     import contextlib

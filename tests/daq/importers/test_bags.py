@@ -171,7 +171,7 @@ def bag_content(mcap: bool) -> bytes:
 
 
 @pytest.mark.parametrize("mcap", [False, True])
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(share=st.floats(0.0, 0.999), position=st.floats(0, 1), noise=st.binary(min_size=1, max_size=30))
 def test_cut_and_spoilt_bags_never_give_a_traceback(mcap: bool, share: float, position: float, noise: bytes) -> None:
     with tempfile.TemporaryDirectory() as name:

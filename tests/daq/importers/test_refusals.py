@@ -320,7 +320,7 @@ MAGIC = {
 
 
 @pytest.mark.parametrize("suffix", list(MAGIC))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(data=st.data())
 def test_any_bytes_are_refused_in_our_words(suffix: str, data: st.DataObject) -> None:
     content = data.draw(st.sampled_from(MAGIC[suffix])) + data.draw(st.binary(max_size=200))

@@ -139,7 +139,7 @@ HOSTILE = {
 }
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.fixed_dictionaries({}, optional=HOSTILE))
 def test_a_series_of_any_values_is_within_the_limits_or_refused_in_words(values):
     try:
@@ -165,7 +165,7 @@ def with_extremes(data, value):
     return value
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=75, deadline=None)
 @given(st.sampled_from([FOURIER, QUINTIC, SINES, POINTS, SAMPLES]), st.data())
 def test_extreme_numbers_are_refused_in_words_and_without_warnings(content, data):
     changed = {key: with_extremes(data, value) for key, value in content.items()}

@@ -103,7 +103,7 @@ def recordings(draw: st.DrawFn) -> Recording:
     )
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(recording=recordings())
 def test_what_is_written_is_read(recording: Recording) -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -312,7 +312,7 @@ def test_crash_between_two_appends_keeps_the_common_part(tmp_path: Path) -> None
     assert {channel.values.shape for channel in stream.channels.values()} == {(17, 2)}
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(share=st.floats(0.0, 0.999), tail=st.binary(max_size=40))
 def test_recordings_cut_anywhere_are_refused_in_our_words(share: float, tail: bytes) -> None:
     """Only cuts: on bytes flipped within its global heap the HDF5 library itself can loop for ever."""

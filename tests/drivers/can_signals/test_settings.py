@@ -245,7 +245,7 @@ FULL["signals"].append(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(st.sampled_from(places(FULL)), JUNK)
 def test_whatever_stands_in_a_place_is_taken_or_refused_with_words(path: tuple[Any, ...], junk: Any) -> None:
     keys = copy.deepcopy(FULL)

@@ -35,7 +35,7 @@ def stamps(seed: int, kind: str, rate: float, span: float, offset: float, drift:
 
 
 @pytest.mark.parametrize("kind", ["exponential", "uniform", "gamma", "bursts", "growing"])
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(
     seed=st.integers(0, 2**31),
     offset=st.floats(-1e6, 1e6),

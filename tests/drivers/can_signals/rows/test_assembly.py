@@ -69,7 +69,7 @@ def test_every_cycle_becomes_a_row(count: int, cycles: int, cuts: list[int], mar
     assert np.allclose(begun, 10.0 + PERIOD * np.arange(cycles) - (SPACING if marker else 0.0))
 
 
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(st.data(), st.integers(2, 5), st.booleans())
 def test_no_row_mixes_cycles_whatever_is_lost(data: st.DataObject, count: int, marker: bool) -> None:
     frames = bus(count, 20, marker=marker)
