@@ -19,11 +19,12 @@ SKIP_TIME = 0.01
 more, the arm was held meanwhile: the motion goes on from rest, where it was."""
 UNHELD_STALL_LIMIT = 0.0
 """The same, beyond positions that are skipped, for an arm that is not held where commands pause."""
-KEPT_UP, BEHIND, SLOW = 25, 0.25, 0.004
-"""A motion ends where more than this share of about so many positions took longer than a period, and than so long [s],
-to send: the bus does not carry them, and what the arm makes of them is no longer the motion that was checked."""
-UNHELD_KEPT_UP, UNHELD_SLOW = 5, 0.0
-"""The same for an arm that is not held where commands pause, and so sees those at uneven times: two of six."""
+BEHIND, KEPT_UP = 0.25, 1.0
+"""A motion ends where sending positions that come too late to be skipped takes more than this share of about the last
+so many seconds. Until then such an arm is held, and goes on from rest: it is slow, and within its limits."""
+UNHELD_KEPT_UP = 5
+"""An arm that is not held where commands pause sees those at uneven times. Its motion ends where more than `BEHIND` of
+about so many positions took longer than a period: the second of six."""
 DRY_RUN = 0.3
 """Length of the dry run [s]."""
 DRY_RUN_PERIODS = 5
@@ -238,12 +239,13 @@ class Player:
         Raises:
             SafetyStopError: it takes too long again and again.
         """
-        count, floor = (KEPT_UP, SLOW) if self._held else (UNHELD_KEPT_UP, UNHELD_SLOW)
-        slow = max(self._period, floor)
-        self._behind += (float(took > slow) - self._behind) / count
+        slow = (1 + skip_limit(self._period)) * self._period if self._held else self._period
+        weight = min(max(took, self._period) / KEPT_UP, 1.0) if self._held else 1.0 / UNHELD_KEPT_UP
+        self._behind += (float(took > slow) - self._behind) * weight
         if self._behind > BEHIND:
+            what = f"of the last {KEPT_UP:g} s was spent on" if self._held else "of the last positions were"
             raise SafetyStopError(
-                "the bus, or this computer, does not keep up: more than a quarter of the last positions took longer "
+                f"the bus, or this computer, does not keep up: more than a quarter {what} positions that took longer "
                 f"than {1e3 * slow:.3g} ms to send",
                 hint="lower the connection's rate (sync_rate), end other programs, or use --realtime",
             )
