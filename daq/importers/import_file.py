@@ -40,7 +40,7 @@ from daq.recording.recording import (
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
 from drivers.core.errors import ImportFileError, UsageError
-from drivers.core.files import ARRAY_FILE, open_input
+from drivers.core.files import ARRAY_FILE, open_input, path_of
 from drivers.core.options import argument, keywords_of
 from drivers.core.reading_process import TIME_LIMIT, Progress, read_apart
 from drivers.streams import COMMANDS, UNITS
@@ -79,6 +79,9 @@ _MAGIC = (
 )
 
 
+_FROM_MEMORY = "dynid.Recording.from_dataframe(robot, frame) and from_dict take what is read already"
+
+
 def import_file(
     path: Path, robot: RobotFile, choices: ImportChoices, progress: Progress = lambda step: None
 ) -> Recording:
@@ -100,7 +103,6 @@ def import_file(
             time or memory to read.
         UsageError: choices that don't apply to this kind of file.
     """
-    path = Path(path)
     if not path.exists():
         raise ImportFileError("no such file", where=str(path))
     if is_lerobot(path):
@@ -294,4 +296,4 @@ def import_recording(options: ImportOptions) -> Recording:
         >>> run.streams["joints"].channels["torque"].values.shape
         (400, 6)
     """
-    return import_file(Path(options.path), load_robot(options.robot), options)
+    return import_file(path_of(options.path, _FROM_MEMORY), load_robot(options.robot), options)

@@ -32,6 +32,7 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, DynidError, RecordingError, RobotFileError, UsageError
+from drivers.core.files import path_of
 from drivers.streams import UNITS
 
 if TYPE_CHECKING:
@@ -410,7 +411,7 @@ class Recording:
         """
         from daq.recording.writer import write_recording
 
-        write_recording(Path(path), self, overwrite=overwrite)
+        write_recording(path_of(path), self, overwrite=overwrite)
 
     def plot(self, *quantities: str, backend: Backend = "plotly") -> Any:
         """Signals of the joints over time, a panel per quantity and a line per joint.

@@ -22,8 +22,8 @@ from daq.recording.recording import SCHEMA_VERSION, Level, Recording, software_v
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import DiskError, DynidError, RecordingError
-from drivers.core.files import RECORDING_FILE, size_text
+from drivers.core.errors import DiskError, DynidError, RecordingError, UsageError
+from drivers.core.files import RECORDING_FILE, given_kind, path_of, size_text
 from drivers.streams import UNITS, ChannelLayout, StreamLayout
 
 CHUNK_SECONDS = 0.5
@@ -364,7 +364,10 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
         ...     len(dynid.read_recording(path).streams["joints"].time)
         1000
     """
-    path = Path(path)
+    path = path_of(path)
+    if not isinstance(recording, Recording):
+        hint = "dynid.Recording.from_dataframe and from_dict make one"
+        raise UsageError(f"{given_kind(recording)} is no recording", hint=hint)
     layouts = [
         StreamLayout(
             name=stream.name,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 from importlib.resources import files
+from os import PathLike
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -15,7 +16,7 @@ from daq.robot.schema import Robot
 from daq.robot.urdf_robot import assumed_of_urdf, read_urdf_arm, robot_text_of_urdf, urdf_prismatic_joints
 from daq.robot.validation import validated_robot
 from drivers.core.errors import RobotFileError
-from drivers.core.files import ROBOT_FILE, URDF_FILE, read_text
+from drivers.core.files import ROBOT_FILE, URDF_FILE, given_kind, read_text
 from drivers.core.text import did_you_mean
 from drivers.core.validation import read_mapping
 
@@ -99,6 +100,8 @@ def load_robot(name_or_path: str | Path | RobotFile) -> RobotFile:
     """
     if isinstance(name_or_path, RobotFile):
         return name_or_path
+    if not isinstance(name_or_path, (str, PathLike)):
+        raise RobotFileError(f"{given_kind(name_or_path)} is no robot, and no path of one", hint='such as "ur5e"')
     given = str(name_or_path)
     path = Path(given)
     urdf = path.suffix.lower() in URDF_SUFFIXES

@@ -3,6 +3,7 @@
     DynidError
     ├── InputError                 exit status 2: what the user gave is wrong, nothing was done
     │   ├── UsageError             options that contradict each other or do not exist
+    │   │   └── ArgumentError      a function of Python has no such argument, or lacks one
     │   ├── MotionRefusedError     a motion that is not safe or was not confirmed; nothing was moved
     │   ├── RobotFileError         a robot file or the URDF that it names
     │   ├── RecordingError         an HDF5 recording: truncated, foreign, newer, half-written
@@ -73,6 +74,10 @@ class InputError(DynidError):
 
 class UsageError(InputError):
     """Options that contradict each other or do not exist."""
+
+
+class ArgumentError(UsageError, TypeError):
+    """A function of Python has no such argument, or lacks one; it is a TypeError, too, as Python's own are."""
 
 
 class MotionRefusedError(InputError):

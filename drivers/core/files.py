@@ -12,10 +12,11 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import BinaryIO
 
-from drivers.core.errors import InputError
+from drivers.core.errors import InputError, UsageError
 
 KB, MB, GB = 10**3, 10**6, 10**9
 
@@ -50,6 +51,23 @@ BAG_METADATA = InputKind("a bag's metadata.yaml", MB)
 
 MOST_VALUES = 64_000_000
 """Numbers of one foreign file, and those of any HDF5 file that it declares without holding them: 512 MB."""
+
+
+def path_of(given: object, hint: str = "") -> Path:
+    """The path that a caller of Python gave.
+
+    Raises:
+        UsageError: it is none.
+    """
+    if not isinstance(given, (str, PathLike)):
+        raise UsageError(f"{given_kind(given)} is no path", hint=hint or "give it as text, or as a pathlib.Path")
+    return Path(given)
+
+
+def given_kind(given: object) -> str:
+    """What a caller of Python gave, with its article: `an int`, `a DataFrame`, `None`."""
+    name = type(given).__name__
+    return "None" if given is None else f"{'an' if name[0] in 'aeiouAEIOU' else 'a'} {name}"
 
 
 def check_input(path: Path, kind: InputKind, refusal: type[InputError], hint: str = "") -> int:

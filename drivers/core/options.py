@@ -12,13 +12,14 @@ import math
 import numbers
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import wraps
+from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, cast
 
-from drivers.core.errors import DynidError, UsageError
+from drivers.core.errors import ArgumentError, DynidError, UsageError
 from drivers.core.ranges import Range, check_option
 from drivers.core.text import did_you_mean
 
@@ -132,9 +133,17 @@ _KINDS: dict[str, tuple[type | tuple[type, ...], str]] = {
     "int": (numbers.Integral, "an integer"),
     "float": (numbers.Real, "a number"),
     "str": (str, "a text"),
+    "bool": (bool, "True or False"),
     "Progress": (Callable, "a function of a step's name"),  # type: ignore[dict-item]
+    "Sequence[str]": (Iterable, "a list of texts"),
+    "Collection[str]": (Iterable, "a list of texts"),
+    "tuple[str, ...]": (Iterable, "a list of texts"),
+    "Mapping[str, str]": (Mapping, "a dictionary of texts"),
+    "tuple[float, float]": (Sequence, "two numbers"),
 }
 """What the values of fields of these types are instances of, and in words."""
+_SHOWN = 60
+"""Characters of a value of another kind that an error shows."""
 
 
 def check_kind(name: str, type_name: str, value: Any) -> None:
@@ -143,12 +152,20 @@ def check_kind(name: str, type_name: str, value: Any) -> None:
     Raises:
         UsageError: names the option and what it is.
     """
-    plain = type_name.removesuffix(" | None")
+    plain = "Progress" if type_name.startswith("Callable") else type_name.removesuffix(" | None")
     if plain not in _KINDS or (value is None and plain != type_name):
         return
     kind, words = _KINDS[plain]
-    if not isinstance(value, kind) or (plain in ("int", "float") and isinstance(value, bool)):
-        raise UsageError(f"{name} {value!r} is not {words}")
+    sound = isinstance(value, kind) or (plain == "bool" and type(value).__name__ == "bool_")  # NumPy's
+    if plain in ("int", "float"):
+        sound = sound and not isinstance(value, bool)
+    elif sound and "[str" in plain:
+        inside = [*value, *value.values()] if isinstance(value, Mapping) else list(value)
+        sound = isinstance(value, str) or all(isinstance(part, str) for part in inside)
+    elif sound and plain == "tuple[float, float]":
+        sound = len(value) == 2 and all(isinstance(part, numbers.Real) for part in value)
+    if not sound:
+        raise UsageError(f"{name} {textwrap.shorten(repr(value), _SHOWN, placeholder=' …')} is not {words}")
 
 
 class Options:
@@ -173,19 +190,30 @@ def same_named(options: object, dataclass_type: type[_Options], **others: Any) -
 
 
 def keywords_of(
-    options: Callable[_Arguments, _Options],
+    options: Callable[_Arguments, _Options], elsewhere: Mapping[str, str] = MappingProxyType({})
 ) -> Callable[[Callable[[_Options], _Result]], Callable[_Arguments, _Result]]:
-    """A function of one dataclass of options as a function of the dataclass's arguments, described in its docstring."""
+    """A function of one dataclass of options as a function of the dataclass's arguments, described in its docstring.
+
+    Args:
+        options: the dataclass.
+        elsewhere: arguments that people may expect, and what to call for each.
+    """
 
     def decorate(function: Callable[[_Options], _Result]) -> Callable[_Arguments, _Result]:
-        names = {of.name: of for of in fields(cast(Any, options))}
+        names, signature = {of.name: of for of in fields(cast(Any, options))}, inspect.signature(options)
 
         @wraps(function)
         def call(*args: _Arguments.args, **keywords: _Arguments.kwargs) -> _Result:
             for name in keywords:
                 if name not in names:
-                    hint = did_you_mean(name, names)
-                    raise TypeError(f"{function.__name__}() has no argument '{name}'{f': {hint}' if hint else ''}")
+                    hint = elsewhere.get(name) or did_you_mean(name, names)
+                    raise ArgumentError(f"{function.__name__}() has no argument '{name}'{f': {hint}' if hint else ''}")
+            try:
+                signature.bind(*args, **keywords)
+            except TypeError as error:
+                raise ArgumentError(
+                    f"{function.__name__}(): {error}", hint=f"help(dynid.{function.__name__})"
+                ) from None
             try:
                 return function(options(*args, **keywords))
             except DynidError as error:
@@ -195,7 +223,6 @@ def keywords_of(
 
         del call.__wrapped__  # what takes the dataclass is not what users call  # type: ignore[attr-defined]
         annotations = {name: value for name, value in function.__annotations__.items() if name == "return"}
-        signature = inspect.signature(options)
         call.__signature__ = signature.replace(return_annotation=annotations.get("return"))  # type: ignore[attr-defined]
         call.__annotations__ = {
             name: parameter.annotation for name, parameter in signature.parameters.items()

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from daq.output_files import check_outputs, replace_files
 from drivers.core.errors import ModelError, RobotFileError
-from drivers.core.files import URDF_FILE, read_text
+from drivers.core.files import URDF_FILE, path_of, read_text
 from ident.export import mujoco_reading, pinocchio_reading
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_mjcf, left_out_of_ros2_inertial, left_out_of_urdf
@@ -66,7 +66,7 @@ def export_urdf(
         RobotFileError: `into` is no URDF, or not of this arm.
         ModelError: the file reads back as another model.
     """
-    target = Path(path)
+    target = path_of(path)
     check_outputs([target], [Path(into)] if into is not None else [], overwrite=overwrite)
     own = arm.robot_file.urdf_text
     if into is not None:
@@ -92,7 +92,7 @@ def export_mjcf(arm: ExportedArm, path: str | PathLike[str], *, overwrite: bool 
         UsageError: the path cannot be written.
         ModelError: the file reads back as another model.
     """
-    target = Path(path)
+    target = path_of(path)
     check_outputs([target], overwrite=overwrite)
     text = mjcf(arm)
     readings, checks = [], []
@@ -110,7 +110,7 @@ def export_ros2_inertial(arm: ExportedArm, path: str | PathLike[str], *, overwri
         UsageError: the path cannot be written.
         ModelError: the file reads back other numbers.
     """
-    target = Path(path)
+    target = path_of(path)
     check_outputs([target], overwrite=overwrite)
     text = ros2_inertial(arm)
     check_ros2_inertial(arm, text)

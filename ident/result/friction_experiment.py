@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from daq.output_files import warn_of_strange_files
 from drivers.core.arrays import FloatArray
+from drivers.core.files import path_of
 from ident.friction.table import SHAPED, SHAPES, TEMPERATURE_KINDS
 from ident.result.friction import FrictionStep, JointFrictionResult, ParameterKind
 from ident.result.result_file import check_kind, read_content, stored
@@ -114,7 +115,7 @@ class FrictionExperimentResult(BaseModel):
 
 def friction_path(path: str | PathLike[str]) -> Path:
     """The friction.json that a path means: itself, or the one in a folder that `dynid friction` wrote."""
-    given = Path(path)
+    given = path_of(path)
     return given / FRICTION_FILE if given.is_dir() else given
 
 

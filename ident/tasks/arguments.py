@@ -10,6 +10,7 @@ from typing import Any
 from daq.recording.reader import read_recording
 from daq.recording.recording import Recording
 from drivers.core.errors import UsageError
+from drivers.core.files import path_of
 from ident.verdict.acceptance import AcceptanceLimits, declared, read_limits
 
 Run = Recording | str | PathLike[str]
@@ -73,4 +74,6 @@ def limits_of(accept: Limits) -> AcceptanceLimits:
     Raises:
         UsageError: the file cannot be read, or a key is wrong.
     """
-    return declared(accept, "accept") if isinstance(accept, Mapping) else read_limits(Path(accept))
+    if isinstance(accept, Mapping):
+        return declared(accept, "accept")
+    return read_limits(path_of(accept, "or give the limits by their keys"))

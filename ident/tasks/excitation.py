@@ -18,6 +18,7 @@ from daq.robot.fingerprint import fingerprint
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, UsageError
+from drivers.core.files import path_of
 from drivers.core.options import keywords_of, same_named
 from drivers.core.text import percent_text, percentage_text
 from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
@@ -130,8 +131,8 @@ class ExcitationTrajectory:
         Raises:
             UsageError, DiskError: it exists already, or cannot be written.
         """
-        check_outputs([Path(path)], overwrite=overwrite)
-        replace_files({Path(path): self.text})
+        check_outputs([path_of(path)], overwrite=overwrite)
+        replace_files({path_of(path): self.text})
 
     def save_csv(self, path: str | PathLike[str], *, rate: float = CSV_RATE, overwrite: bool = False) -> None:
         """Write the motion as a table of positions, for a player of your own: `time` [s] and a column per joint.
@@ -144,12 +145,12 @@ class ExcitationTrajectory:
         Raises:
             UsageError, DiskError: it exists already, or cannot be written.
         """
-        check_outputs([Path(path)], overwrite=overwrite)
+        check_outputs([path_of(path)], overwrite=overwrite)
         time = np.arange(int(np.ceil(self.duration * rate)) + 1) / rate
         position, _, _ = self.evaluate(np.minimum(time, self.duration))
         rows = np.column_stack([time, position])
         lines = [",".join(["time", *self.joint_names]), *(",".join(f"{value:.6f}" for value in row) for row in rows)]
-        replace_files({Path(path): "\n".join(lines) + "\n"})
+        replace_files({path_of(path): "\n".join(lines) + "\n"})
 
     def page(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write a page (HTML): figures, plots, the arm in motion.
@@ -161,9 +162,9 @@ class ExcitationTrajectory:
         Raises:
             UsageError, DiskError: it exists already, or cannot be written.
         """
-        check_outputs([Path(path)], overwrite=overwrite)
+        check_outputs([path_of(path)], overwrite=overwrite)
         notes = [] if self.design is None else design_notes(self.design)
-        write_page(Path(path), self.robot_file, self.motion, self.prior, self.figures, notes)
+        write_page(path_of(path), self.robot_file, self.motion, self.prior, self.figures, notes)
 
     def __repr__(self) -> str:
         return f"<dynid.ExcitationTrajectory of {self.robot_file.robot.name}, {self.duration:.4g} s>"
@@ -199,7 +200,7 @@ def design_excitation(options: ExciteOptions) -> ExcitationTrajectory:
     time = DEFAULT_SECONDS if options.time is None and options.starts is None else options.time
     search = same_named(options, SearchChoices, time=time)
     earlier = options.earlier
-    if isinstance(earlier, (str, PathLike)):
+    if earlier is not None and not isinstance(earlier, ExcitationTrajectory):
         earlier = load_trajectory(earlier, robot_file)
     designed = design(robot_file, known, choices, search, None if earlier is None else earlier.motion, options.progress)
     figures = excitation_figures(robot_file, designed.motion, known)
@@ -231,7 +232,7 @@ def load_trajectory(path: str | PathLike[str], robot: str | Path | RobotFile) ->
     if not isinstance(path, (str, PathLike)):
         raise UsageError(f"a {type(path).__name__} is no path of a trajectory", hint='give "traj.yaml"')
     robot_file = load_robot(robot)
-    read = read_trajectory(Path(path), robot_file.robot)
+    read = read_trajectory(path_of(path), robot_file.robot)
     return ExcitationTrajectory(robot_file, read.text, read.motion, find_prior(robot_file))
 
 

@@ -202,7 +202,7 @@ class IdentificationResult(SavedResult):
         return f"{self.verdict._repr_html_()}{self.errors._repr_html_()}{self.parameters._repr_html_()}"
 
 
-@keywords_of(IdentifyOptions)
+@keywords_of(IdentifyOptions, {"gravity": "dynid.identify_gravity(runs)"})
 def identify(options: IdentifyOptions) -> IdentificationResult:
     """Identify the dynamic model from recordings and validate it on held-out data: all that `dynid identify` does.
 

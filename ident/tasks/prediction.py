@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, St
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
+from drivers.core.files import path_of
 from drivers.core.options import keywords_of
 from drivers.core.units import common_unit
 from drivers.streams import UNITS
@@ -176,7 +176,7 @@ class Prediction:
         Raises:
             RecordingError: the file exists, or cannot be written.
         """
-        write_recording(Path(path), self.recording, overwrite=overwrite)
+        write_recording(path_of(path), self.recording, overwrite=overwrite)
 
     def page(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write a page (HTML): predicted and measured torque, its parts, the residual with its 95 % band.
@@ -188,8 +188,8 @@ class Prediction:
         Raises:
             UsageError: it exists already, or cannot be written.
         """
-        check_outputs([Path(path)], overwrite=overwrite)
-        write_prediction_page(Path(path), self.robot_file.robot, self.label, self.summary, self.segments)
+        check_outputs([path_of(path)], overwrite=overwrite)
+        write_prediction_page(path_of(path), self.robot_file.robot, self.label, self.summary, self.segments)
 
     def plot(self, *, backend: Backend = "plotly") -> Any:
         """Measured and predicted torque of each joint over time, as a figure.

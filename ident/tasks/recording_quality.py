@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from os import PathLike
-from pathlib import Path
 
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot
+from drivers.core.files import path_of
 from drivers.core.options import keywords_of
 from drivers.core.text import json_text
 from ident.checks.page.page import write_page
@@ -80,7 +80,7 @@ class RecordingQuality:
             UsageError: they exist already, it is a file, or cannot be written.
             DiskError: the disk is full or fails.
         """
-        write_page(Path(folder), self.figures, self.file, overwrite=overwrite)
+        write_page(path_of(folder), self.figures, self.file, overwrite=overwrite)
 
     def to_json(self) -> str:
         """What `dynid info --json` prints."""

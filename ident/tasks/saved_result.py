@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from os import PathLike
-from pathlib import Path
 from typing import ClassVar
 
 from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, write_folder
+from drivers.core.files import path_of
 from ident.result.gravity import GravityResult
 from ident.result.result_file import result_json
 from ident.result.tables import Table
@@ -39,7 +39,7 @@ class SavedResult(ABC):
             UsageError: they exist already, it is a file, or cannot be written.
             DiskError: the disk is full or fails.
         """
-        place = Path(folder)
+        place = path_of(folder)
         check_output_folder(place, (self.FILE, REPORT_FILE), overwrite=overwrite)
         write_folder(place, {self.FILE: self.to_json() + "\n", REPORT_FILE: self._page()})
 

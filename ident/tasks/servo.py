@@ -14,6 +14,7 @@ from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError, UsageError
+from drivers.core.files import path_of
 from drivers.core.reading_process import Progress
 from drivers.streams import UNITS
 from ident.export.mujoco_reading import mujoco_installed
@@ -122,7 +123,7 @@ class ServoModel(GradedResult):
             UsageError: the path cannot be written.
             ModelError: the arm has loops or coupled motors.
         """
-        target = Path(path)
+        target = path_of(path)
         check_outputs([target], overwrite=overwrite)
         text = servo_mjcf(self._robot, self._links, self.result.values)
         motions = self._replayed(runs)
@@ -153,7 +154,7 @@ class ServoModel(GradedResult):
             UsageError: the path cannot be written, or a spread that is not within 0 to 2.
             ModelError: the arm has loops or coupled motors.
         """
-        target = Path(path)
+        target = path_of(path)
         check_outputs([target], overwrite=overwrite)
         text = isaaclab.isaaclab_configuration(self.result, self._links, self._speeds(), _spread(unit_spread))
         law = isaaclab.read_isaaclab(text, str(target))
@@ -176,7 +177,7 @@ class ServoModel(GradedResult):
             UsageError: usd-core is not installed, the path ends otherwise or cannot be written.
             ModelError: the arm has loops or coupled motors.
         """
-        target = Path(path)
+        target = path_of(path)
         if target.suffix not in {".usda", ".usd"}:
             raise UsageError(f"'{target.name}' does not end in .usda or .usd", hint="name it arm.usda")
         check_outputs([target], overwrite=overwrite)

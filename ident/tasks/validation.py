@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from os import PathLike
 
 from drivers.core.errors import UsageError
+from drivers.core.files import given_kind
 from drivers.core.options import keywords_of
 from ident.assessment.validation import Fit, fit_errors
 from ident.experiments.merge.merged_result import merge_results
@@ -175,6 +176,9 @@ def merge(options: MergeOptions) -> IdentificationResult:
         >>> merged.result.merge.consistency.agree in (True, False)
         True
     """
+    if not isinstance(options.results, (list, tuple)):
+        hint = "give a list of at least two, of dynid.identify or their paths"
+        raise UsageError(f"{given_kind(options.results)} is no list of results", hint=hint)
     named = [
         (_label(identified, position), result_of(identified))
         for position, identified in enumerate(options.results, start=1)

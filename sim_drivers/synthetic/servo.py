@@ -17,6 +17,7 @@ from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import TruthServo
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
+from drivers.core.options import check_kind
 from drivers.streams import UNITS
 from sim_drivers.plant.sensors import quantised
 from sim_drivers.plant.servo import ServoArm, true_servos
@@ -58,6 +59,7 @@ def simulate_servo(
         ['position', 'target_position']
     """
     for name, value in (("duration", duration), ("rate", rate)):
+        check_kind(name, "float | None", value)
         if value is not None and not 0 < value < float("inf"):
             raise UsageError(f"{name} {value:g} is not a positive number")
     file = load_robot(robot)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 
 import numpy as np
@@ -283,3 +284,65 @@ def test_what_is_no_path_is_said():
     ):
         with pytest.raises(dynid.UsageError):
             call()
+
+
+class Odd:
+    """Nothing that any function takes."""
+
+
+WRONG = (None, 3, "", "no\0such", b"x", [], [None], {}, np.zeros((3, 2)), Odd())
+NEEDED = {"runs": "run", "run": "run", "robot": "ur5e", "free": "run", "loaded": "run", "recording": "run"}
+"""Arguments that must be right for the others to be looked at; what any other needs names no file."""
+
+
+def in_one_line(call):
+    try:
+        call()
+    except dynid.DynidError as error:
+        return "" if "\n" not in str(error) and len(str(error)) < 600 else f"{error!r}"
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+    return "taken"
+
+
+def test_any_wrong_argument_is_refused_in_one_line(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    run = dynid.Recording.from_dict("ur5e", named())
+    functions = [name for name in dir(dynid) if inspect.isfunction(getattr(dynid, name))]
+    said = {}
+    for name in functions:
+        function, parameters = getattr(dynid, name), inspect.signature(getattr(dynid, name)).parameters
+        needed = [key for key, one in parameters.items() if one.default is inspect.Parameter.empty]
+        for value in (*WRONG, frame()) if needed else ():
+            said[name, type(value).__name__] = in_one_line(lambda: function(*[value] * len(needed)))  # noqa: B023
+        given = [{"run": run}.get(NEEDED.get(key, ""), NEEDED.get(key, "nowhere")) for key in needed]
+        for key in set(parameters) - set(needed) - {"overwrite", "progress"}:
+            for value in (Odd(), [Odd()]):
+                said[name, key, type(value).__name__] = in_one_line(lambda: function(*given, **{key: value}))  # noqa: B023
+    assert {call: words for call, words in said.items() if words} == {}
+
+
+def test_what_is_saved_needs_a_path(run, result, tmp_path):
+    saved = {
+        run.save, result.save, result.model.export_urdf, result.model.export_mjcf, result.model.export_c,
+        result.model.export_ros2_inertial, dynid.predict(result, run).save, dynid.predict(result, run).page,
+        dynid.info(run).save,
+    }  # fmt: skip
+    bare = [
+        kind.save.__get__(object.__new__(kind))
+        for kind in (dynid.IdentifiedFriction, dynid.IdentifiedGains, dynid.IdentifiedPayload, dynid.IdentifiedGravity)
+    ]
+    for save in (*saved, *bare):
+        for value in (None, 3, [], frame(), Odd()):
+            assert in_one_line(lambda: save(value)) == "", save  # noqa: B023
+    for call, words in (
+        (lambda: dynid.import_recording(frame(), "ur5e"), "a DataFrame is no path .*from_dataframe"),
+        (lambda: dynid.merge(None), "None is no list of results"),
+        (lambda: dynid.write_recording(tmp_path / "x.h5", None), "None is no recording"),
+        (lambda: dynid.identify(run, gravity=True), r"has no argument 'gravity': dynid.identify_gravity\(runs\)"),
+        (lambda: dynid.identify(), r"identify\(\): missing a required argument: 'runs'"),
+    ):
+        with pytest.raises(dynid.UsageError, match=words):
+            call()
+    with pytest.raises(TypeError):
+        dynid.identify()

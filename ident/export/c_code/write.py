@@ -5,9 +5,9 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from os import PathLike
-from pathlib import Path
 
 from daq.output_files import check_outputs, replace_files
+from drivers.core.files import path_of
 from ident.export.c_code.expressions import Graph
 from ident.export.c_code.functions import arm_functions, left_out
 from ident.export.c_code.names import identifier, source_paths
@@ -45,7 +45,7 @@ def write_c(
         UsageError: a file exists, cannot be written, or has a name that C cannot include.
         ModelError: loops of the arm are solved numerically, or its parameters do not fit into the type.
     """
-    header_path, source_path = source_paths(Path(path))
+    header_path, source_path = source_paths(path_of(path))
     check_outputs([header_path, source_path], overwrite=overwrite)
     graph = Graph()
     functions = tuple(one for one in arm_functions(graph, dynamics) if names is None or one.name in names)
