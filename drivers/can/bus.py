@@ -31,6 +31,9 @@ EXTENDED = 0x80000000
 REMOTE = 0x40000000
 """Added to the identifier of a remote frame (a request for so many bytes as are given), as socketcan does."""
 
+RETURNED = {"receive_own_messages": True}
+"""Option of socketcan and the virtual bus: hand sent frames back once the bus has carried them."""
+
 Frame = tuple[float, int, bytes]
 """Arrival [s, the host's monotonic clock], identifier, data."""
 
@@ -86,15 +89,30 @@ def returns_own_frames(bus: can.BusABC) -> bool:
     return type(bus).__name__ == "UdpMulticastBus"
 
 
+def confirms_sending(interface: str, options: Mapping[str, object]) -> bool:
+    """Whether the adapters of an interface hand a frame back once the bus has carried it.
+
+    socketcan's do, where `open_bus` is given `RETURNED`; python-can's virtual bus where its options have that.
+    """
+    return interface in {"socketcan", "virtual"} and bool(options.get("receive_own_messages", interface == "socketcan"))
+
+
 class Sender:
     """Sends frames from any thread, one at a time.
 
     Args:
         bus: open.
         clock: the host's.
+
+    Attributes:
+        unconfirmed: since when frames are being sent of which none came back [s, the host's monotonic clock]; None
+            where one did since, or the adapter returns none.
     """
 
     def __init__(self, bus: can.BusABC, clock: Clock = SYSTEM_CLOCK) -> None:
+        self.unconfirmed: float | None = None
+        self._identifiers: set[int] = set()
+        self._returned = False
         self._bus = bus
         self._clock = clock
         self._lock = threading.Lock()
@@ -128,12 +146,22 @@ class Sender:
         ]
         with self._lock:
             begun = self._clock.now()
+            self._identifiers.update(identifier for identifier, _ in frames)
+            if self._returned and self.unconfirmed is None and frames:
+                self.unconfirmed = begun
             try:
                 for message in messages:
                     self._bus.send(message, self._limit)
             except (can.CanError, OSError, ValueError) as error:
                 raise self._refused(error) from error
         return begun
+
+    def confirm(self, identifier: int) -> bool:
+        """Note a frame that a program of this computer sent and the bus has carried; whether it was this one's."""
+        if identifier not in self._identifiers:
+            return False
+        self._returned, self.unconfirmed = True, None
+        return True
 
     def send_periodically(self, identifier: int, data: bytes, period: float) -> can.CyclicSendTaskABC:
         """Let the kernel send a frame every `period` [s] until the task is stopped (see `sends_in_kernel`).

@@ -37,6 +37,7 @@ class Receiver:
         stored: identifiers to store; None for all.
         other: is called with every other frame (identifier, data, arrival [s]) in the receiving thread; must be quick.
         clock: the host's.
+        own: takes the identifier of a frame that a program of this computer sent; whether it was this program.
     """
 
     def __init__(
@@ -45,6 +46,7 @@ class Receiver:
         stored: Container[int] | None = None,
         other: Callable[[int, bytes, float], None] | None = None,
         clock: Clock = SYSTEM_CLOCK,
+        own: Callable[[int], bool] | None = None,
     ) -> None:
         self.overflow = 0
         """Frames dropped because `take` stayed away."""
@@ -53,6 +55,7 @@ class Receiver:
         self._bus = bus
         self._stored = stored
         self._other = other
+        self._own = own
         self._clock = clock
         self._stamps = ArrivalClock(bus, clock)
         self._ring: deque[Frame] = deque()
@@ -154,7 +157,9 @@ class Receiver:
         identifier, data = message.arbitration_id, bytes(message.data)
         if message.is_extended_id:
             identifier |= EXTENDED
-        if len(data) != message.dlc:
+        if not message.is_rx and self._own is not None and self._own(identifier):
+            pass
+        elif len(data) != message.dlc:
             self._trouble("truncated frame(s) left out", arrived)
         elif self._stored is None or identifier in self._stored:
             self._store((arrived, identifier, data))

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import can
 
 from drivers.base import DriverSettings, Notice, State, drained, require_state
-from drivers.can.bus import Sender, close_bus, open_bus
+from drivers.can.bus import RETURNED, Sender, close_bus, confirms_sending, open_bus
 from drivers.can.receiver import Receiver
 from drivers.can_signals.motion import Commander
 from drivers.can_signals.polling import Poller
@@ -80,10 +80,13 @@ class CanFramesDriver:
         """
         require_state(self._state, "closed", "open")
         settings = self._settings
-        self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
+        confirms = confirms_sending(settings.interface, settings.options)
+        options = {**settings.options, **(RETURNED if confirms else {})}
+        self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, options)
         try:
             self._sender = Sender(self._bus, self._clock)
-            self._receiver = Receiver(self._bus, settings.identifiers, clock=self._clock)
+            own = self._sender.confirm if confirms else None
+            self._receiver = Receiver(self._bus, settings.identifiers, clock=self._clock, own=own)
             self._receiver.start()
             self._send(settings.begin)
             if settings.poll is not None:
@@ -267,6 +270,13 @@ class CanFramesDriver:
         return self._receiver
 
     def _require_sound(self, now: float, timeout: float) -> None:
+        sent = self._sender.unconfirmed if self._sender is not None else None
+        if sent is not None and self._opened_receiver().drained - sent > STALL_LIMIT:
+            raise ConnectionLostError(
+                f"nothing that was sent for {STALL_LIMIT:g} s came back from the adapter: the bus does not carry it",
+                where=f"{self._settings.interface} {self._settings.channel}",
+                hint="is the bus terminated, and another device on it, at this bit rate?",
+            )
         if (
             now - self._looked > timeout + STALL_LIMIT
         ):  # this process stalled itself: what came meanwhile is still to be read

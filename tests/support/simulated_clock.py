@@ -339,6 +339,10 @@ class VirtualBus(virtual.VirtualBus):
         for queue in self.channel:
             if queue is not self.queue:
                 queue.queue.append(received)
+        if self.receive_own_messages:
+            own = copy(received)
+            own.is_rx = False
+            self.queue.queue.append(own)
 
 
 @contextmanager

@@ -212,6 +212,24 @@ def test_polls_are_sent_on_time_answered_and_counted(
     assert len(rows) == 2.0 * RATE - len(unanswered)
 
 
+def test_a_bus_that_no_longer_carries_what_is_sent_ends_the_session(
+    arm: Arm, make_driver: Make, read_for: Read, clock: SimulatedClock
+) -> None:
+    """socketcan hands a sent frame back once the bus has carried it, as the virtual bus does when it is asked to."""
+    made = arm(poll=0x100)
+    keys = connection(made.channel, poll={"id": 0x100}) | {"options": {"receive_own_messages": True}}
+    driver = started(make_driver(keys))
+    blocks = read_for(driver, 0.5)
+    assert len(joined(blocks, "position")) == 0.5 * RATE  # what comes back is no sample
+    clock.stall(0.2)
+    read_for(driver, 0.5)
+    driver._bus.receive_own_messages = False  # type: ignore[union-attr]
+    begun = clock.now()
+    with pytest.raises(ConnectionLostError, match="nothing that was sent for 0.05 s came back from the adapter"):
+        read_for(driver, 1.0)
+    assert clock.now() - begun < 0.05 + 3 * PERIOD
+
+
 def test_polls_after_a_stall_go_on_from_now(arm: Arm, make_driver: Make, read_for: Read, clock: SimulatedClock) -> None:
     made = arm(poll=0x100)
     driver = started(make_driver(connection(made.channel, poll={"id": 0x100})))
