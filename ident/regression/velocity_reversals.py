@@ -12,7 +12,6 @@ from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
@@ -143,6 +142,8 @@ def _rest_mask(
 
 def _within_a_step(segment: Segment, steps: FloatArray) -> npt.NDArray[np.bool_]:
     """(n, N) joints whose positions stay within a step of their encoder for `SHORTEST_REST` or longer."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
     width = max(1, round(SHORTEST_REST * segment.rate))
     spread = maximum_filter1d(segment.position, width, axis=1) - minimum_filter1d(segment.position, width, axis=1)
     with np.errstate(invalid="ignore"):
@@ -152,6 +153,8 @@ def _within_a_step(segment: Segment, steps: FloatArray) -> npt.NDArray[np.bool_]
 
 def _dilated(mask: npt.NDArray[np.bool_], width: int) -> npt.NDArray[np.bool_]:
     """A mask (…, N) that reaches `width` // 2 samples further to both sides, one less before where it is even."""
+    from scipy.ndimage import maximum_filter1d
+
     flags = mask.astype(np.uint8)
     return np.asarray(maximum_filter1d(flags, width, axis=-1, mode="constant", origin=width % 2 - 1) > 0)
 

@@ -22,7 +22,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dgesv, dpotrf
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, ModelError
@@ -157,6 +156,9 @@ class _Stepping:
     """Steps of one arm; remembers what the next step starts its iteration from."""
 
     def __init__(self, arm: ForwardArm, step: float) -> None:
+        from scipy.linalg.lapack import dgesv, dpotrf  # half a second that a recording need not wait
+
+        self._factor, self._solve = dpotrf, dgesv
         self._arm, self._step = arm, step
         self._identity = np.eye(arm.dof)
         self._dry = np.zeros(len(arm.dry))
@@ -167,11 +169,11 @@ class _Stepping:
         arm, step = self._arm, self._step
         middle = position + 0.5 * step * velocity
         inertia = arm.inertia(middle)
-        if dpotrf(inertia)[1] != 0:
+        if self._factor(inertia)[1] != 0:
             raise np.linalg.LinAlgError("not positive definite")
         viscous, driving = arm.viscous_at(velocity + 0.5 * self._change)
         limits = arm.dry_at(middle, velocity)
-        inverse = dgesv(inertia + 0.5 * step * viscous, self._identity)[2]
+        inverse = self._solve(inertia + 0.5 * step * viscous, self._identity)[2]
         free = inertia @ velocity + step * (torque - driving - 0.5 * (viscous @ velocity))
         sliding = limits > 0.0
         directions = arm.directions[sliding]
