@@ -34,7 +34,7 @@ from daq.robot.section import (
 )
 from daq.robot.workspace import Mounting, Workspace
 from drivers.core.ranges import EXPONENT, JOINTS, NUMBER, PAYLOAD, STRIBECK_VELOCITY
-from drivers.core.terminal import hidden_character
+from drivers.core.terminal import LONGEST_NAME, unfit_name
 from drivers.core.units import common_unit, joint_unit
 from drivers.core.validation import SeveralProblems
 
@@ -404,8 +404,8 @@ class Robot(Section):
         driven = tuple(drive.joint for drive in self.drives)
         rows = tuple(row.joint for row in self.model.mdh or ())
         for name in (self.name, *self.joint_names, *passive, *rows, *self.connections):
-            if hidden := hidden_character(name):
-                raise ValueError(f"the name {name!r} holds the character {hidden}; a name is one line of visible text")
+            if unfit := unfit_name(name):
+                raise ValueError(f"the name {name[:LONGEST_NAME]!r} {unfit}; a name is one line of visible text")
         if problems := name_problems(self._names(passive, driven)):
             raise SeveralProblems(problems)
         if contradictions := known_problems(self.known):

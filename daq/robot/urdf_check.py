@@ -8,7 +8,7 @@ from functools import lru_cache
 
 from drivers.core.errors import RobotFileError
 from drivers.core.ranges import INERTIA, JOINTS, LENGTH, MASS, NUMBER, Range
-from drivers.core.terminal import hidden_character
+from drivers.core.terminal import unfit_name
 
 MOST_LINKS = 1000
 """Links of a URDF; its parser calls itself for each along a chain, and a humanoid with hands has 100."""
@@ -71,10 +71,8 @@ def _checked(xml: str) -> tuple[ElementTree.Element | None, tuple[str, str] | No
     movable = sum(1 for joint in root.iter("joint") if joint.get("type") in MOVING)
     if not JOINTS.holds(movable) and movable:
         return root, ("", f"has {movable} movable joints; at most {JOINTS.most:g} are read")
-    for element in root.iter():
-        for key in ("name", "link", "joint"):
-            if hidden := hidden_character(element.get(key, "")):
-                return root, ("", f"has a {element.tag} whose {key} holds the character {hidden}; remove it")
+    if problem := _name_problem(root):
+        return root, ("", problem)
     place = ""
     try:
         for joint in root.findall("joint"):
@@ -86,6 +84,15 @@ def _checked(xml: str) -> tuple[ElementTree.Element | None, tuple[str, str] | No
     except _UrdfError as error:
         return root, (place, str(error))
     return root, None
+
+
+def _name_problem(root: ElementTree.Element) -> str:
+    for element in root.iter():
+        for key in ("name", "link", "joint"):
+            if (name := element.get(key)) and (unfit := unfit_name(name)):
+                return f"has a {element.tag} whose {key} {unfit}; change it"
+    nameless = next((one.tag for one in root if one.tag in ("joint", "link") and not one.get("name")), "")
+    return f"has a {nameless} without a name; give it one" if nameless else ""
 
 
 def _check_joint(joint: ElementTree.Element) -> None:

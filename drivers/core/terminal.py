@@ -32,6 +32,19 @@ def hidden_character(name: str) -> str:
     return f"\\u{ord(found.group()):04x}" if found else ""
 
 
+LONGEST_NAME = 200
+"""Characters of a name; some file formats hold no more than a few hundred."""
+
+
+def unfit_name(name: str) -> str:
+    """Why a text is no name of a joint, link or robot: `is empty`, `holds the character …`; empty where it is one."""
+    if not name.strip():
+        return "is empty"
+    if len(name) > LONGEST_NAME:
+        return f"has {len(name)} characters, more than {LONGEST_NAME}"
+    return f"holds the character {hidden}" if (hidden := hidden_character(name)) else ""
+
+
 def _escaped(error: UnicodeError) -> tuple[str, int]:
     r"""Error handler of an encoding: what it lacks as `\u00b5`, JSON's own escape, beyond 16 bits as a pair."""
     if not isinstance(error, UnicodeEncodeError):

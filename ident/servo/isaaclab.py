@@ -196,7 +196,9 @@ def _events(names: Sequence[str], law: ActuatorLaw, ranges: Mapping[str, Mapping
             params = {
                 f"{field}_distribution_params": (_rounded(own.low / own.value), _rounded(own.high / own.value))
                 for field, term in fields.items()
-                if (own := ranges[name].get(term)) is not None and (field != "damping" or damped[name])
+                if (own := ranges[name].get(term)) is not None
+                and own.value > 0.0
+                and (field != "damping" or damped[name])
             }
             if not params:
                 continue

@@ -208,10 +208,22 @@ def read_servo_result(path: Path) -> ServoResult:
     """
     result = checked(ServoResult, read_content(path), path, SERVO, "dynid identify --method servo", SERVO_SCHEMA)
     unknown = {name for joint in result.servo for name in joint.parameters} - set(INDEX)
-    if unknown or len(result.servo) != len(result.joints):
-        raise ResultFileError(
-            f"names the unknown parameter '{min(unknown)}'" if unknown else "does not have one entry a joint",
-            where=f"{path}: servo",
-            hint="identify again",
-        )
+    wrong = ""
+    if unknown:
+        wrong = f"names the unknown parameter '{min(unknown)}'"
+    elif [joint.joint for joint in result.servo] != list(result.joints):
+        wrong = "does not have one entry a joint, in their order"
+    wrong = wrong or next((said for joint in result.servo if (said := _impossible(joint))), "")
+    if wrong:
+        raise ResultFileError(wrong, where=f"{path}: servo", hint="identify again")
     return result
+
+
+def _impossible(joint: ServoJoint) -> str:
+    """What is wrong with a joint's values, in words; empty where nothing is."""
+    for name, parameter in joint.parameters.items():
+        term, value = TERMS[INDEX[name]], parameter.value
+        low, high = parameter.interval or (value, value)
+        if not (value == term.absent or term.allowed.holds(value)) or low > high:
+            return f"{name} {value:g} of {joint.joint} is not within {term.allowed}, or its interval is empty"
+    return ""

@@ -639,6 +639,9 @@ def named_cases() -> dict[str, dict[str, Any]]:
     cases["ten stalls of 40 ms"] = {"stalls": tuple((0.5 + 0.1 * index, 0.04) for index in range(10))}
     cases["each command takes 1.2 periods"] = {"take": 1.2 / 200.0}
     cases["each command takes 1.2 periods, motion is fastest"] = {"take": 1.2 / 200.0, "slow_from": FASTEST}
+    for ms in (7.0, 9.0):
+        cases[f"each command takes {ms:g} ms"] = {"take": 1e-3 * ms}
+        cases[f"each command takes {ms:g} ms, motion is fastest"] = {"take": 1e-3 * ms, "slow_from": FASTEST}
     cases["restart while the motion is fastest"] = {"restart": FASTEST}
     cases["restart in the approach"] = {"restart": 0.1}
     for word, change in (

@@ -352,5 +352,17 @@ def test_a_urdf_with_a_name_that_ends_a_line_is_refused(place: str) -> None:
         '<child link="b"/></joint></robot>'
     )
     checked_urdf(xml, "arm.urdf")
-    with pytest.raises(RobotFileError, match=r"holds the character .u000a; remove it"):
+    with pytest.raises(RobotFileError, match=r"holds the character .u000a; change it"):
         checked_urdf(xml.replace(place, place[:-1] + '&#10;"'), "arm.urdf")
+
+
+def test_an_empty_or_endless_name_is_refused_where_it_stands() -> None:
+    for name, words in (("", "without a name"), ("j" * 5000, "has 5000 characters, more than 200")):
+        xml = (
+            f'<robot name="r"><link name="a"/><link name="b"/><joint name="{name}" type="fixed"><parent link="a"/>'
+            '<child link="b"/></joint><material name=""/></robot>'
+        )
+        with pytest.raises(RobotFileError, match=words):
+            checked_urdf(xml, "arm.urdf")
+    assert "is empty" in refusal(replaced("{name: j1", '{name: ""')).message
+    assert "more than 200" in refusal(replaced("{name: j1", f"{{name: {'j' * 201}")).message

@@ -293,3 +293,29 @@ def test_the_command_writes_all_formats_with_their_replay(model, run, tmp_path, 
     status, _, error = command_line.run(monkeypatch, capsys, "export", tmp_path / "model", *target)
     assert status == 2
     assert ".usda" in error
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda servo: servo[0].update(joint="x'; import os #"), "one entry a joint, in their order"),
+        (lambda servo: servo.reverse(), "one entry a joint, in their order"),
+        (lambda servo: servo[0]["parameters"]["stiffness"].update(value=-1.0), "stiffness -1 of .* is not within"),
+        (lambda servo: servo[0]["parameters"]["stiffness"].update(interval=[2.0, 1.0]), "its interval is empty"),
+    ],
+)
+def test_a_result_that_no_identification_writes_is_refused(model, tmp_path, change, words):
+    content = json.loads(model.to_json())
+    change(content["servo"])
+    (tmp_path / "result.json").write_text(json.dumps(content))
+    with pytest.raises(dynid.ResultFileError, match=words):
+        dynid.load_servo_model(tmp_path)
+
+
+def test_a_joint_without_stiffness_has_no_range_to_scale_it_by(model, tmp_path):
+    content = json.loads(model.to_json())
+    content["servo"][0]["parameters"]["stiffness"]["value"] = 0.0
+    (tmp_path / "result.json").write_text(json.dumps(content))
+    written = tmp_path / "c.py"
+    dynid.load_servo_model(tmp_path).export_isaaclab(written)
+    assert "nan" not in written.read_text()
