@@ -157,6 +157,46 @@ class Replug:
     """Plug the thermometer in again; nothing where it is plugged in."""
 
 
+@dataclass(frozen=True)
+class Die:
+    """The servo of joint index `joint` neither answers nor drives any more, as with a broken cable."""
+
+    joint: int
+
+
+@dataclass(frozen=True)
+class SameId:
+    """Another servo with the id of joint index `joint` answers at the same time."""
+
+    joint: int
+
+
+@dataclass(frozen=True)
+class Sag:
+    """The supply falls to half of its nominal voltage for `duration` [s]."""
+
+    duration: float
+
+
+@dataclass(frozen=True)
+class WrongSum:
+    """The next `count` answers have a wrong sum."""
+
+    count: int
+
+
+@dataclass(frozen=True)
+class Latency:
+    """The adapter hands answers on only every `seconds` [s] from now on."""
+
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Echo:
+    """The adapter returns what is sent from now on."""
+
+
 Fault = (
     Drop
     | Freeze
@@ -179,9 +219,17 @@ Fault = (
     | Mute
     | Noise
     | Replug
+    | Die
+    | SameId
+    | Sag
+    | WrongSum
+    | Latency
+    | Echo
 )
 
-ServerKind = Literal["UR controller", "CANopen drives", "signal-table arm", "thermometer", "arm at rest"]
+ServerKind = Literal[
+    "UR controller", "CANopen drives", "signal-table arm", "serial servos", "thermometer", "arm at rest"
+]
 """Who obeys a fault; the arm at rest is one that only its thermometer watches."""
 
 
@@ -270,33 +318,40 @@ class FaultEntry:
 
 ARMS: tuple[ServerKind, ...] = ("UR controller", "CANopen drives", "signal-table arm")
 CAN: tuple[ServerKind, ...] = ("CANopen drives", "signal-table arm")
+SERVOS: tuple[ServerKind, ...] = ("serial servos",)
 THERMOMETERS: tuple[ServerKind, ...] = ("thermometer", "arm at rest")
 
 FAULTS = (
-    FaultEntry("drop", (COUNT,), Drop, ARMS),
-    FaultEntry("freeze", (SECONDS,), Freeze, ARMS),
+    FaultEntry("drop", (COUNT,), Drop, (*ARMS, *SERVOS)),
+    FaultEntry("freeze", (SECONDS,), Freeze, (*ARMS, *SERVOS)),
     FaultEntry("cut", (), Cut, ("UR controller",)),
     FaultEntry("protective-stop", (), ProtectiveStop, ("UR controller",)),
     FaultEntry("local-control", (), LocalControl, ("UR controller",)),
     FaultEntry("mute", (IDENTIFIER, SECONDS), Mute, ("signal-table arm",)),
     FaultEntry("clock-jump", (JUMP,), ClockJump, ("UR controller", "signal-table arm")),
-    FaultEntry("power-cycle", (JOINT,), PowerCycle, ("CANopen drives",)),
+    FaultEntry("power-cycle", (JOINT,), PowerCycle, ("CANopen drives", *SERVOS)),
     FaultEntry("heartbeat-stop", (JOINT,), HeartbeatStop, ("CANopen drives",)),
-    FaultEntry("over-temperature", (JOINT,), OverTemperature, CAN),
+    FaultEntry("over-temperature", (JOINT,), OverTemperature, (*CAN, *SERVOS)),
     FaultEntry("bus-off", (SECONDS,), BusOff, CAN),
-    FaultEntry("truncate", (COUNT,), Truncate, CAN),
-    FaultEntry("garbage", (COUNT,), Garbage, CAN),
-    FaultEntry("heat", (JOINT, CELSIUS), Heat, (*ARMS, "arm at rest")),
-    FaultEntry("block", (JOINT,), BlockJoint, ARMS),
+    FaultEntry("truncate", (COUNT,), Truncate, (*CAN, *SERVOS)),
+    FaultEntry("garbage", (COUNT,), Garbage, (*CAN, *SERVOS)),
+    FaultEntry("heat", (JOINT, CELSIUS), Heat, (*ARMS, *SERVOS, "arm at rest")),
+    FaultEntry("block", (JOINT,), BlockJoint, (*ARMS, *SERVOS)),
     FaultEntry("stick", (QUANTITY, JOINT), Stick, ARMS),
     FaultEntry("stick", (), Stick, THERMOMETERS),
     FaultEntry("refuse", (VARIABLE,), Refuse, ("UR controller",)),
     FaultEntry("drift", (JOINT, SPEED), Drift, ("UR controller",)),
     FaultEntry("silent", (SECONDS,), Freeze, THERMOMETERS),
     FaultEntry("garbage", (SECONDS,), Noise, THERMOMETERS),
-    FaultEntry("unplug", (), Unplug, ("CANopen drives", *THERMOMETERS)),
+    FaultEntry("unplug", (), Unplug, ("CANopen drives", *SERVOS, *THERMOMETERS)),
     FaultEntry("unplug", (SECONDS,), Unplug, THERMOMETERS),
     FaultEntry("replug", (), Replug, THERMOMETERS),
+    FaultEntry("die", (JOINT,), Die, SERVOS),
+    FaultEntry("same-id", (JOINT,), SameId, SERVOS),
+    FaultEntry("sag", (SECONDS,), Sag, SERVOS),
+    FaultEntry("wrong-sum", (COUNT,), WrongSum, SERVOS),
+    FaultEntry("latency", (SECONDS,), Latency, SERVOS),
+    FaultEntry("echo", (), Echo, SERVOS),
 )
 
 

@@ -35,6 +35,9 @@ STEP_WITH_PLAY = 0.001
 HEATING_STEPS = 50
 """Steps between two changes of temperatures."""
 
+JAMMED = 1e4
+"""Dry friction [N·m] of a jammed joint."""
+
 GEAR_DAMPING = 0.5
 """Damping ratio of a gear at the end of its play."""
 
@@ -66,6 +69,7 @@ class ServoArm:
         current: (n,) of the motors in the last step, with its sign; 0 without a `stall_current` [A].
         heat: temperatures of windings and housings.
         supply: share of the nominal voltage.
+        effort: (n,) largest share of the full duty cycle, 0 where a servo is limp.
     """
 
     def __init__(self, file: RobotFile, position: FloatArray, celsius: float | None = None) -> None:
@@ -107,7 +111,7 @@ class ServoArm:
         self._bodies = np.concatenate([position, position[self._loose]])
         self._rates = np.zeros(len(self._bodies))
         self._guess = np.zeros(len(self._bodies))
-        self.torque, self.current = np.zeros(count), np.zeros(count)
+        self.torque, self.current, self.effort = np.zeros(count), np.zeros(count), np.ones(count)
         self.supply = self._supply.voltage / self._supply.nominal
         self.heat = JointHeat(robot.truth.thermal, count, HEATING_STEPS * self.step)
         if celsius is not None:
@@ -142,10 +146,10 @@ class ServoArm:
         error = goal - seen - self._bias
         acting = np.abs(error) > self._dead_band
         linear = self._stiffness * np.where(acting, error - np.sign(error) * self._dead_band, 0.0)
-        duty = np.clip(linear / self._limit, -1.0, 1.0)
+        duty = np.clip(linear / self._limit, -self.effort, self.effort)
         strength = self._strength * np.where(self._voltage, self.supply, 1.0)
         torque = strength * self._limit * duty
-        stiffness = np.where(acting & (np.abs(duty) < 1.0), strength * self._implicit, 0.0)
+        stiffness = np.where(acting & (np.abs(duty) < self.effort), strength * self._implicit, 0.0)
         matrix = self._matrix(position)
         momentum = matrix @ self._rates
         momentum[:n] -= h * self._arm.bias(position, velocity)
@@ -173,6 +177,10 @@ class ServoArm:
             self.heat.advance(self._warmth[0] / HEATING_STEPS * self._resistance, self._warmth[1] / HEATING_STEPS)
             self._warmth[:] = 0.0
             self._change_temperature()
+
+    def block(self, joint: int) -> None:
+        """Jam the joint of this index for good: it brakes harder than its drive can push."""
+        self._coulomb[joint] = JAMMED
 
     def _matrix(self, position: FloatArray) -> FloatArray:
         """Inertia matrix of joints, and of the motors that have play."""

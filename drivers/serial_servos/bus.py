@@ -1,0 +1,222 @@
+"""Reading and writing the memory of servos on one line."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, DriverStateError
+from drivers.serial_servos.dynamixel import DynamixelProtocol
+from drivers.serial_servos.feetech import FeetechProtocol
+from drivers.serial_servos.line import Heard, ServoLine
+from drivers.serial_servos.packets import PING, Packet, ServoProtocol
+from drivers.serial_servos.registers import Register
+from drivers.serial_servos.settings import ServoMotor, ServoSettings
+
+PROTOCOLS: Mapping[str, type[ServoProtocol]] = {"feetech": FeetechProtocol, "dynamixel": DynamixelProtocol}
+ATTEMPTS = 3
+"""So often a single register is asked for before its servo counts as silent."""
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """What all servos said in one cycle.
+
+    Attributes:
+        answers: id → its answer; a servo that did not answer is missing.
+        strange: bytes that belonged to no answer.
+        time: in the middle between the request and the last answer [s, host's monotonic clock].
+        received: when the last answer was complete.
+    """
+
+    answers: Mapping[int, Packet]
+    strange: int
+    time: float
+    received: float
+
+
+class ServoBus:
+    """The servos of a connection; safe to use from several threads.
+
+    Args:
+        settings: of the connection.
+        clock: the host's.
+
+    Attributes:
+        line: under it.
+        fast: whether the servos answer in one packet; found out by `open`.
+        block: first address and number of bytes of the feedback.
+    """
+
+    def __init__(self, settings: ServoSettings, clock: Clock = SYSTEM_CLOCK) -> None:
+        self._motors = settings.motors
+        protocol = PROTOCOLS[settings.motors[0].table.protocol]()
+        self.line = ServoLine(settings.url, settings.keys.baudrate, protocol, clock)
+        self.fast = False
+        self._lock: AbstractContextManager[object] = clock.lock()
+        self._ids = [motor.id for motor in settings.motors]
+        self._sync = all(motor.table.sync_read for motor in settings.motors)
+        self._may_be_fast = settings.keys.fast_sync_read and all(m.table.fast_sync_read for m in settings.motors)
+        blocks = [motor.table.block for motor in settings.motors]
+        first = min(start for start, _ in blocks)
+        self.block = first, max(start + size for start, size in blocks) - first
+
+    def open(self) -> None:
+        """Open the port, see whether it returns what is sent, and whether the servos answer in one packet.
+
+        Raises:
+            ConnectionFailedError: no such port.
+            ConnectionLostError: the port is gone.
+            UsageError: a URL or a baud rate that cannot be.
+        """
+        self.line.open()
+        protocol = self.line.protocol
+        for motor in self._motors:
+            entry = motor.table.registers["model_number"]
+            request = protocol.read(motor.id, entry.address, entry.size)
+            with self._lock:
+                heard = self.line.notice_echo(request, protocol.answer_size(entry.size))
+            if heard.answers:
+                break
+        if self._may_be_fast:
+            self.fast = True
+            self.fast = len(self.feedback().answers) == len(self._ids)
+
+    def close(self) -> None:
+        """Let go of the port; safe at any time."""
+        self.line.close()
+
+    def ping(self, motor: int) -> bool:
+        """Whether a servo answers to its id."""
+        protocol = self.line.protocol
+        with self._lock:
+            heard = self.line.exchange(protocol.request(motor, PING), protocol.answer_size(3), 1)
+        return any(answer.motor == motor for answer in heard.answers)
+
+    def read(self, motor: ServoMotor, name: str) -> int:
+        """The counts of a register, with their sign.
+
+        Raises:
+            ConnectionFailedError: the servo does not answer, or refuses.
+            ConnectionLostError: the port is gone.
+        """
+        entry = motor.table.registers[name]
+        return entry.decoded(self.read_bytes(motor, entry.address, entry.size))
+
+    def read_bytes(self, motor: ServoMotor, address: int, size: int) -> bytes:
+        """Bytes of a servo's memory; raises as `read`."""
+        protocol = self.line.protocol
+        answer = self._asked(motor, protocol.read(motor.id, address, size), size)
+        if len(answer.data) < size:
+            raise ConnectionFailedError(f"{called(motor)} refuses to tell address {address}", where=self.line.url)
+        return answer.data
+
+    def write(self, motor: ServoMotor, name: str, counts: int, *, configure: bool = False) -> None:
+        """Write signed counts into a register, and wait for the servo to confirm it.
+
+        Args:
+            motor: the servo.
+            name: of the register.
+            counts: with their sign.
+            configure: whether it may be one of the EEPROM.
+
+        Raises:
+            DriverStateError: the register is of the EEPROM, and may not be written.
+            ConnectionFailedError: the servo does not answer, or holds something else afterwards.
+            ConnectionLostError: the port is gone.
+        """
+        entry = motor.table.registers[name]
+        if entry.eeprom and not configure:
+            raise DriverStateError(f"{name} of {called(motor)} is in EEPROM", hint="only --configure writes there")
+        protocol, data = self.line.protocol, entry.encoded(counts)
+        with self._lock:
+            self.line.exchange(protocol.write(motor.id, entry.address, data), protocol.answer_size(0), 1)
+        # Servos may be set not to answer writings: what counts is what they hold then.
+        held = self.read(motor, name)
+        if held != counts:
+            raise ConnectionFailedError(
+                f"{called(motor)} holds {held} as {name} after {counts} was written",
+                where=self.line.url,
+                hint="is it in fault, or write-protected?",
+            )
+
+    def write_all(self, name: str, counts: Mapping[int, int]) -> None:
+        """Write signed counts, by id, into a register of the RAM with one request; no servo answers.
+
+        Raises:
+            ConnectionLostError: the port is gone.
+        """
+        entries: dict[tuple[int, int], dict[int, bytes]] = {}
+        for motor in self._motors:
+            if motor.id in counts:
+                entry = motor.table.registers[name]
+                if entry.eeprom:
+                    raise DriverStateError(f"{name} is in EEPROM", hint="only --configure writes there")
+                entries.setdefault((entry.address, entry.size), {})[motor.id] = entry.encoded(counts[motor.id])
+        for (address, _), rows in entries.items():
+            with self._lock:
+                self.line.send(self.line.protocol.sync_write(address, rows))
+
+    def feedback(self) -> Feedback:
+        """Read the feedback of all servos.
+
+        Raises:
+            ConnectionLostError: the port is gone.
+        """
+        address, size = self.block
+        protocol, count = self.line.protocol, len(self._ids)
+        with self._lock:
+            if self.fast:
+                request = protocol.sync_read(address, size, self._ids, fast=True)
+                heard = self.line.exchange(request, protocol.fast_answer_size(size, count), 1)
+                packets = [one for packet in heard.answers for one in protocol.fast_answers(packet, size)]
+                return _feedback(packets, [heard], self._ids, size)
+            if self._sync:
+                request = protocol.sync_read(address, size, self._ids)
+                heard = self.line.exchange(request, count * protocol.answer_size(size), count)
+                return _feedback(heard.answers, [heard], self._ids, size)
+            each = [
+                self.line.exchange(protocol.read(motor, address, size), protocol.answer_size(size), 1)
+                for motor in self._ids
+            ]
+        return _feedback([answer for heard in each for answer in heard.answers], each, self._ids, size)
+
+    def value(self, motor: ServoMotor, name: str, answer: Packet) -> int:
+        """The counts of a register of the feedback in a servo's answer."""
+        entry: Register = motor.table.registers[name]
+        start = entry.address - self.block[0]
+        return entry.decoded(answer.data[start : start + entry.size])
+
+    def _asked(self, motor: ServoMotor, request: bytes, size: int) -> Packet:
+        strange = others = 0
+        for _ in range(ATTEMPTS):
+            with self._lock:
+                heard = self.line.exchange(request, self.line.protocol.answer_size(size), 1)
+            for answer in heard.answers:
+                if answer.motor == motor.id:
+                    return answer
+            strange += heard.strange
+            others += len(heard.answers)
+        if strange:
+            said, hint = "answers garbled", "two servos with this id, another baud rate, or a bad cable"
+        elif others:
+            said, hint = "does not answer, another id does in its place", "is anything else on this bus?"
+        else:
+            said, hint = "does not answer", "power, cable, id and baud rate; a servo keeps its id when it is moved"
+        raise ConnectionFailedError(f"{called(motor)} {said}", where=self.line.url, hint=hint)
+
+
+def called(motor: ServoMotor) -> str:
+    """A servo in messages."""
+    return f"{motor.joint} (id {motor.id})"
+
+
+def _feedback(packets: Sequence[Packet], heard: Sequence[Heard], ids: Sequence[int], size: int) -> Feedback:
+    answers = {packet.motor: packet for packet in packets if packet.motor in ids and len(packet.data) == size}
+    sent = heard[0].sent if heard else math.nan
+    received = heard[-1].received if heard else math.nan
+    strange = sum(one.strange for one in heard)
+    return Feedback(answers, strange, 0.5 * (sent + received), received)

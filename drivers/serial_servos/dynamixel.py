@@ -1,0 +1,160 @@
+"""Dynamixel protocol 2.0: FF FF FD 00, id, length, instruction, parameters, CRC-16.
+
+The CRC has the polynomial 0x8005, starts at 0 and runs from the header on. FF FF FD within instruction and parameters
+is followed by another FD. An answer has the instruction 0x55, its errors come first. In the answer to a fast
+sync read, each servo adds errors, id, data and the CRC of all bytes so far, and nothing is stuffed. Source: ROBOTIS
+e-manual, DYNAMIXEL protocol 2.0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from drivers.serial_servos.packets import (
+    BROADCAST,
+    FAST_SYNC_READ,
+    READ,
+    SYNC_READ,
+    SYNC_WRITE,
+    WRITE,
+    Packet,
+)
+
+HEADER = b"\xff\xff\xfd\x00"
+MARK = HEADER[:3]
+STATUS = 0x55
+FRAME = 10
+"""Bytes of a packet without parameters."""
+LONGEST = 2048
+"""Of the bytes behind the length; what says more is no packet."""
+
+
+class DynamixelProtocol:
+    """Implements `drivers.serial_servos.packets.ServoProtocol`."""
+
+    name = "dynamixel"
+
+    def request(self, motor: int, instruction: int, data: bytes = b"") -> bytes:
+        """An instruction as bytes."""
+        body = (bytes([instruction]) + data).replace(MARK, MARK + b"\xfd")
+        packet = HEADER + bytes([motor]) + (len(body) + 2).to_bytes(2, "little") + body
+        return packet + crc16(packet).to_bytes(2, "little")
+
+    def read(self, motor: int, address: int, size: int) -> bytes:
+        """The request for bytes of one servo's memory."""
+        return self.request(motor, READ, _words(address, size))
+
+    def write(self, motor: int, address: int, data: bytes) -> bytes:
+        """The request that writes them."""
+        return self.request(motor, WRITE, _words(address) + data)
+
+    def sync_read(self, address: int, size: int, motors: Sequence[int], *, fast: bool = False) -> bytes:
+        """The request for the same bytes of several servos; `fast` in one packet."""
+        return self.request(BROADCAST, FAST_SYNC_READ if fast else SYNC_READ, _words(address, size) + bytes(motors))
+
+    def sync_write(self, address: int, rows: Mapping[int, bytes]) -> bytes:
+        """The request that writes equally many bytes to several servos; none answers."""
+        size = len(next(iter(rows.values())))
+        parts = b"".join(bytes([motor]) + data for motor, data in rows.items())
+        return self.request(BROADCAST, SYNC_WRITE, _words(address, size) + parts)
+
+    def answer(self, motor: int, errors: int, data: bytes = b"") -> bytes:
+        """What a servo answers."""
+        return self.request(motor, STATUS, bytes([errors]) + data)
+
+    def fast_answer(self, rows: Sequence[tuple[int, int, bytes]]) -> bytes:
+        """What servos answer together to a fast sync read: (id, errors, data) of each, in their order."""
+        length = 1 + sum(len(data) + 4 for _, _, data in rows)
+        packet = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([STATUS])
+        for motor, errors, data in rows:
+            packet += bytes([errors, motor]) + data
+            packet += crc16(packet).to_bytes(2, "little")
+        return packet
+
+    def answer_size(self, size: int) -> int:
+        """Bytes of an answer with so many data, none of them stuffed."""
+        return FRAME + 1 + size
+
+    def fast_answer_size(self, size: int, count: int) -> int:
+        """Bytes of the answer of so many servos to a fast sync read."""
+        return FRAME - 2 + count * (size + 4)
+
+    def answers(self, buffer: bytearray) -> tuple[list[Packet], int]:
+        """Take whole answers from the front of a buffer, and how many bytes belonged to none."""
+        packets, strange = _packets(buffer)
+        found = []
+        for packet in packets:
+            if packet.code != STATUS:  # a request: somebody else's, or an echo
+                continue
+            if packet.motor == BROADCAST:
+                found.append(packet)
+            elif packet.data:
+                data = packet.data.replace(MARK + b"\xfd", MARK)
+                found.append(Packet(packet.motor, data[0], data[1:]))
+        return found, strange
+
+    def requests(self, buffer: bytearray) -> tuple[list[Packet], int]:
+        """Take whole requests from the front of a buffer, and how many bytes belonged to none."""
+        packets, strange = _packets(buffer)
+        stuffed = MARK + b"\xfd"
+        found = [Packet(p.motor, p.code, p.data.replace(stuffed, MARK)) for p in packets if p.code != STATUS]
+        return found, strange
+
+    def fast_answers(self, packet: Packet, size: int) -> list[Packet]:
+        """The servos' answers in the packet of a fast sync read."""
+        # The CRC of the last is that of the packet, and cut off already.
+        data, step = packet.data + b"\0\0", size + 4
+        parts = [data[start : start + step] for start in range(0, len(data) - step + 1, step)]
+        return [Packet(part[1], part[0], part[2 : 2 + size]) for part in parts]
+
+
+def _packets(buffer: bytearray) -> tuple[list[Packet], int]:
+    """Whole packets, with their parameters as they came, and how many bytes belonged to none."""
+    found: list[Packet] = []
+    strange = 0
+    while True:
+        start = buffer.find(HEADER)
+        if start < 0:
+            kept = next((size for size in (3, 2, 1) if buffer.endswith(HEADER[:size])), 0)
+            strange += len(buffer) - kept
+            del buffer[: len(buffer) - kept]
+            return found, strange
+        strange += start
+        del buffer[:start]
+        if len(buffer) < 7:
+            return found, strange
+        length = int.from_bytes(buffer[5:7], "little")
+        end = 7 + length
+        if not 3 <= length <= LONGEST:
+            strange += 4
+            del buffer[:4]
+        elif len(buffer) < end:
+            return found, strange
+        elif crc16(buffer[: end - 2]) != int.from_bytes(buffer[end - 2 : end], "little"):
+            strange += 4
+            del buffer[:4]
+        else:
+            found.append(Packet(buffer[4], buffer[7], bytes(buffer[8 : end - 2])))
+            del buffer[:end]
+
+
+def crc16(data: bytes | bytearray) -> int:
+    """CRC-16 with the polynomial 0x8005, most significant bit first, from 0."""
+    value = 0
+    for byte in data:
+        value = (value << 8 & 0xFFFF) ^ _CRC[value >> 8 ^ byte]
+    return value
+
+
+def _crc_entry(index: int) -> int:
+    value = index << 8
+    for _ in range(8):
+        value = value << 1 ^ (0x8005 if value & 0x8000 else 0)
+    return value & 0xFFFF
+
+
+_CRC = [_crc_entry(index) for index in range(256)]
+
+
+def _words(*values: int) -> bytes:
+    return b"".join(value.to_bytes(2, "little") for value in values)

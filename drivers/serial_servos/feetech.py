@@ -1,0 +1,101 @@
+"""Feetech's protocol of its SCS, STS and SMS servos: FF FF, id, length, instruction or errors, parameters, sum.
+
+The sum is the complement of the low byte of id + length + instruction + parameters. Source: Feetech, communication
+protocol manual of the SCS series; instructions as in its library (`feetech-servo-sdk`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from drivers.serial_servos.packets import BROADCAST, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet
+
+HEADER = b"\xff\xff"
+SHORTEST = 6
+"""Bytes of a packet without parameters."""
+LONGEST = 0xFD
+"""Of the byte that says the length: parameters and two."""
+
+
+class FeetechProtocol:
+    """Implements `drivers.serial_servos.packets.ServoProtocol`."""
+
+    name = "feetech"
+
+    def request(self, motor: int, instruction: int, data: bytes = b"") -> bytes:
+        """An instruction as bytes."""
+        body = bytes([motor, len(data) + 2, instruction]) + data
+        return HEADER + body + bytes([_sum(body)])
+
+    def read(self, motor: int, address: int, size: int) -> bytes:
+        """The request for bytes of one servo's memory."""
+        return self.request(motor, READ, bytes([address, size]))
+
+    def write(self, motor: int, address: int, data: bytes) -> bytes:
+        """The request that writes them."""
+        return self.request(motor, WRITE, bytes([address]) + data)
+
+    def sync_read(self, address: int, size: int, motors: Sequence[int], *, fast: bool = False) -> bytes:
+        """The request for the same bytes of several servos, which answer one after the other."""
+        if fast:
+            raise ValueError("Feetech servos have no fast sync read")
+        return self.request(BROADCAST, SYNC_READ, bytes([address, size, *motors]))
+
+    def sync_write(self, address: int, rows: Mapping[int, bytes]) -> bytes:
+        """The request that writes equally many bytes to several servos; none answers."""
+        size = len(next(iter(rows.values())))
+        parts = b"".join(bytes([motor]) + data for motor, data in rows.items())
+        return self.request(BROADCAST, SYNC_WRITE, bytes([address, size]) + parts)
+
+    def answer(self, motor: int, errors: int, data: bytes = b"") -> bytes:
+        """What a servo answers: as a request, with its errors in the instruction's place."""
+        return self.request(motor, errors, data)
+
+    def answer_size(self, size: int) -> int:
+        """Bytes of an answer with so many data."""
+        return SHORTEST + size
+
+    def fast_answer_size(self, size: int, count: int) -> int:
+        """There is none."""
+        raise ValueError("Feetech servos have no fast sync read")
+
+    def answers(self, buffer: bytearray) -> tuple[list[Packet], int]:
+        """Take whole packets from the front of a buffer, and how many bytes belonged to none."""
+        found: list[Packet] = []
+        strange = 0
+        while True:
+            start = buffer.find(HEADER)
+            # A third FF is an id that no servo has: the header begins one byte later.
+            while start >= 0 and buffer[start + 2 : start + 3] == b"\xff":
+                start += 1
+            if start < 0:
+                kept = 1 if buffer[-1:] == b"\xff" else 0
+                strange += len(buffer) - kept
+                del buffer[: len(buffer) - kept]
+                return found, strange
+            strange += start
+            del buffer[:start]
+            if len(buffer) < 4:
+                return found, strange
+            end = buffer[3] + 4
+            if not SHORTEST <= end <= LONGEST + 4:
+                strange += 2
+                del buffer[:2]
+            elif len(buffer) < end:
+                return found, strange
+            elif _sum(buffer[2 : end - 1]) != buffer[end - 1]:
+                strange += 2
+                del buffer[:2]
+            else:
+                found.append(Packet(buffer[2], buffer[4], bytes(buffer[5 : end - 1])))
+                del buffer[:end]
+
+    requests = answers
+
+    def fast_answers(self, packet: Packet, size: int) -> list[Packet]:
+        """There are none."""
+        raise ValueError("Feetech servos have no fast sync read")
+
+
+def _sum(body: bytes | bytearray) -> int:
+    return ~sum(body) & 0xFF

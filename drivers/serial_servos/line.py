@@ -1,0 +1,206 @@
+"""The half-duplex line of serial servos: one request at a time, its answers, and what else is heard."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import serial
+
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
+from drivers.serial_servos.packets import Packet, ServoProtocol
+
+BITS_A_BYTE = 10
+"""Start bit, eight data bits, stop bit."""
+READ_SLICE = 0.002
+"""[s] that one reading of the port waits at most."""
+PATIENCE = 0.03
+"""[s] beyond the time on the wire that answers are waited for: more than the 16 ms of an adapter's latency timer."""
+LATENCY_TIMER = Path("/sys/bus/usb-serial/devices")
+"""Where Linux shows the latency timers of USB adapters."""
+
+
+@dataclass(frozen=True)
+class Heard:
+    """What came after a request.
+
+    Attributes:
+        answers: whole ones, in the order in which they came.
+        strange: bytes that belonged to none.
+        sent, received: when the request went out and when the last answer was complete [s, host's monotonic clock].
+    """
+
+    answers: Sequence[Packet]
+    strange: int
+    sent: float
+    received: float
+
+
+class ServoLine:
+    """A serial port on which servos answer; not for more than one thread at a time.
+
+    Args:
+        url: device or pyserial URL.
+        baudrate: [bit/s].
+        protocol: of the servos.
+        clock: the host's.
+
+    Attributes:
+        echo: whether the adapter returns what is sent; found out by `notice_echo`.
+    """
+
+    def __init__(self, url: str, baudrate: int, protocol: ServoProtocol, clock: Clock = SYSTEM_CLOCK) -> None:
+        self.url, self.baudrate, self.protocol = url, baudrate, protocol
+        self.echo = False
+        self._clock = clock
+        self._port: Any = None
+
+    def open(self) -> None:
+        """Open the port, for this program alone.
+
+        Raises:
+            ConnectionFailedError: no such device, no permission, or it is in use.
+            UsageError: not a URL, or a baud rate that the port does not have.
+        """
+        try:
+            self._port = serial.serial_for_url(
+                self.url, baudrate=self.baudrate, timeout=READ_SLICE, write_timeout=1.0, exclusive=True
+            )
+        except ValueError as error:
+            raise UsageError(str(error), where=self.url, hint="a device, or a URL that pyserial knows") from error
+        except Exception as error:  # pyserial lets through whatever the system or a protocol's module raises
+            raise ConnectionFailedError(
+                f"cannot be opened: {reason(error)}",
+                where=self.url,
+                hint="is it plugged in, and are you in the group that owns it (dialout)?",
+            ) from error
+        with contextlib.suppress(Exception):  # only some adapters and systems have it
+            self._port.set_low_latency_mode(True)
+
+    def close(self) -> None:
+        """Let go of the port; safe at any time."""
+        port, self._port = self._port, None
+        if port is not None:
+            with contextlib.suppress(Exception):
+                port.close()
+
+    def send(self, request: bytes) -> None:
+        """Send what nobody answers.
+
+        Raises:
+            ConnectionLostError: the port is gone.
+        """
+        self._write(request)
+        if self.echo:
+            self._read(len(request), self._clock.now() + self._wire_time(len(request)) + PATIENCE)
+
+    def exchange(self, request: bytes, answer_bytes: int, packets: int) -> Heard:
+        """Send a request, and wait until so many answers have come, or nothing more can come.
+
+        Args:
+            request: to send.
+            answer_bytes: of all answers together.
+            packets: number of answers.
+
+        Raises:
+            ConnectionLostError: the port is gone.
+        """
+        self._write(request)
+        sent = received = self._clock.now()
+        skipped = len(request) if self.echo else 0
+        end = sent + self._wire_time(len(request) + skipped + answer_bytes) + PATIENCE
+        buffer, answers, strange = bytearray(), list[Packet](), 0
+        missing = skipped + answer_bytes
+        while len(answers) < packets and self._clock.now() < end:
+            data = self._read_some(max(missing, 1))
+            missing -= len(data)
+            if not data:
+                continue
+            received = self._clock.now()
+            buffer += data
+            if skipped:
+                cut = min(skipped, len(buffer))
+                del buffer[:cut]
+                skipped -= cut
+            found, more = self.protocol.answers(buffer)
+            answers += found
+            strange += more
+        return Heard(answers, strange + len(buffer), sent, received)
+
+    def notice_echo(self, request: bytes, answer_bytes: int) -> Heard:
+        """Send a request that one servo answers, and see whether the adapter returns it before the answer.
+
+        Raises:
+            ConnectionLostError: the port is gone.
+        """
+        self._write(request)
+        sent = self._clock.now()
+        end = sent + self._wire_time(2 * len(request) + answer_bytes) + PATIENCE
+        data = bytearray()
+        while len(data) < len(request) + answer_bytes and self._clock.now() < end:
+            data += self._read_some(len(request) + answer_bytes - len(data))
+            if not data.startswith(request[: len(data)]) and len(data) >= answer_bytes:
+                break
+        # Without an echo an answer could look like its request only by chance: they differ in length or parameters.
+        echoed = data.startswith(request)
+        self.echo = self.echo or echoed
+        if echoed:
+            del data[: len(request)]
+        answers, strange = self.protocol.answers(data)
+        return Heard(answers, strange + len(data), sent, self._clock.now())
+
+    def latency_timer(self) -> int | None:
+        """How long [ms] the USB adapter collects bytes before it hands them on; None where it does not say."""
+        name = os.path.basename(os.path.realpath(self.url))
+        try:
+            return int((LATENCY_TIMER / name / "latency_timer").read_text("ascii"))
+        except (OSError, ValueError):
+            return None
+
+    def _wire_time(self, count: int) -> float:
+        return count * BITS_A_BYTE / self.baudrate
+
+    def _write(self, data: bytes) -> None:
+        port = self._opened()
+        try:
+            port.reset_input_buffer()  # what came late belongs to no request any more
+            port.write(data)
+        except Exception as error:
+            raise self._lost(error) from error
+
+    def _read(self, count: int, end: float) -> bytes:
+        data = b""
+        while len(data) < count and self._clock.now() < end:
+            data += self._read_some(count - len(data))
+        return data
+
+    def _read_some(self, count: int) -> bytes:
+        try:
+            return bytes(self._opened().read(count))
+        except ConnectionLostError:
+            raise
+        except Exception as error:  # OSError, termios.error, and whatever protocols' modules raise
+            raise self._lost(error) from error
+
+    def _opened(self) -> Any:
+        if self._port is None:
+            raise ConnectionLostError("the port is closed", where=self.url)
+        return self._port
+
+    def _lost(self, error: Exception) -> ConnectionLostError:
+        return ConnectionLostError(f"the port has gone: {reason(error)}", where=self.url, hint="look at its cable")
+
+
+def reason(error: Exception) -> str:
+    """Why a port failed, in words."""
+    text = str(error) or type(error).__name__
+    if "exclusively lock" in text:
+        return "another program has opened it"
+    if isinstance(error, OSError) and error.errno:  # pyserial's own text repeats the port
+        return os.strerror(error.errno)
+    return text.partition(" (device disconnected")[0]

@@ -1,0 +1,69 @@
+"""What both protocols of serial servos have in common: packets, and how they are cut out of bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+BROADCAST = 0xFE
+"""Id that every servo obeys and none answers, in both protocols."""
+
+PING, READ, WRITE = 0x01, 0x02, 0x03
+SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
+"""Instructions of both protocols; Feetech has no fast sync read."""
+
+
+@dataclass(frozen=True)
+class Packet:
+    """A packet whose sum is right.
+
+    Attributes:
+        motor: id of the servo that is asked or answers.
+        code: an instruction; in an answer, the error bits.
+        data: parameters.
+    """
+
+    motor: int
+    code: int
+    data: bytes
+
+
+class ServoProtocol(Protocol):
+    """How packets are written and read; without a state."""
+
+    name: str
+    """Of the protocol."""
+
+    def request(self, motor: int, instruction: int, data: bytes = b"") -> bytes:
+        """An instruction as bytes."""
+
+    def read(self, motor: int, address: int, size: int) -> bytes:
+        """The request for bytes of one servo's memory."""
+
+    def write(self, motor: int, address: int, data: bytes) -> bytes:
+        """The request that writes them."""
+
+    def sync_read(self, address: int, size: int, motors: Sequence[int], *, fast: bool = False) -> bytes:
+        """The request for the same bytes of several servos, which answer in this order; `fast` in one packet."""
+
+    def sync_write(self, address: int, rows: Mapping[int, bytes]) -> bytes:
+        """The request that writes equally many bytes to several servos; none answers."""
+
+    def answer(self, motor: int, errors: int, data: bytes = b"") -> bytes:
+        """What a servo answers."""
+
+    def answer_size(self, size: int) -> int:
+        """Bytes of an answer with so many data."""
+
+    def fast_answer_size(self, size: int, count: int) -> int:
+        """Bytes of the answer of so many servos to a fast sync read."""
+
+    def answers(self, buffer: bytearray) -> tuple[list[Packet], int]:
+        """Take whole answers from the front of a buffer, and how many bytes belonged to none."""
+
+    def requests(self, buffer: bytearray) -> tuple[list[Packet], int]:
+        """Take whole requests from the front of a buffer, and how many bytes belonged to none."""
+
+    def fast_answers(self, packet: Packet, size: int) -> list[Packet]:
+        """The servos' answers in the packet of a fast sync read."""

@@ -1,0 +1,1 @@
+"""Simulated serial bus servos on a pseudo-terminal."""

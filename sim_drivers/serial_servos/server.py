@@ -1,0 +1,340 @@
+"""Simulated serial bus servos on a line, in the time of a clock: real frames, as fast as their baud rate allows.
+
+One thread does everything. A pseudo-terminal carries any number of bytes at once; so an answer is handed over when its
+last bit would have come, behind the request and the servos' return delays.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Protocol
+
+import numpy as np
+
+from daq.robot.loader import RobotFile
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.serial_servos.bus import PROTOCOLS
+from drivers.serial_servos.dynamixel import DynamixelProtocol
+from drivers.serial_servos.line import BITS_A_BYTE
+from drivers.serial_servos.packets import BROADCAST, FAST_SYNC_READ, PING, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet
+from drivers.serial_servos.settings import ServoSettings
+from sim_drivers.faults import (
+    BlockJoint,
+    Die,
+    Drop,
+    Echo,
+    Fault,
+    Freeze,
+    Garbage,
+    Heat,
+    Latency,
+    OverTemperature,
+    PowerCycle,
+    Sag,
+    SameId,
+    Truncate,
+    Unplug,
+    WrongSum,
+)
+from sim_drivers.pseudo_terminal import LineEnd, PseudoTerminal
+from sim_drivers.serial_servos.arm import NOMINAL_VOLTAGE, ServoPlant
+from sim_drivers.serial_servos.motor import SimulatedServo
+from sim_drivers.server import FaultyServer
+
+REBOOT = 0x08
+"""Instruction of the Dynamixel protocol."""
+IDLE = 0.02
+"""[s] between two advances of an arm that nobody asks."""
+VOLTAGE, HEAT = 0, 2
+"""Bits of a servo's status, in both protocols."""
+CHUNK = 4096
+
+
+class PollableLineEnd(LineEnd, Protocol):
+    """A line's end whose descriptor can be waited for, and does not block."""
+
+    def fileno(self) -> int:
+        """Its descriptor."""
+
+
+class SerialServoServer(FaultyServer):
+    """Servos on a line; `start` plugs the adapter in, `stop` pulls it out.
+
+    Args:
+        file: of the arm; its truth has a servo for every joint.
+        settings: of the connection that reaches them.
+        position: (n,) at which it stands at first [rad]; the middle of the ranges where None.
+        seed: of noise and garbage.
+        line_end: the adapter's end of the line; a pseudo-terminal where None.
+        clock: the host's.
+
+    Attributes:
+        servos: in the joints' order.
+        plant: the arm behind them; known once started.
+        requests, answers: so far.
+
+    Raises:
+        RobotFileError: a joint's truth has no servo.
+    """
+
+    def __init__(
+        self,
+        file: RobotFile,
+        settings: ServoSettings,
+        position: FloatArray | None = None,
+        seed: int = 0,
+        line_end: PollableLineEnd | None = None,
+        clock: Clock = SYSTEM_CLOCK,
+    ) -> None:
+        super().__init__("serial servos", file.robot.joint_names, clock)
+        self.settings = settings
+        supply = file.robot.truth.supply
+        volts = NOMINAL_VOLTAGE if supply is None else supply.nominal
+        self.servos = [SimulatedServo(motor, volts) for motor in settings.motors]
+        start = np.array([0.5 * sum(joint.position) for joint in file.robot.joints]) if position is None else position
+        self.plant = ServoPlant(file, self.servos, start, clock.now(), seed)
+        self.requests = self.answers = 0
+        self._protocol = PROTOCOLS[settings.motors[0].table.protocol]()
+        self._indices = {servo.motor.id: index for index, servo in enumerate(self.servos)}
+        if line_end is None:
+            own = os.path.isabs(settings.url) and not settings.url.startswith("/dev/")
+            line_end = PseudoTerminal(settings.url if own else None)
+        self._line = line_end
+        self._random = random.Random(seed)
+        self._outgoing: deque[tuple[float, bytes]] = deque()
+        self._free = self._frozen_until = self._sag_until = -math.inf
+        self._latency = 0.0
+        self._echo = False
+        self._twice: set[int] = set()
+        self._drop = self._garbage = self._truncate = self._wrong = 0
+        self._stalls = 0
+        self._plugged = False
+
+    @property
+    def path(self) -> str:
+        """Of the port that a client opens."""
+        return self._line.path
+
+    def ready(self) -> dict[str, object]:
+        """Address for clients."""
+        return {"port": self.path, "baudrate": self.settings.keys.baudrate}
+
+    def live_line(self) -> str:
+        """Its state in one line."""
+        torque = sum(bool(servo.get("torque_enable")) for servo in self.servos)
+        line = f"{self.path}: {self.requests} requests, {self.answers} answers, torque on in {torque} servos"
+        return line + (f", {self._stalls} stalls" if self._stalls else "")
+
+    def _work(self) -> Mapping[str, Callable[[], None]]:
+        return {"servos": self._serve}
+
+    def _open(self) -> None:
+        self._line.plug_in()
+        self._plugged = True
+
+    def _close(self) -> None:
+        if self._plugged:
+            self._plugged = False
+            self._line.pull_out()
+        self._line.remove()
+
+    def _serve(self) -> None:
+        heard = bytearray()
+        while not self._stopping.is_set():
+            now = self._clock.now()
+            for fault in self._faults.requested():
+                self._apply(fault, now)
+            self._stalls += self.plant.advance(now)
+            for servo in self.servos:
+                servo.watch(now)
+            if self.plant.sagging and now >= self._sag_until:
+                for servo in self.servos:
+                    servo.errors &= ~(1 << VOLTAGE)
+            self.plant.sagging = now < self._sag_until
+            while self._outgoing and self._outgoing[0][0] <= now:
+                self._write(self._outgoing.popleft()[1])
+            due = self._outgoing[0][0] - now if self._outgoing else IDLE
+            if not self._plugged:
+                self._stopping.wait(IDLE)
+                continue
+            readable, _ = self._clock.select([self._line], [], min(due, IDLE))
+            if not readable:
+                continue
+            data = self._read()
+            if not data:  # nobody has the port open
+                self._stopping.wait(IDLE)
+                continue
+            heard += data
+            if self._echo:
+                self._write(data)
+            requests, _ = self._protocol.requests(heard)
+            if requests:
+                now = self._clock.now()
+                self._stalls += self.plant.advance(now)
+                self.plant.report()
+            for request in requests:
+                self._obey(request, now)
+
+    def _obey(self, request: Packet, now: float) -> None:
+        self.requests += 1
+        listening = [servo for servo in self.servos if not servo.dead and now >= servo.silent_until]
+        for servo in listening:
+            servo.asked = now
+        if request.motor == BROADCAST:
+            answer, delay = self._obeyed_by_all(request, listening, now)
+        else:
+            answer, delay = b"", 0.0
+            for servo in listening:
+                if servo.motor.id == request.motor:
+                    answer, delay = self._obeyed(servo, request, now), self._delay(servo)
+        begun = max(self._free, now)
+        on_wire = (len(request.data) + self._protocol.answer_size(0) + len(answer)) * BITS_A_BYTE
+        self._free = begun + on_wire / self.settings.keys.baudrate + delay
+        if answer and (answer := self._spoilt(answer, now)):
+            self.answers += 1
+            when = self._free
+            if self._latency:
+                when = math.ceil(when / self._latency) * self._latency
+            self._outgoing.append((when, answer))
+
+    def _obeyed(self, servo: SimulatedServo, request: Packet, now: float) -> bytes:
+        """What a servo answers to a request of its own."""
+        size_of_address = 1 if self._protocol.name == "feetech" else 2
+        address = int.from_bytes(request.data[:size_of_address], "little")
+        rest = request.data[size_of_address:]
+        data, error = b"", 0
+        match request.code:
+            case c if c == PING:
+                if self._protocol.name == "dynamixel":
+                    entry = servo.table.registers["model_number"]
+                    data = servo.read(entry.address, entry.size) + bytes([servo.get("firmware")])
+            case c if c == READ:
+                data = servo.read(address, int.from_bytes(rest, "little"))
+            case c if c == WRITE:
+                error = self._written(servo, address, rest, now)
+            case c if c == REBOOT and self._protocol.name == "dynamixel":
+                servo.restart(now)
+                self.plant.changed()
+            case _:
+                error = 2
+        return self._answer(servo, error if self._protocol.name == "dynamixel" else 0, data)
+
+    def _obeyed_by_all(self, request: Packet, listening: list[SimulatedServo], now: float) -> tuple[bytes, float]:
+        """What the servos answer to a request to all of them, and how long they wait."""
+        by_id = {servo.motor.id: servo for servo in listening}
+        word = 1 if self._protocol.name == "feetech" else 2
+        address, size = (int.from_bytes(request.data[k : k + word], "little") for k in (0, word))
+        rest = request.data[2 * word :]
+        if request.code == SYNC_WRITE:
+            for start in range(0, len(rest) - size, size + 1):
+                if (servo := by_id.get(rest[start])) is not None:
+                    self._written(servo, address, rest[start + 1 : start + 1 + size], now)
+            return b"", 0.0
+        if request.code == PING:
+            ordered = sorted(listening, key=lambda servo: servo.motor.id)
+            answers = [self._obeyed(servo, request, now) for servo in ordered]
+            return b"".join(answers), sum(map(self._delay, ordered))
+        if request.code == SYNC_READ and listening and all(servo.table.sync_read for servo in listening):
+            asked = [by_id[motor] for motor in rest if motor in by_id]
+            answers = [self._answer(servo, 0, servo.read(address, size)) for servo in asked]
+            return b"".join(answers), sum(map(self._delay, asked))
+        if request.code == FAST_SYNC_READ and isinstance(self._protocol, DynamixelProtocol):
+            rows = []
+            for motor in rest:
+                if (servo := by_id.get(motor)) is None:  # the next ones wait for it
+                    break
+                rows.append((motor, servo.answer_code, servo.read(address, size)))
+            whole = self._protocol.fast_answer(rows) if rows else b""
+            return whole if len(rows) == len(rest) else whole[:-2], sum(self._delay(by_id[row[0]]) for row in rows)
+        return b"", 0.0
+
+    def _answer(self, servo: SimulatedServo, error: int, data: bytes) -> bytes:
+        answer = self._protocol.answer(servo.motor.id, servo.answer_code | error, data)
+        if servo.motor.id in self._twice:
+            # Both pull the line down, where either sends a 0; the other one's encoder shows something else.
+            other = bytes(value ^ 0x2A for value in data)
+            both = self._protocol.answer(servo.motor.id, servo.answer_code | error, other)
+            answer = bytes(one & two for one, two in zip(answer, both, strict=False))
+        return answer
+
+    def _written(self, servo: SimulatedServo, address: int, data: bytes, now: float) -> int:
+        error = servo.write(address, data)
+        goal = servo.table.registers["goal_position"]
+        if not error and address <= goal.address < address + len(data):
+            self.plant.told(self._indices[servo.motor.id], now)
+        self.plant.changed()
+        return error
+
+    def _delay(self, servo: SimulatedServo) -> float:
+        return servo.get("return_delay") * servo.table.registers["return_delay"].scale
+
+    def _spoilt(self, answer: bytes, now: float) -> bytes:
+        """An answer as the faults leave it."""
+        if self._drop > 0 or now < self._frozen_until:
+            self._drop = max(0, self._drop - 1)
+            return b""
+        if self._garbage > 0:
+            self._garbage -= 1
+            return self._random.randbytes(self._random.randrange(1, len(answer) + 1))
+        if self._truncate > 0:
+            self._truncate -= 1
+            return answer[:-2]
+        if self._wrong > 0:
+            self._wrong -= 1
+            return answer[:-1] + bytes([answer[-1] ^ 1])
+        return answer
+
+    def _apply(self, fault: Fault, now: float) -> None:  # noqa: C901, PLR0912 — one case a fault
+        match fault:
+            case Drop(count):
+                self._drop += count
+            case Freeze(duration):
+                self._frozen_until = now + duration
+            case Garbage(count):
+                self._garbage += count
+            case Truncate(count):
+                self._truncate += count
+            case WrongSum(count):
+                self._wrong += count
+            case Latency(seconds):
+                self._latency = seconds
+            case Echo():
+                self._echo = True
+            case Sag(duration):
+                self._sag_until = now + duration
+                for servo in self.servos:
+                    servo.errors |= 1 << VOLTAGE
+            case Heat(joint, celsius):
+                self.plant.arm.heat.winding[joint] += celsius
+                self.plant.arm.heat.housing[joint] += celsius
+            case BlockJoint(joint):
+                self.plant.arm.block(joint)
+            case Die(joint):
+                self.servos[joint].dead = True
+            case SameId(joint):
+                self._twice.add(self.servos[joint].motor.id)
+            case PowerCycle(joint):
+                self.servos[joint].restart(now)
+            case OverTemperature(joint):
+                self.servos[joint].protect(HEAT)
+            case Unplug():
+                self._plugged = False
+                self._line.pull_out()
+        self.plant.changed()
+
+    def _read(self) -> bytes:
+        try:
+            return os.read(self._line.fileno(), CHUNK)
+        except OSError:  # nobody has the port open, or nothing is there after all
+            return b""
+
+    def _write(self, data: bytes) -> None:
+        try:
+            os.write(self._line.fileno(), data)
+        except OSError:  # nobody reads
+            return
