@@ -52,12 +52,16 @@ def only_mover(robot: Robot, wire: str | None = None, host: str | None = None) -
 
 def _places(keys: Mapping[str, object], driver: str) -> list[str]:
     """Where a connection's keys say that an arm is, in one spelling; several for a host with several addresses."""
-    if (host := keys.get("host")) is not None:
+    if (host := keys.get("host")) is not None and "/" in str(host):  # a serial port
+        return [os.path.realpath(str(host))]
+    if host is not None:
         port = keys.get("port") or declared(driver).port
         return [f"{address}, port {port}" for address in sorted(_addresses(str(host)))]
     if (channel := keys.get("channel")) is not None and keys.get("interface") != _WITHIN_A_PROCESS:
         return [f"{keys.get('interface')} {_bus(str(channel))}"]
-    return [str(keys["url"])] if keys.get("url") is not None else []
+    if (url := keys.get("url")) is None:
+        return []
+    return [os.path.realpath(str(url)) if os.path.isabs(str(url)) else str(url)]
 
 
 def _addresses(host: str) -> set[str]:

@@ -93,7 +93,7 @@ class ServoBus:
         """Whether a servo answers to its id."""
         protocol = self.line.protocol
         with self._lock:
-            heard = self.line.exchange(protocol.request(motor, PING), protocol.answer_size(3), 1)
+            heard = self.line.exchange(protocol.request(motor, PING), protocol.answer_size(3), 1, motor)
         return any(answer.motor == motor for answer in heard.answers)
 
     def read(self, motor: ServoMotor, name: str) -> int:
@@ -133,7 +133,7 @@ class ServoBus:
             raise DriverStateError(f"{name} of {called(motor)} is in EEPROM", hint="only --configure writes there")
         protocol, data = self.line.protocol, entry.encoded(counts)
         with self._lock:
-            self.line.exchange(protocol.write(motor.id, entry.address, data), protocol.answer_size(0), 1)
+            self.line.exchange(protocol.write(motor.id, entry.address, data), protocol.answer_size(0), 1, motor.id)
         # Servos may be set not to answer writings: what counts is what they hold then.
         held = self.read(motor, name)
         if held != counts:
@@ -194,7 +194,7 @@ class ServoBus:
         strange = others = 0
         for _ in range(ATTEMPTS):
             with self._lock:
-                heard = self.line.exchange(request, self.line.protocol.answer_size(size), 1)
+                heard = self.line.exchange(request, self.line.protocol.answer_size(size), 1, motor.id)
             for answer in heard.answers:
                 if answer.motor == motor.id:
                     return answer

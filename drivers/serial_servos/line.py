@@ -20,7 +20,14 @@ BITS_A_BYTE = 10
 READ_SLICE = 0.002
 """[s] that one reading of the port waits at most."""
 PATIENCE = 0.03
-"""[s] beyond the time on the wire that answers are waited for: more than the 16 ms of an adapter's latency timer."""
+"""[s] beyond the time on the wire that the answers of a cycle are waited for: more than the 16 ms of an adapter's
+latency timer."""
+UNHURRIED = 0.1
+"""[s] that the answer of a single servo is waited for, where no cycle hangs on it: a computer may be busy."""
+QUIET = 0.01
+"""[s] without a byte after which nothing more is on its way, …"""
+LONGEST_DRAIN = 0.05
+"""… or so long [s] after an answer that did not come."""
 LATENCY_TIMER = Path("/sys/bus/usb-serial/devices")
 """Where Linux shows the latency timers of USB adapters."""
 
@@ -99,13 +106,16 @@ class ServoLine:
         if self.echo:
             self._read(len(request), self._clock.now() + self._wire_time(len(request)) + PATIENCE)
 
-    def exchange(self, request: bytes, answer_bytes: int, packets: int) -> Heard:
+    def exchange(self, request: bytes, answer_bytes: int, packets: int, motor: int | None = None) -> Heard:
         """Send a request, and wait until so many answers have come, or nothing more can come.
+
+        Where one is missing, what may still be on its way is thrown away: it would be taken for the next answer.
 
         Args:
             request: to send.
             answer_bytes: of all answers together.
             packets: number of answers.
+            motor: the only servo that is waited for, without hurry; None for any.
 
         Raises:
             ConnectionLostError: the port is gone.
@@ -113,10 +123,11 @@ class ServoLine:
         self._write(request)
         sent = received = self._clock.now()
         skipped = len(request) if self.echo else 0
-        end = sent + self._wire_time(len(request) + skipped + answer_bytes) + PATIENCE
+        end = sent + self._wire_time(len(request) + skipped + answer_bytes)
+        end += PATIENCE if motor is None else UNHURRIED
         buffer, answers, strange = bytearray(), list[Packet](), 0
         missing = skipped + answer_bytes
-        while len(answers) < packets and self._clock.now() < end:
+        while sum(motor in (None, one.motor) for one in answers) < packets and self._clock.now() < end:
             data = self._read_some(max(missing, 1))
             missing -= len(data)
             if not data:
@@ -130,6 +141,8 @@ class ServoLine:
             found, more = self.protocol.answers(buffer)
             answers += found
             strange += more
+        if self._clock.now() >= end:
+            self._drain()
         return Heard(answers, strange + len(buffer), sent, received)
 
     def notice_echo(self, request: bytes, answer_bytes: int) -> Heard:
@@ -140,7 +153,7 @@ class ServoLine:
         """
         self._write(request)
         sent = self._clock.now()
-        end = sent + self._wire_time(2 * len(request) + answer_bytes) + PATIENCE
+        end = sent + self._wire_time(2 * len(request) + answer_bytes) + UNHURRIED
         data = bytearray()
         while len(data) < len(request) + answer_bytes and self._clock.now() < end:
             data += self._read_some(len(request) + answer_bytes - len(data))
@@ -152,6 +165,8 @@ class ServoLine:
         if echoed:
             del data[: len(request)]
         answers, strange = self.protocol.answers(data)
+        if not answers:
+            self._drain()
         return Heard(answers, strange + len(data), sent, self._clock.now())
 
     def latency_timer(self) -> int | None:
@@ -172,6 +187,13 @@ class ServoLine:
             port.write(data)
         except Exception as error:
             raise self._lost(error) from error
+
+    def _drain(self) -> None:
+        now = self._clock.now()
+        end, quiet = now + LONGEST_DRAIN, now + QUIET
+        while self._clock.now() < min(end, quiet):
+            if self._read_some(4096):
+                quiet = self._clock.now() + QUIET
 
     def _read(self, count: int, end: float) -> bytes:
         data = b""

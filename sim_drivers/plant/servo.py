@@ -182,6 +182,16 @@ class ServoArm:
         """Jam the joint of this index for good: it brakes harder than its drive can push."""
         self._coulomb[joint] = JAMMED
 
+    def keep_within(self, lowest: FloatArray, highest: FloatArray) -> None:
+        """End stops: no joint is, or goes on, beyond positions (n,) [rad or m]."""
+        n = self._dof
+        beyond = (self._bodies[:n] > highest) & (self._rates[:n] > 0.0) | (self._bodies[:n] < lowest) & (
+            self._rates[:n] < 0.0
+        )
+        if beyond.any():
+            self._bodies[:n] = np.clip(self._bodies[:n], lowest, highest)
+            self._rates[:n][beyond] = 0.0
+
     def _matrix(self, position: FloatArray) -> FloatArray:
         """Inertia matrix of joints, and of the motors that have play."""
         inertia = self._arm.inertia(position)

@@ -18,6 +18,8 @@ NOMINAL_VOLTAGE = 12.0
 """[V] of a supply that the truth does not name."""
 SAGGING = 0.5
 """Share of its voltage that a sagging supply has left."""
+BEHIND_LIMIT = 0.05
+"""[rad] from a joint's position limit to its end stop."""
 LONGEST_ADVANCE = 0.25
 """[s]: a stall of more is not made up for: the arm's time is halted meanwhile."""
 
@@ -53,6 +55,8 @@ class ServoPlant:
         self._target, self._goal = position.copy(), position.copy()
         self._pace = np.zeros(len(position))
         self._time = now
+        low, high = np.array([joint.position for joint in file.robot.joints]).T
+        self._stops = low - BEHIND_LIMIT, high + BEHIND_LIMIT
         self._random = np.random.default_rng([seed, 1])
         self._limits()
         self.report()
@@ -79,6 +83,7 @@ class ServoPlant:
             self._advance_goals(step)
             self.arm.effort = self._efforts * (SAGGING if self.sagging else 1.0)
             self.arm.advance(self._goal)
+            self.arm.keep_within(*self._stops)
         return stalled
 
     def report(self) -> None:

@@ -52,6 +52,8 @@ IDLE = 0.02
 """[s] between two advances of an arm that nobody asks."""
 VOLTAGE, HEAT = 0, 2
 """Bits of a servo's status, in both protocols."""
+UNHEARD = 0.003
+"""[s] between two looks whether a client has opened the port."""
 CHUNK = 4096
 
 
@@ -97,6 +99,9 @@ class SerialServoServer(FaultyServer):
         volts = NOMINAL_VOLTAGE if supply is None else supply.nominal
         self.servos = [SimulatedServo(motor, volts) for motor in settings.motors]
         start = np.array([0.5 * sum(joint.position) for joint in file.robot.joints]) if position is None else position
+        for servo, angle in zip(self.servos, start.tolist(), strict=True):  # held, as a program before left it
+            servo.put("goal_position", servo.motor.scale.steps(angle))
+            servo.put("torque_enable", 1)
         self.plant = ServoPlant(file, self.servos, start, clock.now(), seed)
         self.requests = self.answers = 0
         self._protocol = PROTOCOLS[settings.motors[0].table.protocol]()
@@ -147,27 +152,9 @@ class SerialServoServer(FaultyServer):
         heard = bytearray()
         while not self._stopping.is_set():
             now = self._clock.now()
-            for fault in self._faults.requested():
-                self._apply(fault, now)
-            self._stalls += self.plant.advance(now)
-            for servo in self.servos:
-                servo.watch(now)
-            if self.plant.sagging and now >= self._sag_until:
-                for servo in self.servos:
-                    servo.errors &= ~(1 << VOLTAGE)
-            self.plant.sagging = now < self._sag_until
-            while self._outgoing and self._outgoing[0][0] <= now:
-                self._write(self._outgoing.popleft()[1])
-            due = self._outgoing[0][0] - now if self._outgoing else IDLE
-            if not self._plugged:
-                self._stopping.wait(IDLE)
-                continue
-            readable, _ = self._clock.select([self._line], [], min(due, IDLE))
-            if not readable:
-                continue
-            data = self._read()
-            if not data:  # nobody has the port open
-                self._stopping.wait(IDLE)
+            self._pass_time(now)
+            data = self._heard(now)
+            if not data:
                 continue
             heard += data
             if self._echo:
@@ -179,6 +166,34 @@ class SerialServoServer(FaultyServer):
                 self.plant.report()
             for request in requests:
                 self._obey(request, now)
+
+    def _pass_time(self, now: float) -> None:
+        """Faults, the arm, its watchdogs, and answers whose time has come."""
+        for fault in self._faults.requested():
+            self._apply(fault, now)
+        self._stalls += self.plant.advance(now)
+        for servo in self.servos:
+            servo.watch(now)
+        if self.plant.sagging and now >= self._sag_until:
+            for servo in self.servos:
+                servo.errors &= ~(1 << VOLTAGE)
+        self.plant.sagging = now < self._sag_until
+        while self._outgoing and self._outgoing[0][0] <= now:
+            self._write(self._outgoing.popleft()[1])
+
+    def _heard(self, now: float) -> bytes:
+        """What a client has sent, waiting for it until the next answer is due."""
+        due = self._outgoing[0][0] - now if self._outgoing else IDLE
+        if not self._plugged:
+            self._stopping.wait(IDLE)
+            return b""
+        readable, _ = self._clock.select([self._line], [], min(due, IDLE))
+        if not readable:
+            return b""
+        data = self._read()
+        if not data:  # nobody has the port open
+            self._stopping.wait(UNHEARD)
+        return data
 
     def _obey(self, request: Packet, now: float) -> None:
         self.requests += 1

@@ -1,0 +1,76 @@
+"""What serial servos ask of their line, and what `dynid check` says of it before anything is opened."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drivers.base import DriverSettings
+from drivers.bus_budget import Budget, FrameGroup
+from drivers.serial_servos.bus import ServoBus
+from drivers.serial_servos.line import BITS_A_BYTE, ServoLine
+from drivers.serial_servos.settings import ServoSettings, parse_settings
+from drivers.serial_servos.setup import USUAL_TIMER
+
+
+def feetech_budget(settings: DriverSettings) -> Budget:
+    """The budget of a connection to Feetech servos.
+
+    Raises:
+        UsageError: the connection's keys are wrong.
+    """
+    return _budget(parse_settings(settings.connection, settings.joints, settings.folder, "feetech"))
+
+
+def dynamixel_budget(settings: DriverSettings) -> Budget:
+    """The budget of a connection to Dynamixel servos.
+
+    Raises:
+        UsageError: the connection's keys are wrong.
+    """
+    return _budget(parse_settings(settings.connection, settings.joints, settings.folder, "dynamixel"))
+
+
+def feetech_advice(settings: DriverSettings) -> Sequence[str]:
+    """What to mind of a connection to Feetech servos."""
+    return _advice(parse_settings(settings.connection, settings.joints, settings.folder, "feetech"))
+
+
+def dynamixel_advice(settings: DriverSettings) -> Sequence[str]:
+    """What to mind of a connection to Dynamixel servos."""
+    return _advice(parse_settings(settings.connection, settings.joints, settings.folder, "dynamixel"))
+
+
+def _budget(settings: ServoSettings) -> Budget:
+    bus, motors = ServoBus(settings), settings.motors
+    protocol, (address, size), count = bus.line.protocol, bus.block, len(motors)
+    ids = [motor.id for motor in motors]
+
+    def group(meaning: str, number: int, data: int, length: int) -> FrameGroup:
+        return FrameGroup(meaning, number, data, length * BITS_A_BYTE)
+
+    if all(motor.table.sync_read for motor in motors):
+        request = len(protocol.sync_read(address, size, ids))
+        cycle = [group("request to all", 1, count, request), group("answers", count, size, protocol.answer_size(size))]
+    else:
+        request = len(protocol.read(ids[0], address, size))
+        cycle = [group("requests", count, 2, request), group("answers", count, size, protocol.answer_size(size))]
+    if not settings.keys.read_only:
+        goal = motors[0].table.registers["goal_position"].size
+        written = len(protocol.sync_write(0, dict.fromkeys(ids, bytes(goal))))
+        asked = len(protocol.read(ids[0], 0, 1)) + protocol.answer_size(1)
+        cycle += [group("goals", 1, count * goal, written), group("watching the torque", 1, 1, asked)]
+    return Budget(
+        settings.keys.baudrate, settings.keys.rate, tuple(cycle), (), "without the pauses of servos and adapter"
+    )
+
+
+def _advice(settings: ServoSettings) -> list[str]:
+    said = []
+    timer = ServoLine(settings.url, settings.keys.baudrate, ServoBus(settings).line.protocol).latency_timer()
+    if timer is not None and timer > USUAL_TIMER:
+        said.append(f"the adapter at {settings.url} hands bytes on every {timer} ms: write 1 into its latency_timer")
+    if any(motor.assumed_zero for motor in settings.motors):
+        said.append(
+            "no calibration: the middle of a servo's turn is taken for its joint's zero (docs/serial-servos.md)"
+        )
+    return said

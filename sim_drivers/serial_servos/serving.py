@@ -1,0 +1,47 @@
+"""`dynid sim` of an arm of serial bus servos."""
+
+from __future__ import annotations
+
+from daq.robot.loader import RobotFile
+from daq.session.connections import keys_of_driver
+from drivers.core.clock import Clock
+from drivers.core.errors import UsageError
+from drivers.serial_servos.settings import parse_settings
+from sim_drivers.options import SimOptions
+from sim_drivers.plant.plant import Plant
+from sim_drivers.serial_servos.server import SerialServoServer
+
+
+def serve_feetech(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> SerialServoServer:
+    """Feetech servos as the robot file's connection has them; `--channel` is the path of their port.
+
+    Raises:
+        UsageError: there is no such connection, or its keys are wrong.
+        RobotFileError: the truth has no servos.
+    """
+    return _serve("feetech", robot_file, plant, options, clock)
+
+
+def serve_dynamixel(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> SerialServoServer:
+    """Dynamixel servos; as `serve_feetech`.
+
+    Raises:
+        UsageError, RobotFileError: as `serve_feetech`.
+    """
+    return _serve("dynamixel", robot_file, plant, options, clock)
+
+
+def _serve(driver: str, robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> SerialServoServer:
+    robot = robot_file.robot
+    keys = keys_of_driver(robot, driver)
+    if keys is None:
+        raise UsageError(
+            f"the robot file has no connection with the driver {driver}, so there are no ids",
+            where=f"{robot.name}: connections",
+            hint="docs/serial-servos.md shows one",
+        )
+    if options.channel is not None:
+        keys["url"] = options.channel
+    settings = parse_settings(keys, robot.joint_names, robot_file.folder, driver)
+    # Of the plant, whose drives are told torques, only the place is taken: servos have a plant of their own.
+    return SerialServoServer(robot_file, settings, plant.position.copy(), options.seed, clock=clock)
