@@ -83,7 +83,12 @@ def commanded_motion(recording: Recording, robot: Robot) -> CommandedMotion:
                 where=f"{recording.label}: {stream.name}",
                 hint="import the source again with the repair sort or drop-duplicates (--repair, in Python repair=)",
             )
-    return CommandedMotion(names, joints.time, position, commanded.time, commands)
+    time = joints.time
+    if recording.trajectory and commanded.name == COMMANDS_STREAM and len(commanded.time):
+        # Played and recorded by one program, by one clock: before its first command the arm was at rest.
+        played = time >= commanded.time[0]
+        time, position = time[played], position[played]
+    return CommandedMotion(names, time, position, commanded.time, commands)
 
 
 def command_stream(recording: Recording) -> Stream | None:

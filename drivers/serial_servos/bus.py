@@ -106,10 +106,10 @@ class ServoBus:
         entry = motor.table.registers[name]
         return entry.decoded(self.read_bytes(motor, entry.address, entry.size))
 
-    def read_bytes(self, motor: ServoMotor, address: int, size: int) -> bytes:
-        """Bytes of a servo's memory; raises as `read`."""
+    def read_bytes(self, motor: ServoMotor, address: int, size: int, *, hurried: bool = False) -> bytes:
+        """Bytes of a servo's memory; asked for once and not waited for long where `hurried`; raises as `read`."""
         protocol = self.line.protocol
-        answer = self._asked(motor, protocol.read(motor.id, address, size), size)
+        answer = self._asked(motor, protocol.read(motor.id, address, size), size, hurried=hurried)
         if len(answer.data) < size:
             raise ConnectionFailedError(f"{called(motor)} refuses to tell address {address}", where=self.line.url)
         return answer.data
@@ -190,11 +190,12 @@ class ServoBus:
         start = entry.address - self.block[0]
         return entry.decoded(answer.data[start : start + entry.size])
 
-    def _asked(self, motor: ServoMotor, request: bytes, size: int) -> Packet:
+    def _asked(self, motor: ServoMotor, request: bytes, size: int, *, hurried: bool = False) -> Packet:
         strange = others = 0
-        for _ in range(ATTEMPTS):
+        for _ in range(1 if hurried else ATTEMPTS):
             with self._lock:
-                heard = self.line.exchange(request, self.line.protocol.answer_size(size), 1, motor.id)
+                waited = None if hurried else motor.id
+                heard = self.line.exchange(request, self.line.protocol.answer_size(size), 1, waited)
             for answer in heard.answers:
                 if answer.motor == motor.id:
                     return answer

@@ -122,7 +122,7 @@ class ServoControl:
         enable, status = motor.table.registers["torque_enable"], motor.table.registers["status"]
         near = 0 < status.address - enable.address < 8
         size = status.address + status.size - enable.address if near else enable.size
-        data = self._bus.read_bytes(motor, enable.address, size)
+        data = self._bus.read_bytes(motor, enable.address, size, hurried=True)
         if not data[0] and self.active:
             faults = motor.table.error_words(status.decoded(data[status.address - enable.address :])) if near else []
             why = f": {', '.join(faults)}" if faults else ""

@@ -188,7 +188,8 @@ class ServoCycle:
         if known:
             return known
         try:
-            return self._bus.read(motor, "status")
+            entry = motor.table.registers["status"]
+            return entry.decoded(self._bus.read_bytes(motor, entry.address, entry.size, hurried=True))
         except ConnectionFailedError:  # it will be asked again with the next row
             return 0
 

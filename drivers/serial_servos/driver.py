@@ -21,6 +21,7 @@ from drivers.first_step import check_first_step, finite_position
 from drivers.serial_servos.bus import ServoBus, called
 from drivers.serial_servos.control import ServoControl
 from drivers.serial_servos.cycle import ServoCycle, feedback_channels
+from drivers.serial_servos.line import LEAST_PATIENCE
 from drivers.serial_servos.settings import parse_settings
 from drivers.serial_servos.setup import ServoIdentity, configure, identity, reading_time, slow_reading
 from drivers.streams import Batch, ChannelLayout, StreamLayout
@@ -28,6 +29,8 @@ from drivers.streams import Batch, ChannelLayout, StreamLayout
 SILENCE_LIMIT = 0.5
 """Without a row for so long [s], or for `SILENT_PERIODS`, the connection counts as lost."""
 SILENT_PERIODS = 20
+LONGEST_PATIENCE = 0.05
+"""[s] that answers are waited for at most."""
 
 
 class SerialServoDriver:
@@ -68,7 +71,9 @@ class SerialServoDriver:
                 self._tell("info", *configure(self._bus, self._settings))
             self._identities = tuple(identity(self._bus, motor) for motor in self._settings.motors)
             self._require_own_calibration()
-            if said := slow_reading(self._bus, self._settings, reading_time(self._bus, self._clock)):
+            lasted = reading_time(self._bus, self._clock)
+            self._bus.line.patience = min(max(LEAST_PATIENCE, 2.0 * lasted), LONGEST_PATIENCE)
+            if said := slow_reading(self._bus, self._settings, lasted):
                 self._tell("warning", *said)
         except ConnectionLostError as error:
             self._bus.close()

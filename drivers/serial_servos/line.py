@@ -20,13 +20,15 @@ BITS_A_BYTE = 10
 READ_SLICE = 0.002
 """[s] that one reading of the port waits at most."""
 PATIENCE = 0.03
-"""[s] beyond the time on the wire that the answers of a cycle are waited for: more than the 16 ms of an adapter's
-latency timer."""
+"""[s] beyond the time on the wire that answers are waited for, until it is known how long they take: more than the
+16 ms of an adapter's latency timer."""
+LEAST_PATIENCE = 0.01
+"""[s]: where answers come at once, one that is lost must not cost much more than its period."""
 UNHURRIED = 0.1
 """[s] that the answer of a single servo is waited for, where no cycle hangs on it: a computer may be busy."""
-QUIET = 0.01
+QUIET = 0.003
 """[s] without a byte after which nothing more is on its way, …"""
-LONGEST_DRAIN = 0.05
+LONGEST_DRAIN = 0.02
 """… or so long [s] after an answer that did not come."""
 LATENCY_TIMER = Path("/sys/bus/usb-serial/devices")
 """Where Linux shows the latency timers of USB adapters."""
@@ -59,11 +61,13 @@ class ServoLine:
 
     Attributes:
         echo: whether the adapter returns what is sent; found out by `notice_echo`.
+        patience: beyond the time on the wire that the answers of a cycle are waited for [s].
     """
 
     def __init__(self, url: str, baudrate: int, protocol: ServoProtocol, clock: Clock = SYSTEM_CLOCK) -> None:
         self.url, self.baudrate, self.protocol = url, baudrate, protocol
         self.echo = False
+        self.patience = PATIENCE
         self._clock = clock
         self._port: Any = None
 
@@ -104,7 +108,7 @@ class ServoLine:
         """
         self._write(request)
         if self.echo:
-            self._read(len(request), self._clock.now() + self._wire_time(len(request)) + PATIENCE)
+            self._read(len(request), self._clock.now() + self._wire_time(len(request)) + self.patience)
 
     def exchange(self, request: bytes, answer_bytes: int, packets: int, motor: int | None = None) -> Heard:
         """Send a request, and wait until so many answers have come, or nothing more can come.
@@ -124,7 +128,7 @@ class ServoLine:
         sent = received = self._clock.now()
         skipped = len(request) if self.echo else 0
         end = sent + self._wire_time(len(request) + skipped + answer_bytes)
-        end += PATIENCE if motor is None else UNHURRIED
+        end += self.patience if motor is None else UNHURRIED
         buffer, answers, strange = bytearray(), list[Packet](), 0
         missing = skipped + answer_bytes
         while sum(motor in (None, one.motor) for one in answers) < packets and self._clock.now() < end:

@@ -13,13 +13,16 @@ from sim_drivers.faults import (
     BusOff,
     ClockJump,
     Cut,
+    Die,
     Drift,
     Drop,
+    Echo,
     Fault,
     Freeze,
     Garbage,
     HeartbeatStop,
     Heat,
+    Latency,
     LocalControl,
     Mute,
     Noise,
@@ -28,10 +31,13 @@ from sim_drivers.faults import (
     ProtectiveStop,
     Refuse,
     Replug,
+    Sag,
+    SameId,
     ServerKind,
     Stick,
     Truncate,
     Unplug,
+    WrongSum,
     parse_fault,
     usage,
 )
@@ -62,8 +68,21 @@ TYPED: dict[str, tuple[str, Fault]] = {
     "unplug": ("unplug", Unplug()),
     "unplug SECONDS": ("unplug 2.5", Unplug(2.5)),
     "replug": ("replug", Replug()),
+    "die JOINT": ("die pan", Die(0)),
+    "same-id JOINT": ("same-id 2", SameId(1)),
+    "sag SECONDS": ("sag 0.5", Sag(0.5)),
+    "wrong-sum N": ("wrong-sum 3", WrongSum(3)),
+    "latency SECONDS": ("latency 0.016", Latency(0.016)),
+    "echo": ("echo", Echo()),
 }
-SERVERS: tuple[ServerKind, ...] = ("UR controller", "CANopen drives", "signal-table arm", "thermometer", "arm at rest")
+SERVERS: tuple[ServerKind, ...] = (
+    "UR controller",
+    "CANopen drives",
+    "signal-table arm",
+    "serial servos",
+    "thermometer",
+    "arm at rest",
+)
 
 
 @pytest.mark.parametrize("server", SERVERS)
