@@ -32,7 +32,7 @@ COMMAND = "import sys; from dynid.command import main; sys.exit(main())"
 SYNC_RATE = 100
 STATUSWORD = 0x6041
 NODES = range(1, 7)
-PATIENCE = 60.0
+PATIENCE = 240.0
 """Time limit [s] of every step."""
 SOME_ROWS = 10
 """A recording with more of them has been going on."""
@@ -253,11 +253,22 @@ def type_fault(simulator: subprocess.Popen[str], line: str, recording: subproces
     print(line, file=simulator.stdin, flush=True)
 
 
+def assert_recorded(program: subprocess.Popen[str]) -> None:
+    """A recording ends by itself and says nothing, but of samples that this computer was too busy for."""
+    errors = program.communicate(timeout=PATIENCE)[1]
+    assert _without_losses(errors) == []
+    assert program.returncode == 0 or errors
+
+
+def _without_losses(errors: str) -> list[str]:
+    """Lines of standard error, without those about lost samples: a busy computer loses some, and dynid says so."""
+    return [line for line in errors.splitlines() if "were lost" not in line]
+
+
 def assert_stopped(outcome: Outcome, *reasons: str) -> None:
     """One line gives the cause, the file has it too, and the arm rests with its drives off."""
     assert outcome.status == 1
-    assert outcome.errors.startswith("dynid: ")
-    assert outcome.errors.count("\n") == 1
+    assert [line.startswith("dynid: ") for line in _without_losses(outcome.errors)] == [True]
     assert any(reason in outcome.errors for reason in reasons), outcome.errors
     assert outcome.recording is not None
     assert not outcome.recording.complete
