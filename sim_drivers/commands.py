@@ -1,14 +1,16 @@
-"""Commands of the simulation side: `demo`, `sim`."""
+"""Commands of the simulation side: `demo`, `sim`, `driver new`."""
 
 from __future__ import annotations
 
 import typer
 
-from daq.commands.help_text import CommandApp
+from daq.commands.help_text import CommandApp, GroupedCommands
 from daq.commands.options import FORCE, JSON, REALTIME, VERBOSE, takes
 from sim_drivers.options import DemoOptions, SimOptions
 
 app = CommandApp("Simulate")
+driver_app = CommandApp("Simulate", cls=GroupedCommands, invoke_without_command=True)
+app.add_typer(driver_app, name="driver", rich_help_panel="Simulate")
 
 
 @app.command("demo")
@@ -53,3 +55,46 @@ def sim(
     if realtime:
         ask_for_realtime()
     simulate(options, live=not (no_ui or as_json))
+
+
+@driver_app.callback()
+def drivers(context: typer.Context, as_json: bool = JSON) -> None:
+    """List the installed drivers and their simulated buses; write the package of a new one.
+
+    Example: dynid driver
+    """
+    from daq.commands.console import print_json, print_table
+    from drivers.core.errors import UsageError
+    from drivers.declaration import declared, installed_drivers
+
+    if context.invoked_subcommand is not None:
+        return
+    rows = []
+    for name, entry in sorted(installed_drivers().items()):
+        try:
+            wires = [back_end.wire for back_end in declared(name).simulated]
+        except UsageError as error:
+            wires = [str(error)]
+        rows.append((name, ", ".join(wires), entry.value))
+    if as_json:
+        print_json({"drivers": [dict(zip(("name", "simulated", "declaration"), row, strict=True)) for row in rows]})
+        return
+    print_table("Drivers", ("name", "dynid sim --wire", "declared in"), rows)
+
+
+@driver_app.command("new")
+def new(name: str = typer.Argument(metavar="NAME", help="Of the driver and its package, such as my_bus.")) -> None:
+    """Write the package of a driver into a new folder: driver, simulated back end, and tests that it passes.
+
+    It speaks a toy bus; docs/drivers.md goes through it.
+
+    Example: dynid driver new my_bus
+    """
+    from pathlib import Path
+
+    from sim_drivers.new_driver.write import new_driver
+
+    written = new_driver(name, Path())
+    print("\n".join(map(str, written)))
+    folder = written[0].parent
+    print(f"Next: pip install -e {folder}; python -m pytest {folder}")

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
-from typing import Literal
 
 from drivers.core.errors import UsageError
 
@@ -227,10 +226,8 @@ Fault = (
     | Echo
 )
 
-ServerKind = Literal[
-    "UR controller", "CANopen drives", "signal-table arm", "serial servos", "thermometer", "arm at rest"
-]
-"""Who obeys a fault; the arm at rest is one that only its thermometer watches."""
+ServerKind = str
+"""Who obeys a fault, in words; the arm at rest is one that only its thermometer watches."""
 
 
 STICKING = ("position", "velocity", "current", "torque", "temperature")
@@ -355,25 +352,25 @@ FAULTS = (
 )
 
 
-def usage(server: ServerKind) -> str:
-    """The faults that a server obeys, as typed."""
+def usage(server: ServerKind, faults: Sequence[FaultEntry] = FAULTS) -> str:
+    """The faults of a table that a server obeys, as typed."""
     first_word = "thermometer " if server == "thermometer" else ""  # beside an arm, it tells whose fault is meant
-    return first_word + " | ".join(entry.usage for entry in FAULTS if server in entry.servers)
+    return first_word + " | ".join(entry.usage for entry in faults if server in entry.servers)
 
 
-def parse_fault(line: str, server: ServerKind, joints: Sequence[str]) -> Fault:
+def parse_fault(line: str, server: ServerKind, joints: Sequence[str], faults: Sequence[FaultEntry] = FAULTS) -> Fault:
     """Read a typed fault; a joint is given by name or number from 1, an identifier as 0x182.
 
     Raises:
         UsageError: not a fault of this server, or an argument out of its bounds.
     """
     word, *texts = line.split() or [""]
-    for entry in FAULTS:
+    for entry in faults:
         if entry.word == word and server in entry.servers and len(entry.arguments) == len(texts):
             values = [argument.read(text, joints) for argument, text in zip(entry.arguments, texts, strict=True)]
             if None not in values:
                 return entry.make(*values)
-    raise UsageError(f"'{line.strip()}' is not a fault of the {server}", hint=usage(server))
+    raise UsageError(f"'{line.strip()}' is not a fault of the {server}", hint=usage(server, faults))
 
 
 class FaultQueue:

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Self
 
 from drivers.core.clock import Clock
-from sim_drivers.faults import Fault, FaultQueue, ServerKind, parse_fault
+from sim_drivers.faults import FAULTS, Fault, FaultEntry, FaultQueue, ServerKind, parse_fault
 
 if TYPE_CHECKING:
     import threading
@@ -117,16 +117,25 @@ class FaultyServer(Server):
         joints: their names, in order.
         clock: the host's.
         beside: servers that start and stop with this one.
+        faults: the table that has its faults.
 
     Attributes:
         messages: for the terminal, oldest first.
     """
 
-    def __init__(self, kind: ServerKind, joints: Sequence[str], clock: Clock, beside: Sequence[Server] = ()) -> None:
+    def __init__(
+        self,
+        kind: ServerKind,
+        joints: Sequence[str],
+        clock: Clock,
+        beside: Sequence[Server] = (),
+        faults: Sequence[FaultEntry] = FAULTS,
+    ) -> None:
         super().__init__(clock, beside)
         self.joints = tuple(joints)
         self.messages: deque[str] = deque(maxlen=100)
         self._kind = kind
+        self._known_faults = tuple(faults)
         self._faults = FaultQueue()
 
     def cause(self, fault: Fault) -> None:
@@ -139,4 +148,4 @@ class FaultyServer(Server):
         Raises:
             UsageError: not a fault of this server.
         """
-        self.cause(parse_fault(line, self._kind, self.joints))
+        self.cause(parse_fault(line, self._kind, self.joints, self._known_faults))

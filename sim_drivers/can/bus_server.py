@@ -13,7 +13,7 @@ from drivers.can.bus import close_bus, open_bus
 from drivers.core.clock import Clock, set_timer_slack
 from drivers.core.errors import ConnectionLostError
 from sim_drivers.can.bus_load import Frame
-from sim_drivers.faults import ServerKind
+from sim_drivers.faults import FAULTS, FaultEntry, ServerKind
 from sim_drivers.server import FaultyServer, Server
 
 BUS_OFF_ERROR = 0x40
@@ -42,12 +42,19 @@ class BusServer(FaultyServer):
         bus: its bus.
         clock: the host's.
         beside: servers that start and stop with this one.
+        faults: the table that has its faults.
     """
 
     def __init__(
-        self, kind: ServerKind, joints: Sequence[str], bus: BusSettings, clock: Clock, beside: Sequence[Server] = ()
+        self,
+        kind: ServerKind,
+        joints: Sequence[str],
+        bus: BusSettings,
+        clock: Clock,
+        beside: Sequence[Server] = (),
+        faults: Sequence[FaultEntry] = FAULTS,
     ) -> None:
-        super().__init__(kind, joints, clock, beside)
+        super().__init__(kind, joints, clock, beside, faults)
         self._bus_settings = bus
         self._bus: can.BusABC | None = None
         self._generator = np.random.default_rng(0)

@@ -1,0 +1,387 @@
+"""Simulated time: a clock that advances only when every thread waits, and a virtual CAN bus that waits on it.
+
+Of all threads that take part, one runs at a time. It runs until it waits on the clock; then the one that has waited
+longest for something that has become true goes on, or, where there is none, time jumps to the first time limit. So a
+test takes as long as its computation, its outcome does not depend on the computer, and it is the same every time.
+"""
+
+from __future__ import annotations
+
+import math
+import select
+import threading
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from copy import copy
+from typing import Any
+
+import can
+import can.interfaces
+from can.interfaces import virtual
+
+from drivers.core.clock import Clock, HasFileno
+
+START = 1000.0
+DAY = 1.75e9
+"""Time of day at monotonic time 0."""
+TURNS_LIMIT = 200_000
+"""Waits without any time in between, after which a loop is taken for endless."""
+
+
+class _Ended(SystemExit):
+    """Ends threads that are left when the test is over."""
+
+
+class _Waiter:
+    """A thread that waits; it goes on when it is handed its baton."""
+
+    def __init__(self, ready: Callable[[], object], deadline: float, thread: int | None = None) -> None:
+        self.ready = ready
+        self.deadline = deadline
+        self.thread = thread
+        self.baton = threading.Lock()
+        self.baton.acquire()
+
+
+class SimulatedClock(Clock):
+    """Time for a test; the thread that makes it takes part, others do when `thread` made them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._now = START
+        self._waiters: list[_Waiter] = []
+        self._test = threading.get_ident()
+        self._members = {self._test: "the test"}
+        self._turns = 0
+        self._held: dict[int | None, float] = {}
+        self._failure: str | None = None
+        self._ended = False
+        self.errors: list[BaseException] = []
+        """What ended threads."""
+
+    def now(self) -> float:
+        """As `Clock.now`."""
+        return self._now
+
+    def time_of_day(self) -> float:
+        """As `Clock.time_of_day`."""
+        return DAY + self._now
+
+    def sleep(self, seconds: float) -> None:
+        """As `Clock.sleep`."""
+        if seconds > 0.0:
+            self.wait(lambda: False, seconds)
+
+    def sleep_until(self, moment: float) -> float:
+        """As `Clock.sleep_until`."""
+        if moment > self._now:
+            self._wait_until(lambda: False, moment)
+        return self._now - moment
+
+    def stall(self, seconds: float) -> None:
+        """Let time pass while no other thread runs, as on a computer that is busy with another program."""
+        self._now += seconds
+        self._turns = 0
+
+    def suspend(self, seconds: float, but: Collection[str]) -> None:
+        """Let no thread run for so long but those of these names, and new ones, as when their process is stopped."""
+        held = [thread for thread, name in self._members.items() if name not in but]
+        self._held = dict.fromkeys(held, self._now + seconds)
+
+    def wait(self, ready: Callable[[], object], seconds: float | None = None) -> bool:
+        """Let other threads run until something is true or `seconds` have passed; whether it is true.
+
+        It is asked again and again, in other threads: it must neither wait nor change anything.
+        """
+        if seconds is None:
+            deadline = math.inf
+        else:
+            deadline = self._now if seconds <= 0.0 else max(self._now + seconds, math.nextafter(self._now, math.inf))
+        return self._wait_until(ready, deadline)
+
+    def event(self) -> threading.Event:
+        """As `Clock.event`."""
+        return _Event(self)
+
+    def condition(self) -> threading.Condition:
+        """As `Clock.condition`."""
+        return _Condition(self)
+
+    def lock(self) -> _Lock:
+        """As `Clock.lock`."""
+        return _Lock(self)
+
+    def thread(self, target: Callable[..., object], name: str, args: Sequence[object] = ()) -> threading.Thread:
+        """As `Clock.thread`."""
+        return _Thread(self, self.watched(target, name), name, tuple(args))
+
+    def call_at(self, moment: float, action: Callable[[], object]) -> threading.Thread:
+        """Do something at a time of this clock, in a thread of its own."""
+
+        def act() -> None:
+            self.sleep_until(moment)
+            action()
+
+        thread = self.thread(act, f"at {moment:g} s")
+        thread.start()
+        return thread
+
+    def select(
+        self, readers: Sequence[HasFileno], writers: Sequence[HasFileno], seconds: float
+    ) -> tuple[list[HasFileno], list[HasFileno]]:
+        """As `Clock.select`."""
+        ready: tuple[list[HasFileno], list[HasFileno], list[HasFileno]] = ([], [], [])
+
+        def look() -> bool:
+            nonlocal ready
+            try:
+                ready = select.select(readers, writers, (), 0.0)
+            except (OSError, ValueError):  # closed meanwhile: whoever asked shall meet it
+                ready = (list(readers), [], [])
+            return bool(ready[0] or ready[1])
+
+        if not look():
+            self.wait(look, seconds)
+        return ready[0], ready[1]
+
+    def made(self, thread: threading.Thread) -> bool:
+        """Whether a thread is this clock's."""
+        return isinstance(thread, _Thread)
+
+    def end(self) -> list[str]:
+        """End the threads that are left; their names."""
+        self._members.pop(threading.get_ident(), None)
+        left = sorted(self._members.values())
+        self._ended = True
+        for waiter in self._waiters:
+            waiter.baton.release()
+        self._waiters.clear()
+        return left
+
+    def _wait_until(self, ready: Callable[[], object], deadline: float) -> bool:
+        if threading.get_ident() not in self._members:
+            raise RuntimeError("a thread waits on a simulated clock that it takes no part in; make it by clock.thread")
+        if self._ended:
+            raise _Ended
+        self._turns += 1
+        if self._turns > TURNS_LIMIT:
+            self._failure = f"at {self._now:.6f} s time does not go on: some loop waits for no time at all"
+        waiter = _Waiter(ready, deadline, threading.get_ident())
+        self._waiters.append(waiter)
+        following = self._next()
+        if following is not waiter:
+            following.baton.release()
+            waiter.baton.acquire()
+            if self._ended:
+                raise _Ended
+        if self._failure is not None:
+            self._turns = 0
+            message, self._failure = self._failure, None
+            raise RuntimeError(message)
+        return bool(ready())
+
+    def _next(self) -> _Waiter:
+        """Take who goes on next out of the list, and let time pass until it does."""
+        waiter = self._first_ready() if self._failure is None else None
+        if waiter is None and self._failure is None:
+            waiter = min(self._waiters, key=self._limit)
+            if self._limit(waiter) < math.inf:
+                self._now = max(self._now, self._limit(waiter))
+                self._turns = 0
+            else:
+                names = ", ".join(sorted(self._members.values()))
+                self._failure = f"every thread waits without a time limit for something that never comes: {names}"
+        if self._failure is not None:  # the test itself fails by it
+            waiter = next(one for one in self._waiters if one.thread == self._test)
+        assert waiter is not None
+        self._waiters.remove(waiter)
+        return waiter
+
+    def _first_ready(self) -> _Waiter | None:
+        now, held = self._now, self._held
+        for waiter in self._waiters:
+            if held and held.get(waiter.thread, -math.inf) > now:
+                continue
+            if waiter.deadline <= now or waiter.ready():
+                return waiter
+        return None
+
+    def _limit(self, waiter: _Waiter) -> float:
+        """When a waiter goes on at the latest, or may do so again."""
+        if not self._held:
+            return waiter.deadline
+        until = self._held.get(waiter.thread, -math.inf)
+        return max(waiter.deadline, until) if until <= self._now or not waiter.ready() else until
+
+    def _leave(self) -> None:
+        del self._members[threading.get_ident()]
+        if self._waiters and not self._ended:
+            self._next().baton.release()
+
+
+class _Lock:
+    def __init__(self, clock: SimulatedClock) -> None:
+        self._clock = clock
+        self._held = False
+
+    def acquire(self) -> bool:
+        while self._held:
+            self._clock.wait(lambda: not self._held)
+        self._held = True
+        return True
+
+    def release(self) -> None:
+        self._held = False
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+
+class _Event(threading.Event):
+    def __init__(self, clock: SimulatedClock) -> None:
+        super().__init__()
+        self._clock = clock
+
+    def wait(self, timeout: float | None = None) -> bool:
+        return self.is_set() or self._clock.wait(self.is_set, timeout)
+
+
+class _Condition(threading.Condition):
+    def __init__(self, clock: SimulatedClock) -> None:
+        self._clock = clock
+        self._own = _Lock(clock)
+        self._signals: list[list[bool]] = []
+
+    def __enter__(self) -> bool:
+        return self._own.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._own.release()
+
+    def acquire(self, *_: Any) -> bool:
+        return self._own.acquire()
+
+    def release(self) -> None:
+        self._own.release()
+
+    def wait(self, timeout: float | None = None) -> bool:
+        signal = [False]
+        self._signals.append(signal)
+        self._own.release()
+        try:
+            return self._clock.wait(lambda: signal[0], timeout)
+        finally:
+            if signal in self._signals:
+                self._signals = [one for one in self._signals if one is not signal]
+            self._own.acquire()
+
+    def wait_for(self, predicate: Callable[[], Any], timeout: float | None = None) -> Any:
+        end = math.inf if timeout is None else self._clock.now() + timeout
+        while not (result := predicate()) and self._clock.now() < end:
+            self.wait(None if timeout is None else end - self._clock.now())
+        return result
+
+    def notify(self, n: int = 1) -> None:
+        for signal in self._signals[:n]:
+            signal[0] = True
+        del self._signals[:n]
+
+    def notify_all(self) -> None:
+        self.notify(len(self._signals))
+
+
+class _Thread(threading.Thread):
+    def __init__(
+        self, clock: SimulatedClock, target: Callable[..., object], name: str, args: tuple[object, ...]
+    ) -> None:
+        super().__init__(target=target, name=name, args=args, daemon=True)
+        self._clock = clock
+        self._over = False
+        self._turn = _Waiter(lambda: True, clock.now())
+
+    def start(self) -> None:
+        super().start()
+        assert self.ident is not None
+        self._clock._members[self.ident] = self.name
+        self._clock._waiters.append(self._turn)
+
+    def run(self) -> None:
+        self._turn.baton.acquire()
+        if self._clock._ended:
+            return
+        try:
+            super().run()
+        except _Ended:
+            pass
+        except BaseException as error:
+            self._clock.errors.append(error)
+        finally:
+            self._over = True
+            self._clock._leave()
+
+    def is_alive(self) -> bool:
+        return self.ident is not None and not self._over
+
+    def join(self, timeout: float | None = None) -> None:
+        if self.ident is None:
+            raise RuntimeError("cannot join thread before it is started")
+        if self._clock.wait(lambda: self._over, timeout):
+            super().join()
+
+
+class VirtualBus(virtual.VirtualBus):
+    """python-can's virtual bus, waiting on and stamped by the clock of the test that runs."""
+
+    clock: SimulatedClock
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """As `can.BusABC.recv`."""
+        self._check_if_open()
+        frames = self.queue.queue  # one thread runs at a time: the queue's own locks would guard nothing
+        if not frames:
+            self.clock.wait(lambda: frames or not self._open, timeout)
+            self._check_if_open()
+        return frames.popleft() if frames else None
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """As `can.BusABC.send`."""
+        self._check_if_open()
+        received = copy(msg)
+        received.timestamp, received.channel, received.is_rx = self.clock.time_of_day(), self.channel_id, True
+        for queue in self.channel:
+            if queue is not self.queue:
+                queue.queue.append(received)
+        if self.receive_own_messages:
+            own = copy(received)
+            own.is_rx = False
+            self.queue.queue.append(own)
+
+
+@contextmanager
+def simulated_time() -> Iterator[SimulatedClock]:
+    """A clock for the block; meanwhile the interface `virtual` of python-can waits on it.
+
+    Threads that the block leaves behind are an error, as a program that does not end would be.
+    """
+    clock = SimulatedClock()
+    VirtualBus.clock = clock
+    backends = can.interfaces.BACKENDS
+    before = backends["virtual"]
+    backends["virtual"] = (__name__, "VirtualBus")
+    try:
+        yield clock
+    except BaseException:
+        clock.end()
+        raise
+    finally:
+        backends["virtual"] = before
+    left = clock.end()
+    for breakdown in clock.breakdowns():
+        raise breakdown.error
+    if clock.errors:
+        raise clock.errors[0]
+    if left:
+        raise AssertionError(f"threads left running: {', '.join(left)}")

@@ -1,0 +1,138 @@
+"""The toy driver of docs/drivers.md keeps every point; spoilt in one way, it fails that point by name."""
+
+from __future__ import annotations
+
+import struct
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from daq.robot.loader import parse_robot
+from drivers import declaration
+from dynid.testing import POINTS, Bench, ConformanceError, DriverConformance, check_point, declared_bench
+from sim_drivers import new_driver
+from sim_drivers.new_driver.write import driver_files
+
+SKELETON = Path(new_driver.__file__).with_name("skeleton")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def toy() -> Iterator[SimpleNamespace]:
+    """The skeleton as it is written, importable, its driver not installed but declared."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(SKELETON))
+        patch.setattr(sys, "dont_write_bytecode", True)
+        driver, declares = import_module("toy_bus.driver"), import_module("toy_bus.declaration")
+        install(patch, declares.DECLARATION)
+        yield SimpleNamespace(driver=driver, declaration=declares.DECLARATION)
+
+
+def install(patch: pytest.MonkeyPatch, declared: declaration.DriverDeclaration) -> None:
+    entry = SimpleNamespace(name="toy_bus", value="toy_bus", load=lambda: declared)
+    patch.setattr(declaration, "entry_points", lambda group: [entry])
+
+
+def bench() -> AbstractContextManager[Bench]:
+    text = (SKELETON / "toy_bus" / "arm.yaml").read_text().replace("udp_multicast", "virtual")
+    return declared_bench(parse_robot(text, where="toy", folder=None), "toy_bus")
+
+
+class TestToyBus(DriverConformance):
+    def bench(self) -> AbstractContextManager[Bench]:
+        return bench()
+
+
+def spoilt(point: str, toy: SimpleNamespace) -> type:
+    """A driver that does not keep a point."""
+    base = toy.driver.ToyBusDriver
+
+    class ReadsWhenStopped(base):
+        def read(self, timeout):
+            return super().read(timeout) if self._state == "running" else ()
+
+    class CoarseStamps(base):
+        def read(self, timeout):
+            return [replace(batch, time=np.round(batch.time, 1)) for batch in super().read(timeout)]
+
+    class CountsNothing(base):
+        def read(self, timeout):
+            return [replace(batch, lost=0) for batch in super().read(timeout)]
+
+    class Degrees(base):
+        def read(self, timeout):
+            return [
+                replace(batch, values={**batch.values, "position": np.degrees(batch.values["position"])})
+                for batch in super().read(timeout)
+            ]
+
+    class IgnoresStop(base):
+        def stop(self):
+            if self._newest is None:
+                super().stop()
+
+    class WaitsForEver(base):
+        def read(self, timeout):
+            self._heard = self._clock.now()
+            return super().read(timeout)
+
+    class TakesAllFrames(base):
+        def _take(self, arrived, identifier, data):
+            assert self._joints[identifier - toy.driver.SAMPLE]
+            return super()._take(arrived, identifier, data)
+
+    class StartsAnew(base):
+        def _take(self, arrived, identifier, data):
+            batches = super()._take(arrived, identifier, data)
+            return [replace(batch, time=np.array([self._last / self._settings.rate])) for batch in batches]
+
+    class Sleeps(base):
+        def read(self, timeout):
+            time.sleep(0.0)
+            return super().read(timeout)
+
+    return {
+        "life_cycle": ReadsWhenStopped,
+        "time_stamps": CoarseStamps,
+        "gaps": CountsNothing,
+        "units_and_signs": Degrees,
+        "stop": IgnoresStop,
+        "silence": WaitsForEver,
+        "garbage": TakesAllFrames,
+        "restart": StartsAnew,
+        "clock": Sleeps,
+    }[point]
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_a_spoilt_driver_fails_the_point_by_name(
+    point: str, toy: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    install(monkeypatch, replace(toy.declaration, driver=spoilt(point, toy)))
+    with pytest.raises(ConformanceError, match=f"^{point}: "), bench() as one:
+        check_point(point, one)
+
+
+def test_the_suite_has_a_test_for_each_point() -> None:
+    assert {name.removeprefix("test_") for name in vars(DriverConformance) if name.startswith("test_")} == set(POINTS)
+
+
+def test_a_package_of_another_name_has_no_toy_in_it() -> None:
+    files = driver_files("my_2nd_bus")
+    assert set(files) == {
+        path.relative_to(SKELETON).as_posix().replace("toy_bus", "my_2nd_bus")
+        for path in SKELETON.rglob("*.*")
+        if "__pycache__" not in path.parts
+    }
+    assert not [path for path, text in files.items() if "toy" in text.lower()]
+    for path, text in files.items():
+        if path.endswith(".py"):
+            compile(text, path, "exec")
+    assert struct.calcsize("<ihH") == 8  # a frame of classic CAN
