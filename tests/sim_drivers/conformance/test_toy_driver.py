@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import fields, replace
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,6 +22,7 @@ from dynid.testing import POINTS, Bench, ConformanceError, DriverConformance, ch
 from sim_drivers import new_driver
 from sim_drivers.new_driver.write import driver_files
 
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "drivers.md"
 SKELETON = Path(new_driver.__file__).with_name("skeleton")
 
 
@@ -136,3 +138,17 @@ def test_a_package_of_another_name_has_no_toy_in_it() -> None:
         if path.endswith(".py"):
             compile(text, path, "exec")
     assert struct.calcsize("<ihH") == 8  # a frame of classic CAN
+
+
+def test_the_page_shows_the_package_that_is_tested_here() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    shown = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    files = ["toy_bus/declaration.py", "toy_bus/driver.py", "toy_bus/simulated.py", "tests/test_toy_bus.py"]
+    assert shown == [(SKELETON / file).read_text(encoding="utf-8") for file in files]
+    lines = sum(text.count("\n") for text in shown[:2])
+    assert lines <= 150
+    assert f"declaration are {lines} lines" in page
+    assert set(re.findall(r"^\| `(\w+)` \|", page, re.MULTILINE)) == {
+        *POINTS,
+        *(entry.name for entry in fields(declaration.DriverDeclaration)),
+    }

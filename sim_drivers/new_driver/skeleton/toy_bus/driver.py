@@ -1,16 +1,14 @@
 """The driver: frame 0x100 + joint brings position, velocity and a counter; 0x200 + joint takes a target."""
 
-from __future__ import annotations
-
-import contextlib
 import struct
+from collections import deque
 from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 
-import can
 import numpy as np
 from pydantic import Field
 
-from drivers.base import DriverSettings, Notice, State, require_state
+from drivers.base import DriverSettings, Notice, State, drained, require_state
 from drivers.bus_budget import Budget
 from drivers.can.bus import Sender, close_bus, open_bus
 from drivers.can.frame_length import WORST, can_frames
@@ -39,16 +37,18 @@ class ToyBusDriver:
 
     def __init__(self, settings: DriverSettings) -> None:
         self._settings = read_settings(ToyBusSettings, settings.connection, "toy_bus")
-        self._joints, self._clock, self._notices = settings.joints, settings.clock, list[Notice]()
+        self._joints, self._clock, self._notices = settings.joints, settings.clock, deque[Notice]()
         self._state: State = "closed"
-        self._bus: can.BusABC | None = None
+        self._opened = ExitStack()
         self._begin()
 
     def open(self) -> None:
         require_state(self._state, "closed", "open")
         bus = self._settings
-        self._bus = opened = open_bus(bus.interface, bus.channel, bus.bitrate, bus.options)
+        opened = open_bus(bus.interface, bus.channel, bus.bitrate, bus.options)
+        self._opened.callback(close_bus, opened)
         self._sender, self._receiver = Sender(opened, self._clock), Receiver(opened, clock=self._clock)
+        self._opened.callback(self._receiver.stop)
         self._receiver.start()
         if not self._receiver.take(2.0):
             self.close()
@@ -75,8 +75,7 @@ class ToyBusDriver:
         return batches
 
     def notices(self) -> Sequence[Notice]:
-        found, self._notices = self._notices, []
-        return found + (self._receiver.notices() if self._state != "closed" else [])
+        return drained(self._notices) + (self._receiver.notices() if self._state != "closed" else [])
 
     def command_rate(self) -> float:
         return self._settings.rate
@@ -98,7 +97,7 @@ class ToyBusDriver:
 
     def stop(self) -> None:
         if self._controls:
-            with contextlib.suppress(ConnectionLostError):
+            with suppress(ConnectionLostError):
                 self._sender.send(MODE, HOLD)
         self._controls = False
         if self._state == "running":
@@ -106,11 +105,8 @@ class ToyBusDriver:
 
     def close(self) -> None:
         self.stop()
+        self._opened.close()
         self._state = "closed"
-        if self._bus is not None:
-            self._receiver.stop()
-            close_bus(self._bus)
-            self._bus = None
 
     def _begin(self) -> None:
         self._row: dict[int, tuple[float, float]] = {}
@@ -141,6 +137,5 @@ class ToyBusDriver:
 
 
 def budget(settings: DriverSettings) -> Budget:
-    """What the connection asks of its bus."""
     bus, n = read_settings(ToyBusSettings, settings.connection, "toy_bus"), len(settings.joints)
     return Budget(bus.bitrate, bus.rate, (can_frames("samples", n, 8), can_frames("targets", n, 4)), worst=WORST)
