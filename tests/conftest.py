@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import gc
+import hashlib
 import math
 import os
+import pickle
 import signal
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from _pytest.assertion import rewrite
@@ -19,6 +22,10 @@ from hypothesis.internal.conjecture import providers
 from simulated_clock import SimulatedClock, simulated_time
 
 from drivers.core.clock import Clock
+
+if TYPE_CHECKING:
+    from drivers.core.arrays import FloatArray
+    from ident.model.regressor import RegressorKernel
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -98,6 +105,26 @@ def short_simulations() -> Iterator[Simulated]:
         patch.setattr(tracking, "LONGEST", 0.5)
         patch.setattr(open_loop, "WINDOWS", 1)
         yield whole
+
+
+@pytest.fixture(scope="session", autouse=True)
+def motions_judged_once() -> Iterator[None]:
+    """Judge each random motion of an arm once: tests draw the same ones, which takes most of a simulated recording."""
+    from sim_drivers.synthetic import measurement
+
+    factor, condition = measurement.motion_factor, measurement.scaled_condition
+    known: dict[bytes, float] = {}
+
+    def once(kernel: RegressorKernel, *motion: FloatArray) -> float:
+        key = hashlib.sha256(pickle.dumps((kernel.model, kernel.columns, motion))).digest()
+        if key not in known:
+            known[key] = condition(factor(kernel, *motion))
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(measurement, "motion_factor", once)
+        patch.setattr(measurement, "scaled_condition", lambda judged: judged)
+        yield
 
 
 @pytest.fixture

@@ -37,6 +37,8 @@ class _Waiter:
 
     def __init__(self, ready: Callable[[], object], deadline: float, thread: int | None = None) -> None:
         self.ready = ready
+        self.is_ready = False
+        """When it was chosen to go on; nothing runs until it does."""
         self.deadline = deadline
         self.thread = thread
         self.baton = threading.Lock()
@@ -178,7 +180,7 @@ class SimulatedClock(Clock):
             self._turns = 0
             message, self._failure = self._failure, None
             raise RuntimeError(message)
-        return bool(ready())
+        return waiter.is_ready or bool(ready())
 
     def _next(self) -> _Waiter:
         """Take who goes on next out of the list, and let time pass until it does."""
@@ -202,7 +204,10 @@ class SimulatedClock(Clock):
         for waiter in self._waiters:
             if held and held.get(waiter.thread, -math.inf) > now:
                 continue
-            if waiter.deadline <= now or waiter.ready():
+            if waiter.deadline <= now:
+                return waiter
+            if waiter.ready():
+                waiter.is_ready = True
                 return waiter
         return None
 

@@ -116,7 +116,7 @@ def test_every_argument_of_a_public_function_is_described():
     assert without == []
 
 
-@pytest.mark.usefixtures("not_simulated")
+@pytest.mark.usefixtures("not_simulated", "stated_friction")
 def test_the_examples_run(monkeypatch):
     for costly in ("simulate", "identify", "design_excitation", "compare"):
         monkeypatch.setitem(vars(dynid), costly, _remembered(costly))
@@ -151,8 +151,6 @@ def _remembered(name: str) -> Any:
     def remembered(*arguments: Any, **named: Any) -> Any:
         if name == "simulate" and named.get("duration", 0.0) > 5.0:  # an eighth of what the arm's own rate gives
             named = {"rate": 62.5} | named
-        if name == "identify":  # without the search, which has tests of its own
-            named = {"friction": "coulomb-viscous", "presliding": False} | named
         key = repr([_key(value) for value in (*arguments, *named, *named.values())])
         if key not in known:
             kept.append((arguments, named))  # or another object may get the same id

@@ -43,9 +43,14 @@ def made(robot_file, search=QUICK, **choices):
     return design(robot_file, find_prior(robot_file), DesignChoices(**choices), search)
 
 
+def short(**choices) -> DesignChoices:
+    """Choices of a period in which a design takes half of the time."""
+    return DesignChoices(period=5.0, **choices)
+
+
 def designed(**choices) -> Design:
     """Designs for `UP6`, each made once."""
-    return _designed(DesignChoices(**choices))
+    return _designed(short(**choices))
 
 
 @functools.cache
@@ -70,7 +75,7 @@ def test_every_kind_keeps_every_limit_from_rest_to_rest(kind):
 
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_every_criterion_is_improved(criterion):
-    choices = DesignChoices(criterion=criterion, harmonics=1, period=4.0)
+    choices = short(criterion=criterion, harmonics=1)
     problem = build_problem(UP6, find_prior(UP6), choices)
     begin = problem.family.random(np.random.default_rng([1, 0]))
     assert _designed(choices).cost < np.exp(problem.cost(begin))
@@ -92,7 +97,7 @@ def test_derivatives_of_whole_problems_equal_finite_differences(kind):
 
 
 def test_the_design_beats_the_best_of_many_random_motions():
-    problem = build_problem(UP6, find_prior(UP6), DesignChoices(harmonics=2))
+    problem = build_problem(UP6, find_prior(UP6), short(harmonics=2))
     generator = np.random.default_rng(0)
     random = min(problem.cost(problem.family.random(generator)) for _ in range(100))
     assert designed(harmonics=2).cost < np.exp(random)
@@ -106,8 +111,8 @@ def test_the_same_seed_gives_the_same_trajectory_and_one_process_builds_the_prob
         return built[-1]
 
     monkeypatch.setattr("ident.excite.design.build_problem", counted)
-    short = {"harmonics": 1, "period": 4.0}
-    assert np.array_equal(made(UP6, **short).variables, designed(**short).variables)
+    again = made(UP6, harmonics=1, period=5.0)
+    assert np.array_equal(again.variables, designed(harmonics=1).variables)
     assert len(built) == 1
 
 
@@ -133,7 +138,7 @@ def test_the_margin_is_left(margin):
 
 def test_an_earlier_motion_is_refined():
     earlier = designed(harmonics=2)
-    again = design(UP6, find_prior(UP6), DesignChoices(harmonics=2), QUICK, earlier=earlier.motion)
+    again = design(UP6, find_prior(UP6), short(harmonics=2), QUICK, earlier=earlier.motion)
     assert again.cost <= earlier.cost * 1.01
 
 
@@ -144,7 +149,7 @@ def test_an_earlier_motion_of_another_kind_is_refused():
 
 
 def test_some_joints_can_move_alone():
-    found = designed(harmonics=1, period=4.0, joints=("L", "U"))
+    found = designed(harmonics=1, joints=("L", "U"))
     time = np.linspace(0.0, found.motion.duration, 500)
     position, _, _ = found.motion.evaluate(time)
     assert np.ptp(position[0]) == 0.0
@@ -167,10 +172,10 @@ def test_a_payload_is_designed_for_by_the_last_links_parameters():
 def test_torque_limits_are_kept_where_a_prior_is_known():
     free = designed(kind="sines", harmonics=2)
     tight = with_joint(UP6, 1, torque=400.0)
-    found = made(tight, kind="sines", harmonics=1)
+    found = made(tight, kind="sines", harmonics=1, period=5.0)
     assert any(name.startswith("torque") for name in found.limits)
     assert found.use.max() <= 1.0
-    check = build_problem(tight, find_prior(tight), DesignChoices(kind="sines", harmonics=2))
+    check = build_problem(tight, find_prior(tight), short(kind="sines", harmonics=2))
     torque = next(c for c in check.constraints if c.names[0].startswith("torque of L"))
     time = np.linspace(0.0, free.motion.duration, 2000)
     assert (
@@ -221,9 +226,12 @@ def test_every_robot_has_a_feasible_motion_of_every_kind_however_short_the_time(
     assert found.cost < np.inf
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["fourier", "points"])
 def test_a_narrow_room_leaves_a_small_motion(kind):
-    """A low ceiling and a floor: random motions leave the room, so they are shrunk towards a pose within it."""
+    """A low ceiling and a floor: random motions leave the room, so they are shrunk towards a pose within it.
+
+    How each kind shrinks is the next test's.
+    """
     robot_file = load_robot("ur10")
     workspace = robot_file.robot.workspace.model_copy(update={"height": (0.05, 0.9)})
     robot = robot_file.robot.model_copy(update={"workspace": workspace})

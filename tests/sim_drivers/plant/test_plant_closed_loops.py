@@ -21,7 +21,7 @@ from ident.model.rigid_arm import rigid_arm
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.plant import Plant, PlantSettings
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 
 def coupled() -> RobotFile:
@@ -87,8 +87,8 @@ def test_the_truth_is_found_from_ten_seconds_of_the_controlled_arm() -> None:
     robot_file = four_bar_arm()
     base = base_parameters(build_model(robot_file))
     truth = base.projection @ truth_vector(robot_file)
-    recordings = [[follow(robot_file, seed, seconds, rate=200.0)] for seed, seconds in ((1, 10.0), (2, 2.0))]
-    found = identify(*recordings, IdentifyChoices())
+    recording = follow(robot_file, 1, 10.0, rate=200.0)
+    found = identify([recording], [], IdentifyChoices(split=8.5, search_delay=False))
     assert found.validation.relative_error < 0.05
     deviations = np.abs(found.solution.parameters - truth) / found.std
     assert np.mean(deviations <= 1.96) >= 0.85, dict(zip(base.names, deviations, strict=True))
