@@ -28,7 +28,13 @@ from daq.robot.loader import load_robot
 from drivers.can.bus import close_bus, open_bus
 from drivers.core.errors import ConnectionFailedError
 
-COMMAND = "import sys; from dynid.command import main; sys.exit(main())"
+SIMULATOR = """
+import sys
+from dynid.command import main
+from sim_drivers.canopen import network
+network.LOOP_PERIOD = 2e-3  # of the drives, half as often as usual: each turn costs processor time
+sys.exit(main())
+"""
 SYNC_RATE = 100
 STATUSWORD = 0x6041
 NODES = range(1, 7)
@@ -120,7 +126,7 @@ def swing(folder: Path, duration: float = 30.0) -> Path:
 @contextmanager
 def simulated(arm: Arm, wire: str, *options: str) -> Iterator[tuple[dict[str, Any], subprocess.Popen[str]]]:
     """The arm served on a bus."""
-    with served("-c", COMMAND, "sim", str(arm.path), "--wire", wire, "--no-ui", *options) as (ready, process):
+    with served("-c", SIMULATOR, "sim", str(arm.path), "--wire", wire, "--no-ui", *options) as (ready, process):
         yield dict(ready), process
 
 
