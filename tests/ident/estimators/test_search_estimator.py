@@ -17,6 +17,8 @@ from ident.model.dynamic_model import build_model
 from ident.regression.least_squares import ordinary_least_squares, weighted_least_squares
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
+pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction")
+
 
 @pytest.fixture(scope="module")
 def recording(three_joint):

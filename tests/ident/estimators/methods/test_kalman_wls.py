@@ -14,6 +14,8 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
+
 
 @pytest.mark.parametrize("ratio", [1e-3, 0.1, 10.0])
 def test_it_is_filterpys_filter_with_the_models_change_as_input(ratio):

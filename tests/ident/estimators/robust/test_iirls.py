@@ -21,7 +21,7 @@ from ident.report.sections.convergence import section
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from tests.ident.conftest import THREE_JOINT
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 EXPONENTS = (0.6, 0.8, 0.7)
 

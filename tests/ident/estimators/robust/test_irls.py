@@ -20,7 +20,7 @@ from ident.report import ReportData
 from ident.report.page import render_report
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 METHODS = ("irls", "irls:weights=huber", "irls:weights=tukey", "irls:consistent=true")
 
