@@ -243,10 +243,10 @@ class Player:
         weight = min(max(took, self._period) / KEPT_UP, 1.0) if self._held else 1.0 / UNHELD_KEPT_UP
         self._behind += (float(took > slow) - self._behind) * weight
         if self._behind > BEHIND:
-            what = f"of the last {KEPT_UP:g} s was spent on" if self._held else "of the last positions were"
+            share = f"last {KEPT_UP:g} s was spent on positions that" if self._held else "last positions"
             raise SafetyStopError(
-                f"the bus, or this computer, does not keep up: more than a quarter {what} positions that took longer "
-                f"than {1e3 * slow:.3g} ms to send",
+                f"the bus, or this computer, does not keep up: more than a quarter of the {share} took longer than "
+                f"{1e3 * slow:.3g} ms to send",
                 hint="lower the connection's rate (sync_rate), end other programs, or use --realtime",
             )
 
