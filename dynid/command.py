@@ -114,6 +114,8 @@ def main() -> None:
     show_visibly()
     for variable in BLAS_THREADS:
         os.environ.setdefault(variable, "1")
+    if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():
+        del os.environ["SOURCE_DATE_EPOCH"]  # NumPy's f2py, which SciPy imports, reads it and breaks
     try:
         status = _status("--json" in sys.argv[1:])
         sys.stdout.flush()
