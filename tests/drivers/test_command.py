@@ -42,6 +42,13 @@ def test_help_imports_nothing_heavy():
         assert name in done.stdout
 
 
+def test_a_date_of_sources_that_is_no_number_breaks_nothing(monkeypatch, capsys):
+    """NumPy's f2py, which SciPy imports, would end in a traceback over it."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "abc")
+    assert run(monkeypatch, capsys, "--version")[0] == 0
+    assert "SOURCE_DATE_EPOCH" not in os.environ
+
+
 def test_every_command_has_help_with_an_example(monkeypatch, capsys):
     for name in ("robot", "import", "check", "info", "identify", "validate", "demo"):
         status, out, _ = run(monkeypatch, capsys, name, "--help")
