@@ -44,6 +44,8 @@ planned from where it stands."""
 WATCHDOG_RATE = 1.0
 """Commands a second below which the controller itself ends the program. Its period is longer than `SILENCE_LIMIT`, so
 that this process stops the arm first where it can, and longer than leaving servo mode takes, which sends nothing."""
+START_LIMIT = 20.0
+"""How long [s] a busy computer may take to start the process, before the time limit for taking control begins."""
 STOP_LIMIT = 4.0
 """How long [s] the process may take to stop the arm before it is killed."""
 BACKLOG_LIMIT = 5
@@ -53,7 +55,7 @@ PATIENCE = 0.2
 
 _UNCONFIRMED_STATUS = 1
 _POSITION = struct.Struct(f"{JOINTS}d")
-_STOP, _READY, _TAKEN, _FAILED = b"stop", b"ready", b"taken", b"failed "
+_BEGUN, _STOP, _READY, _TAKEN, _FAILED = b"begun", b"stop", b"ready", b"taken", b"failed "
 
 
 class Control(Protocol):
@@ -137,7 +139,7 @@ def take_control(host: str, rate: float) -> Control:
 
 
 def start_process(factory: ControlFactory, host: str, rate: float, timeout: float) -> tuple[Pipe, Worker]:
-    """A process that takes control of an arm and obeys the pipe; `factory` must be importable there."""
+    """A process that takes control of an arm and obeys the pipe, once it runs; `factory` must be importable there."""
     # spawn: a forked child would inherit the recorder's sockets, files and locks.
     context = multiprocessing.get_context("spawn")
     pipe, far_end = context.Pipe()
@@ -145,6 +147,9 @@ def start_process(factory: ControlFactory, host: str, rate: float, timeout: floa
     with started_without_interrupt():
         process.start()
     far_end.close()
+    with contextlib.suppress(EOFError, OSError):  # it ended at once, which who waits for its control learns
+        if pipe.poll(START_LIMIT):
+            pipe.recv_bytes()
     return pipe, process
 
 
@@ -252,6 +257,10 @@ def _run(pipe: Pipe, factory: ControlFactory, host: str, rate: float, timeout: f
     for ignored in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT):
         signal.signal(ignored, signal.SIG_IGN)
     _keep_standard_output_clean()
+    if factory is take_control:
+        with contextlib.suppress(ImportError):  # which taking control says
+            import rtde_control  # noqa: F401
+    _say(pipe, _BEGUN)
     _die_after(timeout)
     if not obey(pipe, factory, host, rate, lambda: _die_after(0.0)):
         sys.exit(_UNCONFIRMED_STATUS)

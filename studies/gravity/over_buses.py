@@ -1,4 +1,6 @@
-"""A gravity motion, recorded over each bus and identified; in simulated time, 5 to 8 minutes of CPU.
+"""A gravity motion, recorded over buses and identified; in simulated time, 2 minutes of CPU per bus.
+
+    python -m studies.gravity.over_buses [rtde] [cia402] [table]
 
 Plant, bus, driver, session, player, command gate, supervisor and recorder are those of production. The approach to the
 motion is not checked for collisions.
@@ -73,22 +75,28 @@ def over_a_signal_table(folder: Path) -> SessionReport:
             return table_arm_bench.session(folder / "run.h5", driver, clock, unchecked_play(motion, robot))
 
 
-def main() -> None:
+OVER = {"rtde": ("RTDE", over_rtde), "cia402": ("CiA 402", over_cia402), "table": ("signal table", over_a_signal_table)}
+
+
+def main(buses: list[str]) -> None:
     """Print the table."""
     print("| bus | recorded [s] | lost samples | ended by | worst held-out error [% of gravity] | verdict |")
     print("|---|---|---|---|---|---|")
-    for name, over in (("RTDE", over_rtde), ("CiA 402", over_cia402), ("signal table", over_a_signal_table)):
+    for name, over in (OVER[bus] for bus in buses or OVER):
         with tempfile.TemporaryDirectory() as folder:
-            report = over(Path(folder))
-            joints = dynid.read_recording(Path(folder, "run.h5")).streams["joints"]
-            found = dynid.identify_gravity(Path(folder, "run.h5"))
-        gravity, error = (np.array(found.errors.to_frame()[key], float) for key in ("gravity", "held_out_error"))
-        worst = float(np.max((100.0 * error / gravity)[gravity > 0.1 * gravity.max()]))
-        verdict = re.split(r"[,.]", found.verdict)[0]
-        ended, lost = report.stopped_by or "its end", report.lost["joints"]
-        lasts = joints.time[-1] - joints.time[0]
-        print(f"| {name} | {lasts:.0f} | {lost} | {ended} | {worst:.2f} | {verdict} |", flush=True)
+            print(row(name, over(Path(folder)), Path(folder, "run.h5")), flush=True)
+
+
+def row(name: str, report: SessionReport, path: Path) -> str:
+    """A bus's row; the error is that of the worst joint with a tenth of the largest gravity."""
+    joints = dynid.read_recording(path).streams["joints"]
+    found = dynid.identify_gravity(path)
+    gravity, error = (np.array(found.errors.to_frame()[key], float) for key in ("gravity", "held_out_error"))
+    worst = float(np.max((100.0 * error / gravity)[gravity > 0.1 * gravity.max()]))
+    verdict = re.split(r"[,.]", found.verdict)[0]
+    ended, lost = report.stopped_by or "its end", report.lost["joints"]
+    return f"| {name} | {joints.time[-1] - joints.time[0]:.0f} | {lost} | {ended} | {worst:.2f} | {verdict} |"
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -28,7 +28,15 @@ from rtde_in_process import MotionThread, PipeEnd
 from simulated_clock import START, SimulatedClock
 
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError
-from drivers.rtde.motion import BACKLOG_LIMIT, PATIENCE, SILENCE_LIMIT, STOP_LIMIT, WATCHDOG_RATE, MotionProcess
+from drivers.rtde.motion import (
+    BACKLOG_LIMIT,
+    PATIENCE,
+    SILENCE_LIMIT,
+    STOP_LIMIT,
+    WATCHDOG_RATE,
+    MotionProcess,
+    start_process,
+)
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 HALT = ["servoStop", "stopJ", "stopScript", "disconnect"]
@@ -268,6 +276,17 @@ def test_a_process_of_its_own_moves_the_arm_and_leaves_sigterm_to_its_parent(log
     os.kill(int(motion.pid or 0), signal.SIGTERM)
     assert motion.stop()
     assert lines(log)[-4:] == HALT
+
+
+@pytest.mark.realtime
+def test_the_time_limit_for_control_begins_when_the_process_runs(log: Path) -> None:
+    """Starting it takes longer than this limit on a busy computer."""
+    pipe, worker = start_process(FakeControl, str(log), 500.0, LIMIT)
+    assert pipe.poll(LIMIT)
+    assert pipe.recv_bytes() == b"ready"
+    pipe.send_bytes(b"stop")
+    worker.join(LIMIT)
+    assert worker.exitcode == 0
 
 
 @pytest.mark.realtime
