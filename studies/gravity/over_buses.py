@@ -92,7 +92,8 @@ def row(name: str, report: SessionReport, path: Path) -> str:
     joints = dynid.read_recording(path).streams["joints"]
     found = dynid.identify_gravity(path)
     gravity, error = (np.array(found.errors.to_frame()[key], float) for key in ("gravity", "held_out_error"))
-    worst = float(np.max((100.0 * error / gravity)[gravity > 0.1 * gravity.max()]))
+    loaded = gravity > 0.1 * gravity.max()
+    worst = float(np.max(100.0 * error[loaded] / gravity[loaded]))
     verdict = re.split(r"[,.]", found.verdict)[0]
     ended, lost = report.stopped_by or "its end", report.lost["joints"]
     return f"| {name} | {joints.time[-1] - joints.time[0]:.0f} | {lost} | {ended} | {worst:.2f} | {verdict} |"
