@@ -10,6 +10,8 @@ from types import ModuleType
 
 import pytest
 
+pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction")
+
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 

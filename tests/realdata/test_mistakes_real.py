@@ -18,7 +18,7 @@ from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.regressor import RegressorKernel
 
-pytestmark = pytest.mark.realdata
+pytestmark = [pytest.mark.realdata, pytest.mark.usefixtures("not_simulated")]
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 KEPT = (0, 1, 2, 3, 4, 5)
