@@ -182,7 +182,7 @@ def not_simulated() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def stated_friction() -> Iterator[None]:
-    """Identify with the terms of friction that the robot file has; to look for others takes half of an estimate's time.
+    """Identify with the friction that the robot file has; the search for more takes two fifths of an estimate's time.
 
     For a module in which other terms, and pre-sliding, are not what is tested.
     """

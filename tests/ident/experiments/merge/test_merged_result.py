@@ -31,7 +31,7 @@ from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_re
 
 SECONDS = 40.0
 STATED = ModelChoices(friction="coulomb-viscous")
-"""The terms that the arm has: to look for them takes half of the time."""
+"""The terms that the arm has; to look for others takes a quarter of the time."""
 
 
 @pytest.fixture(scope="module")
