@@ -131,7 +131,7 @@ def declared(driver: str, where: str = "") -> DriverDeclaration:
     entry = installed[driver]
     try:
         found = entry.load()
-    except (ImportError, AttributeError) as error:
+    except (ImportError, AttributeError, SyntaxError) as error:
         raise UsageError(
             f"the driver '{driver}' cannot be loaded: {error}", where=where, hint="install its package again"
         ) from error

@@ -21,7 +21,7 @@ def demo(*, options: DemoOptions, verbose: bool = VERBOSE, force: bool = FORCE, 
     Example: dynid demo --out demo
     """
     from daq.commands.console import progress_line
-    from sim_drivers.demo import print_demo, run_demo
+    from sim_drivers.rtde.demo import print_demo, run_demo
 
     with progress_line(quiet=as_json) as progress:
         shown = run_demo(options, overwrite=force, progress=progress)

@@ -354,8 +354,7 @@ FAULTS = (
 
 def usage(server: ServerKind, faults: Sequence[FaultEntry] = FAULTS) -> str:
     """The faults of a table that a server obeys, as typed."""
-    first_word = "thermometer " if server == "thermometer" else ""  # beside an arm, it tells whose fault is meant
-    return first_word + " | ".join(entry.usage for entry in faults if server in entry.servers)
+    return " | ".join(entry.usage for entry in faults if server in entry.servers)
 
 
 def parse_fault(line: str, server: ServerKind, joints: Sequence[str], faults: Sequence[FaultEntry] = FAULTS) -> Fault:

@@ -53,7 +53,7 @@ def open_bus(interface: str, channel: str | int, bitrate: int, options: Mapping[
         ConnectionFailedError: says in words what is missing.
     """
     where = f"{interface} {channel}"
-    _keep_quiet()
+    keep_quiet("can")
     if interface not in can.interfaces.VALID_INTERFACES:
         known = sorted(can.interfaces.VALID_INTERFACES)
         close = difflib.get_close_matches(interface, known, 1)
@@ -204,9 +204,8 @@ def _prepare_socket(bus: can.BusABC) -> None:
                 shared.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
 
 
-def _keep_quiet() -> None:
-    """Silence the logs of python-can and canopen: errors and notices say the same."""
-    for name in ("can", "canopen"):
-        logger = logging.getLogger(name)
-        if not logger.handlers:
-            logger.addHandler(logging.NullHandler())
+def keep_quiet(library: str) -> None:
+    """Silence the logs of a library: errors and notices say the same."""
+    logger = logging.getLogger(library)
+    if not logger.handlers:
+        logger.addHandler(logging.NullHandler())

@@ -15,7 +15,7 @@ import can
 import numpy as np
 
 from drivers.base import DeviceLimits, DriverSettings, Notice, State, drained, require_state
-from drivers.can.bus import Sender, close_bus, open_bus, returns_own_frames, sends_in_kernel
+from drivers.can.bus import Sender, close_bus, keep_quiet, open_bus, returns_own_frames, sends_in_kernel
 from drivers.can.receiver import Receiver
 from drivers.canopen402.monitor.drives import DriveWatch
 from drivers.canopen402.monitor.heartbeat_clocks import HeartbeatClocks
@@ -95,6 +95,7 @@ class Canopen402Driver:
         """
         require_state(self._state, "closed", "open")
         settings = self._settings
+        keep_quiet("canopen")  # the library
         self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
         try:
             self._sender = Sender(self._bus, self._clock)

@@ -26,6 +26,8 @@ from sim_drivers.plant.plant import Plant
 from sim_drivers.pseudo_terminal import LineEnd, PseudoTerminal
 from sim_drivers.server import FaultyServer
 
+WORD = "thermometer"
+"""First word of a fault that concerns the thermometer, where it is beside an arm."""
 SLICE = 0.002
 """[s] between two portions of characters."""
 NOISE_BYTES = bytes(range(256))
@@ -132,6 +134,18 @@ class ThermometerServer(FaultyServer):
         """Plug it in again; nothing where it is plugged in."""
         with self._changed:
             self._plug_in()
+
+    def obey(self, line: str) -> None:
+        """Cause a typed fault at once.
+
+        Raises:
+            UsageError: not a fault of a thermometer.
+        """
+        try:
+            super().obey(line)
+        except UsageError as error:
+            error.hint = f"{WORD} {error.hint}"  # beside an arm it says whose fault is meant
+            raise
 
     def cause(self, fault: Fault) -> None:
         """Apply a fault at once; from any thread."""

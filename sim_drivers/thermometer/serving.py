@@ -17,11 +17,9 @@ from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
 from sim_drivers.served import Served
 from sim_drivers.server import FaultyServer
-from sim_drivers.thermometer.server import ThermometerServer, WritableLineEnd, serve_thermometer
+from sim_drivers.thermometer.server import WORD, ThermometerServer, WritableLineEnd, serve_thermometer
 
 DRIVER = "serial_thermometer"
-WORD = "thermometer"
-"""First word of a fault that concerns the thermometer."""
 PERIOD = 0.02
 """[s] between two advances of an arm that nothing but its thermometer watches."""
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from servoed_plant import in_simulated_time
 
-import sim_drivers.demo
+import sim_drivers.rtde.demo
 from daq.motion.trajectory_file import load_trajectory
 from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM
@@ -25,8 +25,8 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.result_file import read_result
-from sim_drivers.demo import ATTEMPTS, _recorded, print_demo, run_demo
 from sim_drivers.options import DemoOptions
+from sim_drivers.rtde.demo import ATTEMPTS, _recorded, print_demo, run_demo
 from sim_drivers.simulated_arm import Recorded, record_over_wire, simulated_arm
 
 DESIGNED = Path(__file__).parent / "designed"
@@ -37,7 +37,7 @@ STEPS: list[str] = []
 def demo(tmp_path_factory):
     folder = tmp_path_factory.mktemp("demo") / "new" / "folder"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sim_drivers.demo, "design", designed_before)
+        patch.setattr(sim_drivers.rtde.demo, "design", designed_before)
         return run_demo(DemoOptions(out=folder, duration=8.0), progress=STEPS.append, arm=in_simulated_time)
 
 

@@ -15,7 +15,7 @@ from daq.robot.loader import load_robot
 
 QUICK = """
 import functools, shutil, sys
-import sim_drivers.demo as demo
+import sim_drivers.rtde.demo as demo
 from dynid.command import main
 from ident.excite.search.search import SearchChoices
 

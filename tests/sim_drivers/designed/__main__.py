@@ -6,7 +6,7 @@ from pathlib import Path
 
 from daq.robot.loader import load_robot
 from ident.excite.choices import DesignChoices
-from sim_drivers.demo import LIMIT_MARGIN, RAMP, _excitation
+from sim_drivers.rtde.demo import LIMIT_MARGIN, RAMP, _excitation
 
 if __name__ == "__main__":
     choices = DesignChoices(period=8.0, periods=1, ramp=RAMP, margin=LIMIT_MARGIN)
