@@ -54,6 +54,8 @@ class DriverDeclaration:
         read_only: keys of the connection with which the driver prepares nothing for a motion, and sends no device
             anything that could end another program's; they replace the robot file's where the arm is not to be moved.
         reset_faults: keys with which opening resets faults of the devices and enables nothing; empty where it cannot.
+        configure: keys with which opening writes what a motion needs into the devices' permanent memory, and nothing
+            else does; empty where it cannot.
         advice: `module:function` of (DriverSettings), which returns what `dynid check` warns of, one line each, while
             nothing is opened: settings of this computer, of an adapter; empty where there is none.
         connection_check: `module:function` of (Driver), which is open, and returns what `dynid check --connect` warns
@@ -67,6 +69,7 @@ class DriverDeclaration:
     budget: str = ""
     read_only: Mapping[str, object] = field(default_factory=dict)
     reset_faults: Mapping[str, object] = field(default_factory=dict)
+    configure: Mapping[str, object] = field(default_factory=dict)
     advice: str = ""
     connection_check: str = ""
     port: int = 0

@@ -8,6 +8,7 @@ FEETECH = DriverDeclaration(
     driver="drivers.serial_servos.driver:feetech",
     budget="drivers.serial_servos.budget:feetech_budget",
     read_only={"read_only": True},
+    configure={"configure": True},
     advice="drivers.serial_servos.budget:feetech_advice",
     simulated=(SimulatedBackEnd("feetech", "sim_drivers.serial_servos.serving:serve_feetech"),),
 )
@@ -15,6 +16,7 @@ DYNAMIXEL = DriverDeclaration(
     driver="drivers.serial_servos.driver:dynamixel",
     budget="drivers.serial_servos.budget:dynamixel_budget",
     read_only={"read_only": True},
+    configure={"configure": True},
     advice="drivers.serial_servos.budget:dynamixel_advice",
     simulated=(SimulatedBackEnd("dynamixel", "sim_drivers.serial_servos.serving:serve_dynamixel"),),
 )

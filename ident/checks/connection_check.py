@@ -80,6 +80,7 @@ def check_connections(
     clock: Clock = SYSTEM_CLOCK,
     *,
     reset_faults: bool = False,
+    configure: bool = False,
 ) -> list[CheckedConnection]:
     """Open a connection, and those that it is recorded with, one after the other, and listen.
 
@@ -89,6 +90,7 @@ def check_connections(
         host: in place of the connection's own.
         clock: the host's.
         reset_faults: whether faults of the first one's drives are reset; its driver must declare how.
+        configure: whether the permanent memory of its devices is written; its driver must declare how.
 
     Raises:
         UsageError: no such connection, or its keys are wrong.
@@ -97,7 +99,7 @@ def check_connections(
         ConnectionLostError: it broke.
     """
     first, *others = connection_names(robot_file.robot, wire, robot_file.where)
-    checked = [check_connection(robot_file, first, host, clock, reset_faults=reset_faults)]
+    checked = [check_connection(robot_file, first, host, clock, reset_faults=reset_faults, configure=configure)]
     return checked + [check_connection(robot_file, name, clock=clock) for name in others]
 
 
@@ -108,6 +110,7 @@ def check_connection(
     clock: Clock = SYSTEM_CLOCK,
     *,
     reset_faults: bool = False,
+    configure: bool = False,
 ) -> CheckedConnection:
     """Open one connection and listen; arguments as of `check_connections`.
 
@@ -117,13 +120,18 @@ def check_connection(
     robot = robot_file.robot
     kind = robot.connections[name].driver
     declaration = declared(kind, f"{robot_file.where}: connections.{name}.driver")
-    more = declaration.reset_faults if reset_faults else {}
-    if reset_faults and not more:
-        raise UsageError(
-            f"the driver '{kind}' cannot reset faults",
-            where=f"{robot_file.where}: connections.{name}",
-            hint="leave --reset-faults out",
-        )
+    more: dict[str, object] = {}
+    for wanted, keys, what, flag in (
+        (reset_faults, declaration.reset_faults, "reset faults", "--reset-faults"),
+        (configure, declaration.configure, "configure devices", "--configure"),
+    ):
+        if wanted and not keys:
+            raise UsageError(
+                f"the driver '{kind}' cannot {what}",
+                where=f"{robot_file.where}: connections.{name}",
+                hint=f"leave {flag} out",
+            )
+        more |= keys if wanted else {}
     alone = robot.connections[name].model_copy(update={WITH: [], **more})
     changed = robot.model_copy(update={"connections": {**robot.connections, name: alone}})
     driver = load_driver(changed, name, host, robot_file.folder, clock, robot_file.where, moves=False)

@@ -25,6 +25,9 @@ class CheckOptions(Options):
     wire: str | None = option(None, "Connection to open; the first one if absent.")
     host: str | None = host_option()
     reset_faults: bool = option(False, "Reset faults of CiA 402 drives; enables nothing.")
+    configure: bool = option(
+        False, "Write mode, return delay and calibration into servos' EEPROM; torque goes off: hold the arm."
+    )
 
     def __post_init__(self) -> None:
         """Check that options of a connection come with one.
@@ -33,8 +36,10 @@ class CheckOptions(Options):
             UsageError: nothing is opened.
         """
         super().__post_init__()
-        if not self.connect and (self.wire is not None or self.host is not None or self.reset_faults):
-            raise UsageError("--wire, --host and --reset-faults apply to --connect only", hint="add --connect")
+        if not self.connect and (self.wire is not None or self.host is not None or self.reset_faults or self.configure):
+            raise UsageError(
+                "--wire, --host, --reset-faults and --configure apply to --connect only", hint="add --connect"
+            )
 
 
 @app.command("check")
@@ -79,7 +84,12 @@ def check(*, options: CheckOptions, verbose: bool = VERBOSE, as_json: bool = JSO
     connections = []
     if options.connect:
         connections = check_connections(
-            robot_file, options.wire, options.host, SYSTEM_CLOCK, reset_faults=options.reset_faults
+            robot_file,
+            options.wire,
+            options.host,
+            SYSTEM_CLOCK,
+            reset_faults=options.reset_faults,
+            configure=options.configure,
         )
     if not as_json:
         for connection in connections:

@@ -29,7 +29,7 @@ name: two_servos
 model:
   mdh:
     - {joint: swing, alpha: pi/2, d: 0, r: 0}
-    - {joint: bend, alpha: 0, d: 0.2, r: 0}
+    - {joint: bend, antecedent: swing, alpha: 0, d: 0.2, r: 0}
 joints:
   - {name: swing, position: [-2, 2], velocity: 4, acceleration: 10, temperature: 70}
   - {name: bend, position: [-2, 2], velocity: 4, acceleration: 10, temperature: 70}
