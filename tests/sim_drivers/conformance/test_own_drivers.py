@@ -6,25 +6,34 @@ import itertools
 import socket
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
+import serial
+import servo_bench
 import yaml
 from exact_plant import ExactPlant
 from rtde_in_process import HOST, NOWHERE, SERVICES, Motions
 from serial_lines import SerialLine
+from simulated_serial import SerialPort, SimulatedLine
 
 from daq.robot.loader import RobotFile, parse_robot
+from daq.session.connections import driver_settings
 from drivers.base import DriverSettings
 from drivers.core.arrays import FloatArray
 from drivers.declaration import installed_drivers
 from drivers.gains import DriveGain
 from drivers.rtde.driver import RtdeDriver
+from drivers.serial_servos.driver import SerialServoDriver
+from drivers.serial_servos.settings import parse_settings
 from drivers.serial_thermometer.driver import SerialThermometerDriver
 from dynid.testing import Bench, DriverConformance, SimulatedClock, declared_bench, simulated_time
 from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.server import RtdeServer
+from sim_drivers.serial_servos.server import SerialServoServer
 from sim_drivers.thermometer.serving import serve
 
 CHANNELS = itertools.count()
@@ -174,9 +183,48 @@ class TestSerialThermometer(DriverConformance):
             )
 
 
-def test_no_driver_is_left_out() -> None:
-    """A driver of dynid without a class here has its own module of tests with the suite."""
-    tried = {"canopen402": TestCanopen402, "can_frames": TestCanFrames}
-    tried |= {"rtde": TestRtde, "serial_thermometer": TestSerialThermometer}
+class SerialServos(DriverConformance):
+    """Servos that come and go on a line which is opened by the same name each time."""
+
+    wire: str
+
+    @contextmanager
+    def bench(self) -> Iterator[Bench]:
+        with simulated_time() as clock, pytest.MonkeyPatch.context() as patch:
+            arm_file, lines, servers = servo_bench.robot_file(), list[SimulatedLine](), list[SerialServoServer]()
+
+            def open_port(url: str, *_: object, timeout: float, **__: object) -> SerialPort:
+                if not lines:
+                    raise serial.SerialException(f"could not open port {url}")
+                return SerialPort(lines[-1], clock, timeout)
+
+            patch.setattr(serial, "serial_for_url", open_port)
+            keys = dict(arm_file.robot.connections[self.wire].model_extra or {})
+            settings = replace(driver_settings(arm_file.robot, keys), clock=clock)
+
+            @contextmanager
+            def device() -> Iterator[SerialServoServer]:
+                lines.append(SimulatedLine(clock))
+                parsed = parse_settings(keys, arm_file.robot.joint_names, None, self.wire)
+                servers.append(SerialServoServer(arm_file, parsed, servo_bench.START, line_end=lines[-1], clock=clock))
+                with servers[-1]:
+                    yield servers[-1]
+
+            def truth() -> dict[str, FloatArray]:
+                return {"position": servers[-1].plant.arm.position}
+
+            yield Bench(clock, lambda: SerialServoDriver(settings, self.wire), device, truth, {"position": 4e-3})
+
+
+class TestFeetech(SerialServos):
+    wire = "feetech"
+
+
+class TestDynamixel(SerialServos):
+    wire = "dynamixel"
+
+
+def test_every_driver_of_dynid_is_here() -> None:
+    tried = {"canopen402", "can_frames", "rtde", "serial_thermometer", TestFeetech.wire, TestDynamixel.wire}
     own = {name for name, entry in installed_drivers().items() if entry.value.startswith("drivers.")}
-    assert tried.keys() <= own
+    assert own == tried
