@@ -25,7 +25,7 @@ def test_a_surface_is_found_where_it_is_and_only_then(raised):
     links, tool = servo_links(robot), tool_point(robot, servo_links(robot))
     values = start_values(6)
     values[:, INDEX["delay"]] = 0.0
-    motions = read_motions(dynid.simulate_servo(robot, duration=10.0, seed=4), robot)
+    motions = read_motions(dynid.simulate_servo(robot, duration=20.0, seed=4), robot)
 
     def pieces(surface):
         played = [
