@@ -7,6 +7,7 @@ import gc
 import importlib
 import os
 import pkgutil
+import re
 import resource
 import select
 import signal
@@ -25,6 +26,8 @@ STALLED = 120.0
 """A command that neither ends nor uses the processor for so long [s] hangs."""
 COMPARED = 10**7
 """Files up to this size [B] are compared byte by byte."""
+PROGRESS = re.compile(r" *\d+ s  ")
+"""A line of a slow step, such as of a file that is read until the time limit."""
 BAD_WORDS = ("Traceback (most recent call last)", "Warning:", "HDF5-DIAG", "Segmentation fault")
 
 
@@ -102,7 +105,7 @@ def _problems_of_words(status: int, output: str, errors: str) -> list[str]:
     elif status not in (0, 1, 2):
         problems.append(f"exit status {status}")
     problems += [f"said '{word}'" for word in BAD_WORDS if word in errors or word in output]
-    lines = errors.splitlines()
+    lines = [line for line in errors.splitlines() if not PROGRESS.match(line)]
     if status == 2 and (len(lines) != 1 or not lines[0].startswith("dynid: ")) and '"error"' not in output:
         problems.append(f"{len(lines)} lines instead of one")
     if any(character < " " and character not in "\n\t\r" for character in errors + output):
