@@ -52,8 +52,8 @@ class TestToyBus(DriverConformance):
         return bench()
 
 
-def spoilt(point: str, toy: SimpleNamespace) -> type:
-    """A driver that does not keep a point."""
+def spoilt(toy: SimpleNamespace) -> list[tuple[str, type]]:  # noqa: C901 — a class per spoilt driver
+    """Drivers that do not keep a point: its name, and one of them."""
     base = toy.driver.ToyBusDriver
 
     class ReadsWhenStopped(base):
@@ -74,6 +74,21 @@ def spoilt(point: str, toy: SimpleNamespace) -> type:
                 replace(batch, values={**batch.values, "position": np.degrees(batch.values["position"])})
                 for batch in super().read(timeout)
             ]
+
+    class Mirrored(base):
+        def read(self, timeout):
+            return [
+                replace(batch, values={**batch.values, "velocity": -batch.values["velocity"]})
+                for batch in super().read(timeout)
+            ]
+
+    class TakesTheOtherJoint(base):
+        def command(self, position):
+            start = self._newest if self._start is None else self._start
+            self._start = start
+            super().command(start + (position - start)[::-1])
+
+        _start = None
 
     class IgnoresStop(base):
         def stop(self):
@@ -100,26 +115,31 @@ def spoilt(point: str, toy: SimpleNamespace) -> type:
             time.sleep(0.0)
             return super().read(timeout)
 
-    return {
-        "life_cycle": ReadsWhenStopped,
-        "time_stamps": CoarseStamps,
-        "gaps": CountsNothing,
-        "units_and_signs": Degrees,
-        "stop": IgnoresStop,
-        "silence": WaitsForEver,
-        "garbage": TakesAllFrames,
-        "restart": StartsAnew,
-        "clock": Sleeps,
-    }[point]
+    return [
+        ("life_cycle", ReadsWhenStopped),
+        ("time_stamps", CoarseStamps),
+        ("gaps", CountsNothing),
+        ("units_and_signs", Degrees),
+        ("units_and_signs", Mirrored),
+        ("units_and_signs", TakesTheOtherJoint),
+        ("stop", IgnoresStop),
+        ("silence", WaitsForEver),
+        ("garbage", TakesAllFrames),
+        ("restart", StartsAnew),
+        ("clock", Sleeps),
+    ]
 
 
 @pytest.mark.parametrize("point", POINTS)
 def test_a_spoilt_driver_fails_the_point_by_name(
     point: str, toy: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    install(monkeypatch, replace(toy.declaration, driver=spoilt(point, toy)))
-    with pytest.raises(ConformanceError, match=f"^{point}: "), bench() as one:
-        check_point(point, one)
+    kinds = [kind for spoils, kind in spoilt(toy) if spoils == point]
+    assert kinds
+    for kind in kinds:
+        install(monkeypatch, replace(toy.declaration, driver=kind))
+        with pytest.raises(ConformanceError, match=f"^{point}: "), bench() as one:
+            check_point(point, one)
 
 
 def test_the_suite_has_a_test_for_each_point() -> None:
