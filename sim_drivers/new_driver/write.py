@@ -6,6 +6,7 @@ import re
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from importlib.util import find_spec
+from keyword import iskeyword
 from pathlib import Path
 
 from drivers.core.errors import UsageError
@@ -22,7 +23,7 @@ def driver_files(name: str) -> dict[str, str]:
         UsageError: not a name of a Python module in small letters, or one that is taken.
     """
     hint = "small letters, digits and single underscores, such as my_bus"
-    if not _NAME.fullmatch(name) or not name.isidentifier():
+    if not _NAME.fullmatch(name) or iskeyword(name):
         raise UsageError(f"'{name}' cannot be the name of a driver", hint=hint)
     if name in installed_drivers():
         raise UsageError(f"a driver is called '{name}' already", hint="choose another name")

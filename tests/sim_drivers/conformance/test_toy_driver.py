@@ -18,6 +18,7 @@ import pytest
 
 from daq.robot.loader import parse_robot
 from drivers import declaration
+from dynid import command
 from dynid.testing import POINTS, Bench, ConformanceError, DriverConformance, check_point, declared_bench
 from sim_drivers import new_driver
 from sim_drivers.new_driver.write import driver_files
@@ -172,3 +173,25 @@ def test_the_page_shows_the_package_that_is_tested_here() -> None:
         *POINTS,
         *(entry.name for entry in fields(declaration.DriverDeclaration)),
     }
+
+
+def test_the_command_writes_the_package_once_and_refuses_names_that_are_taken(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for arguments, status, said in (
+        (["driver", "new", "my_bus"], 0, "pip install -e dynid_my_bus"),
+        (["driver", "new", "my_bus"], 2, "dynid_my_bus: exists already"),
+        (["driver", "new", "toy_bus"], 2, "a driver is called 'toy_bus' already"),
+        (["driver", "new", "json"], 2, "a Python module is called 'json' already"),
+        (["driver", "new", "My-Bus"], 2, "'My-Bus' cannot be the name of a driver"),
+        (["driver", "new", "class"], 2, "'class' cannot be the name of a driver"),
+        (["driver", "--json"], 0, '"simulated": "toy_bus"'),
+    ):
+        monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
+        with pytest.raises(SystemExit) as left:
+            command.main()
+        captured = capsys.readouterr()
+        assert (left.value.code or 0, said in captured.out + captured.err) == (status, True), captured
+    written = {path.relative_to(tmp_path / "dynid_my_bus").as_posix() for path in tmp_path.rglob("*.*")}
+    assert set(driver_files("my_bus")) <= written
