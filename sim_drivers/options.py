@@ -32,7 +32,7 @@ class SimOptions(Options):
 
     robot: str = field(metadata=argument("robot", "Built-in robot or robot file with a truth section."))
     wire: str | None = option(
-        None, "rtde, canopen, slcan (CANopen), can, thermometer; default: as its robot file says."
+        None, "rtde, canopen, slcan (CANopen), can, thermometer, or as dynid driver lists; default: its robot file's."
     )
     host: str = option("127.0.0.1", "Address to listen on; several arms: 127.0.0.2, 127.0.0.3.")
     version: str = option("5.22", "Of the controller: 3.15 (125 Hz), 5.22, 5.23, 10.10.")
