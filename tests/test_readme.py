@@ -63,7 +63,7 @@ def test_the_five_commands_make_every_file_before_they_use_it(monkeypatch, capsy
 def test_the_python_block_runs(monkeypatch, capsys, tmp_path):
     monkeypatch.chdir(tmp_path)
     text = blocks("From Python", "python")
-    small = text.replace('"ur5e", duration=20.0', f'"{SMALL}", duration=6.0').replace(
+    small = text.replace('"ur5e", duration=60.0', f'"{SMALL}", duration=6.0').replace(
         "[0.0, -1.57, 0.0, -1.57, 0.0, 0.0]", "[0.0] * 3"
     )
     assert small.count(SMALL) == 1

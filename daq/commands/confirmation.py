@@ -43,9 +43,12 @@ def motion_lines(figures: MotionFigures) -> list[str]:
     else:
         share = f"{percent_text(figures.torque_share, 2)} of its limit"
         lines.append(f"torque: predicted to be at most {share} ({figures.torque_joint})")
-    if figures.unchecked:
-        lines.append(f"{UNCHECKED}: {'; '.join(figures.unchecked)}")
     return lines
+
+
+def unchecked_lines(figures: MotionFigures) -> list[str]:
+    """The pairs of links that no check keeps apart, the same in every motion of an arm; nothing where there is none."""
+    return [f"{UNCHECKED}: {'; '.join(figures.unchecked)}"] if figures.unchecked else []
 
 
 class Confirmation:

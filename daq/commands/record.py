@@ -117,7 +117,7 @@ def record_command(
 
 def _planned(options: RecordOptions, clock: Clock, *, overwrite: bool, as_json: bool) -> _Plan:
     """Refuse what cannot be recorded or must not move, and tell what will move where."""
-    from daq.commands.confirmation import Confirmation, motion_lines, tell, terminal
+    from daq.commands.confirmation import Confirmation, motion_lines, tell, terminal, unchecked_lines
     from daq.motion.motion_check import load_motion_check
     from daq.motion.time_scaled import TimeScaled
     from daq.motion.trajectory_file import load_trajectory
@@ -161,7 +161,7 @@ def _planned(options: RecordOptions, clock: Clock, *, overwrite: bool, as_json: 
         )
         if screen is not None:
             title = _title(str(trajectory), robot.name, options.speed_scale, figures.duration)
-            tell(title, motion_lines(figures), screen)
+            tell(title, [*motion_lines(figures), *unchecked_lines(figures)], screen)
     return _Plan(robot_file, driver, played, warnings, screen)
 
 
@@ -170,7 +170,7 @@ def _recorded(plan: _Plan, options: RecordOptions, clock: Clock, *, overwrite: b
     import math
     from contextlib import closing, nullcontext
 
-    from daq.live.terminal_view import live_view
+    from daq.live.terminal_view import SECONDS_BETWEEN_LINES, live_view
     from daq.recording.recorder import Recorder
     from daq.recording.serial_numbers import SERIAL_EVENT
     from daq.session.arm_lock import only_mover
@@ -211,7 +211,9 @@ def _recorded(plan: _Plan, options: RecordOptions, clock: Clock, *, overwrite: b
             recorder.event(math.nan, "info", "player", slower)
         limits = Limits.of_robot(robot)
         supervisor = Supervisor(limits, layouts)
-        with live_view(shown=live and sys.stderr.isatty(), limits=limits, recorder=recorder, clock=clock) as view:
+        expected = options.duration if played is None else played.figures.duration
+        shown = live and (sys.stderr.isatty() or expected is None or expected > SECONDS_BETWEEN_LINES)
+        with live_view(shown=shown, limits=limits, recorder=recorder, clock=clock) as view:
             return record(driver, recorder, supervisor, play, options.duration, view, clock)
 
 
@@ -252,7 +254,7 @@ def _end(report: SessionReport, out: Path) -> None:
             if ending != signal.SIGINT:
                 print(f"dynid: {report.stopped_by}", file=sys.stderr)
     if report.heavy_loss:
-        print(f"dynid: {report.heavy_loss}", file=sys.stderr)
+        print(f"dynid: {report.heavy_loss}: end other programs, or use --realtime", file=sys.stderr)
     if status:
         raise typer.Exit(status)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,6 +51,13 @@ class ImportedSamples:
     commands: ImportedSamples | None = None
 
 
+def _numbered(names: Sequence[str], count: int) -> str:
+    """The pattern of `count` numbered names: `joint{}` of joint1 to joint6; empty where none has so many."""
+    plain = [name for name in names if re.fullmatch(r"\D*\d+\D*", name) and re.fullmatch(r"[\w./-]+", name)]
+    patterns = [re.sub(r"\d+", "{}", name) for name in plain]
+    return next((pattern for pattern in patterns if patterns.count(pattern) == count), "")
+
+
 def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, where: str) -> ImportedSamples:
     """Match the joints, decide what effort is, convert units, determine the time.
 
@@ -65,10 +74,14 @@ def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, wher
     notes = list(table.notes)
     foreign = _decide_effort(dict(table.quantities), choices, where)
     if "position" not in foreign:
+        others = f"; not understood: {listed(table.unused, limit=20)}" if table.unused else ""
+        pattern = _numbered(table.unused, len(robot.robot.joints))
         raise ImportFileError(
-            f"has no joint positions; understood were: {listed(foreign) or 'none'}",
+            f"has no joint positions; understood were: {listed(foreign) or 'none'}{others}",
             where=where,
-            hint="map them: --column q1=NAME (or q=NAME for a whole array)",
+            hint=f"--column q={pattern} if these are they"
+            if pattern
+            else "map them: --column q1=NAME (or q=NAME for a whole array)",
         )
     apart = _commands_apart(table, foreign, where)
     measured = {name: given for name, given in foreign.items() if name not in apart}

@@ -101,7 +101,9 @@ def collect(
         notes.append(Note("info", f"not imported: {listed(unused, limit=MOST_UNUSED)}"))
     time, time_unit = stamps.get("time", (None, ""))
     target_time, target_time_unit = stamps.get("target_time", (None, ""))
-    return ForeignTable(source, time, time_unit, quantities, tuple(notes), lines, target_time, target_time_unit)
+    return ForeignTable(
+        source, time, time_unit, quantities, tuple(notes), lines, target_time, target_time_unit, tuple(unused)
+    )
 
 
 def _origin(stamps: npt.NDArray[Any], notes: list[Note]) -> int | None:

@@ -57,6 +57,7 @@ class ForeignTable:
         lines: (N,) line number of each sample in a text file; None otherwise.
         target_time: (M,) stamps of the commands in `target_time_unit`; None where they have those of the samples.
         target_time_unit: as the file states it; empty where it doesn't.
+        unused: names of what was not understood.
     """
 
     source: str
@@ -67,6 +68,7 @@ class ForeignTable:
     lines: npt.NDArray[np.int64] | None = None
     target_time: FloatArray | None = None
     target_time_unit: str = ""
+    unused: tuple[str, ...] = ()
 
 
 def printable(name: object, limit: int = 80) -> str:

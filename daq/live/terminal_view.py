@@ -43,6 +43,8 @@ RATE_PICTURES = 6
 """Pictures over which a rate is averaged: one second."""
 MESSAGE_LIMIT = 4096
 """Bytes that Linux writes into a pipe as a whole or not at all."""
+SECONDS_BETWEEN_LINES = 5.0
+"""Between two lines [s] where standard error is a file or a pipe."""
 LEAVE_LIMIT = 2.0
 """Time [s] in which the display must end before it is killed."""
 
@@ -223,12 +225,31 @@ def draw(reader: Connection) -> None:
     from rich.live import Live
 
     pictures = _pictures(reader.fileno())
+    console = Console(file=styled(sys.stderr))
+    if not console.is_terminal:
+        _print_lines(pictures)
+        return
     if (first := next(pictures, None)) is None:
         return
     # Only now: before the first picture a person may be asked on the same terminal.
-    with Live(picture(first), console=Console(file=styled(sys.stderr)), auto_refresh=False) as live:
+    with Live(picture(first), console=console, auto_refresh=False) as live:
         for status in pictures:
             live.update(picture(status), refresh=True)
+
+
+def _print_lines(pictures: Iterator[Status]) -> None:
+    """For a file or a pipe: a line for each state that lasts, and every few seconds."""
+    state, said = "", 0.0
+    for status in pictures:
+        if status.state != state:
+            state, said = status.state, status.elapsed
+        if status.elapsed - said < SECONDS_BETWEEN_LINES:
+            continue
+        said = status.elapsed
+        of = f" of {status.total:.0f}" if status.total else ""
+        streams = ", ".join(f"{visible(s.name)} {s.samples} samples, {s.lost} lost" for s in status.streams)
+        with suppress(OSError):  # nobody reads any more
+            print(f"{visible(state)}: {status.elapsed:.0f}{of} s; {streams}", file=sys.stderr, flush=True)
 
 
 def _pictures(pipe: int) -> Iterator[Status]:

@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 SCHEMA_VERSION = 1
+STOPPED = "stopped: "
+"""How the event begins that says what stopped a session before its end."""
 JOINTS_STREAM = "joints"
 COMMANDS_STREAM = "commands"
 """Stream of the commands where their stamps are not those of the joints."""
@@ -537,6 +539,12 @@ class Recording:
     def label(self) -> str:
         """Name of this recording in messages."""
         return str(self.path) if self.path is not None else "recording in memory"
+
+    @property
+    def stopped_by(self) -> str:
+        """What stopped `dynid record` before the motion's end, in words; empty where nothing did."""
+        stops = [event.message for event in self.events if event.message.startswith(STOPPED)]
+        return stops[-1].removeprefix(STOPPED) if stops else ""
 
     def robot(self) -> RobotFile:
         """The robot file that the recording carries.

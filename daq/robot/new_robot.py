@@ -150,6 +150,8 @@ def new_robot_of_joints(count: int) -> str:
         "# poses: {home: [" + ", ".join("0" for _ in joints) + "]}   # rad, to compare `dynid check` with the pendant",
         f"# connections:   # {TODO} (record): where the arm answers, docs/recording-ur.md or docs/can.md",
         "#   rtde: {driver: rtde, host: 192.168.0.10, rate: 500}",
+        "#   canopen: {driver: canopen402, interface: socketcan, channel: can0, bitrate: 1000000, sync_rate: 250,",
+        "#     nodes: {" + ", ".join(f"{joint.name}: {{id: {node}}}" for node, joint in enumerate(joints, 1)) + "}}",
     ]
     return "\n".join(parts) + "\n"
 

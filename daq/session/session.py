@@ -18,6 +18,7 @@ import numpy as np
 from daq.motion.player import MotionSequence, Player, Punctuality, dry_run
 from daq.recording.quality.clocks import ClockLog
 from daq.recording.recorder import Recorder
+from daq.recording.recording import STOPPED
 from daq.robot.schema import Robot
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
 from daq.session.course import Course, View
@@ -192,7 +193,7 @@ def record(  # noqa: C901, PLR0912 — the steps, in their order
         stopped_by = str(error) if error is not None else interrupted
         if stopped_by is not None:
             when = course.breach_time if np.isfinite(course.breach_time) else noticed
-            recorder.event(when, "error" if error else "warning", "session", f"stopped: {stopped_by}")
+            recorder.event(when, "error" if error else "warning", "session", f"{STOPPED}{stopped_by}")
         with suppress(DynidError):
             unhalted = _note(driver.notices(), recorder)  # an error now says that the arm could not be stopped in order
             if player is not None and unhalted is None:

@@ -90,7 +90,9 @@ def closing_checks(recording: Recording) -> list[Check]:
     """Whether the recording's writer closed it."""
     if recording.complete:
         return []
-    return [raised("recording-not-closed", f"{recording.label} was not closed properly: its end may be missing")]
+    stop = recording.stopped_by
+    ended = f"was stopped: {stop}" if stop else "was not closed properly: its end may be missing"
+    return [raised("recording-not-closed", f"{recording.label} {ended}")]
 
 
 def recording_checks(

@@ -50,7 +50,7 @@ class Export:
         ]
 
     def __repr__(self) -> str:
-        return f"<{self.format} {self.path}>"
+        return f"<dynid.Export {self.path}>"
 
     def __str__(self) -> str:
         return "\n".join(self.lines)

@@ -271,7 +271,8 @@ def search_words(designed: Design) -> str:
     state = designed.search
     ended = ", ended by Ctrl-C" if state.interrupted else ""
     died = f", {state.died} search processes died" if state.died else ""
-    return f"{state.finished} starts finished in {state.seconds:.1f} s{ended}{died}"
+    finished = f"{state.finished} of its starts came to their end" if state.finished else "no start came to its end"
+    return f"search of {state.seconds:.1f} s, {finished}{ended}{died}"
 
 
 def search_state(result: SearchResult, criterion: str) -> str:

@@ -193,7 +193,7 @@ class IdentificationResult(SavedResult):
 
     def __str__(self) -> str:
         accepted = [] if self.acceptance is None else ["", str(self.acceptance)]
-        return "\n".join([str(self.parameters), "", str(self.errors), "", str(self.verdict), *accepted])
+        return "\n".join([str(self.verdict), *accepted, "", str(self.errors), "", str(self.parameters)])
 
     def __repr__(self) -> str:
         return f"<dynid.IdentificationResult {self.result.robot}, {len(self.result.base_parameters)} base parameters>"

@@ -90,7 +90,7 @@ class RecordingQuality:
         return f"<dynid.RecordingQuality of {self.file}: {self.verdict.headline}>"
 
     def __str__(self) -> str:
-        return "\n".join([str(self.streams), "", str(self.motion), "", str(self.verdict)])
+        return "\n".join([str(self.verdict), "", str(self.streams), "", str(self.motion)])
 
     def _repr_html_(self) -> str:
         return f"{self.verdict._repr_html_()}{self.streams._repr_html_()}{self.motion._repr_html_()}"

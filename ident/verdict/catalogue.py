@@ -39,8 +39,8 @@ PARAMETERS: tuple[Purpose, ...] = ("simulation", "payload_estimation")
 _RECORDING = (
     _note(
         "recording-not-closed",
-        "the recording was not closed properly",
-        "Its end may be missing; `dynid recover` rescues what was written.",
+        "the recording was stopped before its end, or not closed properly",
+        "Its end may be missing; `dynid recover` rescues what a crash left.",
     ),
     _note("import-warning", "the import assumed or repaired something", "Read the sentence and import again."),
     _note(

@@ -45,7 +45,7 @@ def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
                 time.sleep(REFRESH)
                 while served.messages:
                     _say(served.messages.popleft(), live=shown)
-                if live and not _in_background():
+                if live and _in_foreground():
                     shown = True
                     line = visible(served.live_line())
                     print(f"{CLEAR_LINE}{line}", end="", file=styled(sys.stderr), flush=True)
@@ -57,12 +57,14 @@ def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
         raise WorkError(f"the simulation broke down: {served.failure!r}") from served.failure
 
 
-def _in_background() -> bool:
-    """Whether another program has the terminal, on which a status line would overwrite what a person types."""
-    try:
-        return sys.stderr.isatty() and os.tcgetpgrp(sys.stderr.fileno()) != os.getpgrp()
-    except (AttributeError, OSError, ValueError):  # no such thing as a foreground
+def _in_foreground() -> bool:
+    """Whether standard error is a terminal that no other program has: a status line would overwrite what is typed."""
+    if not sys.stderr.isatty():
         return False
+    try:
+        return os.tcgetpgrp(sys.stderr.fileno()) == os.getpgrp()
+    except (AttributeError, OSError, ValueError):  # no such thing as a foreground
+        return True
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:

@@ -98,7 +98,7 @@ def _drive_channels(robot_file: RobotFile, torque: FloatArray) -> dict[str, Chan
 
 
 def simulate(
-    robot: str | Path | RobotFile, duration: float = 20.0, seed: int = 0, rate: float | None = None
+    robot: str | Path | RobotFile, duration: float = 60.0, seed: int = 0, rate: float | None = None
 ) -> Recording:
     """Record a simulated arm on a random excitation trajectory, with the noise that its robot file states.
 

@@ -95,7 +95,7 @@ def print_connection(connection: CheckedConnection, *, verbose: bool = False) ->
 def print_info(info: RecordingInfo, file: str, *, verbose: bool = False) -> None:
     """Print the quality of a recording: verdict, streams, motion and what to do; with `verbose` all the rest."""
     recording, verdict = info.recording, info.verdict
-    state = "complete" if recording.complete else "NOT closed properly"
+    state = "complete" if recording.complete else "stopped early" if recording.stopped_by else "NOT closed properly"
     print(f"{file}: {info.robot.name}, {state}, created {recording.created or 'at an unknown time'}")
     print(f"As far as the recording goes: {verdict.grades}")
     _print_streams(info)
@@ -152,7 +152,7 @@ def _print_motion(info: RecordingInfo) -> None:
             strict=False,
         ),
     )
-    print(f"column-normalised condition number: {info.excitation.scaled_condition:.1f}")
+    print(f"column-normalised condition number: {info.excitation.scaled_condition:.4g}")
 
 
 def _print_columns(info: RecordingInfo) -> None:

@@ -92,9 +92,9 @@ def test_a_recording_with_heavy_loss_says_so_last_and_fails(bench, dynid, monkey
     status, out, err = dynid("record", "robot.yaml", "--duration", "1", "-o", "run.h5", *options)
     assert status == 1
     said = err.splitlines()[-1]
-    assert said.endswith("samples of joints were lost")
+    assert "samples of joints were lost: " in said
     if as_json:
-        assert f"dynid: {json.loads(out)['heavy_loss']}" == said
+        assert said.startswith(f"dynid: {json.loads(out)['heavy_loss']}: ")
 
 
 def test_a_motion_is_recorded_and_told_as_json(bench, dynid):

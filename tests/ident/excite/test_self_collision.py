@@ -8,7 +8,7 @@ import yaml
 from arm_kinds import ARM_KINDS
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
-from daq.commands.confirmation import motion_lines
+from daq.commands.confirmation import unchecked_lines
 from daq.motion.trajectories import PointToPoint
 from daq.robot.loader import load_robot, parse_robot
 from daq.robot.workspace import Workspace
@@ -251,4 +251,4 @@ def test_pairs_that_are_left_out_are_named():
     motion = PointToPoint(np.array([[0, -1.5, 0.5, -1.5, 0, 0], [0.1, -1.5, 0.5, -1.5, 0, 0]]), np.array([2.0]))
     figures = ArmMotionCheck(robot_file).trajectory(motion, "motion")
     assert left_out in figures.unchecked
-    assert any(left_out in line for line in motion_lines(figures))
+    assert any(left_out in line for line in unchecked_lines(figures))
