@@ -29,7 +29,7 @@ def gravity_page(experiment: GravityExperiment) -> str:
     return (
         page_templates()
         .get_template("gravity_page.html.j2")
-        .render(result=result, tiles=_tiles(result), poses=_poses_figure(result))
+        .render(result=result, tiles=_tiles(result), poses=poses_figure(result))
     )
 
 
@@ -46,7 +46,8 @@ def _tiles(result: GravityResult) -> list[Tile]:
     ]
 
 
-def _poses_figure(result: GravityResult) -> Figure | None:
+def poses_figure(result: GravityResult) -> Figure | None:
+    """Measured and predicted gravity of each joint in the poses; None where none was passed in both directions."""
     panels = [_panel(result, row, joint, row == 0) for row, joint in enumerate(result.of_joints) if joint.poses]
     if not panels:
         return None

@@ -33,7 +33,7 @@ def servo_page(result: ServoResult, identification: ServoIdentification | None) 
         .render(
             result=result,
             tiles=_tiles(result),
-            rollout=None if identification is None else _rollout_figure(result, identification),
+            rollout=None if identification is None else rollout_figure(result, identification),
         )
     )
 
@@ -54,7 +54,8 @@ def _tiles(result: ServoResult) -> list[Tile]:
     ]
 
 
-def _rollout_figure(result: ServoResult, identification: ServoIdentification) -> Figure:
+def rollout_figure(result: ServoResult, identification: ServoIdentification) -> Figure:
+    """Measured and rolled-out positions of each joint over the motions."""
     offsets = np.concatenate([[0.0], np.cumsum([motion.time[-1] + 1.0 for motion in identification.motions])])
     times = [motion.time + offset for motion, offset in zip(identification.motions, offsets, strict=False)]
     points = points_per_trace(len(result.joints))

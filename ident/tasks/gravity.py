@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from daq.motion.trajectory_file import parse_trajectory
+from daq.plotting import Backend
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.errors import UsageError
 from drivers.core.reading_process import Progress
 from ident.experiments.gravity.experiment import GravityExperiment, analyse_gravity, revalidated
-from ident.report.gravity_page import gravity_page
+from ident.report.gravity_page import gravity_page, poses_figure
 from ident.result.gravity import GravityResult, read_gravity_result
 from ident.result.gravity_model import GravityModel
 from ident.result.model import result_path
@@ -51,6 +53,20 @@ class IdentifiedGravity(GradedResult):
             DataError: a recording is of another arm, or passes no pose in both directions.
         """
         return IdentifiedGravity(revalidated(self._experiment, recordings_of(runs)))
+
+    def plot(self, *, backend: Backend = "plotly") -> Any:
+        """Measured and predicted gravity of each joint, pose by pose.
+
+        Args:
+            backend: "plotly" gives a `plotly.graph_objects.Figure`, "matplotlib" a `matplotlib.figure.Figure`.
+
+        Raises:
+            UsageError: no pose was passed in both directions; or the backend does not exist or is not installed.
+        """
+        figure = poses_figure(self.result)
+        if figure is None:
+            raise UsageError("no pose was passed in both directions: there is nothing to plot")
+        return figure.drawn(backend)
 
     def _page(self) -> str:
         return gravity_page(self._experiment)

@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from daq.output_files import check_outputs, replace_files
+from daq.plotting import Backend
 from daq.recording.commanded_motion import TARGET
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot, parse_robot
@@ -19,7 +21,7 @@ from drivers.core.reading_process import Progress
 from drivers.streams import UNITS
 from ident.export.mujoco_reading import mujoco_installed
 from ident.ranges import UNIT_SPREAD
-from ident.report.servo_page import servo_page
+from ident.report.servo_page import rollout_figure, servo_page
 from ident.result.model import result_path
 from ident.result.result_file import file_sha256
 from ident.servo import isaaclab, usd
@@ -227,6 +229,21 @@ class ServoModel(GradedResult):
             unit_spread: σ of the parameters' logarithms from unit to unit: then another unit of the type.
         """
         return ServoModel(with_values(self.result, drawn(self.result, seed, _spread(unit_spread))))
+
+    def plot(self, *, backend: Backend = "plotly") -> Any:
+        """Measured and rolled-out positions of each joint.
+
+        Args:
+            backend: "plotly" gives a `plotly.graph_objects.Figure`, "matplotlib" a `matplotlib.figure.Figure`.
+
+        Raises:
+            UsageError: the model was read from a file, which holds no positions; or the backend does not exist or
+                is not installed.
+        """
+        if self.identification is None:
+            raise UsageError("the model was read from a file, which holds no positions", hint="identify it again")
+        figure = rollout_figure(self.result, self.identification)
+        return figure.drawn(backend)
 
     def _page(self) -> str:
         return servo_page(self.result, self.identification)
