@@ -15,6 +15,7 @@ from daq.robot.loops import BASE
 
 OF_JOINTS = (
     ("friction", "joints"),
+    ("servo",),
     ("truth", "joints"),
     ("truth", "thermal", "copper_loss"),
     ("truth", "noise", "torque_std"),

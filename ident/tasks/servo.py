@@ -324,13 +324,11 @@ def _given(file: RobotFile) -> dict[str, dict[str, float]]:
     """Known parameters of the robot file's `servo`.
 
     Raises:
-        RobotFileError: an unknown joint or parameter, or a value that it cannot have.
+        RobotFileError: an unknown parameter, or a value that it cannot have.
     """
     given = file.robot.servo
     for joint, terms in given.items():
         where = f"{file.where}: servo.{joint}"
-        if joint not in file.robot.joint_names:
-            raise RobotFileError("is no joint with a motor", where=where, hint=", ".join(file.robot.joint_names))
         for name, value in terms.items():
             if name not in INDEX:
                 raise RobotFileError(f"'{name}' is no parameter of a servo", where=where, hint=", ".join(INDEX))

@@ -366,3 +366,7 @@ def test_an_empty_or_endless_name_is_refused_where_it_stands() -> None:
             checked_urdf(xml, "arm.urdf")
     assert "is empty" in refusal(replaced("{name: j1", '{name: ""')).message
     assert "more than 200" in refusal(replaced("{name: j1", f"{{name: {'j' * 201}")).message
+
+
+def test_servo_parameters_of_no_joint_are_refused() -> None:
+    assert "'servo' names joint 'nobody'" in refusal(TWO_JOINTS + "servo: {nobody: {stiffness: 1}}\n").message
