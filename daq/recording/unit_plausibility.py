@@ -16,8 +16,9 @@ CORRELATED = 0.9
 BLOCKS = 100
 """Displacements are compared over this many segments of the recording, long enough to drown quantisation."""
 
-BEYOND_TRAVEL = 10.0
-"""Position of a sliding joint over its limits from which on it is in millimetres."""
+BEYOND_TRAVEL = 50.0
+"""Position of a sliding joint over its limits from which on it is in millimetres: a twentieth of its travel. An angle
+in its column is up to 30 times a short travel."""
 
 BEYOND_SPEED = 25.0
 """Speed over its limit from which on positions are in degrees or millimetres: a wrong rate hardly makes so much."""

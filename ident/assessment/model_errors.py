@@ -41,6 +41,10 @@ MOST_OF_LENGTH = 0.5
 MOST_OF_ZERO = float(np.deg2rad(60.0))
 """Angle by which a joint's zero may be wrong."""
 
+QUARTERS = (0.5 * np.pi, -0.5 * np.pi, np.pi)
+NEAR_QUARTER = float(np.deg2rad(15.0))
+"""Angles [rad] by which zeros of two conventions differ, and how near to one an estimate must come."""
+
 MOST_UNCERTAIN = 3.0
 """A deviation of less than this many σ is not named, whatever its likelihood."""
 
@@ -82,15 +86,11 @@ def reported(deviation: Deviation) -> bool:
     return off >= np.log(1.0 + GAIN_OFF) or (off >= LEAST_GAIN_OFF and deviation.likelihood > SMALL_GAIN_LEVEL)
 
 
-def most_likely(refit: Refit, runs: Sequence[Prepared], independent: float, poor: bool) -> list[Deviation]:
-    """The deviations that explain most, best first, judged by the residuals that the best one leaves.
-
-    A wrong number makes others look wrong, too, and the residuals alike over long times, so that few of them seem
-    independent. Were the best one right, those that remain are: their autocorrelation counts.
+def candidates(refit: Refit, independent: float, poor: bool) -> list[Deviation]:
+    """Deviations that may explain the data.
 
     Args:
         refit: equations of the recording.
-        runs: prepared data, with the equations that were fitted.
         independent: number of independent equations.
         poor: whether the fit is poor, so that a gain may be far from what the robot file says.
     """
@@ -106,10 +106,36 @@ def most_likely(refit: Refit, runs: Sequence[Prepared], independent: float, poor
     finer = [refit.deviation(unknown) for unknown in tried] + _other_directions(refit)
     if poor:
         finer += _far_gains(refit)
-    deviations = [one for one in finer if one is not None and _plausible(refit.model, one)]
-    deviations.sort(key=lambda one: -one.likelihood)
+    return [one for one in finer if one is not None and _plausible(refit.model, one)]
+
+
+def quarter_turns(refit: Refit) -> list[Deviation]:
+    """Zeros off by about a quarter or half a turn, as two conventions of one arm are; the two that fit best."""
+    zeros = [unknown for unknown in refit.unknowns() if unknown.kind == "zero"]
+    once = [(refit.deviation(unknown, 1, start), start) for unknown in zeros for start in QUARTERS]
+    nearest = sorted(((one, start) for one, start in once if one is not None), key=lambda pair: -pair[0].likelihood)[:2]
+    found = [(refit.deviation(one.unknown, start=start), start) for one, start in nearest]
+    return [one for one, start in found if one is not None and abs(one.value - start) < NEAR_QUARTER]
+
+
+def most_likely(
+    refit: Refit, runs: Sequence[Prepared], independent: float, found: Sequence[Deviation]
+) -> list[Deviation]:
+    """The deviations that explain most, best first, judged by the residuals that the best one leaves.
+
+    A wrong number makes others look wrong, too, and the residuals alike over long times, so that few of them seem
+    independent. Were the best one right, those that remain are: their autocorrelation counts.
+
+    Args:
+        refit: equations of the recording.
+        runs: prepared data, with the equations that were fitted.
+        independent: number of independent equations.
+        found: the deviations.
+    """
+    deviations = sorted(found, key=lambda one: -one.likelihood)
     if not deviations:
         return []
+    total = float(refit.rows.sum())
     shares = [
         independent_share(residual_autocorrelation(_compared(runs, one))[list(refit.used)])
         for one in (refit.as_believed(deviations[0].unknown), deviations[0])

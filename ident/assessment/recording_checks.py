@@ -42,6 +42,10 @@ IMPORT = "import"
 """Source of the events that importers write."""
 SAME_FACTOR = 0.02
 """Ratios of position change to ∫velocity dt within this share of each other are one factor; within it of 1, right."""
+VELOCITY_UNITS = {"rpm": np.pi / 30.0, "deg/s": np.pi / 180.0, "rev/s": 2.0 * np.pi}
+"""Other units of velocity [rad/s]: factors that no unit of time stamps makes."""
+SAME_UNIT = 0.01
+"""A factor within this share of a unit's is that unit's."""
 CLOCK_DRIFT = 1e-3
 """Drift [s/s] from which on a clock is wrong; quartz clocks drift by 1e-4 at most."""
 DRIFT_INTERVALS = 3.0
@@ -253,6 +257,15 @@ class TimeAxis:
         same = bool(np.all(np.abs(ratios / typical - 1.0) < SAME_FACTOR))
         return typical if same and abs(typical - 1.0) > SAME_FACTOR else None
 
+    @property
+    def velocity_unit(self) -> str | None:
+        """The unit that the velocities of all joints are in instead of rad/s; None where `factor` is none of these."""
+        factor = self.factor
+        for unit, value in VELOCITY_UNITS.items():
+            if factor is not None and abs(factor / value - 1.0) < SAME_UNIT:
+                return unit
+        return None
+
 
 def time_axis(recording: Recording) -> TimeAxis:
     """Compare recorded velocities with positions, and the streams' clocks with the host's."""
@@ -281,7 +294,11 @@ def time_axis_checks(recording: Recording, of: str = "") -> list[Check]:
     """The checks that the time stamps raise; `of` begins their sentences."""
     axis = time_axis(recording)
     checks = []
-    if axis.factor is not None:
+    unit = axis.velocity_unit
+    if unit is not None:
+        text = f"{of}by the positions the recorded velocities of all joints are in {unit}, not in rad/s: convert them"
+        checks.append(raised("velocity-scale", text, axis.velocity_ratios))
+    elif axis.factor is not None:
         text = (
             f"{of}in all joints, positions change by {axis.factor:.4g} times what the recorded velocities say: unless "
             f"these have another unit, the stamps should be multiplied by {axis.factor:.4g}; check their unit and rate"

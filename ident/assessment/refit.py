@@ -162,7 +162,8 @@ class Refit:
         Args:
             unknown: which.
             relinearisations: how often the model is linearised anew where the estimate is.
-            start: where the first one is: a gain's factor, or gravity (3,) [m/s²]; the file's value where None.
+            start: where the first one is: a gain's factor, a shift [m or rad] of a length or zero, or gravity (3,)
+                [m/s²]; the file's value where None.
         """
         if len(self.used) < 2:
             return None
@@ -170,7 +171,7 @@ class Refit:
             return self._gain(unknown, 1.0 if start is None else float(start))
         if unknown.kind == "gravity":
             return self._gravity(unknown, relinearisations, None if start is None else np.asarray(start))
-        return self._shift(unknown, relinearisations)
+        return self._shift(unknown, relinearisations, 0.0 if start is None else float(start))
 
     def opposite_gravity(self) -> Deviation:
         """Gravity exactly opposite to the file's, a sign and no number to be estimated."""
@@ -196,11 +197,13 @@ class Refit:
             return None
         return self._deviation(unknown, float(solved.unknown[0]), solved.covariance[0, 0], solved)
 
-    def _shift(self, unknown: Unknown, relinearisations: int) -> Deviation | None:
-        value, parameters, solved = 0.0, self._file, None
+    def _shift(self, unknown: Unknown, relinearisations: int, value: float) -> Deviation | None:
+        parameters, solved = None if value else self._file, None
         for _ in range(relinearisations):
             model, moved = self.shifted(unknown, value)
             regressor = moved.filtered_regressor(RegressorKernel(model, self.columns)) if value else self._regressor
+            if parameters is None:
+                parameters = self._all(self._solved(regressor, self.active).parameters)
             slope = self._slope(unknown, value, parameters)
             solved = self._solved(regressor, self.active, slope[None])
             if solved.unknown is None or solved.covariance is None:

@@ -54,6 +54,9 @@ torque limit. Gears take 3.9 to 7.1 % on the UR10's and TX40's joints; arms that
 TOO_HEAVY = 5.0
 """Weight that gravity's torque shows over the most that an arm of its size has (`ident.assessment.arm_mass`)."""
 
+NOTHING = 1e-9
+"""Gravity's column of a joint [m/s² of a mass, m²/s² of a first moment] that is rounding residue."""
+
 GRAVITY_INSTANTS = 500
 
 
@@ -130,7 +133,8 @@ def weight_checks(
     still = np.zeros_like(few)
     inertial = [column for column, kind in enumerate(base.kinds) if kind == "inertial"]
     kernel = RegressorKernel(model, [base.columns[column] for column in inertial])
-    torque = np.einsum("nbN,b->nN", dense_regressor(kernel, few, still, still), parameters[inertial])
+    rows = dense_regressor(kernel, few, still, still)
+    torque = np.einsum("nbN,b->nN", rows, parameters[inertial])
     turning = [row for row, joint in enumerate(model.active) if not model.joints[joint].prismatic]
     if not turning or not torque.size:
         return []
@@ -148,13 +152,14 @@ def weight_checks(
         )
         return [raised("implausible-load", text, [name])]
     limits = {robot.joint_names.index(joint.name): joint.torque for joint in robot.joints if joint.torque is not None}
-    limits = {row: limit for row, limit in limits.items() if row in turning}
-    if len(set(limits.values())) < 2:  # limits that are equal for all joints are placeholders of the robot file
+    # Gravity shows at no joint of a vertical axis: a SCARA carries its weight with its slide alone.
+    carrying = np.max(np.abs(rows), axis=(1, 2), initial=0.0) > NOTHING
+    shares = {row: float(peak[row]) / limit for row, limit in limits.items() if carrying[row]}
+    if not shares or len({limits[row] for row in turning if row in limits}) < 2:  # equal limits are placeholders
         return []
-    shares = {row: float(peak[row]) / limit for row, limit in limits.items()}
     most = max(shares, key=lambda row: shares[row])
     name, share = model.joint_names[most], percent_text(shares[most], 2)
-    if shares[most] > HOLDS and model.transmission.direct:  # else motors share a load
+    if most in turning and shares[most] > HOLDS and model.transmission.direct:  # else motors share a load
         text = (
             f"gravity alone takes {share} of the torque limit of {name}, so that the arm could not hold itself: check "
             "the unit of the current (A, not mA) or torque, the drive gains, and the limits"

@@ -12,6 +12,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from drivers.core.text import percent_text
 from ident.assessment.delay.delay import delay_checks
+from ident.assessment.differing_runs import differing_run_checks
 from ident.assessment.idle_joints import idle_joint_checks
 from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.model_errors import INDEPENDENT_PER_PARAMETER
@@ -85,7 +86,10 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     torque = np.concatenate([run.signals.torque for run in identification.runs])
     levels = torque_level_checks(identification.robot_file.robot, identification.model, torque)
     # A torque beyond its limit that is another joint's is explained.
-    checks += [] if any(mistake.name.endswith("s-exchanged") for mistake in mistakes) else levels
+    exchanged = any(
+        "exchanged" in one.name or (one.name == "sign-or-column" and "exchanged" in one.text) for one in mistakes
+    )
+    checks += [] if exchanged else levels
     checks += delay_checks(identification.delay)
     checks += cutoff_checks(identification.lowered)
     checks += [] if unsound or any(one.severity == "serious" for one in mistakes) else burst_checks(identification)
@@ -106,6 +110,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
             "of random poses; that of the physically consistent ones is everywhere"
         )
         checks.append(raised("indefinite-inertia", text))
+    checks += _differing_run_checks(identification)
     # Wrong data have a wrong weight, too.
     named = any(check.severity == "serious" for check in checks if check not in levels)
     consistent = identification.consistent
@@ -114,6 +119,8 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         None if consistent is None else consistent.parameters,
         None if consistent is None else (identification.fit.relative_error, consistent.fit.relative_error),
     )
+    # Bodies that the robot file states against the data have a wrong weight and place, too.
+    denied = any(check.name == "known-contradicts-data" for check in checks)
     checks += [] if named or levels else _weight_checks(identification)
     if consistent is not None and (sliding := weights_in_offsets(identification.model, identification.base)):
         text = (
@@ -124,7 +131,9 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     if consistent is not None:
         whole = identification.experiment == whole_arm(identification.model)
         bodies = body_checks(identification.model, identification.robot_file, consistent.parameters, whole=whole)
-        checks += [check for check in bodies if not (named and check.name == "implausible-mass")]
+        explained = {"implausible-mass"} if named else set()
+        explained |= {"implausible-link", "implausible-centre"} if denied else set()
+        checks += [check for check in bodies if check.name not in explained]
     return checks + residual_checks(identification.residual_tests)
 
 
@@ -212,7 +221,10 @@ def _few_equations(identification: Identification, advised: int) -> str:
 def _weight_checks(identification: Identification) -> list[Check]:
     """Whether gravity's torque is that of a mass that no arm of this size has."""
     consistent, solution = identification.consistent, identification.solution
-    parameters = solution.parameters if consistent is None else consistent.parameters.base
+    parameters = solution.parameters
+    if consistent is not None:
+        stated, without = consistent.parameters.base, consistent.parameters.without
+        parameters = without if consistent.parameters.contradicted and without is not None else stated
     segments = [segment for run in identification.runs for segment in run.prepared.segments]
     position = np.concatenate([segment.position[:, segment.used] for segment in segments], axis=1)
     return weight_checks(
@@ -239,6 +251,27 @@ def _mistake_checks(identification: Identification) -> list[Check]:
         return [with_opposite_torques(identification, one) if one.name == "torques-opposite" else one for one in found]
     opposite = np.any(identification.model.gravity) and _fits_opposite_gravity(identification)
     return [opposite_gravity()] if opposite else []
+
+
+def _differing_run_checks(identification: Identification) -> list[Check]:
+    """Whether recordings, held-out ones among them, show the same bodies; parts of one recording do."""
+    if identification.choices.estimator.equations != "torque":
+        return []
+    runs = list({id(run.signals): run for run in (*identification.validation_runs, *identification.runs)}.values())
+    if len(runs) < 2:
+        return []
+    labels = [run.signals.label for run in runs]
+    if len(set(labels)) < len(runs):
+        labels = [f"{label} ({number})" for number, label in enumerate(labels, start=1)]
+    kernel, torques = identification.estimation.kernel, identification.experiment.torques
+    reductions = [reduce_torques(kernel, [run.prepared], torques) for run in runs]
+    return differing_run_checks(
+        labels,
+        reductions,
+        identification.base,
+        identification.solution,
+        [min(1.0, 2.0 * run.prepared.cutoffs.torque / run.prepared.filtered_rate) for run in runs],
+    )
 
 
 def _idle_joint_checks(identification: Identification) -> list[Check]:

@@ -19,6 +19,7 @@ from ident.regression.least_squares import LEAST_TORQUE
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.played_motion import played_window
+from ident.signals.same_noise import same_noise
 from ident.signals.sample_hashes import HashArray, kept_hashes, overlap, sample_hashes
 
 
@@ -54,6 +55,11 @@ class RunWindow:
     def torque(self) -> FloatArray:
         """Torques (N, n) within the window, as recorded; all of them where it holds none [N·m or N]."""
         return self._within(self.signals.torque)
+
+    @property
+    def time(self) -> FloatArray:
+        """Stamps (N,) within the window; all of them where it holds none [s]."""
+        return self._within(self.signals.time)
 
     @property
     def temperature(self) -> FloatArray | None:
@@ -123,6 +129,9 @@ def split_data(
                     where="--validate",
                     hint="validate with another recording; without --validate the last 30 % are held out",
                 )
+        held_out = tuple(
+            replace(run, overlap=1.0) if run.overlap == 0.0 and copied(run, runs) else run for run in held_out
+        )
         return DataSplit(runs, held_out, ", ".join(labelled(run.signals.label, run.overlap) for run in held_out))
     halves = [_split(run, split) for run in runs]
     share = f"last {percent_text(HELD_OUT_SHARE)}" if split is None else f"part after {split:g} s"
@@ -133,6 +142,11 @@ def split_data(
         held_out=tuple(last for _, last in halves),
         validation_source=f"the {share} of {each}, held out of the identification {why}",
     )
+
+
+def copied(run: RunWindow, others: Sequence[RunWindow]) -> bool:
+    """Whether a held-out run is one of the others resampled, scaled or with noise added, by the noise in its torque."""
+    return any(same_noise(run.time, run.torque, other.time, other.torque) for other in others)
 
 
 def labelled(label: str, overlap: float) -> str:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from daq.recording.reader import read_recording
 from daq.recording.recording import Recording
 from drivers.core.errors import ResultFileError
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import Fit, fit_errors
 from ident.estimators.feasible.armature import armature_vector
-from ident.identify.data_split import RunWindow, run_window
+from ident.identify.data_split import RunWindow, copied, run_window
 from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
@@ -20,7 +23,7 @@ from ident.regression.observability import predictable_torques
 from ident.regression.options import REST_TOLERANCE
 from ident.regression.velocity_reversals import leave_out_rest
 from ident.result.result_file import file_sha256
-from ident.result.schema import Result
+from ident.result.schema import RecordingUse, Result
 from ident.result.stored_model import stored_model
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
@@ -110,7 +113,21 @@ def used_share(result: Result, recording: Recording, window: RunWindow) -> float
     used = [use for use in result.recordings if use.role == "identification"]
     if recording.path is not None and not any(use.sample_hashes for use in used):  # of an earlier version
         return float(any(use.sha256 == file_sha256(recording.path) for use in used))
-    return overlap(window.hashes, [use.sample_hashes for use in used])
+    share = overlap(window.hashes, [use.sample_hashes for use in used])
+    return (
+        1.0 if share == 0.0 and any(copied(window, [one]) for one in _still_there(result, recording, used)) else share
+    )
+
+
+def _still_there(result: Result, recording: Recording, used: Sequence[RecordingUse]) -> Iterator[RunWindow]:
+    """The recordings of the identification that lie beside this one or in the working folder, unchanged."""
+    folders = {Path()} | ({recording.path.parent} if recording.path is not None else set())
+    for use in used:
+        for path in (folder / Path(use.file).name for folder in folders):
+            if path.suffix == ".h5" and path.is_file() and file_sha256(path) == use.sha256:
+                chosen = PreprocessChoices(start=use.window[0], stop=use.window[1])
+                yield run_window(read_recording(path), stored_model(result).robot_file.robot, chosen)
+                break
 
 
 def stored_choices(result: Result) -> PreprocessChoices:

@@ -537,6 +537,13 @@ _VALIDATION = (
         "Coulomb friction is not well defined near standstill: expect such errors at starts, stops and reversals.",
     ),
     CheckKind(
+        "recordings-differ",
+        "serious",
+        ALL,
+        "recordings of one identification show different bodies",
+        "Another tool, load, gain or zero: identify each by itself, and compare the models with `dynid diff`.",
+    ),
+    CheckKind(
         "overfitting",
         "warning",
         ALL,

@@ -5,12 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from ident.assessment.instants import instants
 from ident.assessment.mistakes.competition import Competition, explanations
 from ident.assessment.mistakes.hypotheses import Mistake
 from ident.assessment.mistakes.unsigned import unsigned_torques
-from ident.assessment.model_errors import model_error_checks, most_likely
-from ident.assessment.refit import Refit
+from ident.assessment.model_errors import (
+    candidates,
+    model_error_checks,
+    most_likely,
+    quarter_turns,
+    reported,
+)
+from ident.assessment.refit import Deviation, Refit
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel
@@ -51,10 +59,14 @@ def mistake_checks(
         return [_unsigned_check([model.joint_names[joint] for joint in folded])]
     well = competition.well_explained()
     refit = Refit(model, experiment, base.columns, few, solution)
-    deviations = most_likely(refit, runs, independent, poor=not well)
+    tried = candidates(refit, independent, poor=not well)
+    deviations = most_likely(refit, runs, independent, tried)
     found = [] if well else explanations(competition, deviations)
     if found:
-        return [_check(model, found)]
+        axes = all(one.name == "joint-sign" for one in found)  # a neighbour that is turned over looks the same
+        return [_check(model, found, _equal_turns(competition, refit, found[0]) if axes else ())]
+    if not well or (deviations and reported(deviations[0])):
+        deviations = most_likely(refit, runs, independent, [*tried, *quarter_turns(refit)])
     if deviations and not well and not competition.explained_by(deviations[0]):
         return []
     return model_error_checks(model, deviations)
@@ -79,26 +91,50 @@ def _unsigned_check(names: Sequence[str]) -> Check:
     return raised("unsigned-torque", text, names)
 
 
-def _check(model: DynamicModel, found: Sequence[Mistake]) -> Check:
+def _equal_turns(competition: Competition, refit: Refit, best: Mistake) -> list[Deviation]:
+    """Zeros off by a quarter or half a turn that explain the data as a mistake of sign or column does."""
+    level = competition.bound(best)
+    fits = [(one, competition.with_deviation(one)) for one in quarter_turns(refit)]
+    return [one for one, fit in fits if level is not None and fit is not None and fit[0].level < level.level + EQUAL]
+
+
+def _check(model: DynamicModel, found: Sequence[Mistake], turns: Sequence[Deviation]) -> Check:
     """The check of a mistake, or of several that explain the data equally well."""
     first = found[0]
-    joints = sorted({joint for one in found for joint in one.joints})
-    names = [model.joint_names[joint] for joint in joints]
-    if len(found) == 1:
+    joints = {joint for one in found for joint in one.joints} | {one.unknown.joint for one in turns}
+    names = [model.joint_names[joint] for joint in sorted(joints)]
+    if len(found) == 1 and not turns:
         text = f"{_clause(model, first)}: the data are explained with this and not as recorded; {_REMEDIES[first.name]}"
         return raised(first.name, text, names)
-    what = ", or ".join(_clause(model, one) for one in found)
+    what = ", or ".join(
+        [
+            *(_clause(model, one) for one in found),
+            *(
+                f"the zero of {model.joint_names[one.unknown.joint]} is off by {np.rad2deg(-one.value):.0f}°"
+                for one in turns
+            ),
+        ]
+    )
     text = f"a sign or a column is wrong: {what}; the data fit each equally well, and none of them as recorded"
     return raised("sign-or-column", text, names)
 
 
 def _clause(model: DynamicModel, one: Mistake) -> str:
     """What a mistake says."""
+    columns = one.positions if one.signal == "position" else one.torques
+    if len(one.joints) > 2 and one.name.endswith("s-exchanged"):
+        held = ", ".join(model.joint_names[columns.order.index(joint)] for joint in one.joints)
+        names = ", ".join(model.joint_names[joint] for joint in one.joints)
+        return f"the columns of {names} hold {_IN_COLUMNS[one.signal]} of {held}, in this order"
     names = " and ".join(model.joint_names[joint] for joint in one.joints)
     clause = _CLAUSES[one.name].format(joints=names)
     return clause.replace("the torque of", "each torque of") if one.name == "torque-sign" and one.joints[1:] else clause
 
 
+EQUAL = 0.1
+"""Difference of two levels below which two mistakes are the same arm in other words."""
+
+_IN_COLUMNS = {"torque": "the torques", "position": "the positions", "both": "positions and torques"}
 _CLAUSES = {
     "gravity-opposite": "gravity has the opposite sign",
     "torques-opposite": "all torques have the opposite sign",

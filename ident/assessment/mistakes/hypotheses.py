@@ -45,7 +45,7 @@ def opposite_gravity(count: int) -> Mistake:
 
 
 def mistakes(count: int, joints: Sequence[int]) -> list[Mistake]:
-    """Signs or one exchange wrong, of the torques, of the positions or of both.
+    """Signs, one exchange or the order of the columns wrong, of the torques, of the positions or of both.
 
     Args:
         count: n.
@@ -62,11 +62,21 @@ def mistakes(count: int, joints: Sequence[int]) -> list[Mistake]:
             found.append(_mistake(f"{_CHECKS[signal]}-sign", signal, (joint,), _opposite(count, (joint,)), kept))
         for pair in combinations(joints, 2):
             found.append(_mistake(f"{_CHECKS[signal]}s-exchanged", signal, pair, _exchanged(count, pair), kept))
+        for order in _other_orders(joints) if len(joints) == count else ():
+            moved = tuple(joint for joint in range(count) if order[joint] != joint)
+            found.append(_mistake(f"{_CHECKS[signal]}s-exchanged", signal, moved, Columns(order, (1.0,) * count), kept))
     if len(joints) == count > 1:  # all signs of both are those of a mirrored arm, which is no mistake of a recording
         everyone = tuple(range(count))
         for signal in ("torque", "position"):
             found.append(_mistake(f"{signal}s-opposite", signal, everyone, _opposite(count, everyone), kept))
     return found
+
+
+def _other_orders(joints: Sequence[int]) -> list[tuple[int, ...]]:
+    """Columns from the last joint to the first, or one beside their own (a column too many); pairs are left out."""
+    ahead = tuple(joints)
+    orders = {ahead[::-1], ahead[1:] + ahead[:1], ahead[-1:] + ahead[:-1]}
+    return sorted(order for order in orders if sum(one != other for one, other in zip(order, ahead, strict=True)) > 2)
 
 
 _CHECKS = {"torque": "torque", "position": "position", "both": "joint"}

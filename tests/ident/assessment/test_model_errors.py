@@ -12,7 +12,7 @@ from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile
 from ident.assessment import instants as few
 from ident.assessment.instants import instants
-from ident.assessment.model_errors import model_error_checks, most_likely
+from ident.assessment.model_errors import candidates, model_error_checks, most_likely, quarter_turns
 from ident.assessment.refit import Deviation, Refit, shifted_origins
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
@@ -112,9 +112,19 @@ def test_too_little_data_names_nothing(arm):
     found = arm.found(1, {1: 2.0})
     refit, prepared = refit_of(found), [run.prepared for run in found.runs]
     enough = found.corrected.effective_rows
-    assert model_error_checks(found.model, most_likely(refit, prepared, enough, poor=False))
+    assert model_error_checks(found.model, most_likely(refit, prepared, enough, candidates(refit, enough, poor=False)))
     for independent in (0.0, 0.5, 2.0):
-        assert most_likely(refit, prepared, independent, poor=False) == []
+        assert most_likely(refit, prepared, independent, candidates(refit, independent, poor=False)) == []
+
+
+@pytest.mark.parametrize(("degrees", "joint"), [(90.0, 1), (180.0, 1)])
+def test_a_zero_off_by_a_quarter_or_half_a_turn_is_named(arm, degrees, joint):
+    """As in two conventions of one arm."""
+    found = arm.found(1)
+    recorded = instants(RegressorKernel(found.model, found.base.columns), [run.prepared for run in found.runs])
+    moved = replace(recorded.shifted(joint, np.deg2rad(degrees)), friction=None)
+    turns = quarter_turns(Refit(found.model, found.experiment, found.base.columns, moved, found.solution))
+    assert any(one.unknown.joint == joint and abs(abs(np.rad2deg(one.value)) - degrees) < 2.0 for one in turns)
 
 
 def test_long_recordings_are_looked_at_in_part(arm, monkeypatch):

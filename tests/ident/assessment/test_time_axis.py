@@ -49,6 +49,13 @@ def test_a_single_joint_s_velocity_in_another_unit_is_no_wrong_time_axis():
     assert "j2 2" in check.text
 
 
+@pytest.mark.parametrize(("unit", "factor"), [("rpm", 30.0 / np.pi), ("deg/s", 180.0 / np.pi), ("rev/s", 0.5 / np.pi)])
+def test_velocities_of_another_unit_are_no_wrong_time_axis(unit, factor):
+    (check,) = time_axis_checks(recording(gains=(factor, factor)))
+    assert (check.name, check.severity) == ("velocity-scale", "note")
+    assert f"are in {unit}, not in rad/s" in check.text
+
+
 def test_a_clock_that_drifts_against_the_host_s_is_named_with_its_factor():
     (check,) = time_axis_checks(recording(clock=1.01))
     assert check.name == "clocks-drift"

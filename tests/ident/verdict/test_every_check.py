@@ -578,6 +578,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "residuals-uneven": (lambda b: b.found(b.with_uneven_noise()), lambda b: b.clean()),
     "residuals-not-normal": (lambda b: b.found(changed(b.recorded(), bursts)), lambda b: b.clean()),
     "overfitting": (lambda b: b.found(changed(b.recorded(), spoilt_end)), lambda b: b.clean()),
+    "recordings-differ": (
+        lambda b: b.found(b.recorded(), validation=(changed(b.recorded(3), lambda i: i * np.array([1.0, 1.5, 1.0])),)),
+        lambda b: b.found(b.recorded(), validation=(b.recorded(3),)),
+    ),
     "not-held-out": (
         lambda b: b.found(b.recorded(), validation=(b.tail(b.recorded(), b.recorded(3)),)),
         lambda b: b.found(b.recorded(), validation=(b.recorded(3),)),
