@@ -13,6 +13,9 @@ REST_WINDOW = 0.1
 REST_SPEED = 0.02
 """[rad/s]: what is slower than this over the window is rest."""
 
+FLICKER = 0.0016
+"""[rad]: a step of an encoder with 4096 a turn; one that shows two steps by turns is at rest."""
+
 
 class StandstillWatch:
     """Follows the positions of an arm's joints; begins with an arm that may be moving, and again after each gap.
@@ -34,7 +37,7 @@ class StandstillWatch:
         if (
             gap
             or self._reference is None
-            or not np.max(np.abs(position - self._reference)) < 0.5 * REST_SPEED * self._window
+            or not np.max(np.abs(position - self._reference)) < max(0.5 * REST_SPEED * self._window, FLICKER)
         ):
             self._reference, self._since = position.copy(), time
         self._newest = time

@@ -40,3 +40,10 @@ def test_positions_that_are_no_numbers_are_no_rest() -> None:
     for time in np.arange(0.0, 1.0, PERIOD):
         watch.add(float(time), np.array([0.3, np.nan]))
     assert not watch.at_rest
+
+
+def test_an_encoder_that_flickers_between_two_steps_is_at_rest():
+    watch = StandstillWatch(0.1)
+    for number in range(30):
+        watch.add(0.01 * number, np.array([0.5, (number % 3 == 0) * 2.0 * np.pi / 4096]))
+    assert watch.at_rest
