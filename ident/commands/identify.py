@@ -8,7 +8,7 @@ import typer
 
 from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, VERBOSE, takes
-from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, METHOD
+from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, METHOD, MODEL_FILE
 from ident.tasks.options import IdentifyOptions
 
 app = CommandApp("Identify")
@@ -27,6 +27,7 @@ def identify_recordings(
     gravity: bool = typer.Option(
         False, "--gravity", help="Gravity alone, of a recording of dynid excite --for gravity."
     ),
+    model_file: Path = MODEL_FILE,
     verbose: bool = VERBOSE,
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -41,7 +42,7 @@ def identify_recordings(
     from ident.commands.gravity import identify_gravity_command, print_gravity
     from ident.commands.options import limits_option
     from ident.commands.printing.result import print_result
-    from ident.commands.servo import identify_servo_command, is_servo, print_servo
+    from ident.commands.servo import identify_servo_command, is_servo, print_servo, refuse_model_file
     from ident.result.friction_experiment import friction_path
     from ident.tasks.arguments import paths_of
     from ident.tasks.identification import identify
@@ -54,9 +55,12 @@ def identify_recordings(
         *paths_of(options.validation),
         accept,
         experiment,
+        model_file,
         *(load_robot(robot).files if robot else ()),
     ]
     check_output_folder(folder, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
+    if not is_servo(options.method):
+        refuse_model_file(model_file)
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:
         limited = any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse))
@@ -65,7 +69,9 @@ def identify_recordings(
             print_gravity(found, folder, verbose=verbose, as_json=as_json)
             return
         if is_servo(options.method):
-            servo = identify_servo_command(options, folder, progress, limited=limited, overwrite=force)
+            servo = identify_servo_command(
+                options, folder, progress, model_file=model_file, limited=limited, overwrite=force
+            )
             print_servo(servo, folder, verbose=verbose, as_json=as_json)
             return
         result = identify(**{**vars(options), "accept": limits, "progress": progress})

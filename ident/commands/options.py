@@ -45,6 +45,9 @@ MAX_JOINT_ERROR = typer.Option(
 MAX_RMSE = typer.Option(
     None, "--max-rmse", help="Limit of every joint's held-out RMSE [N·m or N].", rich_help_panel="Acceptance"
 )
+MODEL_FILE = typer.Option(
+    None, "--model-file", help="Of a servo model: MJCF of the arm as it came, rolled out beside the model."
+)
 
 
 def limits_option(

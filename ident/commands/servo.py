@@ -35,7 +35,13 @@ def is_servo(method: str) -> bool:
 
 
 def identify_servo_command(
-    options: IdentifyOptions, folder: Path, progress: Callable[[str], None], *, limited: bool, overwrite: bool
+    options: IdentifyOptions,
+    folder: Path,
+    progress: Callable[[str], None],
+    *,
+    model_file: Path | None,
+    limited: bool,
+    overwrite: bool,
 ) -> ServoModel:
     """Identify, and write the folder.
 
@@ -45,7 +51,9 @@ def identify_servo_command(
     from ident.tasks.servo import identify_servo
 
     refuse_options_but(_TAKEN, options, "--method servo", limited=limited)
-    model = identify_servo(options.runs, validation=options.validation, robot=options.robot, progress=progress)
+    model = identify_servo(
+        options.runs, validation=options.validation, robot=options.robot, model_file=model_file, progress=progress
+    )
     progress("report")
     model.save(folder, overwrite=overwrite)
     return model
@@ -59,12 +67,12 @@ def print_servo(model: ServoModel, folder: Path, *, verbose: bool, as_json: bool
     print_identified(model, folder, use, verbose=verbose, as_json=as_json)
 
 
-def validate_servo_command(path: Path, runs: object, *, as_json: bool) -> None:
+def validate_servo_command(path: Path, runs: object, *, model_file: Path | None, as_json: bool) -> None:
     """Judge a stored servo model on other recordings."""
     from ident.commands.printing.graded import print_validated
     from ident.tasks.servo import load_servo_model
 
-    judged = load_servo_model(path).validate(runs)  # type: ignore[arg-type]
+    judged = load_servo_model(path).validate(runs, model_file=model_file)  # type: ignore[arg-type]
     print_validated(judged, path, judged.errors, as_json=as_json)
 
 
@@ -87,6 +95,16 @@ def predict_servo_command(path: Path, run: Path, out: Path, *, as_json: bool, fo
         return
     print(f"Positions rolled out on the commands alone: {out}")
     print_tables([judged.errors])
+
+
+def refuse_model_file(model_file: Path | None) -> None:
+    """Refuse --model-file where the model is none of servos.
+
+    Raises:
+        UsageError: it is given.
+    """
+    if model_file is not None:
+        raise UsageError("is of a servo model", where="--model-file", hint="dynid identify --method servo")
 
 
 def refuse_servo_formats(options: ExportOptions) -> None:

@@ -9,7 +9,7 @@ import typer
 
 from daq.commands.help_text import CommandApp
 from daq.commands.options import JSON, VERBOSE, takes
-from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE
+from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, MODEL_FILE
 from ident.tasks.options import ValidateOptions
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ def validate_model(
     max_error: float = MAX_ERROR,
     max_joint_error: float = MAX_JOINT_ERROR,
     max_rmse: float = MAX_RMSE,
+    model_file: Path = MODEL_FILE,
     verbose: bool = VERBOSE,
     as_json: bool = JSON,
 ) -> None:
@@ -38,20 +39,24 @@ def validate_model(
     from drivers.core.errors import UsageError
     from ident.commands.gravity import validate_gravity_command
     from ident.commands.options import limits_option
-    from ident.commands.servo import validate_servo_command
+    from ident.commands.servo import refuse_model_file, validate_servo_command
     from ident.result.model import result_path
     from ident.result.result_file import GRAVITY, SERVO, kind_of
     from ident.tasks.validation import validate
 
     path = result_path(str(options.identified))
     kind = kind_of(path)
+    if kind != SERVO:
+        refuse_model_file(model_file)
     if kind in {SERVO, GRAVITY}:
         if any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse)):
             raise UsageError(
                 f"a {kind} model has no torque errors of motions to limit", hint="leave --accept and --max-… out"
             )
-        judge = validate_servo_command if kind == SERVO else validate_gravity_command
-        judge(path, options.runs, as_json=as_json)
+        if kind == SERVO:
+            validate_servo_command(path, options.runs, model_file=model_file, as_json=as_json)
+        else:
+            validate_gravity_command(path, options.runs, as_json=as_json)
         return
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:

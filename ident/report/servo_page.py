@@ -46,12 +46,15 @@ def _tiles(result: ServoResult) -> list[Tile]:
     def mean(errors: list[float]) -> str:
         return f"{1e3 * float(np.mean(errors)):.3g} {unit}"
 
-    return [
+    tiles = [
         Tile("Roll-out error", mean(shown.rollout_error), "held out" if shown.held_out else "not held out"),
         Tile("Encoder step", mean(result.resolution), "mean of the joints"),
         Tile("Command itself", mean(references.command), "without a model"),
         Tile("Delay and lag", mean(references.delay_and_lag), "one for all joints"),
     ]
+    if references.model_file is not None:
+        tiles.append(Tile("Model file", mean(references.model_file), "MJCF as it came, in MuJoCo"))
+    return tiles
 
 
 def rollout_figure(result: ServoResult, identification: ServoIdentification) -> Figure:

@@ -1,18 +1,25 @@
-"""What simulators' joint drives hold of a servo model: a PD law with limits and plain friction, and its roll-out."""
+"""What simulators' joint drives hold of a servo model: a PD law with limits and plain friction, and its roll-out.
+
+A file takes the values whose law moves nearest to the model on recorded commands: what the law has keeps the part of
+what it lacks, as damping some of a profile's lag, and plain friction that of the load.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
+from ident.servo.contact import Contact
+from ident.servo.fit import measured_load
 from ident.servo.links import ServoLinks
 from ident.servo.motion import ServoMotion, lanes_of, motion_load
 from ident.servo.rollout import profile_goals
-from ident.servo.terms import INDEX, TERMS
+from ident.servo.search import EVERY_ERROR, evaluate, robust_scale, search
+from ident.servo.terms import INDEX, TERMS, members, to_search
 
 REPLAYED = 120.0
 """[s] of motion at most in a replay."""
@@ -25,6 +32,9 @@ POSES = 200
 
 SUDDEN = 1e-3
 """[rad/s or m/s] Stribeck velocity that stands for a static friction which ends as soon as a joint moves."""
+
+NEAR = 5e-4
+"""[rad or m] Least scale of the errors that a nearest law is sought by."""
 
 NO_LIMIT = TERMS[INDEX["torque_limit"]].absent
 
@@ -118,14 +128,33 @@ def law_values(law: ActuatorLaw) -> FloatArray:
 
 
 @dataclass(frozen=True)
+class FileFormat:
+    """A simulator's file.
+
+    Attributes:
+        name: in words.
+        program: that moves it.
+        missing: terms that it has no place for.
+        delay_step: in which it counts delays [s]; 0 where it knows any.
+        shaped: whether its commands are those that the servos' profiles and biases shaped.
+    """
+
+    name: str
+    program: str
+    missing: tuple[str, ...]
+    delay_step: float = 0.0
+    shaped: bool = False
+
+
+@dataclass(frozen=True)
 class ServoReplay:
     """A file rolled out on recorded commands; mean absolute errors over all joints [rad or m].
 
     Attributes:
         file: its format.
         program: that read and moved it.
-        error: with the commands as recorded.
-        shaped_error: with the commands as the servos' profiles and biases shape them.
+        error: of the file.
+        identified_error: of one with the values as identified, not those nearest to the model.
         model_error: of the model's own roll-out of the same motions.
         seconds: of motion.
         left_out: what the format has no place for, in words.
@@ -134,20 +163,20 @@ class ServoReplay:
     file: str
     program: str
     error: float
-    shaped_error: float
+    identified_error: float
     model_error: float
     seconds: float
     left_out: tuple[str, ...]
 
     @property
     def faithful(self) -> bool:
-        """Whether the file moves as the model does, on commands as recorded."""
+        """Whether the file moves as the model does."""
         return self.error <= FAITHFUL * self.model_error
 
     def __str__(self) -> str:
         text = (
-            f"{self.program} on {self.seconds:.0f} s of recorded commands: {1e3 * self.error:.3g} mrad, with commands "
-            f"that the servos' profiles shaped {1e3 * self.shaped_error:.3g}; dynid {1e3 * self.model_error:.3g} mrad"
+            f"{self.program} on {self.seconds:.0f} s of recorded commands: {1e3 * self.error:.3g} mrad (values as "
+            f"identified: {1e3 * self.identified_error:.3g}); dynid {1e3 * self.model_error:.3g} mrad"
         )
         if self.faithful or not self.left_out:
             return text
@@ -183,21 +212,6 @@ def some_motions(motions: Sequence[ServoMotion]) -> list[ServoMotion]:
     return chosen
 
 
-def replay_of(
-    file: str,
-    program: str,
-    motions: Sequence[ServoMotion],
-    paths: tuple[Sequence[FloatArray], Sequence[FloatArray], Sequence[FloatArray]],
-    missing: tuple[str, ...],
-) -> ServoReplay:
-    """The errors of paths (N, n) of each motion: on raw commands, on shaped ones, and of the model itself."""
-    weights = [motion.time[-1] for motion in motions]
-    error, shaped, own = (
-        float(np.average(rollout_errors(motions, rows).mean(axis=1), weights=weights)) for rows in paths
-    )
-    return ServoReplay(file, program, error, shaped, own, float(sum(weights)), missing)
-
-
 def shaped_commands(links: ServoLinks, motion: ServoMotion, values: FloatArray) -> FloatArray:
     """Commands (history + K, n) as the servos' profiles and biases shape them, before their delay."""
     zero = np.zeros(len(values))
@@ -207,32 +221,91 @@ def shaped_commands(links: ServoLinks, motion: ServoMotion, values: FloatArray) 
     return np.concatenate([motion.command[: motion.history + 1], goals])[: len(motion.command)]
 
 
-def replay_law(
-    file: str,
-    law: ActuatorLaw,
-    links: ServoLinks,
+def law_paths(
+    law: ActuatorLaw, links: ServoLinks, zero: FloatArray, motions: Sequence[ServoMotion]
+) -> list[FloatArray]:
+    """Positions (N, n) of motions as a law rolls them out, with the encoders' zeros (n,)."""
+    values = law_values(law)
+    values[:, INDEX["zero"]] = zero
+    return roll_out_arm(motions, links, values)
+
+
+def nearest_file(
+    form: FileFormat,
     values: FloatArray,
+    links: ServoLinks,
+    contact: Contact | None,
     motions: Sequence[ServoMotion],
-    missing: Sequence[str],
-) -> ServoReplay:
-    """Roll a law that was read from a file out on recorded commands.
+    write: Callable[[FloatArray], str],
+    play: Callable[[str, Sequence[ServoMotion]], Sequence[FloatArray]],
+) -> tuple[str, ServoReplay | None]:
+    """The text of a file whose roll-out is nearest to the model's, and its errors; without motions as identified.
 
     Args:
-        file: its format.
-        law: as read.
-        links: of the arm.
+        form: of the file.
         values: (n, terms) of the model.
+        links: of the arm.
+        contact: what the arm touches, if the file has it.
         motions: recorded.
-        missing: terms that the format has no place for.
+        write: the text of parameters (n, terms) that the format has.
+        play: positions (N, n) of motions as a text moves.
     """
-    chosen = some_motions(motions)
-    held = law_values(law)
-    if "zero" not in missing:
-        held[:, INDEX["zero"]] = values[:, INDEX["zero"]]
-    bias = values[:, INDEX["bias"]]
-    shaped = [replace(motion, command=shaped_commands(links, motion, values) - bias) for motion in chosen]
-    paths = tuple(
-        roll_out_arm(several, links, parameters)
-        for several, parameters in ((chosen, held), (shaped, held), (chosen, values))
-    )
-    return replay_of(file, "the actuators' law", chosen, paths, left_out(values, missing))  # type: ignore[arg-type]
+    plain = format_values(form, values, links)
+    text, chosen = write(plain), some_motions(motions)
+    if not chosen:
+        return text, None
+    model_paths = roll_out_arm(chosen, links, values, contact)
+    commanded = chosen
+    if form.shaped:
+        bias = values[:, INDEX["bias"]]
+        commanded = [replace(motion, command=shaped_commands(links, motion, values) - bias) for motion in chosen]
+    words = left_out(values, form.missing)
+    identified_error = error = _mean_error(commanded, play(text, commanded))
+    if words:
+        played = [replace(motion, position=path) for motion, path in zip(commanded, model_paths, strict=True)]
+        nearest = write(nearest_values(form, plain, links, played))
+        nearest_error = _mean_error(commanded, play(nearest, commanded))
+        if nearest_error < error:
+            text, error = nearest, nearest_error
+    model_error = _mean_error(chosen, model_paths)
+    seconds = float(sum(motion.time[-1] for motion in chosen))
+    return text, ServoReplay(form.name, form.program, error, identified_error, model_error, seconds, words)
+
+
+def format_values(form: FileFormat, values: FloatArray, links: ServoLinks) -> FloatArray:
+    """Parameters (n, terms) without what a format lacks; friction that follows the load at the mean load."""
+    plain = law_values(actuator_law(values, links, form.delay_step))
+    for name in ("bias", "zero", "breakaway", "delay"):
+        if name in form.missing or (form.shaped and name == "bias"):
+            plain[:, INDEX[name]] = 0.0
+        elif name in {"bias", "zero"}:
+            plain[:, INDEX[name]] = values[:, INDEX[name]]
+    return plain
+
+
+def nearest_values(form: FileFormat, plain: FloatArray, links: ServoLinks, played: Sequence[ServoMotion]) -> FloatArray:
+    """Parameters (n, terms) that a format has, whose roll-out is nearest to that of a model.
+
+    Args:
+        form: of the file.
+        plain: (n, terms) the start.
+        links: of the arm.
+        played: motions whose positions are the model's roll-out.
+    """
+    lanes = lanes_of(played, [measured_load(links, motion, plain[:, INDEX["zero"]]) for motion in played])
+    fixed = [INDEX[name] for name in (*form.missing, *(("bias",) if form.shaped else ()))]
+    free = np.zeros(plain.shape, dtype=np.bool_)
+    free[:, members("")] = True
+    free[:, fixed] = False
+    free &= (plain > 0) | ~np.array([term.positive for term in TERMS])
+    values, centre = plain, to_search(plain)
+    for _ in range(2):
+        scale = robust_scale(evaluate(lanes, values)[0], lanes, len(plain), NEAR)
+        values = search(lanes, values, free, scale, centre, 12, EVERY_ERROR)
+    return values
+
+
+def _mean_error(motions: Sequence[ServoMotion], paths: Sequence[FloatArray]) -> float:
+    """Over all joints, the first second of each motion left out."""
+    weights = [motion.time[-1] for motion in motions]
+    return float(np.average(rollout_errors(motions, paths).mean(axis=1), weights=weights))

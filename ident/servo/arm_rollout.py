@@ -1,7 +1,8 @@
 """Roll-out of a whole servo arm on commands alone: joints in turn, the links' torques brought up to date in between.
 
 Each pass rolls out all joints with gravity and coupling along the arm's last path (waveform relaxation); high gears
-make the joints nearly independent, so that a few passes do.
+make the joints nearly independent, so that a few passes do. Beside it, what positions would be without a model: the
+command itself, and one delay and lag for all joints.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import minimize
+from scipy.signal import lfilter
 
 from drivers.core.arrays import FloatArray
 from ident.servo.contact import Contact
@@ -31,6 +34,9 @@ EVERY = 4
 
 COUPLING_SPAN = 0.04
 """[s] over which accelerations are averaged for coupling: those of a stick-slip step are impulses."""
+
+DELAY_AND_LAG = ((0.02, 0.03), (0.02, 0.1), (0.08, 0.03))
+"""[s] Starts of the search."""
 
 
 def roll_out_arm(
@@ -127,3 +133,41 @@ def _averaged(values: FloatArray, span: int) -> FloatArray:
 
     averaged: FloatArray = uniform_filter1d(values, span, axis=0, mode="nearest")
     return averaged
+
+
+def command_paths(motions: Sequence[ServoMotion]) -> list[FloatArray]:
+    """Commands (N, n) at the samples of each motion."""
+    return [_delayed(motion, 0.0, 0.0) for motion in motions]
+
+
+def delay_and_lag(motions: Sequence[ServoMotion]) -> tuple[float, float]:
+    """The delay and first-order lag [s] of all joints together with the least mean absolute error."""
+
+    def cost(point: FloatArray) -> float:
+        delay, lag = np.abs(point)
+        errors = [
+            np.abs(_delayed(motion, float(delay), float(lag)) - motion.position)[motion.time >= SETTLING]
+            for motion in motions
+        ]
+        return float(np.mean(np.concatenate(errors)))
+
+    starts = sorted((cost(np.array(start)), start) for start in DELAY_AND_LAG)
+    best = minimize(
+        cost, np.array(starts[0][1]), method="Nelder-Mead", options={"xatol": 5e-4, "fatol": 1e-7, "maxfev": 80}
+    )
+    delay, lag = np.abs(best.x)
+    return float(delay), float(lag)
+
+
+def delayed_paths(motions: Sequence[ServoMotion], delay: float, lag: float) -> list[FloatArray]:
+    """Commands (N, n) at the samples of each motion, delayed and lagged [s]."""
+    return [_delayed(motion, delay, lag) for motion in motions]
+
+
+def _delayed(motion: ServoMotion, delay: float, lag: float) -> FloatArray:
+    step = motion.step
+    times = np.arange(-motion.history, len(motion.command) - motion.history) * step
+    share = 1.0 if lag <= 0 else 1.0 - np.exp(-step / lag)
+    begin = motion.command[:1]
+    filtered = lfilter([share], [1.0, share - 1.0], motion.command - begin, axis=0) + begin
+    return np.stack([np.interp(motion.time - delay, times, column) for column in filtered.T], axis=1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -19,12 +20,12 @@ from drivers.core.reading_process import Progress
 from ident.assessment.command_checks import refuse_unusable_commands
 from ident.identify.summary import recording_sha256
 from ident.result.graded import Grade
-from ident.servo.arm_rollout import rollout_errors, touched_paths
+from ident.servo.arm_rollout import command_paths, delay_and_lag, delayed_paths, rollout_errors, touched_paths
 from ident.servo.contact import PRESSING, Contact, tool_point
 from ident.servo.fit import ServoFit, fit_servo
 from ident.servo.links import ServoLinks, servo_links
+from ident.servo.mjcf import model_file_paths
 from ident.servo.motion import ServoMotion, servo_motions
-from ident.servo.references import command_paths, delay_and_lag, delayed_paths
 from ident.servo.result import (
     ContactStretch,
     References,
@@ -72,6 +73,7 @@ def identify_servo(
     robot_file: RobotFile | None,
     given: dict[str, dict[str, float]],
     progress: Progress,
+    model_file: Path | None = None,
 ) -> ServoIdentification:
     """Identify an arm of servos from commanded and measured positions.
 
@@ -81,11 +83,13 @@ def identify_servo(
         robot_file: in place of the recordings' own.
         given: joint → parameter → known value.
         progress: called with the name of each step.
+        model_file: an MJCF of the arm as it came, whose roll-out the errors stand beside.
 
     Raises:
         DataError: a recording has no commands, or its positions do not follow them.
         RobotFileError: a link's mass is not known.
         IdentificationError: no joint moves.
+        ModelError: the MJCF cannot be rolled out.
     """
     if not recordings:
         raise DataError("no recording to identify from")
@@ -108,9 +112,9 @@ def identify_servo(
     progress("roll-out")
     lag = delay_and_lag(motions)
     contact = fitted.contact
-    fit, _ = judge(motions, links, fitted.values, lag, contact, held_out=False)
+    fit, _ = judge(motions, links, fitted.values, lag, contact, None, held_out=False)
     own = not _same_data(recordings, held_out)
-    validation, paths = judge(judged, links, fitted.values, lag, contact, held_out=own)
+    validation, paths = judge(judged, links, fitted.values, lag, contact, model_file, held_out=own)
     joints = [_joint(fitted, row, name, links.model.sliding[row]) for row, name in enumerate(robot.joint_names)]
     result = ServoResult(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -147,11 +151,18 @@ def identify_servo(
 
 
 def revalidate_servo(
-    result: ServoResult, recordings: Sequence[Recording], robot_file: RobotFile
+    result: ServoResult, recordings: Sequence[Recording], robot_file: RobotFile, model_file: Path | None = None
 ) -> ServoIdentification:
     """The same model on other recordings: `validation` and `verdict` are theirs.
 
+    Args:
+        result: of the model.
+        recordings: of the same arm.
+        robot_file: of the result.
+        model_file: an MJCF of the arm as it came, whose roll-out the errors stand beside.
+
     Raises:
+        ModelError: the MJCF cannot be rolled out.
         DataError: a recording has no commands, or is of another arm.
     """
     links = servo_links(robot_file)
@@ -160,7 +171,7 @@ def revalidate_servo(
     held_out = not any(recording_sha256(recording) in used for recording in recordings)
     lag = delay_and_lag(motions)
     contact = contact_of(result, links)
-    fit, paths = judge(motions, links, result.values, lag, contact, held_out=held_out)
+    fit, paths = judge(motions, links, result.values, lag, contact, model_file, held_out=held_out)
     steps = np.array(result.resolution)
     changed = result.model_copy(
         update={
@@ -197,6 +208,7 @@ def judge(
     values: FloatArray,
     lag: tuple[float, float],
     contact: Contact | None,
+    model_file: Path | None,
     *,
     held_out: bool,
 ) -> tuple[RolloutFit, list[FloatArray]]:
@@ -207,6 +219,7 @@ def judge(
     command = rollout_errors(motions, command_paths(motions))
     lagged = rollout_errors(motions, delayed_paths(motions, *lag))
     seconds = np.array([motion.time[-1] for motion in motions])
+    of_file = None if model_file is None else rollout_errors(motions, model_file_paths(model_file, links, motions))
     labels = list(dict.fromkeys(motion.label for motion in motions))
 
     def mean(rows: FloatArray) -> list[float]:
@@ -217,7 +230,11 @@ def judge(
         RolloutFit(
             rollout_error=mean(errors),
             rollout_mean=float(np.mean(mean(errors))),
-            references=References(command=mean(command), delay_and_lag=mean(lagged)),
+            references=References(
+                command=mean(command),
+                delay_and_lag=mean(lagged),
+                model_file=None if of_file is None else mean(of_file),
+            ),
             recordings=[
                 RolloutError(
                     recording=label, rollout_error=np.average(errors[rows], axis=0, weights=seconds[rows]).tolist()

@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
-from ident.servo.actuator_law import ActuatorLaw, actuator_law, left_out
+from ident.servo.actuator_law import ActuatorLaw, FileFormat, actuator_law, left_out
 from ident.servo.links import ServoLinks
 from ident.servo.ranges import UnitRange, gaussians, unit_ranges
 from ident.servo.result import ServoResult
@@ -27,9 +27,8 @@ PHYSICS_STEP = 0.005
 MISSING = ("load_friction", "load_breakaway", "dead_band", "zero")
 """Terms that the file has no place for."""
 
-WITHOUT_PROFILE = (*MISSING, "acceleration_limit", "bias")
-"""Those of the actuators alone; profile and bias stand in the file's CommandProfile."""
-
+FORMAT = FileFormat("Isaac Lab's configuration", "the actuators' law", MISSING, PHYSICS_STEP, shaped=True)
+"""Profile and bias stand in the file's CommandProfile."""
 
 _PROFILE = '''
 class CommandProfile:
@@ -73,11 +72,14 @@ def drawn(count, seed=0):
 '''
 
 
-def isaaclab_configuration(result: ServoResult, links: ServoLinks, speeds: FloatArray, unit_spread: float) -> str:
+def isaaclab_configuration(
+    result: ServoResult, drives: FloatArray, links: ServoLinks, speeds: FloatArray, unit_spread: float
+) -> str:
     """The text of the file.
 
     Args:
         result: of the identification.
+        drives: (n, terms) parameters of the actuators.
         links: of the arm.
         speeds: (n,) limits [rad/s].
         unit_spread: σ of the parameters' logarithms from unit to unit, on top of the recordings' uncertainty.
@@ -88,7 +90,7 @@ def isaaclab_configuration(result: ServoResult, links: ServoLinks, speeds: Float
     if not links.model.transmission.direct:
         raise ModelError("closed loops and coupled motors are not exported as servos", where=links.model.name)
     values, names = result.values, result.joints
-    law = actuator_law(values, links, PHYSICS_STEP)
+    law = actuator_law(drives, links, PHYSICS_STEP)
     ranges = unit_ranges(result, unit_spread)
     missing = left_out(values, MISSING)
     lines = [
@@ -97,8 +99,7 @@ def isaaclab_configuration(result: ServoResult, links: ServoLinks, speeds: Float
         "Torques N·m, angles rad, times s. Joints are called as in the robot file. The environment's sim.dt must be",
         "PHYSICS_STEP: delays are counted in it. Use ACTUATORS in ArticulationCfg(actuators=...), or",
         "IMPLICIT_ACTUATORS, which have no delay; shape commands with CommandProfile; EVENTS are for an EventCfg.",
-        f"Not in this file: {', '.join(missing) or 'nothing'}; friction that follows the load stands in it at the mean",
-        "load of random poses.",
+        f"Not in this file: {', '.join(missing) or 'nothing'}.",
         '"""',
         "",
         "from isaaclab.actuators import DelayedPDActuatorCfg, IdealPDActuatorCfg, ImplicitActuatorCfg",

@@ -1,9 +1,11 @@
-"""A servo arm as MJCF with position actuators, and its replay on recorded commands in MuJoCo."""
+"""A servo arm as MJCF with position actuators, and the replay of MJCFs on recorded commands in MuJoCo."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -13,34 +15,41 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
 from ident.export.arm import ExportedArm
 from ident.export.mjcf import TIME_STEP, mjcf
-from ident.export.mujoco_reading import loaded
+from ident.export.mujoco_reading import loaded, mujoco_installed
 from ident.export.xml_text import comment_text, number, numbers
 from ident.friction.terms import NO_TERMS
 from ident.model.base_parameters import base_parameters
 from ident.model.inverse_dynamics import InverseDynamics
-from ident.servo.actuator_law import (
-    ServoReplay,
-    actuator_law,
-    left_out,
-    replay_of,
-    shaped_commands,
-    some_motions,
-)
+from ident.servo.actuator_law import FileFormat, actuator_law
+from ident.servo.contact import Contact
 from ident.servo.links import ServoLinks
 from ident.servo.motion import ServoMotion
 from ident.servo.terms import INDEX, TERMS
 
 MISSING = ("acceleration_limit", "load_friction", "breakaway", "load_breakaway", "dead_band")
-"""Terms that an MJCF has no place for; friction that follows the load stands in it as that of the mean load."""
+"""Terms that an MJCF has no place for."""
+
+FORMAT = FileFormat("MJCF", "MuJoCo", MISSING)
+
+BALL = 0.002
+"""[m] Radius of the ball that stands for a point that touches."""
 
 
-def servo_mjcf(robot_file: RobotFile, links: ServoLinks, values: FloatArray) -> str:
-    """The text of an MJCF: bodies of the robot file, joints and position actuators as identified.
+def servo_mjcf(
+    robot_file: RobotFile,
+    links: ServoLinks,
+    values: FloatArray,
+    missing: Sequence[str] = (),
+    contact: Contact | None = None,
+) -> str:
+    """The text of an MJCF: bodies of the robot file, joints, position actuators, and what the arm touches.
 
     Args:
         robot_file: shapes and limits.
         links: bodies.
-        values: (n, terms) parameters.
+        values: (n, terms) parameters that an MJCF has a place for.
+        missing: what it has none for, in words.
+        contact: a surface and the point that touches it.
 
     Raises:
         ModelError: the arm has loops or coupled motors.
@@ -72,7 +81,7 @@ def servo_mjcf(robot_file: RobotFile, links: ServoLinks, values: FloatArray) -> 
     lines = [
         f"Servo model of {model.name}, identified with dynid; ctrl is the commanded position.",
         "Not in this file:",
-        *(f"- {word}" for word in left_out(values, MISSING) or ("nothing",)),
+        *(f"- {word}" for word in missing or ("nothing",)),
         "A delay needs a MuJoCo whose actuators have one.",
     ]
     root.insert(0, ElementTree.Comment("\n" + comment_text(lines)))
@@ -87,6 +96,8 @@ def servo_mjcf(robot_file: RobotFile, links: ServoLinks, values: FloatArray) -> 
             # The file's pose is that of a joint at `ref`.
             element.set("ref", number(-zero))
         ElementTree.SubElement(actuators, "general", _actuator(name, values[joint], model.limits[joint].position))
+    if contact is not None:
+        _add_surface(root, links, contact)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
@@ -110,40 +121,107 @@ def _actuator(name: str, values: FloatArray, limits: tuple[float, float]) -> dic
     return attributes
 
 
-def replay(
-    text: str, links: ServoLinks, values: FloatArray, motions: Sequence[ServoMotion], model_paths: Sequence[FloatArray]
-) -> ServoReplay:
-    """Roll an MJCF's text out on recorded commands in MuJoCo.
+def _add_surface(root: ElementTree.Element, links: ServoLinks, contact: Contact) -> None:
+    """A plane, and a small ball at the point that touches it; they collide with nothing else."""
+    world = root.find("worldbody")
+    joint = links.model.joints[contact.link].name
+    body = next(found for found in root.iter("body") if any(own.get("name") == joint for own in found.findall("joint")))
+    assert world is not None
+    up = -links.model.gravity / np.linalg.norm(links.model.gravity)
+    plane = {
+        "name": "surface",
+        "type": "plane",
+        "size": "1 1 0.1",
+        "zaxis": numbers(up),
+        "pos": numbers(up * contact.height),
+    }
+    ball = {"name": "touching", "type": "sphere", "size": number(BALL), "pos": numbers(contact.point), "mass": "0"}
+    # The ball's lowest point is the model's, so that its centre stands higher by the radius where it touches.
+    plane["pos"] = numbers(up * (contact.height - BALL))
+    ElementTree.SubElement(world, "geom", plane | {"contype": "2", "conaffinity": "0", "friction": "0.001 0 0"})
+    ElementTree.SubElement(body, "geom", ball | {"contype": "0", "conaffinity": "2", "friction": "0.001 0 0"})
+
+
+def played_paths(text: str, links: ServoLinks, motions: Sequence[ServoMotion]) -> list[FloatArray]:
+    """Positions (N, n) of motions, as an MJCF's text moves on their commands in MuJoCo.
 
     Raises:
         ModelError: MuJoCo cannot read it.
     """
+    model = loaded(text, links.model.name)
+    return [_replayed(model, links, motion, motion.command[motion.history :]) for motion in motions]
+
+
+def model_file_paths(path: Path, links: ServoLinks, motions: Sequence[ServoMotion]) -> list[FloatArray]:
+    """Positions (N, n) of motions, as an MJCF that came with the arm moves on their commands in MuJoCo.
+
+    Raises:
+        ModelError: no MJCF with a position actuator for each joint, or MuJoCo is not installed or does not read it.
+    """
+    if not mujoco_installed():
+        raise ModelError(
+            "MuJoCo rolls a model file out, and is not installed", where=str(path), hint="pip install mujoco"
+        )
+    model = _model_file(path)
+    for name in links.model.joint_names:
+        _position_actuator(model, name, str(path))
+    return [_replayed(model, links, motion, motion.command[motion.history :]) for motion in motions]
+
+
+def _model_file(path: Path) -> Any:
+    """An MJCF as it came; without its shapes where their meshes are missing.
+
+    Raises:
+        ModelError: it is none, or MuJoCo does not read it.
+    """
     import mujoco
 
-    model = loaded(text, links.model.name)
-    chosen = some_motions(motions)
-    raw = [_replayed(model, links, motion, motion.command[motion.history :], values) for motion in chosen]
-    shaped = [
-        _replayed(model, links, motion, shaped_commands(links, motion, values)[motion.history :], values)
-        for motion in chosen
-    ]
-    own = model_paths[: len(chosen)]
-    program = f"MuJoCo {mujoco.__version__}"
-    return replay_of("MJCF", program, chosen, (raw, shaped, own), left_out(values, MISSING))
+    try:
+        root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, ElementTree.ParseError) as error:
+        raise ModelError(f"is no MJCF that can be read: {error}", where=str(path)) from error
+    if root.tag != "mujoco":
+        hint = "a URDF has no gains: give an MJCF" if root.tag == "robot" else "give an MJCF"
+        raise ModelError(f"is no MJCF, but a <{root.tag}>", where=str(path), hint=hint)
+    try:
+        return mujoco.MjModel.from_xml_path(str(path))
+    except ValueError:
+        for parent in root.iter():
+            parent.attrib.pop("material", None)
+            for child in [child for child in parent if child.tag in {"geom", "mesh", "texture", "material"}]:
+                parent.remove(child)
+        return loaded(ElementTree.tostring(root, encoding="unicode"), str(path))
 
 
-def _replayed(
-    model: object, links: ServoLinks, motion: ServoMotion, command: FloatArray, values: FloatArray
-) -> FloatArray:
+def _position_actuator(model: Any, joint: str, where: str) -> int:
+    """The index of the actuator that holds a joint at its control.
+
+    Raises:
+        ModelError: there is no such joint, or nothing holds it.
+    """
+    import mujoco
+
+    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
+    if number < 0:
+        raise ModelError(f"has no joint {joint}", where=where, hint="joints of both files must have the same names")
+    for actuator in range(model.nu):
+        gain, bias = float(model.actuator_gainprm[actuator, 0]), float(model.actuator_biasprm[actuator, 1])
+        turns = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
+        if turns and model.actuator_trnid[actuator, 0] == number and gain > 0 and bias < 0:
+            return actuator
+    raise ModelError(f"has no position actuator for {joint}", where=where, hint="its ctrl must be a position")
+
+
+def _replayed(model: Any, links: ServoLinks, motion: ServoMotion, command: FloatArray) -> FloatArray:
     """Positions (N, n) at the motion's samples."""
     import mujoco
 
     data = mujoco.MjData(model)
-    joints = [model.joint(name) for name in links.model.joint_names]  # type: ignore[attr-defined]
+    joints = [model.joint(name) for name in links.model.joint_names]
     order = [int(joint.qposadr[0]) for joint in joints]
-    actuators = [int(model.actuator(name).id) for name in links.model.joint_names]  # type: ignore[attr-defined]
+    actuators = [_position_actuator(model, name, links.model.name) for name in links.model.joint_names]
     data.qpos[order] = motion.position[0]
-    step = float(model.opt.timestep)  # type: ignore[attr-defined]
+    step = float(model.opt.timestep)
     count = int(np.ceil(motion.time[-1] / step)) + 1
     times = np.arange(count) * step
     grid = np.arange(len(command)) * motion.step

@@ -46,7 +46,7 @@ class References(Stored):
     command: list[Value] = Field(description="the command itself")
     delay_and_lag: list[Value] = Field(description="the best delay and first-order lag for all joints together")
     model_file: list[Value] | None = Field(
-        default=None, description="motor inertia, damping and friction of the robot file's truth; null without a gain"
+        default=None, description="an MJCF of the arm as it came, rolled out in MuJoCo; null where none was given"
     )
 
 

@@ -20,12 +20,14 @@ from ident.estimators.feasible.pseudo_inertia import body_of
 from ident.export.xml_text import quaternion
 from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.parameters import LINK_SIZE
-from ident.servo.actuator_law import ActuatorLaw, actuator_law, left_out
+from ident.servo.actuator_law import ActuatorLaw, FileFormat, actuator_law
 from ident.servo.links import ServoLinks
 from ident.servo.terms import INDEX, TERMS
 
 MISSING = ("acceleration_limit", "load_friction", "load_breakaway", "dead_band", "bias", "delay")
 """Terms that a drive has no place for."""
+
+FORMAT = FileFormat("USD", "the drives' law", MISSING)
 
 DEGREE = 180.0 / np.pi
 """[°] of a radian."""
@@ -41,13 +43,14 @@ def usd_installed() -> bool:
     return find_spec("pxr") is not None
 
 
-def servo_usd(robot_file: RobotFile, links: ServoLinks, values: FloatArray) -> str:
+def servo_usd(robot_file: RobotFile, links: ServoLinks, values: FloatArray, missing: Sequence[str] = ()) -> str:
     """The text (.usda) of a stage with the articulation, its fixed base at the origin.
 
     Args:
         robot_file: its speed limits.
         links: bodies.
-        values: (n, terms) parameters.
+        values: (n, terms) parameters that drives have a place for.
+        missing: what they have none for, in words.
 
     Raises:
         UsageError: usd-core is not installed.
@@ -65,9 +68,9 @@ def servo_usd(robot_file: RobotFile, links: ServoLinks, values: FloatArray) -> s
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdPhysics.SetStageKilogramsPerUnit(stage, 1.0)
-    missing = ", ".join(left_out(values, MISSING)) or "nothing"
     stage.GetRootLayer().comment = (
-        f"Servo model of {model.name}, identified with dynid; drives are in degrees. Not in this file: {missing}."
+        f"Servo model of {model.name}, identified with dynid; drives are in degrees. "
+        f"Not in this file: {', '.join(missing) or 'nothing'}."
     )
     root_path = "/" + Tf.MakeValidIdentifier(model.name)
     root = UsdGeom.Xform.Define(stage, root_path)

@@ -24,13 +24,12 @@ from ident.ranges import UNIT_SPREAD
 from ident.report.servo_page import rollout_figure, servo_page
 from ident.result.model import result_path
 from ident.result.result_file import file_sha256
-from ident.servo import isaaclab, usd
-from ident.servo.actuator_law import ActuatorLaw, ServoReplay, replay_law
+from ident.servo import isaaclab, mjcf, usd
+from ident.servo.actuator_law import ServoReplay, law_paths, left_out, nearest_file
 from ident.servo.arm_rollout import roll_out_arm
 from ident.servo.identify import ServoIdentification, contact_of, read_motions, revalidate_servo
 from ident.servo.identify import identify_servo as identify_recordings
 from ident.servo.links import servo_links
-from ident.servo.mjcf import replay, servo_mjcf
 from ident.servo.motion import ServoMotion
 from ident.servo.ranges import drawn, servo_ranges
 from ident.servo.result import ServoResult, read_servo_result, with_values
@@ -101,13 +100,19 @@ class ServoModel(GradedResult):
         played = Stream(JOINTS_STREAM, stream.time[rows], stream.host_time[rows], {"position": position, **kept})
         return replace(recording, path=None, streams={**recording.streams, JOINTS_STREAM: played})
 
-    def validate(self, runs: Runs) -> ServoModel:
+    def validate(self, runs: Runs, *, model_file: str | PathLike[str] | None = None) -> ServoModel:
         """The same model judged on other recordings.
+
+        Args:
+            runs: of the same arm.
+            model_file: an MJCF of the arm as it came; its roll-out in MuJoCo stands beside the model's.
 
         Raises:
             DataError: a recording has no commands, or is of another arm.
+            ModelError: the MJCF cannot be rolled out.
         """
-        judged = revalidate_servo(self.result, recordings_of(runs), self._robot)
+        file = None if model_file is None else Path(model_file)
+        judged = revalidate_servo(self.result, recordings_of(runs), self._robot, file)
         return ServoModel(judged.result, judged)
 
     def export_mjcf(self, path: str | PathLike[str], runs: Runs = (), *, overwrite: bool = False) -> ServoReplay | None:
@@ -127,12 +132,18 @@ class ServoModel(GradedResult):
         """
         target = path_of(path)
         check_outputs([target], overwrite=overwrite)
-        text = servo_mjcf(self._robot, self._links, self.result.values)
-        motions = self._replayed(runs)
-        replayed = None
-        if motions and mujoco_installed():
-            paths = roll_out_arm(motions, self._links, self.result.values)
-            replayed = replay(text, self._links, self.result.values, motions, paths)
+        values, contact = self.result.values, contact_of(self.result, self._links)
+        words = left_out(values, mjcf.MISSING)
+        installed = mujoco_installed()
+        text, replayed = nearest_file(
+            mjcf.FORMAT,
+            values,
+            self._links,
+            contact,
+            self._replayed(runs) if installed else [],
+            lambda found: mjcf.servo_mjcf(self._robot, self._links, found, words, contact),
+            lambda written, motions: mjcf.played_paths(written, self._links, motions),
+        )
         replace_files({target: text})
         return replayed
 
@@ -158,9 +169,19 @@ class ServoModel(GradedResult):
         """
         target = path_of(path)
         check_outputs([target], overwrite=overwrite)
-        text = isaaclab.isaaclab_configuration(self.result, self._links, self._speeds(), _spread(unit_spread))
-        law = isaaclab.read_isaaclab(text, str(target))
-        replayed = self._rolled_out("Isaac Lab's configuration", law, runs, isaaclab.WITHOUT_PROFILE)
+        speeds, spread = self._speeds(), _spread(unit_spread)
+        zero = np.zeros(len(speeds))
+        text, replayed = nearest_file(
+            isaaclab.FORMAT,
+            self.result.values,
+            self._links,
+            None,
+            self._replayed(runs),
+            lambda found: isaaclab.isaaclab_configuration(self.result, found, self._links, speeds, spread),
+            lambda written, motions: law_paths(
+                isaaclab.read_isaaclab(written, str(target)), self._links, zero, motions
+            ),
+        )
         replace_files({target: text})
         return replayed
 
@@ -183,9 +204,19 @@ class ServoModel(GradedResult):
         if target.suffix not in {".usda", ".usd"}:
             raise UsageError(f"'{target.name}' does not end in .usda or .usd", hint="name it arm.usda")
         check_outputs([target], overwrite=overwrite)
-        text = usd.servo_usd(self._robot, self._links, self.result.values)
-        law = usd.read_usd(text, self.result.joints, str(target))
-        replayed = self._rolled_out("USD", law, runs, usd.MISSING)
+        values = self.result.values
+        words, zero = left_out(values, usd.MISSING), values[:, INDEX["zero"]]
+        text, replayed = nearest_file(
+            usd.FORMAT,
+            values,
+            self._links,
+            None,
+            self._replayed(runs),
+            lambda found: usd.servo_usd(self._robot, self._links, found, words),
+            lambda written, motions: law_paths(
+                usd.read_usd(written, self.result.joints, str(target)), self._links, zero, motions
+            ),
+        )
         replace_files({target: text})
         return replayed
 
@@ -206,12 +237,6 @@ class ServoModel(GradedResult):
         if not motions and self.identification is not None:
             motions = self.identification.motions
         return motions
-
-    def _rolled_out(self, file: str, law: ActuatorLaw, runs: Runs, missing: tuple[str, ...]) -> ServoReplay | None:
-        motions = self._replayed(runs)
-        if not motions:
-            return None
-        return replay_law(file, law, self._links, self.result.values, motions, missing)
 
     def ranges(self, unit_spread: float = 0.0) -> dict[str, object]:
         """Ranges for domain randomisation: per joint the 95 % box of each parameter, and their covariance.
@@ -268,6 +293,7 @@ def identify_servo(
     *,
     validation: Runs = (),
     robot: str | Path | RobotFile | None = None,
+    model_file: str | PathLike[str] | None = None,
     progress: Progress = silent,
 ) -> ServoModel:
     """Identify an arm of servos from commanded and measured positions: `dynid identify --method servo`.
@@ -276,12 +302,14 @@ def identify_servo(
         runs: a recording with `target_position`, or several of one arm; read already or paths.
         validation: held-out recordings; the last 30 % of each of the others without any.
         robot: in place of the recordings' own robot file; the links' masses are taken from it.
+        model_file: an MJCF of the arm as it came; its roll-out in MuJoCo stands beside the model's.
         progress: called with the name of each step.
 
     Raises:
         DataError: a recording has no commands, or its positions do not follow them.
         RobotFileError: a link's mass is not known, or `servo` names an unknown joint or parameter.
         IdentificationError: no joint moves.
+        ModelError: the MJCF cannot be rolled out.
 
     Example:
         >>> import dynid
@@ -296,7 +324,8 @@ def identify_servo(
         raise UsageError("no recording to identify from")
     robot_file = None if robot is None else load_robot(robot)
     file = robot_file or recordings[0].robot()
-    identification = identify_recordings(recordings, held_out, robot_file, _given(file), progress)
+    reference = None if model_file is None else Path(model_file)
+    identification = identify_recordings(recordings, held_out, robot_file, _given(file), progress, reference)
     return ServoModel(identification.result, identification)
 
 

@@ -27,7 +27,7 @@ def main() -> None:
     else:
         run = simulate_servo("so101", duration=30.0, seed=1)
         model = dynid.identify_servo(run, validation=simulate_servo("so101", duration=6.0, seed=3))
-    print("| file | as recorded | shaped by profile and bias | dynid | not in the file |")
+    print("| file | values nearest to the model | values as identified | dynid | not in the file |")
     print("|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
@@ -38,7 +38,7 @@ def main() -> None:
         ):
             replayed = write(path, other)
             assert replayed is not None
-            errors = (replayed.error, replayed.shaped_error, replayed.model_error)
+            errors = (replayed.error, replayed.identified_error, replayed.model_error)
             cells = [replayed.file, *(f"{1e3 * error:.2g}" for error in errors), ", ".join(replayed.left_out)]
             print("| " + " | ".join(cells) + " |", flush=True)
 

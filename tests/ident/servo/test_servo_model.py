@@ -12,8 +12,10 @@ import pytest
 
 import dynid
 from daq.recording.recording import JOINTS_STREAM, Recording
-from ident.servo.arm_rollout import roll_out_arm
-from ident.servo.mjcf import replay, servo_mjcf
+from ident.servo.actuator_law import shaped_commands
+from ident.servo.arm_rollout import roll_out_arm, rollout_errors
+from ident.servo.contact import Contact
+from ident.servo.mjcf import played_paths, servo_mjcf
 from ident.servo.terms import INDEX
 
 WEIGHTED = ("shoulder_lift", "elbow_flex", "wrist_flex")
@@ -131,17 +133,45 @@ def test_what_an_mjcf_holds_moves_in_mujoco_as_in_the_roll_out(model):
     values[:, [INDEX[name] for name in ("load_friction", "breakaway", "load_breakaway", "dead_band")]] = 0.0
     motion = model.identification.motions[0].between(0, 500)
     path = roll_out_arm([motion], model._links, values)[0]
-    same = dataclasses.replace(motion, position=path)
-    played = replay(servo_mjcf(model._robot, model._links, values), model._links, values, [same], [path])
-    assert played.shaped_error < 2e-3
-    assert played.left_out == ("the servos' profile",)
+    shaped = dataclasses.replace(motion, position=path, command=shaped_commands(model._links, motion, values))
+    played = played_paths(servo_mjcf(model._robot, model._links, values), model._links, [shaped])
+    assert rollout_errors([shaped], played).mean() < 2e-3
+
+
+def test_what_the_arm_touches_holds_it_up_in_mujoco_too(model):
+    pytest.importorskip("mujoco")
+    links, values = model._links, model.result.values
+    motion = model.identification.motions[0].between(0, 400)
+    link = 4
+    heights = links.heights(link, motion.position.T)[0][0]
+    touched = Contact(link, np.zeros(3), float(np.median(heights)), 2000.0)
+    text = servo_mjcf(model._robot, links, values, (), touched)
+    free, held = (played_paths(given, links, [motion])[0] for given in (servo_mjcf(model._robot, links, values), text))
+    assert links.heights(link, free.T)[0][0].min() < touched.height - 0.01
+    assert links.heights(link, held.T)[0][0].min() > touched.height - 0.004
+
+
+def test_an_mjcf_as_it_came_is_a_reference(model, folder, short_run, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("mujoco")
+    path = tmp_path / "came.xml"
+    text = servo_mjcf(model._robot, model._links, model.result.values)
+    path.write_text(text.replace("<worldbody>", '<asset><mesh name="m" file="no.stl"/></asset><worldbody>'))
+    judged = model.validate(short_run, model_file=path).result.validation
+    assert np.mean(judged.rollout_error) < np.mean(judged.references.model_file) < 0.1
+    assert "model_file" in {column.name for column in model.validate(short_run, model_file=path).errors.columns}
+    path.write_text("<robot/>")
+    run = tmp_path / "run.h5"
+    dynid.write_recording(run, short_run)
+    status, _, error = command_line.run(monkeypatch, capsys, "validate", folder, run, "--model-file", path)
+    assert status == 2
+    assert "URDF has no gains" in error
 
 
 def test_an_export_says_what_it_leaves_out_and_replaces_nothing_unasked(model, tmp_path):
     pytest.importorskip("mujoco")
     played = model.export_mjcf(tmp_path / "arm.xml")
     assert "friction that follows the load" in played.left_out
-    assert played.model_error < played.shaped_error < played.error
+    assert played.model_error < played.error < 0.5 * played.identified_error
     with pytest.raises(dynid.UsageError, match="exists"):
         model.export_mjcf(tmp_path / "arm.xml")
 

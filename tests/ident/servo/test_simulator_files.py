@@ -284,10 +284,9 @@ def test_the_command_writes_all_formats_with_their_replay(model, run, tmp_path, 
     assert status == 0, error
     files = json.loads(output)["files"]
     replay = files[0]["replay"]
-    assert replay["error"] > FAITHFUL * replay["model_error"]
-    assert replay["shaped_error"] < replay["error"]
-    assert not replay["faithful"]
-    assert "the servos' profile" in replay["left_out"]
+    assert replay["error"] < 0.7 * replay["identified_error"]
+    assert replay["faithful"] == (replay["error"] <= FAITHFUL * replay["model_error"])
+    assert replay["left_out"] == ["friction that follows the load"]
     assert json.loads(Path(files[1]["path"]).read_text(encoding="utf-8"))["unit_spread"] == 0.1
     target = ["--usd", tmp_path / "arm.xyz"]
     status, _, error = command_line.run(monkeypatch, capsys, "export", tmp_path / "model", *target)
