@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import savgol_filter
-from scipy.stats import t as student
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.contact import Contact, away, find_contact, in_contact
@@ -25,11 +24,9 @@ from ident.servo.search import (
     BLOCKED_LITTLE,
     EVERY_ERROR,
     evaluate,
+    intervals,
     joint_cost,
     lane_cost,
-    loss,
-    normal_equations,
-    of_joint,
     robust_scale,
     search,
 )
@@ -37,7 +34,6 @@ from ident.servo.terms import (
     GROUPS,
     INDEX,
     TERMS,
-    from_search,
     members,
     start_values,
     to_search,
@@ -50,6 +46,9 @@ PIECES = 160
 
 FINAL_PIECES = 200
 
+STARTING_PIECES = 40
+"""Pieces at most in the first searches from several limits of acceleration."""
+
 GAIN = 1.3
 """What a term saves on held-out pieces, over what it costs on others: no t-test, since a limit of acceleration shows in
 few pieces, and there clearly."""
@@ -60,23 +59,19 @@ LEAST_GAIN = 0.01
 ACCELERATIONS = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
 """[rad/s²] Starts of a profile's limit."""
 
-FADING = (0.01, 0.05)
-"""[rad/s] Starts of the Stribeck velocity."""
-
-WIDEST = 3.0
-"""Ratio of an interval's end to the value beyond which a positive term cannot be determined."""
-
-FEWEST_PIECES = 1.2
-"""Pieces of motion that must determine a term: with a single one, its error at the optimum is 0 by construction."""
+FADING = 0.02
+"""[rad/s] Start of the Stribeck velocity."""
 
 SMOOTHED = 0.14
 """[s] span of the local polynomial through measured positions that gives accelerations for coupling."""
 
-LOAD_GROUP, CONTACT = "load", "contact"
-"""A contact is looked for where the load's friction is known, and before a zero could stand for it."""
-
 FIRST_GROUP = "profile"
 """The optional term that is settled with those that every joint has."""
+
+FRICTION = ("load", "breakaway")
+"""Groups that are fitted from the beginning, and taken away where nothing asks for them: without them all torques of a
+joint grow until its bias and Coulomb friction take their part, and no search comes back from there. What the arm
+touches is looked for after them, and before a zero could stand for it."""
 
 CLEAR = 3.0
 """Times the median change of a held-out piece's cost from which on a change counts for `GAIN`."""
@@ -89,8 +84,6 @@ TORQUES = ("stiffness", "damping", "armature", "coulomb", "breakaway", "torque_l
 
 MOVING = 0.02
 """[rad/s] of a joint in the regression that gives the start."""
-
-CONFIDENCE = 0.95
 
 Progress = Callable[[str], None]
 
@@ -158,6 +151,10 @@ def fit_servo(
     reach = np.array([max(np.ptp(motion.command[:, joint]) for motion in motions) for joint in range(joints)])
     moving = reach > RESTING * resolution
     free[~moving] = False
+    for group in FRICTION:
+        able = np.flatnonzero(moving & ~held[:, members(group)].any(axis=1)).tolist()
+        values, free = with_group(values, free, able, group)
+        values = _beside_coulomb(values, able, group)
     centre = to_search(values)
     least = float(np.min(resolution))
     weighted = set(links.weighted(np.concatenate([motion.position for motion in motions]).T).tolist())
@@ -179,14 +176,14 @@ def fit_servo(
     values, free, pruned = _pruned(final, values, free, least, gains)
     if pruned:
         values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
-    seen = _intervals(final, values, free, least)[2][:, INDEX["stiffness"]]
+    seen = intervals(final, values, free, least)[2][:, INDEX["stiffness"]]
     loose = free[:, INDEX["stiffness"]] & ~seen
     if loose.any():
         values, free, held, more = _tied(values, free, held, centre, ~loose, moving, given)
         assumed |= more
         progress("final fit of joints whose torques nothing ties to N·m")
         values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
-    low, high, seen, _, covariance = _intervals(final, values, free, least)
+    low, high, seen, _, covariance = intervals(final, values, free, least)
     pieces = len(np.unique(final.piece))
     if contact is not None:
         progress("contact")
@@ -230,23 +227,24 @@ def _settle_terms(
     """
     centre, held, weighted, moving = joints
     chosen, judged = parts
-    groups = list(GROUPS)
-    groups[groups.index(FIRST_GROUP)] = LOAD_GROUP
-    groups[groups.index(LOAD_GROUP, 1)] = CONTACT
-    for group in groups:
-        if group == CONTACT:
-            progress("does the arm touch something?")
-            state.contact = find_contact(state.lanes, state.values, *tool, least)
-            chosen, judged = _left(state)
-            scale = _scale(chosen, state.values, least)
-            state.values = search(chosen, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
+    progress("does friction follow load and speed?")
+    _settle_friction(state, chosen, judged, centre, least)
+    progress("does the arm touch something?")
+    state.contact = find_contact(state.lanes, state.values, *tool, least)
+    chosen, judged = _left(state)
+    scale = _scale(chosen, state.values, least)
+    state.values = search(chosen, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
+    for group in GROUPS:
+        if group == FIRST_GROUP or group in FRICTION:
             continue
         offered = moving & weighted if group == "zero" else moving
-        able = np.flatnonzero(offered & ~held[:, members(group)].any(axis=1)).tolist()
-        if not able:
+        able = np.flatnonzero(offered & ~held[:, members(group)].any(axis=1))
+        if not len(able):
             continue
-        progress(f"is there a {group}?" if group != LOAD_GROUP else "does friction follow the load?")
-        state.values, state.free, saved = _tried(chosen, judged, state.values, state.free, centre, able, group, least)
+        progress(f"is there a {group}?")
+        trial = _tried(chosen, state.values, state.free, centre, able.tolist(), group, least)
+        saved = _savings(judged, state.values, trial[0], able.tolist(), least, BLOCKED_LITTLE)
+        _taken(state, centre, trial, list(saved))
         for joint, share in saved.items():
             state.gains[joint][group] = share
         if group == "zero" and saved:
@@ -255,6 +253,27 @@ def _settle_terms(
     if state.contact is not None:
         state.contact = find_contact(state.lanes, state.values, *tool, least, state.contact)
         _left(state)
+
+
+def _settle_friction(state: _State, chosen: Lanes, judged: Lanes, centre: FloatArray, least: float) -> None:
+    """Take the groups of `FRICTION` away from joints that do not ask for them, in place."""
+    for group in FRICTION:
+        able = np.flatnonzero(state.free[:, members(group)].any(axis=1)).tolist()
+        values, free = state.values.copy(), state.free.copy()
+        without_group(values, free, able, group)
+        values = search(chosen, values, free, _scale(chosen, values, least), centre, 12, BLOCKED_LITTLE)
+        saved = _savings(judged, values, state.values, able, least, BLOCKED_LITTLE)
+        for joint, share in saved.items():
+            state.gains[joint][group] = share
+        _taken(state, centre, (values, free, centre), [joint for joint in able if joint not in saved])
+
+
+def _taken(
+    state: _State, centre: FloatArray, trial: tuple[FloatArray, BoolArray, FloatArray], joints: list[int]
+) -> None:
+    """Take a trial's values, free terms and prior for some joints, in place."""
+    state.values, state.free = state.values.copy(), state.free.copy()
+    state.values[joints], state.free[joints], centre[joints] = trial[0][joints], trial[1][joints], trial[2][joints]
 
 
 def _left(state: _State) -> tuple[Lanes, Lanes]:
@@ -361,48 +380,35 @@ def _scale(lanes: Lanes, values: FloatArray, least: float) -> FloatArray:
 
 def _tried(
     chosen: Lanes,
-    judged: Lanes,
     values: FloatArray,
     free: BoolArray,
     centre: FloatArray,
     able: Sequence[int],
     group: str,
     least: float,
-) -> tuple[FloatArray, BoolArray, dict[int, float]]:
-    """Values and free terms with a group where it lowers the cost of pieces that it was not fitted to."""
+) -> tuple[FloatArray, BoolArray, FloatArray]:
+    """Values, free terms and prior (n, terms) with a group added to some joints, fitted."""
     scale = _scale(chosen, values, least)
     trial, trial_free = with_group(values, free, able, group)
-    trial = _best_start(chosen, values, trial, able, group, scale)
-    trial_centre = np.where(trial_free & ~free, to_search(trial), centre)
-    trial = search(chosen, trial, trial_free, scale, trial_centre, 12, BLOCKED_LITTLE)
-    saved = _savings(judged, values, trial, able, least, BLOCKED_LITTLE)
-    rows = list(saved)
-    values, free = values.copy(), free.copy()
-    values[rows], free[rows] = trial[rows], trial_free[rows]
-    centre[rows] = trial_centre[rows]
-    return values, free, saved
-
-
-def _best_start(
-    lanes: Lanes, values: FloatArray, trial: FloatArray, able: Sequence[int], group: str, scale: FloatArray
-) -> FloatArray:
-    """The start of a group that costs each joint least."""
-    trial = trial.copy()
     if group == "saturation":
-        stiffness = values[:, INDEX["stiffness"]]
         reach = np.zeros(len(values))
-        error = np.abs(lanes.command[lanes.history :] - lanes.start)
-        np.maximum.at(reach, lanes.joint, error.max(axis=0))
-        trial[able, INDEX["torque_limit"]] = (0.5 * stiffness * np.maximum(reach, 1e-3))[able]
-    if group != "breakaway":
-        return trial
-    trial[able, INDEX["breakaway"]] = 0.3 * values[able, INDEX["coulomb"]]
-    fading, costs = INDEX["stribeck_velocity"], []
-    for start in FADING:
-        trial[able, fading] = start
-        costs.append(joint_cost(evaluate(lanes, trial)[0], lanes, scale, BLOCKED_LITTLE))
-    trial[able, fading] = np.array(FADING)[np.argmin(costs, axis=0)][able]
-    return trial
+        error = np.abs(chosen.command[chosen.history :] - chosen.start)
+        np.maximum.at(reach, chosen.joint, error.max(axis=0))
+        limit = 0.5 * values[:, INDEX["stiffness"]] * np.maximum(reach, 1e-3)
+        trial[able, INDEX["torque_limit"]] = limit[able]
+    trial_centre = np.where(trial_free & ~free, to_search(trial), centre)
+    return search(chosen, trial, trial_free, scale, trial_centre, 12, BLOCKED_LITTLE), trial_free, trial_centre
+
+
+def _beside_coulomb(values: FloatArray, able: Sequence[int], group: str) -> FloatArray:
+    """A group of friction beside Coulomb friction that was found without it."""
+    values = values.copy()
+    if group == "load":
+        values[able, INDEX["coulomb"]] *= 0.5
+    else:
+        values[able, INDEX["breakaway"]] = 0.3 * values[able, INDEX["coulomb"]]
+        values[able, INDEX["stribeck_velocity"]] = FADING
+    return values
 
 
 def _piece_costs(residual: FloatArray, lanes: Lanes, scale: FloatArray, shape: float) -> list[FloatArray]:
@@ -437,7 +443,7 @@ def _first_fit(
     starts, many = np.tile(trial, (len(ACCELERATIONS), 1)), len(ACCELERATIONS)
     rows = (np.arange(many)[:, None] * len(values) + able).ravel()
     starts[rows, limit] = np.repeat(ACCELERATIONS, len(able))
-    wide = repeated(chosen, many, len(values))
+    wide = repeated(_pieces(chosen, STARTING_PIECES), many, len(values))
     centres = np.where(np.tile(trial_free & ~free, (many, 1)), to_search(starts), np.tile(centre, (many, 1)))
     starts = search(wide, starts, np.tile(free, (many, 1)), np.tile(scale, many), centres, 8, EVERY_ERROR)
     costs = joint_cost(evaluate(wide, starts)[0], wide, np.tile(scale, many), EVERY_ERROR).reshape(many, -1)
@@ -480,7 +486,7 @@ def _pruned(
     lanes: Lanes, values: FloatArray, free: BoolArray, least: float, gains: list[dict[str, float]]
 ) -> tuple[FloatArray, BoolArray, bool]:
     """Values and free terms without the optional terms of which all data together tell nothing."""
-    wide = _intervals(lanes, values, free, least)[3]
+    wide = intervals(lanes, values, free, least)[3]
     values, free, pruned = values.copy(), free.copy(), False
     for group in GROUPS:
         own = members(group)
@@ -531,83 +537,3 @@ def _tied(
         free[joint, stiffness], held[joint, stiffness] = False, True
         assumed.add((joint, stiffness))
     return values, free, held, frozenset(assumed)
-
-
-def _intervals(
-    lanes: Lanes, values: FloatArray, free: BoolArray, least: float
-) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, tuple[FloatArray, ...]]:
-    """Ends of the 95 % intervals (n, terms), which terms the data tell, which are too wide, and covariances.
-
-    The sandwich over pieces (their errors are not independent within one), or, in directions that the data hardly show,
-    the curvature alone with the pieces' inflation.
-    """
-    low, high = np.full_like(values, np.nan), np.full_like(values, np.nan)
-    seen = np.zeros_like(free)
-    residual, tangents = evaluate(lanes, values, free)
-    scale = robust_scale(residual, lanes, len(values), least)
-    columns = np.flatnonzero(free.any(axis=0))
-    covariances, wide = [], np.zeros_like(free)
-    for joint in range(len(values)):
-        own = np.flatnonzero(free[joint])
-        if not len(own):
-            covariances.append(np.zeros((0, 0)))
-            continue
-        curvature = normal_equations(residual, tangents, lanes, joint, scale[joint], columns, own, BLOCKED_LITTLE)[0]
-        scores = _scores(residual, tangents, lanes, joint, scale[joint], columns, own)
-        covariances.append(_covariance(curvature, scores))
-        reach = np.sqrt(np.diag(covariances[-1])) * student.ppf(0.5 + CONFIDENCE / 2, max(1, len(scores) - 1))
-        point = to_search(values)[joint]
-        for index, half in zip(own, reach, strict=True):
-            term = TERMS[index]
-            ends = np.tile(point, (2, 1))
-            ends[:, index] += np.array([-1.0, 1.0]) * min(float(half), 50.0)
-            low[joint, index], high[joint, index] = from_search(ends)[:, index]
-            seen[joint, index] = half < (np.log(WIDEST) if term.positive else term.spread)
-        single = _pieces_that_tell(tangents, residual, lanes, joint, columns, own) < FEWEST_PIECES
-        wide[joint, own], seen[joint, own] = ~seen[joint, own], seen[joint, own] & ~single
-    return low, high, seen, wide, tuple(covariances)
-
-
-def _pieces_that_tell(
-    tangents: FloatArray, residual: FloatArray, lanes: Lanes, joint: int, columns: IndexArray, own: IndexArray
-) -> FloatArray:
-    """(terms,) number of pieces that a term's information comes from, as if each gave the same."""
-    error, derivative = of_joint(residual, tangents, lanes, joint, columns, own)
-    information = np.einsum("fsl,sl->fl", derivative**2, np.isfinite(error).astype(np.float64))
-    return np.asarray(information.sum(axis=1) ** 2 / np.maximum((information**2).sum(axis=1), 1e-300), dtype=np.float64)
-
-
-def _scores(
-    residual: FloatArray,
-    tangents: FloatArray,
-    lanes: Lanes,
-    joint: int,
-    scale: float,
-    columns: IndexArray,
-    own: IndexArray,
-) -> FloatArray:
-    """(pieces, terms) gradient of each piece's cost."""
-    measured, derivative = of_joint(residual, tangents, lanes, joint, columns, own)
-    error = np.nan_to_num(measured / scale)
-    weighted = error * loss(error, BLOCKED_LITTLE)[1] / scale
-    scores: FloatArray = np.einsum("sl,fsl->lf", weighted, derivative)
-    return scores[np.isfinite(measured).any(axis=0)]
-
-
-def _covariance(curvature: FloatArray, scores: FloatArray) -> FloatArray:
-    """Covariance of the terms; very large in directions that the data do not show."""
-    count, terms = scores.shape
-    lengths = np.sqrt(np.maximum(np.diag(curvature), 1e-150))
-    normal = curvature / np.outer(lengths, lengths)
-    powers, axes = np.linalg.eigh(normal)
-    powers = np.maximum(powers, 1e-12)
-    turned = (scores / lengths) @ axes
-    spread = turned.T @ turned * (count / max(count - terms, 1))
-    inflation = float(np.median(np.diag(spread) / powers))
-    # No direction is known better than the curvature allows: where the data show nothing, the scores vanish, too.
-    widened = np.maximum(np.diag(spread), inflation * powers)
-    factor = np.sqrt(widened / np.maximum(np.diag(spread), 1e-30))
-    spread = spread * np.outer(factor, factor)
-    turned_back = axes / powers
-    covariance: FloatArray = turned_back @ spread @ turned_back.T / np.outer(lengths, lengths)
-    return np.clip(covariance, -1e6, 1e6)

@@ -1,4 +1,4 @@
-"""Output error of servo joints: robust Levenberg-Marquardt on roll-outs of all joints and pieces side by side.
+"""Output error of servo joints: robust Levenberg-Marquardt on roll-outs side by side, and 95 % intervals at its end.
 
 The loss of an error e (in scales) is Barron's ("A general and adaptive robust loss function", CVPR 2019) of shape α:
 2·(√(e² + 1) − 1) for α = 1, which every error pulls at, and 2·log(e²/2 + 1) for α = 0, which a joint that something
@@ -8,6 +8,7 @@ blocked for seconds hardly pulls at.
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import t as student
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.rollout import Lanes, at_samples, roll_out
@@ -18,6 +19,14 @@ DAMPING_FACTOR = 4.0
 DAMPING_LIMIT = 1e5
 STILL = 3e-4
 """Relative fall of a joint's cost at which its search ends."""
+
+WIDEST = 3.0
+"""Ratio of an interval's end to the value beyond which a positive term cannot be determined."""
+
+FEWEST_PIECES = 1.2
+"""Pieces of motion that must determine a term: with a single one, its error at the optimum is 0 by construction."""
+
+CONFIDENCE = 0.95
 
 _SPREAD = np.array([term.spread for term in TERMS])
 
@@ -152,3 +161,83 @@ def normal_equations(
 
 def _prior(point: FloatArray, centre: FloatArray, free: BoolArray) -> FloatArray:
     return np.asarray(np.sum(np.where(free, ((point - centre) / _SPREAD) ** 2, 0.0), axis=1), dtype=np.float64)
+
+
+def intervals(
+    lanes: Lanes, values: FloatArray, free: BoolArray, least: float
+) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray, tuple[FloatArray, ...]]:
+    """Ends of the 95 % intervals (n, terms), which terms the data tell, which are too wide, and covariances.
+
+    The sandwich over pieces (their errors are not independent within one), or, in directions that the data hardly show,
+    the curvature alone with the pieces' inflation.
+    """
+    low, high = np.full_like(values, np.nan), np.full_like(values, np.nan)
+    seen = np.zeros_like(free)
+    residual, tangents = evaluate(lanes, values, free)
+    scale = robust_scale(residual, lanes, len(values), least)
+    columns = np.flatnonzero(free.any(axis=0))
+    covariances, wide = [], np.zeros_like(free)
+    for joint in range(len(values)):
+        own = np.flatnonzero(free[joint])
+        if not len(own):
+            covariances.append(np.zeros((0, 0)))
+            continue
+        curvature = normal_equations(residual, tangents, lanes, joint, scale[joint], columns, own, BLOCKED_LITTLE)[0]
+        scores = _scores(residual, tangents, lanes, joint, scale[joint], columns, own)
+        covariances.append(_covariance(curvature, scores))
+        reach = np.sqrt(np.diag(covariances[-1])) * student.ppf(0.5 + CONFIDENCE / 2, max(1, len(scores) - 1))
+        point = to_search(values)[joint]
+        for index, half in zip(own, reach, strict=True):
+            term = TERMS[index]
+            ends = np.tile(point, (2, 1))
+            ends[:, index] += np.array([-1.0, 1.0]) * min(float(half), 50.0)
+            low[joint, index], high[joint, index] = from_search(ends)[:, index]
+            seen[joint, index] = half < (np.log(WIDEST) if term.positive else term.spread)
+        single = _pieces_that_tell(tangents, residual, lanes, joint, columns, own) < FEWEST_PIECES
+        wide[joint, own], seen[joint, own] = ~seen[joint, own], seen[joint, own] & ~single
+    return low, high, seen, wide, tuple(covariances)
+
+
+def _pieces_that_tell(
+    tangents: FloatArray, residual: FloatArray, lanes: Lanes, joint: int, columns: IndexArray, own: IndexArray
+) -> FloatArray:
+    """(terms,) number of pieces that a term's information comes from, as if each gave the same."""
+    error, derivative = of_joint(residual, tangents, lanes, joint, columns, own)
+    information = np.einsum("fsl,sl->fl", derivative**2, np.isfinite(error).astype(np.float64))
+    return np.asarray(information.sum(axis=1) ** 2 / np.maximum((information**2).sum(axis=1), 1e-300), dtype=np.float64)
+
+
+def _scores(
+    residual: FloatArray,
+    tangents: FloatArray,
+    lanes: Lanes,
+    joint: int,
+    scale: float,
+    columns: IndexArray,
+    own: IndexArray,
+) -> FloatArray:
+    """(pieces, terms) gradient of each piece's cost."""
+    measured, derivative = of_joint(residual, tangents, lanes, joint, columns, own)
+    error = np.nan_to_num(measured / scale)
+    weighted = error * loss(error, BLOCKED_LITTLE)[1] / scale
+    scores: FloatArray = np.einsum("sl,fsl->lf", weighted, derivative)
+    return scores[np.isfinite(measured).any(axis=0)]
+
+
+def _covariance(curvature: FloatArray, scores: FloatArray) -> FloatArray:
+    """Covariance of the terms; very large in directions that the data do not show."""
+    count, terms = scores.shape
+    lengths = np.sqrt(np.maximum(np.diag(curvature), 1e-150))
+    normal = curvature / np.outer(lengths, lengths)
+    powers, axes = np.linalg.eigh(normal)
+    powers = np.maximum(powers, 1e-12)
+    turned = (scores / lengths) @ axes
+    spread = turned.T @ turned * (count / max(count - terms, 1))
+    inflation = float(np.median(np.diag(spread) / powers))
+    # No direction is known better than the curvature allows: where the data show nothing, the scores vanish, too.
+    widened = np.maximum(np.diag(spread), inflation * powers)
+    factor = np.sqrt(widened / np.maximum(np.diag(spread), 1e-30))
+    spread = spread * np.outer(factor, factor)
+    turned_back = axes / powers
+    covariance: FloatArray = turned_back @ spread @ turned_back.T / np.outer(lengths, lengths)
+    return np.clip(covariance, -1e6, 1e6)
