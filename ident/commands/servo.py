@@ -18,6 +18,9 @@ if TYPE_CHECKING:
 SERVO = "servo"
 """Of --method: commands and encoders in place of torques."""
 
+TRAJECTORY_SUFFIXES = frozenset({".yaml", ".yml"})
+"""Of a motion in place of a recording."""
+
 _TAKEN = frozenset({"runs", "validation", "robot", "method", "progress"})
 """Options of identify that a servo model has."""
 
@@ -77,12 +80,21 @@ def validate_servo_command(path: Path, runs: object, *, model_file: Path | None,
 
 
 def predict_servo_command(path: Path, run: Path, out: Path, *, as_json: bool, force: bool) -> None:
-    """Write a recording whose positions are rolled out on another's commands."""
+    """Write a recording whose positions are rolled out on another's commands, or on those of a trajectory file."""
     from daq.recording.writer import write_recording
     from ident.commands.printing.result import print_tables
     from ident.tasks.servo import load_servo_model
 
     model = load_servo_model(path)
+    if run.suffix in TRAJECTORY_SUFFIXES:
+        write_recording(out, model.play(run), overwrite=force)
+        if as_json:
+            from daq.commands.console import print_json
+
+            print_json({"file": str(out), "joints": model.result.joints, "validation": None})
+            return
+        print(f"Positions rolled out on the motion's commands: {out}")
+        return
     rolled = model.predict(run)
     judged = model.validate(run)
     write_recording(out, rolled, overwrite=force)

@@ -49,6 +49,9 @@ FINAL_PIECES = 200
 STARTING_PIECES = 40
 """Pieces at most in the first searches from several limits of acceleration."""
 
+LIKE = 2
+"""Joints with a profile, at least, from which on another is taken to have one alike."""
+
 GAIN = 1.3
 """What a term saves on held-out pieces, over what it costs on others: no t-test, since a limit of acceleration shows in
 few pieces, and there clearly."""
@@ -59,8 +62,12 @@ LEAST_GAIN = 0.01
 ACCELERATIONS = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
 """[rad/s²] Starts of a profile's limit."""
 
-FADING = 0.02
-"""[rad/s] Start of the Stribeck velocity."""
+LITTLE, FADING = 0.02, 0.02
+"""Starts of load_breakaway and of the Stribeck velocity [rad/s]."""
+
+LATE = ("load_breakaway", "stribeck_velocity")
+"""Terms that are held in the first fit: a joint that breaks away from a large friction within a small velocity jumps,
+and no search comes back from there."""
 
 SMOOTHED = 0.14
 """[s] span of the local polynomial through measured positions that gives accelerations for coupling."""
@@ -155,6 +162,8 @@ def fit_servo(
         able = np.flatnonzero(moving & ~held[:, members(group)].any(axis=1)).tolist()
         values, free = with_group(values, free, able, group)
         values = _beside_coulomb(values, able, group)
+    late = free & np.isin(np.arange(len(TERMS)), [INDEX[name] for name in LATE])
+    free &= ~late
     centre = to_search(values)
     least = float(np.min(resolution))
     weighted = set(links.weighted(np.concatenate([motion.position for motion in motions]).T).tolist())
@@ -162,6 +171,7 @@ def fit_servo(
     progress("first fit")
     gains: list[dict[str, float]] = [{} for _ in range(joints)]
     values, free = _first_fit(chosen, judged, values, free, centre, np.flatnonzero(moving), held, least, gains)
+    free |= late
     heavy = np.array([joint in weighted for joint in range(joints)])
     scaled = (heavy & moving) | held[:, [INDEX[name] for name in TORQUES]].any(axis=1)
     values, free, held, assumed = _tied(values, free, held, centre, scaled, moving, given)
@@ -407,7 +417,7 @@ def _beside_coulomb(values: FloatArray, able: Sequence[int], group: str) -> Floa
         values[able, INDEX["coulomb"]] *= 0.5
     else:
         values[able, INDEX["breakaway"]] = 0.3 * values[able, INDEX["coulomb"]]
-        values[able, INDEX["stribeck_velocity"]] = FADING
+        values[able, INDEX["load_breakaway"]], values[able, INDEX["stribeck_velocity"]] = LITTLE, FADING
     return values
 
 
@@ -452,6 +462,20 @@ def _first_fit(
     best = search(chosen, best, trial_free, scale, trial_centre, 10, EVERY_ERROR)
     best = search(chosen, best, trial_free, _scale(chosen, best, least), trial_centre, 15, EVERY_ERROR)
     saved = _savings(judged, plain, best, able.tolist(), least, EVERY_ERROR)
+    left = np.array([joint for joint in able.tolist() if joint not in saved], dtype=np.intp)
+    if len(left) and len(saved) >= LIKE:
+        # Servos of one arm are mostly of one kind: those that found no profile begin again with that of the others.
+        own, alike = chosen.of(np.flatnonzero(np.isin(chosen.joint, left))), trial.copy()
+        for name in ("acceleration_limit", "delay"):
+            alike[left, INDEX[name]] = np.median(best[list(saved), INDEX[name]])
+        only = trial_free & np.isin(np.arange(len(values)), left)[:, None]
+        trial_centre[left, limit] = to_search(alike)[left, limit]
+        held_limit = only.copy()
+        held_limit[:, limit] = False
+        for freed in (held_limit, only):
+            alike = search(own, alike, freed, scale, trial_centre, 12, EVERY_ERROR)
+        best[left] = alike[left]
+        saved = _savings(judged, plain, best, able.tolist(), least, EVERY_ERROR)
     rows = list(saved)
     values, free = plain.copy(), free.copy()
     values[rows], free[rows], centre[rows] = best[rows], trial_free[rows], trial_centre[rows]

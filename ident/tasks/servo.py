@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from daq.output_files import check_outputs, replace_files
 from daq.plotting import Backend
-from daq.recording.commanded_motion import TARGET
+from daq.recording.commanded_motion import TARGET, CommandedMotion
 from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import RobotFileError, UsageError
+from drivers.core.errors import DataError, RobotFileError, UsageError
 from drivers.core.files import path_of
 from drivers.core.reading_process import Progress
 from drivers.streams import UNITS
@@ -30,11 +31,12 @@ from ident.servo.arm_rollout import roll_out_arm
 from ident.servo.identify import ServoIdentification, contact_of, read_motions, revalidate_servo
 from ident.servo.identify import identify_servo as identify_recordings
 from ident.servo.links import servo_links
-from ident.servo.motion import ServoMotion
+from ident.servo.motion import ServoMotion, servo_motions
 from ident.servo.ranges import drawn, servo_ranges
 from ident.servo.result import ServoResult, read_servo_result, with_values
 from ident.servo.terms import INDEX, TERMS
 from ident.tasks.arguments import Run, Runs, recording_of, recordings_of
+from ident.tasks.excitation import CSV_RATE, load_trajectory
 from ident.tasks.options import silent
 from ident.tasks.saved_result import GradedResult
 
@@ -99,6 +101,54 @@ class ServoModel(GradedResult):
         kept = {} if target is None else {TARGET: replace(target, values=target.values[rows])}
         played = Stream(JOINTS_STREAM, stream.time[rows], stream.host_time[rows], {"position": position, **kept})
         return replace(recording, path=None, streams={**recording.streams, JOINTS_STREAM: played})
+
+    def simulate(self, time: npt.ArrayLike, command: npt.ArrayLike, *, start: npt.ArrayLike | None = None) -> Recording:
+        """What the arm does with commands that nobody has recorded: a recording of `position` and `target_position`.
+
+        Args:
+            time: (N,) [s], increasing; at least 3 s, from 8 Hz up.
+            command: (N, n) positions [rad or m].
+            start: (n,) position at the beginning, at rest; the first command without.
+
+        Raises:
+            DataError: other shapes, a value that is not finite, too few samples.
+
+        Example:
+            >>> import dynid
+            >>> try:
+            ...     dynid.load_servo_model("no-such-model").simulate([0.0, 0.1], [[0.0], [0.1]])
+            ... except dynid.ResultFileError as error:
+            ...     print(error.message)
+            no such file
+        """
+        stamps, commands = np.asarray(time, dtype=np.float64), np.asarray(command, dtype=np.float64)
+        begin = commands[0] if start is None and len(commands) else np.asarray(start, dtype=np.float64)
+        shape = (len(stamps), len(self.result.joints))
+        if stamps.ndim != 1 or commands.shape != shape or begin.shape != shape[1:]:
+            raise DataError(f"commands {commands.shape}, start {begin.shape}: expected {shape} and {shape[1:]}")
+        if not (np.isfinite(stamps).all() and np.isfinite(commands).all() and np.isfinite(begin).all()):
+            raise DataError("a time, command or start is not finite")
+        if np.any(np.diff(stamps) <= 0):
+            raise DataError("times do not increase")
+        positions = np.tile(begin, (len(stamps), 1))
+        given = CommandedMotion(tuple(self.result.joints), stamps, positions, stamps, {TARGET: commands})
+        motions = servo_motions(given, "commands")
+        paths = roll_out_arm(motions, self._links, self.result.values, contact_of(self.result, self._links))
+        times = np.concatenate([motion.begin + motion.time for motion in motions])
+        kept = np.searchsorted(stamps, times - 1e-9)
+        arrays = {"t": times, "q": np.concatenate(paths), TARGET: commands[kept]}
+        return Recording.from_dict(self._robot, arrays, comment="rolled out on commands by a servo model")
+
+    def play(self, trajectory: str | PathLike[str]) -> Recording:
+        """What the arm does with the commands of a trajectory file, sent 50 times a second: as `simulate`.
+
+        Raises:
+            UsageError: it cannot be read, or is of another arm.
+            DataError: it lasts less than 3 s.
+        """
+        motion = load_trajectory(trajectory, self._robot)
+        time = np.arange(int(motion.duration * CSV_RATE) + 1) / CSV_RATE
+        return self.simulate(time, motion.evaluate(time)[0])
 
     def validate(self, runs: Runs, *, model_file: str | PathLike[str] | None = None) -> ServoModel:
         """The same model judged on other recordings.

@@ -318,3 +318,22 @@ def test_a_joint_without_stiffness_has_no_range_to_scale_it_by(model, tmp_path):
     written = tmp_path / "c.py"
     dynid.load_servo_model(tmp_path).export_isaaclab(written)
     assert "nan" not in written.read_text()
+
+
+def test_commands_that_nobody_recorded_are_rolled_out(model, run, tmp_path, monkeypatch, capsys):
+    channels = run.streams["joints"].channels
+    time, command = run.streams["joints"].time, channels["target_position"].values
+    simulated = model.simulate(time, command, start=run.position[0])
+    np.testing.assert_allclose(simulated.position, model.predict(run).position, atol=1e-9)
+    with pytest.raises(dynid.DataError, match="expected"):
+        model.simulate(time, command[:, :2])
+    model.save(tmp_path / "model")
+    times = np.arange(0.0, 4.01, 0.5)
+    rows = [[0.1 * np.sin(np.pi * moment / 4) ** 4, 0.0, 0.5, 0.0, 0.0, 0.0] for moment in times]
+    motion = tmp_path / "motion.yaml"
+    motion.write_text(json.dumps({"robot": "so101", "kind": "samples", "time": times.tolist(), "position": rows}))
+    out = tmp_path / "rolled.h5"
+    status, _, error = command_line.run(monkeypatch, capsys, "predict", tmp_path / "model", motion, "-o", out)
+    assert status == 0, error
+    rolled = dynid.read_recording(out)
+    assert 0.05 < np.ptp(rolled.position[:, 0]) < 0.1
