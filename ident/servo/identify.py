@@ -89,7 +89,7 @@ def identify_servo(
         DataError: a recording has no commands, or its positions do not follow them.
         RobotFileError: a link's mass is not known.
         IdentificationError: no joint moves.
-        ModelError: the MJCF cannot be rolled out.
+        UsageError, ModelError: the MJCF cannot be rolled out.
     """
     if not recordings:
         raise DataError("no recording to identify from")
@@ -162,7 +162,7 @@ def revalidate_servo(
         model_file: an MJCF of the arm as it came, whose roll-out the errors stand beside.
 
     Raises:
-        ModelError: the MJCF cannot be rolled out.
+        UsageError, ModelError: the MJCF cannot be rolled out.
         DataError: a recording has no commands, or is of another arm.
     """
     links = servo_links(robot_file)

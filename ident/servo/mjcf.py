@@ -12,7 +12,7 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import ModelError
+from drivers.core.errors import ModelError, UsageError
 from ident.export.arm import ExportedArm
 from ident.export.mjcf import TIME_STEP, mjcf
 from ident.export.mujoco_reading import loaded, mujoco_installed
@@ -156,10 +156,11 @@ def model_file_paths(path: Path, links: ServoLinks, motions: Sequence[ServoMotio
     """Positions (N, n) of motions, as an MJCF that came with the arm moves on their commands in MuJoCo.
 
     Raises:
-        ModelError: no MJCF with a position actuator for each joint, or MuJoCo is not installed or does not read it.
+        UsageError: no MJCF with a position actuator for each joint, or MuJoCo is not installed.
+        ModelError: MuJoCo does not read it.
     """
     if not mujoco_installed():
-        raise ModelError(
+        raise UsageError(
             "MuJoCo rolls a model file out, and is not installed", where=str(path), hint="pip install mujoco"
         )
     model = _model_file(path)
@@ -172,17 +173,18 @@ def _model_file(path: Path) -> Any:
     """An MJCF as it came; without its shapes where their meshes are missing.
 
     Raises:
-        ModelError: it is none, or MuJoCo does not read it.
+        UsageError: it is none.
+        ModelError: MuJoCo does not read it.
     """
     import mujoco
 
     try:
         root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, ElementTree.ParseError) as error:
-        raise ModelError(f"is no MJCF that can be read: {error}", where=str(path)) from error
+        raise UsageError(f"is no MJCF that can be read: {error}", where=str(path)) from error
     if root.tag != "mujoco":
         hint = "a URDF has no gains: give an MJCF" if root.tag == "robot" else "give an MJCF"
-        raise ModelError(f"is no MJCF, but a <{root.tag}>", where=str(path), hint=hint)
+        raise UsageError(f"is no MJCF, but a <{root.tag}>", where=str(path), hint=hint)
     try:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError:
@@ -197,19 +199,19 @@ def _position_actuator(model: Any, joint: str, where: str) -> int:
     """The index of the actuator that holds a joint at its control.
 
     Raises:
-        ModelError: there is no such joint, or nothing holds it.
+        UsageError: there is no such joint, or nothing holds it.
     """
     import mujoco
 
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint)
     if number < 0:
-        raise ModelError(f"has no joint {joint}", where=where, hint="joints of both files must have the same names")
+        raise UsageError(f"has no joint {joint}", where=where, hint="joints of both files must have the same names")
     for actuator in range(model.nu):
         gain, bias = float(model.actuator_gainprm[actuator, 0]), float(model.actuator_biasprm[actuator, 1])
         turns = model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT
         if turns and model.actuator_trnid[actuator, 0] == number and gain > 0 and bias < 0:
             return actuator
-    raise ModelError(f"has no position actuator for {joint}", where=where, hint="its ctrl must be a position")
+    raise UsageError(f"has no position actuator for {joint}", where=where, hint="its ctrl must be a position")
 
 
 def _replayed(model: Any, links: ServoLinks, motion: ServoMotion, command: FloatArray) -> FloatArray:

@@ -159,7 +159,7 @@ class ServoModel(GradedResult):
 
         Raises:
             DataError: a recording has no commands, or is of another arm.
-            ModelError: the MJCF cannot be rolled out.
+            UsageError, ModelError: the MJCF cannot be rolled out.
         """
         file = None if model_file is None else Path(model_file)
         judged = revalidate_servo(self.result, recordings_of(runs), self._robot, file)
@@ -359,7 +359,7 @@ def identify_servo(
         DataError: a recording has no commands, or its positions do not follow them.
         RobotFileError: a link's mass is not known, or `servo` names an unknown joint or parameter.
         IdentificationError: no joint moves.
-        ModelError: the MJCF cannot be rolled out.
+        UsageError, ModelError: the MJCF cannot be rolled out.
 
     Example:
         >>> import dynid
