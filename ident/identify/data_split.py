@@ -189,11 +189,16 @@ def check_torques(runs: Sequence[RunWindow], torques: Sequence[int], names: Sequ
     constant = [names[motor] for motor in torques if not changes[motor]]
     if constant:
         measured = [names[motor] for motor in torques if changes[motor]]
+        if not measured:
+            raise DataError(
+                "no torque changes: the arm was at rest, or its torques were not measured",
+                where=", ".join(run.signals.label for run in runs),
+                hint="record a motion that `dynid excite` designed, or check the columns of torque or current",
+            )
         raise DataError(
             f"the torque of {', '.join(constant)} does not change while the arm moves: it was not measured",
             where=", ".join(run.signals.label for run in runs),
-            hint="check the column of the torque or current"
-            + (f", or leave it out: --torques-of {','.join(measured)}" if measured else ""),
+            hint=f"check the column of the torque or current, or leave it out: --torques-of {','.join(measured)}",
         )
 
 
