@@ -79,14 +79,16 @@ class ServoControl:
         for motor in self._motors:
             if abs(self._bus.read(motor, "goal_position") - here[motor.id]) > 1:
                 raise ConnectionFailedError(f"{called(motor)} does not take a goal", where=self._bus.line.url)
-        for motor in self._motors:
-            self._bus.write(motor, "torque_enable", 1)
+        self.goal = np.array([motor.scale.position(here[motor.id]) for motor in self._motors])
+        try:
+            for motor in self._motors:
+                self._bus.write(motor, "torque_enable", 1)
+        finally:
+            self.active = True  # where one does not obey, those that do are stopped as well
         for motor in self._motors:
             if "bus_watchdog" in motor.table.registers:
                 entry = motor.table.registers["bus_watchdog"]
                 self._bus.write(motor, "bus_watchdog", max(1, _counts(entry, keys.watchdog)))
-        self.goal = np.array([motor.scale.position(here[motor.id]) for motor in self._motors])
-        self.active = True
         self._note(self.goal)
 
     def command(self, target: FloatArray) -> None:

@@ -162,6 +162,24 @@ def test_limp_on_stop(clock: SimulatedClock):
             assert "the torque is off, the arm is limp" in said or any("did not show" in line for line in said)
 
 
+def test_where_one_servo_does_not_obey_the_others_are_stopped_as_well(clock: SimulatedClock, monkeypatch):
+    with servos(clock, "feetech") as bench, bench.opened(on_stop="limp") as driver:
+        driver.start()
+        written = driver._bus.write
+
+        def refusing(motor, name, value, **keywords):
+            if name == "torque_enable" and value and motor.joint == "bend":
+                raise ConnectionFailedError("bend does not answer")
+            written(motor, name, value, **keywords)
+
+        monkeypatch.setattr(driver._bus, "write", refusing)
+        with pytest.raises(ConnectionFailedError):
+            driver.take_control()
+        assert bench.server.servos[0].get("torque_enable") == 1
+        driver.stop()
+        assert [servo.get("torque_enable") for servo in bench.server.servos] == [0, 0]
+
+
 def test_a_dead_computer(clock: SimulatedClock):
     """What the arm does where nobody commands or asks it any more: it holds; Dynamixel servos say that it happened."""
     for wire in WIRES:
