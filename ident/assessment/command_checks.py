@@ -41,6 +41,13 @@ def refuse_unusable_commands(motion: CommandedMotion, where: str) -> None:
 
 def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> list[Check]:
     checks = _cover_checks(motion, quality, of)
+    # First: a joint that follows its command only at times looks like one with a wrong clock or order.
+    for joint, (first, last) in quality.frozen.items():
+        text = (
+            f"{of}the position of {joint} does not change from {first:.4g} s to {last:.4g} s while its target goes on "
+            "to both sides of it: check the encoder and its cable"
+        )
+        checks.append(raised("encoder-stuck", text, [joint]))
     if quality.apart:
         late = quality.delay > 0
         said = "behind" if late else "ahead of"

@@ -65,8 +65,9 @@ class ServoMotion:
 
     def between(self, first: int, end: int) -> ServoMotion:
         """The motion from one sample to before another; its commands go on to have a history."""
-        skipped = round(float(self.time[first]) / self.step)
-        begin = skipped * self.step
+        # not rounded up: the first sample would be before the beginning, and lost
+        skipped = int(float(self.time[first]) / self.step)
+        begin = min(skipped * self.step, float(self.time[first]))
         return replace(
             self,
             begin=self.begin + begin,

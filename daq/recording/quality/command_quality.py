@@ -34,6 +34,13 @@ LEAST_MOTION = 5e-3
 LEAST_STEPS = 5.0
 """The same in steps of the encoder."""
 
+LONGEST_REST = 1.0
+"""[s] No servo waits longer for its command to take effect."""
+
+PASSED, GONE = 0.1, 0.5
+"""Shares of a command's range: by which it goes to both sides of a position that rests, and of its way meanwhile, from
+which on the encoder is frozen: what blocks a joint is on one side of it."""
+
 FOLLOWING_CORRELATION = 0.8
 """Correlation of a position with a command from which on it follows it."""
 
@@ -60,6 +67,7 @@ class CommandQuality:
         swapped: joint → the joint whose command it follows instead of its own.
         opposite: joints that move against their command.
         still: joints whose position does not change although they are commanded to move.
+        frozen: joint → first and last time [s] between which its position rests while its command passes it by far.
         resting: joints that neither are commanded to move nor do.
     """
 
@@ -71,6 +79,7 @@ class CommandQuality:
     swapped: dict[str, str]
     opposite: tuple[str, ...]
     still: tuple[str, ...]
+    frozen: dict[str, tuple[float, float]]
     resting: tuple[str, ...]
 
 
@@ -97,8 +106,25 @@ def command_quality(motion: CommandedMotion) -> CommandQuality:
         swapped={names[used[place]]: names[used[other]] for place, other in swapped.items()},
         opposite=tuple(names[used[place]] for place in opposite),
         still=tuple(np.array(names)[commanded & (moves == 0.0)].tolist()),
+        frozen={names[joint]: rest for joint in used.tolist() if (rest := _frozen(motion, joint)) is not None},
         resting=tuple(np.array(names)[~commanded & ~moving].tolist()),
     )
+
+
+def _frozen(motion: CommandedMotion, joint: int) -> tuple[float, float] | None:
+    """First and last time [s] of a joint's longest rest, if its command passes it by far on both sides."""
+    position, time = motion.position[:, joint], motion.time
+    ends = np.concatenate([[-1], np.flatnonzero(np.diff(position) != 0.0), [len(position) - 1]])
+    longest = int(np.argmax(time[ends[1:]] - time[ends[:-1] + 1]))
+    first, last = int(ends[longest]) + 1, int(ends[longest + 1])
+    if time[last] - time[first] < 2 * LONGEST_REST:
+        return None
+    settled = time[first : last + 1]
+    command = motion.held(settled[settled <= time[last] - LONGEST_REST])[:, joint]
+    whole = float(np.ptp(motion.commands[TARGET][:, joint]))
+    sides = min(float(command.max()) - position[first], position[first] - float(command.min()))
+    passed = sides > PASSED * whole and np.ptp(command) > GONE * whole
+    return (float(time[first]), float(time[last])) if passed else None
 
 
 def _on_one_grid(motion: CommandedMotion, joints: IndexArray) -> tuple[FloatArray, FloatArray]:

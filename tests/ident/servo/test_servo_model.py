@@ -188,7 +188,7 @@ def test_arms_that_the_data_allow_stay_within_the_intervals_and_differ(model):
     assert len({joint.parameters["damping"].value for arm in arms for joint in arm.servo}) == 3 * len(arms[0].servo)
 
 
-@pytest.mark.parametrize("mistake", ["clock", "order", "frozen", "degrees", "sign", "short"])
+@pytest.mark.parametrize("mistake", ["clock", "order", "frozen", "frozen halfway", "degrees", "sign", "short"])
 def test_a_recording_whose_commands_and_positions_do_not_belong_together_is_refused(mistake, short_run):
     run = short_run
     channels = run.streams[JOINTS_STREAM].channels
@@ -200,6 +200,9 @@ def test_a_recording_whose_commands_and_positions_do_not_belong_together_is_refu
             command, words = command[:, [0, 2, 1, 3, 4, 5]], "commands of others"
         case "frozen":
             position[:, 2], words = position[0, 2], "position of elbow_flex never"
+        case "frozen halfway":
+            half = len(position) // 2
+            position[half:, 1], words = position[half, 1], "shoulder_lift does not change from 5.4"
         case "degrees":
             command, words = np.degrees(command), "degrees"
         case "sign":
