@@ -97,8 +97,6 @@ class FilterOptions(Options):
             )
         if self.kalman_noise is None:
             return
-        if len(self.kalman_noise) != 2:
-            raise UsageError(f"{len(self.kalman_noise)} numbers in place of Q and R", where="--kalman-noise")
         if self.differentiation != "kalman":
             raise UsageError(
                 "Q and R have no meaning without the Kalman smoother",

@@ -108,7 +108,7 @@ class ServoModel(GradedResult):
         Args:
             time: (N,) [s], increasing; at least 3 s, from 8 Hz up.
             command: (N, n) positions [rad or m].
-            start: (n,) position at the beginning, at rest; the first command without.
+            start: (n,) position at the beginning [rad or m], at rest; the first command without.
 
         Raises:
             DataError: other shapes, a value that is not finite, too few samples.
@@ -161,7 +161,7 @@ class ServoModel(GradedResult):
             DataError: a recording has no commands, or is of another arm.
             UsageError, ModelError: the MJCF cannot be rolled out.
         """
-        file = None if model_file is None else Path(model_file)
+        file = None if model_file is None else path_of(model_file)
         judged = revalidate_servo(self.result, recordings_of(runs), self._robot, file)
         return ServoModel(judged.result, judged)
 
@@ -374,7 +374,7 @@ def identify_servo(
         raise UsageError("no recording to identify from")
     robot_file = None if robot is None else load_robot(robot)
     file = robot_file or recordings[0].robot()
-    reference = None if model_file is None else Path(model_file)
+    reference = None if model_file is None else path_of(model_file)
     identification = identify_recordings(recordings, held_out, robot_file, _given(file), progress, reference)
     return ServoModel(identification.result, identification)
 
