@@ -60,9 +60,7 @@ def design_full(options: ExciteCommandOptions, progress: Callable[[str], None]) 
 
     progress("search")
     given = vars(same_named(options, ExciteOptions))
-    trajectory = design_excitation(
-        **{**given, "progress": lambda result: progress(search_state(result, options.criterion))}
-    )
+    trajectory = design_excitation(**{**given, "progress": lambda result: progress(search_state(result))})
     design, forecast = trajectory.design, trajectory.figures.forecast
     assert design is not None
     columns = trajectory.limits.columns

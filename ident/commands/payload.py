@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, VERBOSE, takes
 from ident.tasks.options import GainsOptions, LoadOptions
 
 if TYPE_CHECKING:
@@ -38,7 +39,14 @@ def _folder(options: LoadOptions, out: Path | None, experiment: str, result: str
 
 @app.command("payload")
 @takes(LoadOptions)
-def identify_load(*, options: LoadOptions, out: Path = OUT, force: bool = FORCE, as_json: bool = JSON) -> None:
+def identify_load(
+    *,
+    options: LoadOptions,
+    out: Path = OUT,
+    verbose: bool = VERBOSE,
+    force: bool = FORCE,
+    as_json: bool = JSON,
+) -> None:
     """Identify the load on the tool from runs without and with it.
 
     Example: dynid payload free.h5 loaded.h5 --mass 2.8 -o load
@@ -56,13 +64,20 @@ def identify_load(*, options: LoadOptions, out: Path = OUT, force: bool = FORCE,
     if as_json:
         print(load.to_json())
         return
-    _print_load(load.result)
+    _print_load(load.result, verbose=verbose)
     print(f"\n{folder / PAYLOAD_FILE}\n{folder / REPORT_FILE}")
 
 
 @app.command("gains")
 @takes(GainsOptions)
-def identify_drive_gains(*, options: GainsOptions, out: Path = OUT, force: bool = FORCE, as_json: bool = JSON) -> None:
+def identify_drive_gains(
+    *,
+    options: GainsOptions,
+    out: Path = OUT,
+    verbose: bool = VERBOSE,
+    force: bool = FORCE,
+    as_json: bool = JSON,
+) -> None:
     """Identify drive gains from runs without and with a known load.
 
     Example: dynid gains free.h5 loaded.h5 --mass 2.8 -o gains
@@ -80,36 +95,40 @@ def identify_drive_gains(*, options: GainsOptions, out: Path = OUT, force: bool 
     if as_json:
         print(identified.to_json())
         return
-    _print_gains(identified.result)
+    _print_gains(identified.result, verbose=verbose)
     print(f"\n{folder / GAINS_FILE}\n{folder / REPORT_FILE}")
 
 
-def _print_load(result: PayloadResult) -> None:
-    """The load as a person reads it at the terminal."""
+def _print_load(result: PayloadResult, *, verbose: bool) -> None:
+    """The load as a body, or its parameters, and the warnings; with `verbose` every table and test."""
     from ident.commands.printing.result import print_tables
     from ident.experiments.payload_summary import consistent_load_sentences
-    from ident.views.load_tables import payload_tables
+    from ident.views.load_tables import body_table, load_table, payload_tables
 
-    body = result.consistent_load
+    body, warnings = result.consistent_load, [f"warning: {warning}" for warning in result.warnings]
+    if not verbose:
+        print_tables([replace(load_table(result.load) if body is None else body_table(body), title="")])
+        print("\n".join([*warnings, "Parameters and tests: --verbose, or the report."]))
+        return
     print(f"delay: {result.delay.note}\n{result.frame}")
     print_tables(payload_tables(result))
     sentences = [*(() if body is None else consistent_load_sentences(body)), *result.sentences]
-    print("\n".join(["", *sentences, *(f"warning: {warning}" for warning in result.warnings)]))
+    print("\n".join(["", *sentences, *warnings]))
 
 
-def _print_gains(result: GainsResult | SlowGainsResult) -> None:
-    """The gains as a person reads them at the terminal."""
+def _print_gains(result: GainsResult | SlowGainsResult, *, verbose: bool) -> None:
+    """The gains and the text for the robot file; with `verbose` the parameters that were identified with them."""
     from ident.commands.printing.result import print_tables
     from ident.experiments.schema import GainsResult
     from ident.views.load_tables import gains_tables
 
-    condition = ""
-    if isinstance(result, GainsResult):
+    condition, tables = "", gains_tables(result)
+    if verbose and isinstance(result, GainsResult):
         print(f"delay: {result.delay.note}")
         condition = f"condition {result.condition:.3g}, "
-    print_tables(gains_tables(result))
-    if result.gap is not None:  # one gain, or each separately: no null vector
+    print_tables(tables if verbose else [replace(tables[0], title="")])
+    if verbose and result.gap is not None:  # one gain, or each separately: no null vector
         print(f"\nsingular values: {condition}null vector {result.gap:.3g} times below the next")
-    print(f"\nfor the robot file:\n{result.robot_file_text}")
+    print("\n" * verbose + f"for the robot file:\n{result.robot_file_text}")
     for warning in result.warnings:
         print(f"warning: {warning}")

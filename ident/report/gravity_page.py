@@ -64,13 +64,13 @@ def _panel(result: GravityResult, row: int, joint: GravityJoint, first: bool) ->
             "name": label,
             "legendgroup": label,
             "showlegend": first,
-            "marker": {"color": colour, "symbol": symbol, "size": 7},
+            "marker": {"color": colour, "symbol": symbol, "size": size, "line": {"width": 1.5, "color": colour}},
             "x": [place + 1 for place in shown],
             "y": [getattr(result.poses[place], part)[row] for place in shown],
         }
-        for label, part, colour, symbol in (
-            ("measured", "measured", MEASURED, "circle"),
-            ("predicted", "predicted", PREDICTED, "x-thin-open"),
+        for label, part, colour, symbol, size in (
+            ("measured", "measured", MEASURED, "circle", 6),
+            ("predicted", "predicted", PREDICTED, "circle-open", 11),
         )
     ]
     heading = f"<b>{plain(shortened(joint.joint, 36))}</b>"

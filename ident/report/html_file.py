@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 
+LONG_TEXT = 20
+"""Characters from which a column keeps a readable width on a phone."""
+
+
 def table_html(table: Table, name: str, muted: Sequence[bool] = (), style: str = "") -> Markup:
     """The table as HTML.
 
@@ -82,7 +86,8 @@ def _cell(group: Sequence[Column], row: int, *, first: bool) -> Markup:
 
 
 def _class(column: Column) -> Markup:
-    names = ["number"] * numeric(column.cells) + ["secondary"] * (column.kind == "minor")
+    long = any(isinstance(cell, str) and len(cell) > LONG_TEXT for cell in column.cells)
+    names = ["number"] * numeric(column.cells) + ["secondary"] * (column.kind == "minor") + ["words"] * long
     return Markup(' class="{}"').format(" ".join(names)) if names else Markup("")
 
 

@@ -216,7 +216,7 @@ def lanes_of(
     for number, motion in enumerate(motions):
         end = float(motion.time[-1])
         length = end if piece is None else piece
-        begin = 0.0
+        begin = min(0.0, float(motion.time[0]))  # of a part, the first sample lies up to half a step before
         while begin < end - SETTLING:
             cuts.append((number, begin, min(begin + SETTLING + length, end)))
             begin += length

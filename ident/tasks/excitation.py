@@ -243,8 +243,8 @@ def design_summary(designed: Design, figures: ExcitationFigures) -> str:
         [(figures.worst_use, figures.worst_limit), *zip(designed.use.tolist(), designed.limits, strict=True)]
     )
     return (
-        f"{choices.kind} of {figures.duration:.4g} s, {choices.criterion} {designed.cost:.4g} along one repetition; "
-        f"as played: condition number {forecast.condition:.4g}, column-normalised {forecast.scaled_condition:.4g}, "
+        f"{choices.kind} of {figures.duration:.4g} s, {choices.criterion}; as played: condition number "
+        f"{forecast.scaled_condition:.4g} (below 50 is good; {forecast.condition:.4g} in the parameters' units), "
         f"largest limit utilisation {percent_text(use)} ({limit})"
     )
 
@@ -275,8 +275,8 @@ def search_words(designed: Design) -> str:
     return f"search of {state.seconds:.1f} s, {finished}{ended}{died}"
 
 
-def search_state(result: SearchResult, criterion: str) -> str:
-    """Where a search is, in one line of words: time, the best motion so far, its worst error bar."""
+def search_state(result: SearchResult) -> str:
+    """Where a search is, in one line of words: time, and the worst error bar to expect of the best motion so far."""
     if result.limit is None:
         begin = f"{result.seconds:.0f} s of search, {result.finished} starts finished"
     else:
@@ -287,9 +287,9 @@ def search_state(result: SearchResult, criterion: str) -> str:
     worst = (
         ""
         if best.worst is None
-        else f", worst error bar expected ±{percentage_text(best.worst.percent)} % ({best.worst.name})"
+        else f", its worst error bar expected to be ±{percentage_text(best.worst.percent)} % ({best.worst.name})"
     )
-    return f"{begin}: the best motion so far has {criterion} {np.exp(best.cost):.4g}{worst}"
+    return f"{begin}: a motion within all limits is found{worst}"
 
 
 def design_notes(designed: Design) -> list[tuple[str, str]]:

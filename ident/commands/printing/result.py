@@ -22,7 +22,8 @@ def print_tables(tables: Iterable[Table]) -> None:
     for table in tables:
         if len(table):
             headings = [column.heading for column in table.columns]
-            print_table(f"\n{table.title}", headings, zip(*(column.texts for column in table.columns), strict=True))
+            title = f"\n{table.title}" if table.title else ""
+            print_table(title, headings, zip(*(column.texts for column in table.columns), strict=True))
             if table.note:
                 print(table.note)
 

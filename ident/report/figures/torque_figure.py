@@ -21,7 +21,7 @@ from ident.views.number_text import number, percent, whole
 PANEL = 150
 """Height of a panel [px]."""
 
-SMALL_PANEL, SMALL_COLUMNS, SMALL_POINTS = 66, 2, 400
+SMALL_PANEL, SMALL_COLUMNS, SMALL_POINTS = 66, 2, 300
 """Sizes of the figure at a glance: a panel's height [px], panels of a row, points of a line."""
 
 LINES = {"residual": (3, RESIDUAL, 1.0), "measured": (1, MEASURED, 2.0), "predicted": (2, PREDICTED, 1.2)}

@@ -18,7 +18,7 @@ from drivers.core.arrays import FloatArray
 POINTS_PER_TRACE = 2000
 """A trace holds about this many points at most."""
 
-PAGE_POINTS = 36_000
+PAGE_POINTS = 22_000
 """All torque traces of a page together, which keeps the file of an arm with many joints small."""
 
 LONGEST_PAUSE = 60.0

@@ -27,7 +27,7 @@ DRAWN = tuple(term for term in TERMS if not term.needs)
 COLUMNS = 2
 PANEL = 190
 SCATTER_POINTS = 1200
-PAGE_SCATTER_POINTS = 6_000
+PAGE_SCATTER_POINTS = 4_200
 SMALL_PANEL, SMALL_POINTS = 66, 150
 """Sizes of the figure at a glance: a panel's height [px], points of a joint."""
 

@@ -107,7 +107,7 @@ def _autocorrelation(centred: Sequence[FloatArray], lags: int) -> FloatArray:
 
 
 SCATTER_POINTS = 1500
-PAGE_SCATTER_POINTS = 6_000
+PAGE_SCATTER_POINTS = 3_600
 FEWEST_LAGS, MOST_LAGS = 60, 400
 
 NOT_CONVERGED = ("weights-not-settled", "search-gap")

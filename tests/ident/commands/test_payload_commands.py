@@ -29,10 +29,13 @@ def folder(tmp_path_factory) -> Path:
 
 def test_payload_in_words_and_as_a_page(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
-    status, out, err = run(monkeypatch, capsys, "payload", "free.h5", "loaded.h5", "--mass", "2.8")
+    status, out, err = run(monkeypatch, capsys, "payload", "free.h5", "loaded.h5", "--mass", "2.8", "-v")
     assert out.endswith("\nloaded-payload/payload.json\nloaded-payload/report.html\n")
     content = json.loads((folder / "loaded-payload" / "payload.json").read_text(encoding="utf-8"))
     page = Page((folder / "loaded-payload" / "report.html").read_text(encoding="utf-8"))
+    outcome = run(monkeypatch, capsys, "payload", "free.h5", "loaded.h5", "--mass", "2.8", "--force")[1]
+    assert outcome.count("\n") <= 20
+    assert all(f"warning: {warning}" in outcome for warning in content["warnings"])
     for sentence in content["sentences"]:
         assert sentence in out
         assert sentence in page.words
@@ -71,6 +74,7 @@ def test_gains_in_words_and_as_a_page(folder, capsys, monkeypatch):
     content = json.loads((folder / "loaded-gains" / "gains.json").read_text(encoding="utf-8"))
     page = Page((folder / "loaded-gains" / "report.html").read_text(encoding="utf-8"))
     assert set(page.figures) == {"gains-plot"}
+    assert out.count("\n") <= 20
     assert content["robot_file_text"].splitlines()[1].strip() in page.words
     assert (status, err) == (0, "")
     for expected in ("shoulder_pan_joint", "robot file", "RSD", "for the robot file:\ndrives:\n  - {joint:"):

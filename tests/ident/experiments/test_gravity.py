@@ -77,6 +77,9 @@ def test_the_true_gravity_is_found_within_its_error_bars():
         assert one.friction == pytest.approx(expected, rel=0.15)
     assert all(one.low < truth[name].offset < one.high or abs(one.value) < 2.0 for name, one in offset.items())
     assert found.result.silent == ["S"]
+    shown = {trace.name: trace.y for trace in found.plot().data[:2]}
+    np.testing.assert_allclose(shown["measured"], shown["predicted"], atol=5 * NOISE)
+    assert len(found.plot(backend="matplotlib").axes) == len(found.result.joints)
     assert found.verdict.startswith("Good for gravity compensation")
     assert (found.model.torque_std(q) > 0.0).all()
 

@@ -56,6 +56,11 @@ def test_a_held_out_motion_is_rolled_out_to_two_encoder_steps(model):
     assert model.result.verdict.grade == "good"
     assert max(shown.rollout_error) < 2.0 * max(model.result.resolution)
     assert shown.rollout_mean < 0.2 * np.mean(shown.references.delay_and_lag)
+    drawn = {trace.name: trace for trace in model.plot().data[:3]}
+    measured, rolled = (drawn[name] for name in ("measured", "rolled out"))
+    error = np.abs(np.interp(measured.x, rolled.x, rolled.y) - measured.y)[np.asarray(measured.x) > 1.0]
+    assert np.mean(error) < 0.02
+    assert len(model.plot(backend="matplotlib").axes) == len(model.result.joints)
 
 
 def test_the_truth_comes_back_where_gravity_ties_the_torques(model):
@@ -125,6 +130,12 @@ def test_the_commands_validate_and_export_take_it(folder, short_run, tmp_path, m
     assert json.loads(output)["validation"]["rollout_mean"] == pytest.approx(judged["rollout_mean"])
     rolled = dynid.read_recording(tmp_path / "rolled.h5")
     assert np.abs(rolled.position - short_run.position)[100:].mean() == pytest.approx(judged["rollout_mean"], rel=0.3)
+
+
+def test_a_part_that_begins_just_before_its_grid_keeps_all_its_samples(model):
+    part = model.identification.motions[0].between(100, 300)
+    early = dataclasses.replace(part, time=part.time - 1e-12)
+    assert roll_out_arm([early], model._links, model.result.values)[0].shape == part.position.shape
 
 
 def test_what_an_mjcf_holds_moves_in_mujoco_as_in_the_roll_out(model):
