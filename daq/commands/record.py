@@ -292,8 +292,8 @@ def _report_session(
         print(f"{out}: {name}: {quality.samples} samples at {quality.rate_hz:.4g} Hz, {quality.lost} lost")
     if report.punctuality is not None:
         late = report.punctuality
-        print(
-            f"positions sent late by {late.p50_ms:.2f} ms (median), {late.p99_ms:.2f} (99 %), {late.max_ms:.2f} (most)"
-        )
+        if late.sent:
+            figures = f"{late.p50_ms:.2f} ms (median), {late.p99_ms:.2f} (99 %), {late.max_ms:.2f} (most)"
+            print(f"positions sent late by {figures}")
         if report.punctuality.delayed_ms > 0:
             print(f"the motion was resumed after stalls of this computer: {report.punctuality.delayed_ms:.0f} ms later")
