@@ -92,6 +92,10 @@ def test_the_robot_file_of_the_docs_is_valid():
     assert base_parameters(build_model(robot)).count > 0
 
 
+OF_OTHER_PROGRAMS = {"--strict", "--write", "--no-compile", "--no-deps"}
+"""Options of pip and of studies."""
+
+
 def test_options_named_in_the_docs_exist():
     from typer.main import get_command
 
@@ -106,7 +110,7 @@ def test_options_named_in_the_docs_exist():
             known.update([*parameter.opts, *parameter.secondary_opts])
     for page in PAGES:
         for option in re.findall(r"--[a-z][a-z0-9-]+", page.read_text(encoding="utf-8")):
-            assert option in known | {"--strict", "--write"}, f"{page.name}: {option}"
+            assert option in known | OF_OTHER_PROGRAMS, f"{page.name}: {option}"
 
 
 def test_the_trajectory_of_the_docs_is_valid():
