@@ -92,7 +92,7 @@ def test_the_robot_file_of_the_docs_is_valid():
     assert base_parameters(build_model(robot)).count > 0
 
 
-OF_OTHER_PROGRAMS = {"--strict", "--write", "--no-compile", "--no-deps"}
+OF_OTHER_PROGRAMS = {"--bin", "--no-compile", "--no-deps", "--strict", "--write"}
 """Options of pip and of studies."""
 
 
