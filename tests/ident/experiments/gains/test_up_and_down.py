@@ -244,7 +244,7 @@ def folder(tmp_path_factory, recordings) -> Path:
 def test_the_command(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     arguments = ["gains", "free.h5", "loaded.h5", "--up-and-down", "--mass", "2"]
-    status, out, err = run(monkeypatch, capsys, *arguments)
+    status, out, err = run(monkeypatch, capsys, *arguments, "--verbose")
     assert (status, err) == (0, "")
     for expected in ("half sums", "friction free", "Centre of mass of the load [m]", "for the robot file:\ndrives:"):
         assert expected in out
