@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 from drivers.base import DriverSettings
 from drivers.bus_budget import Budget, FrameGroup
+from drivers.serial_port import BITS_A_BYTE
 from drivers.serial_servos.bus import ServoBus
-from drivers.serial_servos.line import BITS_A_BYTE, ServoLine
+from drivers.serial_servos.line import ServoLine
 from drivers.serial_servos.settings import ServoSettings, parse_settings
 from drivers.serial_servos.setup import USUAL_TIMER
 

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from drivers.declaration import DriverDeclaration, SimulatedBackEnd
 
-FEETECH = DriverDeclaration(
-    driver="drivers.serial_servos.driver:feetech",
-    budget="drivers.serial_servos.budget:feetech_budget",
-    read_only={"read_only": True},
-    configure={"configure": True},
-    advice="drivers.serial_servos.budget:feetech_advice",
-    simulated=(SimulatedBackEnd("feetech", "sim_drivers.serial_servos.serving:serve_feetech"),),
-)
-DYNAMIXEL = DriverDeclaration(
-    driver="drivers.serial_servos.driver:dynamixel",
-    budget="drivers.serial_servos.budget:dynamixel_budget",
-    read_only={"read_only": True},
-    configure={"configure": True},
-    advice="drivers.serial_servos.budget:dynamixel_advice",
-    simulated=(SimulatedBackEnd("dynamixel", "sim_drivers.serial_servos.serving:serve_dynamixel"),),
-)
+
+def _of(protocol: str) -> DriverDeclaration:
+    """What both have in common: their functions are called after the protocol."""
+    return DriverDeclaration(
+        driver=f"drivers.serial_servos.driver:{protocol}",
+        budget=f"drivers.serial_servos.budget:{protocol}_budget",
+        read_only={"read_only": True},
+        configure={"configure": True},
+        advice=f"drivers.serial_servos.budget:{protocol}_advice",
+        simulated=(SimulatedBackEnd(protocol, f"sim_drivers.serial_servos.serving:serve_{protocol}"),),
+    )
+
+
+FEETECH, DYNAMIXEL = _of("feetech"), _of("dynamixel")

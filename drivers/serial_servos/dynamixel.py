@@ -18,6 +18,7 @@ from drivers.serial_servos.packets import (
     SYNC_WRITE,
     WRITE,
     Packet,
+    scanned,
 )
 
 HEADER = b"\xff\xff\xfd\x00"
@@ -110,32 +111,16 @@ class DynamixelProtocol:
 
 def _packets(buffer: bytearray) -> tuple[list[Packet], int]:
     """Whole packets, with their parameters as they came, and how many bytes belonged to none."""
-    found: list[Packet] = []
-    strange = 0
-    while True:
-        start = buffer.find(HEADER)
-        if start < 0:
-            kept = next((size for size in (3, 2, 1) if buffer.endswith(HEADER[:size])), 0)
-            strange += len(buffer) - kept
-            del buffer[: len(buffer) - kept]
-            return found, strange
-        strange += start
-        del buffer[:start]
-        if len(buffer) < 7:
-            return found, strange
-        length = int.from_bytes(buffer[5:7], "little")
-        end = 7 + length
-        if not 3 <= length <= LONGEST:
-            strange += 4
-            del buffer[:4]
-        elif len(buffer) < end:
-            return found, strange
-        elif crc16(buffer[: end - 2]) != int.from_bytes(buffer[end - 2 : end], "little"):
-            strange += 4
-            del buffer[:4]
-        else:
-            found.append(Packet(buffer[4], buffer[7], bytes(buffer[8 : end - 2])))
-            del buffer[:end]
+    return scanned(buffer, HEADER, 7, _size, _packet)
+
+
+def _size(buffer: bytearray) -> int:
+    length = int.from_bytes(buffer[5:7], "little")
+    return 7 + length if 3 <= length <= LONGEST else 0
+
+
+def _packet(data: bytes) -> Packet | None:
+    return Packet(data[4], data[7], data[8:-2]) if crc16(data[:-2]) == int.from_bytes(data[-2:], "little") else None
 
 
 def crc16(data: bytes | bytearray) -> int:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from drivers.serial_servos.packets import BROADCAST, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet
+from drivers.serial_servos.packets import BROADCAST, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet, scanned
 
 HEADER = b"\xff\xff"
 SHORTEST = 6
@@ -61,40 +61,22 @@ class FeetechProtocol:
 
     def answers(self, buffer: bytearray) -> tuple[list[Packet], int]:
         """Take whole packets from the front of a buffer, and how many bytes belonged to none."""
-        found: list[Packet] = []
-        strange = 0
-        while True:
-            start = buffer.find(HEADER)
-            # A third FF is an id that no servo has: the header begins one byte later.
-            while start >= 0 and buffer[start + 2 : start + 3] == b"\xff":
-                start += 1
-            if start < 0:
-                kept = 1 if buffer[-1:] == b"\xff" else 0
-                strange += len(buffer) - kept
-                del buffer[: len(buffer) - kept]
-                return found, strange
-            strange += start
-            del buffer[:start]
-            if len(buffer) < 4:
-                return found, strange
-            end = buffer[3] + 4
-            if not SHORTEST <= end <= LONGEST + 4:
-                strange += 2
-                del buffer[:2]
-            elif len(buffer) < end:
-                return found, strange
-            elif _sum(buffer[2 : end - 1]) != buffer[end - 1]:
-                strange += 2
-                del buffer[:2]
-            else:
-                found.append(Packet(buffer[2], buffer[4], bytes(buffer[5 : end - 1])))
-                del buffer[:end]
+        return scanned(buffer, HEADER, 4, _size, _packet)
 
     requests = answers
 
     def fast_answers(self, packet: Packet, size: int) -> list[Packet]:
         """There are none."""
         raise ValueError("Feetech servos have no fast sync read")
+
+
+def _size(buffer: bytearray) -> int:
+    end = buffer[3] + 4
+    return end if SHORTEST <= end <= LONGEST + 4 else 0
+
+
+def _packet(data: bytes) -> Packet | None:
+    return Packet(data[2], data[4], data[5:-1]) if _sum(data[2:-1]) == data[-1] else None
 
 
 def _sum(body: bytes | bytearray) -> int:

@@ -9,14 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import serial
-
 from drivers.core.clock import SYSTEM_CLOCK, Clock
-from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
+from drivers.core.errors import ConnectionLostError
+from drivers.serial_port import BITS_A_BYTE, open_port, reason
 from drivers.serial_servos.packets import Packet, ServoProtocol
 
-BITS_A_BYTE = 10
-"""Start bit, eight data bits, stop bit."""
 READ_SLICE = 0.002
 """[s] that one reading of the port waits at most."""
 PATIENCE = 0.03
@@ -78,18 +75,7 @@ class ServoLine:
             ConnectionFailedError: no such device, no permission, or it is in use.
             UsageError: not a URL, or a baud rate that the port does not have.
         """
-        try:
-            self._port = serial.serial_for_url(
-                self.url, baudrate=self.baudrate, timeout=READ_SLICE, write_timeout=1.0, exclusive=True
-            )
-        except ValueError as error:
-            raise UsageError(str(error), where=self.url, hint="a device, or a URL that pyserial knows") from error
-        except Exception as error:  # pyserial lets through whatever the system or a protocol's module raises
-            raise ConnectionFailedError(
-                f"cannot be opened: {reason(error)}",
-                where=self.url,
-                hint="is it plugged in, and are you in the group that owns it (dialout)?",
-            ) from error
+        self._port = open_port(self.url, self.baudrate, READ_SLICE, write_timeout=1.0)
         with contextlib.suppress(Exception):  # only some adapters and systems have it
             self._port.set_low_latency_mode(True)
 
@@ -220,13 +206,3 @@ class ServoLine:
 
     def _lost(self, error: Exception) -> ConnectionLostError:
         return ConnectionLostError(f"the port has gone: {reason(error)}", where=self.url, hint="look at its cable")
-
-
-def reason(error: Exception) -> str:
-    """Why a port failed, in words."""
-    text = str(error) or type(error).__name__
-    if "exclusively lock" in text:
-        return "another program has opened it"
-    if isinstance(error, OSError) and error.errno:  # pyserial's own text repeats the port
-        return os.strerror(error.errno)
-    return text.partition(" (device disconnected")[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,6 +27,50 @@ class Packet:
     motor: int
     code: int
     data: bytes
+
+
+def scanned(
+    buffer: bytearray,
+    header: bytes,
+    least: int,
+    size: Callable[[bytearray], int],
+    packet: Callable[[bytes], Packet | None],
+) -> tuple[list[Packet], int]:
+    """Take whole packets from the front of a buffer, and how many bytes belonged to none.
+
+    Args:
+        buffer: what was heard; what may be the beginning of a packet stays in it.
+        header: that packets begin with; after one that begins none, the search goes on behind it.
+        least: bytes that `size` looks at.
+        size: of the packet at the front [bytes]; 0 where no packet is so long.
+        packet: of so many bytes; None where their sum is wrong.
+    """
+    found: list[Packet] = []
+    strange = 0
+    while True:
+        start = buffer.find(header)
+        # The same byte once more than the header has it is none of an id: the header begins one byte later.
+        while start >= 0 and buffer[start + 1 : start + 1 + len(header)] == header:
+            start += 1
+        if start < 0:
+            kept = next((count for count in range(len(header) - 1, 0, -1) if buffer.endswith(header[:count])), 0)
+            strange += len(buffer) - kept
+            del buffer[: len(buffer) - kept]
+            return found, strange
+        strange += start
+        del buffer[:start]
+        if len(buffer) < least:
+            return found, strange
+        end = size(buffer)
+        if end > len(buffer):
+            return found, strange
+        taken = packet(bytes(buffer[:end])) if end else None
+        if taken is None:
+            strange += len(header)
+            del buffer[: len(header)]
+        else:
+            found.append(taken)
+            del buffer[:end]
 
 
 class ServoProtocol(Protocol):

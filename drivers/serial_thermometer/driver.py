@@ -15,8 +15,9 @@ import numpy as np
 from drivers.base import DriverSettings, Level, Notice, State, require_state
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, DriverStateError
+from drivers.serial_port import BITS_A_BYTE
 from drivers.serial_thermometer.lines import LineParser, ThermometerReading
-from drivers.serial_thermometer.port import BITS_A_CHARACTER, Chunk, Lost, Restored, SerialPort
+from drivers.serial_thermometer.port import Chunk, Lost, Restored, SerialPort
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
@@ -300,7 +301,7 @@ class RowAssembler:
 
 def _arrival(chunk: Chunk, reading: ThermometerReading, settings: ThermometerSettings) -> float:
     """When a line's last byte came [s]: as many bytes before the chunk's end as follow it, but within the chunk."""
-    span = min(chunk.until - chunk.since, len(chunk.data) * BITS_A_CHARACTER / settings.baudrate)
+    span = min(chunk.until - chunk.since, len(chunk.data) * BITS_A_BYTE / settings.baudrate)
     return chunk.until - span * (1.0 - (reading.end + 1) / len(chunk.data))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import threading
 from collections import deque
 from dataclasses import dataclass
@@ -12,7 +11,7 @@ from dataclasses import dataclass
 import serial
 
 from drivers.core.clock import SYSTEM_CLOCK, Clock
-from drivers.core.errors import ConnectionFailedError, UsageError
+from drivers.serial_port import open_port, reason
 
 READ_TIMEOUT = 0.01
 """Longest time [s] that a chunk is collected."""
@@ -22,8 +21,6 @@ BUFFER_BYTES = 1 << 20
 RETRY_PERIOD = 1.0
 """[s] between two attempts to open a port that has gone."""
 CLOSE_LIMIT = 2.0
-BITS_A_CHARACTER = 10
-"""Start bit, eight data bits, stop bit."""
 
 
 @dataclass(frozen=True)
@@ -88,16 +85,7 @@ class SerialPort:
             ConnectionFailedError: no such device, no permission, or it is in use.
             UsageError: not a URL, or a baud rate that the port does not have.
         """
-        try:
-            port = self._open()
-        except ValueError as error:
-            raise UsageError(str(error), where=self.url, hint="a device, or a URL that pyserial knows") from error
-        except Exception as error:  # pyserial lets through whatever the system or a protocol's module raises
-            raise ConnectionFailedError(
-                f"cannot be opened: {_reason(error)}",
-                where=self.url,
-                hint="is it plugged in, and are you in the group that owns it (dialout)?",
-            ) from error
+        port = open_port(self.url, self._baudrate, READ_TIMEOUT)
         self.clear()
         self._closing = self._clock.event()
         self._thread = self._clock.thread(self._run, f"thermometer {self.url}", (port, self._closing))
@@ -125,22 +113,15 @@ class SerialPort:
         if thread is not None:
             thread.join(CLOSE_LIMIT)  # an attempt to connect may take longer; the thread closes what it gets then
 
-    def _open(self) -> serial.SerialBase:
-        # Two readers of one device would each get a part of the bytes: exclusive.
-        port: serial.SerialBase = serial.serial_for_url(
-            self.url, baudrate=self._baudrate, timeout=READ_TIMEOUT, exclusive=True
-        )
-        return port
-
     def _run(self, port: serial.SerialBase, closing: threading.Event) -> None:
         try:
             while not closing.is_set():
-                reason = self._read_until_lost(port, closing)
+                why = self._read_until_lost(port, closing)
                 with contextlib.suppress(Exception):
                     port.close()
                 if closing.is_set():
                     return
-                self._put(Lost(self._clock.now(), reason))
+                self._put(Lost(self._clock.now(), why))
                 reopened = self._open_again(closing)
                 if reopened is None:
                     return
@@ -155,7 +136,7 @@ class SerialPort:
             try:
                 data = port.read(CHUNK_BYTES)
             except Exception as error:  # OSError, termios.error, and whatever protocols' modules raise
-                return _reason(error)
+                return reason(error)
             until = self._clock.now()
             if data:
                 self._put(Chunk(bytes(data), since, until))
@@ -167,7 +148,7 @@ class SerialPort:
         while not closing.wait(RETRY_PERIOD):
             self.attempts += 1
             with contextlib.suppress(Exception):  # whatever it is, the next attempt may succeed
-                port = self._open()
+                port = open_port(self.url, self._baudrate, READ_TIMEOUT)
                 self._put(Restored(self._clock.now(), self.attempts))
                 return port
         return None
@@ -183,12 +164,3 @@ class SerialPort:
                     self.dropped += len(oldest.data)
             self._arrivals.append(arrival)
             self._changed.notify()
-
-
-def _reason(error: Exception) -> str:
-    text = str(error) or type(error).__name__
-    if "exclusively lock" in text:
-        return "another program has opened it"
-    if isinstance(error, OSError) and error.errno:  # pyserial's own text repeats the port
-        return os.strerror(error.errno)
-    return text.partition(" (device disconnected")[0]

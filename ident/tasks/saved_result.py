@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from os import PathLike
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, write_folder
 from drivers.core.files import path_of
-from ident.result.gravity import GravityResult
 from ident.result.result_file import result_json
 from ident.result.tables import Table
-from ident.servo.result import ServoResult
+
+if TYPE_CHECKING:
+    from ident.result.gravity import GravityResult
+    from ident.servo.result import ServoResult
 
 
 class SavedResult(ABC):

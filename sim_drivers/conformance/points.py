@@ -193,14 +193,7 @@ def garbage(bench: Bench) -> None:
         device.obey(bench.babble)
         heard = listen_for(bench, driver, 1.0)
         _agrees(bench, heard)
-        if heard.error is not None:
-            driver.stop()
-            driver.close()
-            driver.open()
-            driver.start()
-        after = listen(bench, driver, samples=SAMPLES)
-        require(after.samples() >= SAMPLES, f"after nonsense no samples came within {PATIENCE:g} s")
-        _agrees(bench, after)
+        _goes_on(bench, driver, heard, "nonsense")
 
 
 def restart(bench: Bench) -> None:
@@ -220,14 +213,7 @@ def restart(bench: Bench) -> None:
             for layout in driver.streams():
                 rising = bool((np.diff(heard.stamps(layout.name)) > 0.0).all())
                 require(rising, f"{layout.name}: time stamps do not rise over a restart")
-            if heard.error is not None:
-                driver.stop()
-                driver.close()
-                driver.open()
-                driver.start()
-            after = listen(bench, driver, samples=SAMPLES)
-            require(after.samples() >= SAMPLES, f"after a restart no samples came within {PATIENCE:g} s")
-            _agrees(bench, after)
+            _goes_on(bench, driver, heard, "a restart")
     finally:
         driver.close()
 
@@ -296,6 +282,18 @@ def _running(bench: Bench) -> Iterator[tuple[Driver, Obeying]]:
             driver.stop()
         finally:
             driver.close()
+
+
+def _goes_on(bench: Bench, driver: Driver, heard: Heard, after: str) -> None:
+    """True samples come again; of a driver that ended with an error, when it was opened anew."""
+    if heard.error is not None:
+        driver.stop()
+        driver.close()
+        driver.open()
+        driver.start()
+    again = listen(bench, driver, samples=SAMPLES)
+    require(again.samples() >= SAMPLES, f"after {after} no samples came within {PATIENCE:g} s")
+    _agrees(bench, again)
 
 
 def _agrees(bench: Bench, heard: Heard, *, controlled: bool = False) -> None:

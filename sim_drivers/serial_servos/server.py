@@ -18,9 +18,9 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.serial_port import BITS_A_BYTE
 from drivers.serial_servos.bus import PROTOCOLS
 from drivers.serial_servos.dynamixel import DynamixelProtocol
-from drivers.serial_servos.line import BITS_A_BYTE
 from drivers.serial_servos.packets import BROADCAST, FAST_SYNC_READ, PING, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet
 from drivers.serial_servos.settings import ServoSettings
 from sim_drivers.faults import (

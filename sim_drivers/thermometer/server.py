@@ -19,7 +19,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import UsageError
 from drivers.core.units import ZERO_CELSIUS
-from drivers.serial_thermometer.port import BITS_A_CHARACTER
+from drivers.serial_port import BITS_A_BYTE
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
 from sim_drivers.faults import Fault, Freeze, Noise, Replug, Stick, Unplug
 from sim_drivers.plant.plant import Plant
@@ -107,10 +107,10 @@ class ThermometerServer(FaultyServer):
         self.lost = 0
         self._temperatures = (lambda: source.thermal.housing) if isinstance(source, Plant) else source
         length = len(settings.line(np.full(len(settings.channels), -100.0)))
-        if length * settings.rate * BITS_A_CHARACTER > settings.baudrate:
+        if length * settings.rate * BITS_A_BYTE > settings.baudrate:
             raise UsageError(
                 f"{settings.rate:g} lines per second of {length} characters exceed {settings.baudrate} bit/s",
-                hint=f"at most {settings.baudrate / (BITS_A_CHARACTER * length):.3g} lines per second",
+                hint=f"at most {settings.baudrate / (BITS_A_BYTE * length):.3g} lines per second",
             )
         self._random = random.Random(seed)
         self._line_end: WritableLineEnd = PseudoTerminal() if line_end is None else line_end
@@ -178,7 +178,7 @@ class ThermometerServer(FaultyServer):
 
     def _send(self) -> None:
         period = 1.0 / self.settings.rate
-        byte_time = BITS_A_CHARACTER / self.settings.baudrate
+        byte_time = BITS_A_BYTE / self.settings.baudrate
         due = free = self._clock.now()
         waiting = bytearray()
         while not self._stopping.is_set():
