@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from ident.servo.arm_rollout import command_paths, delay_and_lag, delayed_paths,
 from ident.servo.contact import PRESSING, Contact, tool_point
 from ident.servo.fit import ServoFit, fit_servo
 from ident.servo.links import ServoLinks, servo_links
-from ident.servo.mjcf import model_file_paths
+from ident.servo.mjcf import model_paths, read_model_file
 from ident.servo.motion import ServoMotion, servo_motions
 from ident.servo.result import (
     ContactStretch,
@@ -95,6 +95,7 @@ def identify_servo(
         raise DataError("no recording to identify from")
     file = robot_file or recordings[0].robot()
     robot, links = file.robot, servo_links(file)
+    reference = None if model_file is None else read_model_file(model_file, robot.joint_names)
     progress("reading commands")
     motions = [motion for recording in recordings for motion in read_motions(recording, file)]
     if held_out:
@@ -114,7 +115,7 @@ def identify_servo(
     contact = fitted.contact
     fit, _ = judge(motions, links, fitted.values, lag, contact, None, held_out=False)
     own = not _same_data(recordings, held_out)
-    validation, paths = judge(judged, links, fitted.values, lag, contact, model_file, held_out=own)
+    validation, paths = judge(judged, links, fitted.values, lag, contact, reference, held_out=own)
     joints = [_joint(fitted, row, name, links.model.sliding[row]) for row, name in enumerate(robot.joint_names)]
     result = ServoResult(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -166,12 +167,13 @@ def revalidate_servo(
         DataError: a recording has no commands, or is of another arm.
     """
     links = servo_links(robot_file)
+    reference = None if model_file is None else read_model_file(model_file, result.joints)
     motions = [motion for recording in recordings for motion in read_motions(recording, robot_file)]
     used = {use.sha256 for use in result.recordings if use.role == "identification"}
     held_out = not any(recording_sha256(recording) in used for recording in recordings)
     lag = delay_and_lag(motions)
     contact = contact_of(result, links)
-    fit, paths = judge(motions, links, result.values, lag, contact, model_file, held_out=held_out)
+    fit, paths = judge(motions, links, result.values, lag, contact, reference, held_out=held_out)
     steps = np.array(result.resolution)
     changed = result.model_copy(
         update={
@@ -208,7 +210,7 @@ def judge(
     values: FloatArray,
     lag: tuple[float, float],
     contact: Contact | None,
-    model_file: Path | None,
+    reference: Any | None,
     *,
     held_out: bool,
 ) -> tuple[RolloutFit, list[FloatArray]]:
@@ -219,7 +221,7 @@ def judge(
     command = rollout_errors(motions, command_paths(motions))
     lagged = rollout_errors(motions, delayed_paths(motions, *lag))
     seconds = np.array([motion.time[-1] for motion in motions])
-    of_file = None if model_file is None else rollout_errors(motions, model_file_paths(model_file, links, motions))
+    of_file = None if reference is None else rollout_errors(motions, model_paths(reference, links, motions))
     labels = list(dict.fromkeys(motion.label for motion in motions))
 
     def mean(rows: FloatArray) -> list[float]:

@@ -148,12 +148,11 @@ def played_paths(text: str, links: ServoLinks, motions: Sequence[ServoMotion]) -
     Raises:
         ModelError: MuJoCo cannot read it.
     """
-    model = loaded(text, links.model.name)
-    return [_replayed(model, links, motion, motion.command[motion.history :]) for motion in motions]
+    return model_paths(loaded(text, links.model.name), links, motions)
 
 
-def model_file_paths(path: Path, links: ServoLinks, motions: Sequence[ServoMotion]) -> list[FloatArray]:
-    """Positions (N, n) of motions, as an MJCF that came with the arm moves on their commands in MuJoCo.
+def read_model_file(path: Path, joints: Sequence[str]) -> Any:
+    """The MuJoCo model of an MJCF that came with the arm.
 
     Raises:
         UsageError: no MJCF with a position actuator for each joint, or MuJoCo is not installed.
@@ -164,8 +163,13 @@ def model_file_paths(path: Path, links: ServoLinks, motions: Sequence[ServoMotio
             "MuJoCo rolls a model file out, and is not installed", where=str(path), hint="pip install mujoco"
         )
     model = _model_file(path)
-    for name in links.model.joint_names:
+    for name in joints:
         _position_actuator(model, name, str(path))
+    return model
+
+
+def model_paths(model: Any, links: ServoLinks, motions: Sequence[ServoMotion]) -> list[FloatArray]:
+    """Positions (N, n) of motions, as a MuJoCo model moves on their commands."""
     return [_replayed(model, links, motion, motion.command[motion.history :]) for motion in motions]
 
 

@@ -177,6 +177,10 @@ def test_an_mjcf_as_it_came_is_a_reference(model, folder, short_run, tmp_path, m
     status, _, error = command_line.run(monkeypatch, capsys, "validate", folder, run, "--model-file", path)
     assert status == 2
     assert "URDF has no gains" in error
+    steps: list[str] = []
+    with pytest.raises(dynid.UsageError, match="URDF has no gains"):
+        dynid.identify_servo(short_run, model_file=path, progress=steps.append)
+    assert not steps  # before the fit, which takes a minute
 
 
 def test_an_export_says_what_it_leaves_out_and_replaces_nothing_unasked(model, tmp_path):
