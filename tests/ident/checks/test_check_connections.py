@@ -150,11 +150,11 @@ def test_wrong_keys_are_refused_with_the_connections_name(three_joint, drivers):
 def test_the_command_prints_the_budget(monkeypatch, capsys):
     status, out, _ = run(monkeypatch, capsys, "check", "ur5e", "--verbose")
     assert status == 0
-    assert "connection canopen: bus load 95.9 % (1000 kbit/s) at 400 Hz" in out
+    assert "connection canopen: bus load 30.8 % (1000 kbit/s) at 125 Hz" in out
     assert "6 × TPDO2 (8 bytes)" in out
     status, out, _ = run(monkeypatch, capsys, "check", "ur5e", "--json")
     budget = json.loads(out)["budgets"]["canopen"]
-    assert budget["load_percent"] == pytest.approx(95.865)
+    assert budget["load_percent"] == pytest.approx(30.8275)
     assert budget["highest_rate_at_80_percent_hz"] == pytest.approx(333, abs=1)
 
 
@@ -227,7 +227,7 @@ def test_drives_are_not_prepared_for_a_motion(monkeypatch):
     for asked in (False, True):
         with pytest.raises(ConnectionFailedError):
             check_connections(load_robot("ur5e"), "canopen", reset_faults=asked)
-        assert (seen[-1]["mode"], seen[-1]["sync_rate"]) == ("none", 400)
+        assert (seen[-1]["mode"], seen[-1]["sync_rate"]) == ("none", 125)
         assert seen[-1].get("reset_faults", False) is asked
 
 
