@@ -20,7 +20,8 @@ ASSUMED_VELOCITY = {"rad": 1.0, "m": 0.1}
 FRAMES_PER_SECOND = 2000.0
 """Of samples on the simulated bus of 1 Mbit/s, which they fill to 80 % at worst."""
 
-MOST_SYNC = 400.0
+MOST_SYNC = 125.0
+"""[Hz], which a computer keeps that simulates the arm and records it at once."""
 
 _DRIVES = """\
 # {todo} (identify): drives, unless the arm gives joint torque. Joint torque = gain · signal, joint side, sign included;

@@ -21,8 +21,17 @@ FILLED_FAR = 0.3
 FILLED_CHANGE = 10.0
 """… and over the median change between two of these that follow each other."""
 
+FILLED_STEPS = 2.5
+"""Steps of a coarse signal: so near 0 a value is by noise and rounding."""
+
 CLIPPED_RUN = 5
 """At least this many equal extreme values in a row count as clipping."""
+
+COARSE_LEVELS = 50
+"""A signal with a range of fewer steps rests on its extreme levels without being clipped …"""
+
+CLIPPED_TO_NEXT = 4.0
+"""… unless it does so this many times as often as on the level beside them: a sinusoid does 2.4 times."""
 
 
 @dataclass(frozen=True)
@@ -93,11 +102,16 @@ def white_noise(values: FloatArray) -> float:
 
 def _clipped(values: FloatArray, *, magnitude: bool) -> npt.NDArray[np.bool_]:
     # A magnitude rests at 0; one of negative values, at its largest one.
-    extreme = (values == values.min()) | (values == values.max())
-    if magnitude:
-        extreme &= values != 0.0
-    if values.min() == values.max():
+    levels, counts = np.unique(values, return_counts=True)
+    if len(levels) == 1:
         return np.zeros(len(values), dtype=bool)
+    coarse = levels[-1] - levels[0] < COARSE_LEVELS * np.min(np.diff(levels))
+    at_ends = [
+        level
+        for level, often, beside in ((levels[0], counts[0], counts[1]), (levels[-1], counts[-1], counts[-2]))
+        if not (magnitude and level == 0.0) and not (coarse and (len(levels) < 4 or often < CLIPPED_TO_NEXT * beside))
+    ]
+    extreme = np.isin(values, at_ends)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], extreme, [False]]).astype(np.int8)))
     clipped = np.zeros(len(values), dtype=bool)
     for start, stop in edges.reshape(-1, 2):
@@ -114,7 +128,9 @@ def _zero_filled(values: FloatArray) -> npt.NDArray[np.bool_]:
         return filled
     size = float(np.sqrt(np.mean(values[~zero] ** 2)))
     changes = np.abs(np.diff(values))[~zero[1:] & ~zero[:-1]]
-    far = max(FILLED_FAR * size, FILLED_CHANGE * float(np.median(changes)) if len(changes) >= FEWEST_FILLED else 0.0)
+    step = float(np.min(np.diff(np.unique(values))))
+    typical = float(np.median(changes)) if len(changes) >= FEWEST_FILLED else 0.0
+    far = max(FILLED_FAR * size, FILLED_CHANGE * typical, FILLED_STEPS * step)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], zero, [False]]).astype(np.int8))).reshape(-1, 2)
     inner = edges[(edges[:, 0] > 0) & (edges[:, 1] < len(values))]
     runs = inner[np.minimum(np.abs(values[inner[:, 0] - 1]), np.abs(values[inner[:, 1]])) > far]

@@ -40,6 +40,17 @@ def test_clipping_is_found_and_a_turning_point_is_none():
     assert clipped.clipped_percent == pytest.approx(expected, abs=0.1)
 
 
+@pytest.mark.parametrize("counts", [1.5, 3.0, 6.0, 12.0])
+def test_a_coarse_signal_is_neither_clipped_nor_filled_with_zeros(counts):
+    noise = 0.1 * np.random.default_rng(1).standard_normal(len(TIME))
+    coarse = np.round(counts * np.sin(3.0 * TIME) + noise) * 0.0113
+    cut = np.clip(coarse, -0.5 * counts * 0.0113, 0.5 * counts * 0.0113)
+    sound, clipped = channel_quality(Channel("torque", np.column_stack([coarse, cut]), "N·m", ("j", "k")), TIME)
+    assert sound.filled_percent == 0.0
+    assert sound.clipped_percent == 0.0
+    assert counts < 6.0 or clipped.clipped_percent > 50.0
+
+
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True, width=32), max_size=30))
 def test_no_signal_crashes(values):
     channel = Channel("x", np.array(values, dtype=np.float64).reshape(-1, 1), "A", ("j",))
