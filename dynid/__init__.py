@@ -10,7 +10,7 @@ Robots         load_robot, builtin_robots, RobotFile, base_parameters
 Recordings     Recording, read_recording, import_recording, write_recording, simulate, info
 Motions        design_excitation, design_gravity_motion, design_servo_motion, load_trajectory
 Identify       identify, identify_gravity, compare, merge, friction, payload, drive_gains
-Results        load_result, load_model, Model, predict, validate, diff, Table
+Results        load_result, load_model, Model, predict, validate, diff, History, Table
 Errors         DynidError, and below it InputError and WorkError: each says what was wrong, where, and what to type
 
 Arrays are (N, n): time first, joints last. Units are s, rad, rad/s, rad/s², A, N·m, kg, m. help(dynid.identify) shows
@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from ident.tasks.friction import friction as friction
     from ident.tasks.gravity import IdentifiedGravity as IdentifiedGravity
     from ident.tasks.gravity import identify_gravity as identify_gravity
+    from ident.tasks.history import History as History
     from ident.tasks.identification import IdentificationResult as IdentificationResult
     from ident.tasks.identification import identify as identify
     from ident.tasks.identification import load_result as load_result
@@ -118,6 +119,7 @@ _HOMES = {
     ),
     "ident.tasks.friction": ("IdentifiedFriction", "friction"),
     "ident.tasks.gravity": ("IdentifiedGravity", "identify_gravity"),
+    "ident.tasks.history": ("History",),
     "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),
     "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),
     "ident.tasks.prediction": ("Prediction", "predict"),

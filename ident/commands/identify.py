@@ -28,6 +28,7 @@ def identify_recordings(
         False, "--gravity", help="Gravity alone, of a recording of dynid excite --for gravity."
     ),
     model_file: Path = MODEL_FILE,
+    history: Path = typer.Option(None, "--history", help="Add the result to this history (dynid history)."),
     verbose: bool = VERBOSE,
     force: bool = FORCE,
     as_json: bool = JSON,
@@ -40,9 +41,11 @@ def identify_recordings(
     from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
     from daq.robot.loader import load_robot
     from ident.commands.gravity import identify_gravity_command, print_gravity
+    from ident.commands.history import add_to_history
     from ident.commands.options import limits_option
     from ident.commands.printing.result import print_result
     from ident.commands.servo import identify_servo_command, is_servo, print_servo, refuse_model_file
+    from ident.history.database import check_history
     from ident.result.friction_experiment import friction_path
     from ident.tasks.arguments import paths_of
     from ident.tasks.identification import identify
@@ -61,22 +64,27 @@ def identify_recordings(
     check_output_folder(folder, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
     if not is_servo(options.method):
         refuse_model_file(model_file)
+    if history is not None:
+        check_history(history)
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:
         limited = any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse))
         if gravity:
             found = identify_gravity_command(options, folder, progress, limited=limited, overwrite=force)
+            add_to_history(folder, history)
             print_gravity(found, folder, verbose=verbose, as_json=as_json)
             return
         if is_servo(options.method):
             servo = identify_servo_command(
                 options, folder, progress, model_file=model_file, limited=limited, overwrite=force
             )
+            add_to_history(folder, history)
             print_servo(servo, folder, verbose=verbose, as_json=as_json)
             return
         result = identify(**{**vars(options), "accept": limits, "progress": progress})
         progress("report")
         result.save(folder, overwrite=force)
+        add_to_history(folder, history)
     if as_json:
         print((folder / RESULT_FILE).read_text(encoding="utf-8"), end="")
     else:

@@ -12,10 +12,11 @@ from typing import Any, Literal
 import numpy as np
 
 from daq.recording.recording import Recording, software_versions
+from daq.recording.serial_numbers import serial_number
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
-from drivers.core.units import common_unit
+from drivers.core.units import ZERO_CELSIUS, common_unit
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.validation import LOW_SPEED, Fit
 from ident.identify.data_split import RunWindow
@@ -46,9 +47,13 @@ from ident.result.schema import (
     Result,
 )
 from ident.result.units import parameter_unit
+from ident.signals.joint_signals import joint_temperature
 from ident.signals.prepared import Step
 from ident.signals.sample_hashes import kept_hashes
 from ident.verdict.verdict import Verdict
+
+EPOCH_OF_2000 = 946684800.0
+"""[s] since 1970. Stamps from here to now are absolute times; others count from a start of their own."""
 
 
 def summarise(
@@ -345,6 +350,19 @@ def recording_sha256(recording: Recording) -> str:
     return digest.hexdigest()
 
 
+def provenance(recording: Recording, joint_names: Sequence[str]) -> dict[str, Any]:
+    """Fields of `UsedRecording` that say which arm was recorded, when and how warm."""
+    kelvin = joint_temperature(recording, tuple(joint_names))
+    first = recording.time[0] if len(recording.time) else 0.0
+    absolute = EPOCH_OF_2000 <= first <= datetime.now(UTC).timestamp()
+    return {
+        "sha256": recording_sha256(recording),
+        "started": datetime.fromtimestamp(first, UTC).isoformat(timespec="seconds") if absolute else recording.created,
+        "serial": serial_number(recording),
+        "temperature": [] if kelvin is None else [float(mean) for mean in kelvin.mean(axis=0) - ZERO_CELSIUS],
+    }
+
+
 def _use(
     run: PreparedRun, recording: Recording, role: Literal["identification", "validation"], torques_of: list[str]
 ) -> RecordingUse:
@@ -352,8 +370,8 @@ def _use(
     path = recording.path
     return RecordingUse(
         file=str(Path(run.signals.label).name) if path is not None else run.signals.label,
-        sha256=recording_sha256(recording),
         role=role,
+        **provenance(recording, run.signals.joint_names),
         window=(
             run.choices.start or 0.0,
             float(time[-1] - time[0]) if run.choices.stop is None else run.choices.stop,

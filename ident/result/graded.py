@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from ident.stored import Stored
+from ident.stored import Number, Stored
 
 
 class UsedRecording(Stored):
@@ -15,6 +15,9 @@ class UsedRecording(Stored):
     file: str
     sha256: str
     role: Literal["identification", "validation"]
+    started: str = Field(default="", description="ISO 8601, UTC: its first stamp where that is absolute, else created")
+    serial: str = Field(default="", description="of the controller; empty where it does not say")
+    temperature: list[Number] = Field(default=[], description="mean of each joint [°C]; empty without a reading")
 
 
 class Grade(Stored):

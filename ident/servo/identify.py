@@ -18,7 +18,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.reading_process import Progress
 from ident.assessment.command_checks import refuse_unusable_commands
-from ident.identify.summary import recording_sha256
+from ident.identify.summary import provenance, recording_sha256
 from ident.result.graded import Grade
 from ident.servo.arm_rollout import command_paths, delay_and_lag, delayed_paths, rollout_errors, touched_paths
 from ident.servo.contact import PRESSING, Contact, tool_point
@@ -384,8 +384,8 @@ def _use(recording: Recording, file: RobotFile, role: str) -> ServoRecording:
     return ServoRecording.model_validate(
         {
             "file": recording.label,
-            "sha256": recording_sha256(recording),
             "role": role,
+            **provenance(recording, file.robot.joint_names),
             "seconds": seconds,
             "rate_hz": (len(recorded.time) - 1) / seconds,
         }

@@ -24,6 +24,7 @@ ARGUMENTS = {
     "robot new": "arm.urdf -o OUT.yaml",
     "identify": "run.h5 other.h5 --validate val.h5 --friction-from friction.json --robot arm.yaml -o FOLDER",
     "merge": "result.json model --validate val.h5 -o FOLDER",
+    "history show": "arm.db --page PAGE --csv OUT",
     "compare": "run.h5 --validate val.h5 --robot arm.yaml -o FOLDER",
     "friction": "run.h5 other.h5 --robot arm.yaml -o FOLDER",
     "payload": "free.h5 loaded.h5 --robot arm.yaml -o FOLDER",

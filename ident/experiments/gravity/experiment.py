@@ -19,7 +19,7 @@ from ident.assessment.recording_checks import recording_checks
 from ident.experiments.gravity.fit import GravityFit, fit_gravity, used_equations
 from ident.experiments.gravity.passes import Visit, Visits, find_visits
 from ident.experiments.gravity.suspicions import doubts, file_parameters, refuse_wrong_size
-from ident.identify.summary import recording_sha256
+from ident.identify.summary import provenance, recording_sha256
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.gravity_base import gravity_base, gravity_columns, gravity_rows, resting_model
@@ -335,4 +335,5 @@ def _numbers(values: FloatArray) -> list[float | None]:
 
 
 def _use(recording: Recording, role: Literal["identification", "validation"], poses: int) -> GravityRecording:
-    return GravityRecording(file=recording.label, sha256=recording_sha256(recording), role=role, poses=poses)
+    names = recording.robot().robot.joint_names
+    return GravityRecording(file=recording.label, role=role, poses=poses, **provenance(recording, names))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from arm_histories import worn_arm
 from chromium import BrowserPage, chromium, chromium_path
 from friction_experiment_arm import experiment
 from loaded_arm import LOAD
@@ -26,10 +27,12 @@ from ident.checks.recording_check import recording_info
 from ident.excite.forecast import excitation_figures
 from ident.excite.page.page import write_page as write_excitation_page
 from ident.excite.prior import find_prior
+from ident.history.database import add_entries
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.report import ReportData, TruthTable, write_result_folder
+from ident.tasks.history import History
 from ident.tasks.identification import identify
 from ident.tasks.loads import drive_gains, payload
 from ident.tasks.prediction import predict
@@ -109,6 +112,13 @@ def friction_page(folder: Path) -> Path:
     return folder / REPORT_FILE
 
 
+def history_page(folder: Path) -> Path:
+    path, page = folder / "arm.db", folder / "history.html"
+    add_entries(path, worn_arm(1, 60, dict.fromkeys(("Fs1", "Fs2", "Fs3"), 0.2), step=0.3))
+    History(path).trend().page(page)
+    return page
+
+
 PAGES: dict[str, Callable[[Path], Path]] = {
     "identification": identification_page,
     "excitation": excitation_page,
@@ -117,6 +127,7 @@ PAGES: dict[str, Callable[[Path], Path]] = {
     "payload": payload_page,
     "gains": gains_page,
     "friction": friction_page,
+    "history": history_page,
 }
 """What writes each page into a folder; a new page is one line here."""
 
@@ -209,17 +220,20 @@ LAST_PLANE_FIGURE = """(() => {
 })()"""
 
 
+ZOOMED_RANGE = "window.zoomed._fullLayout.xaxis.range.map((end) => typeof end === 'string' ? Date.parse(end) : end)"
+
+
 def check_zoom(page: BrowserPage, width: int) -> None:
     """Dragging across a figure narrows its axis; a phone asks for it in the tool bar, so that a finger can scroll."""
     left, top, across, down = page.evaluate(LAST_PLANE_FIGURE)
-    before = page.evaluate("window.zoomed._fullLayout.xaxis.range.slice()")
+    before = page.evaluate(ZOOMED_RANGE)
     if width == PHONE:
         assert page.evaluate("window.zoomed._fullLayout.dragmode") is False
         page.evaluate("window.zoomed.querySelector('.modebar-btn[data-val=zoom]').click()")
     y = top + down / 2
     page.drag(left + 0.3 * across, y, left + 0.6 * across, y)
     page.evaluate(SETTLED)
-    after = page.evaluate("window.zoomed._fullLayout.xaxis.range.slice()")
+    after = page.evaluate(ZOOMED_RANGE)
     assert after != before
     share = (after[1] - after[0]) / (before[1] - before[0])
     assert share == pytest.approx(0.3, abs=0.1)

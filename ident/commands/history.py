@@ -1,0 +1,122 @@
+"""The commands `dynid history …`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from daq.commands.help_text import CommandApp, GroupedCommands
+from daq.commands.options import FORCE, JSON
+
+
+class _ShownByDefault(GroupedCommands):
+    """`dynid history arm.db` is `dynid history show arm.db`."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command of the first word, or `show` of a file."""
+        known = args and (args[0] in self.commands or args[0].startswith("-"))
+        return super().resolve_command(ctx, args if known else ["show", *args])
+
+
+history_app = CommandApp("Use", cls=_ShownByDefault, no_args_is_help=True)
+app = CommandApp("Use")
+app.add_typer(history_app, name="history", rich_help_panel="Use")
+
+MOST_SENTENCES = 5
+MOST_ROWS = 8
+
+
+def add_to_history(folder: Path, database: Path | None) -> None:
+    """Add the result in a folder that `identify` wrote; nothing where no history is named."""
+    from ident.tasks.history import History
+
+    if database is not None:
+        History(database).add(folder)
+
+
+@history_app.callback()
+def history() -> None:
+    """Follow an arm's parameters over many results: wear, steps, temperature.
+
+    Example: dynid history arm.db
+    """
+
+
+@history_app.command("add")
+def add(
+    results: list[Path] = typer.Argument(help="Folders that identify wrote, or their result.json."),
+    database: Path = typer.Option(..., "--history", help="File of the history (.db); made where it does not exist."),
+    time: str = typer.Option(None, "--time", help="When it was recorded (2026-05-01T12:00, UTC), for a single result."),
+    as_json: bool = JSON,
+) -> None:
+    """Add results to a history; one that is there already is not added again.
+
+    Example: dynid history add model --history arm.db
+    """
+    from daq.commands.console import print_json
+    from drivers.core.errors import UsageError
+    from ident.tasks.history import History
+
+    if time is not None and len(results) > 1:
+        raise UsageError("--time is of a single result", hint="add them one by one")
+    new = History(database).add(*results, time=time)
+    if as_json:
+        print_json({"history": str(database), "added": new, "there_already": len(results) - new})
+        return
+    there = f", {len(results) - new} there already" if new < len(results) else ""
+    print(f"{database}: {new} {'result' if new == 1 else 'results'} added{there}\nnext: dynid history {database}")
+
+
+@history_app.command("show")
+def show(
+    database: Path = typer.Argument(metavar="HISTORY", help="File of the history (.db)."),
+    arm: str = typer.Option(None, "--arm", help="Which arm, where the file holds several."),
+    page: Path = typer.Option(None, "--page", help="Page with plots to write (.html)."),
+    csv: Path = typer.Option(None, "--csv", help="Every parameter of every result to write, a row each (.csv)."),
+    force: bool = FORCE,
+    as_json: bool = JSON,
+) -> None:
+    """Show what changed of an arm: trends and steps of its parameters.
+
+    Example: dynid history show arm.db --page wear.html
+    """
+    from daq.commands.console import print_json
+    from daq.output_files import check_outputs
+    from ident.commands.printing.result import print_tables
+    from ident.tasks.history import History
+    from ident.views.history_tables import date_text
+
+    check_outputs([page, csv], [database], overwrite=force)
+    trends = History(database).trend(arm)
+    if page is not None:
+        trends.page(page, overwrite=force)
+    if csv is not None:
+        trends.save_csv(csv, overwrite=force)
+    of_arm = trends.history
+    if as_json:
+        print_json(
+            {
+                "history": str(database),
+                "arm": of_arm.arm,
+                "results": of_arm.results,
+                "start": date_text(of_arm.start),
+                "end": date_text(of_arm.end),
+                "sentences": trends.sentences,
+                "notes": trends.notes,
+                "trends": [dict(row) for row in trends.trends],
+                "steps": [dict(row) for row in trends.steps],
+            }
+        )
+        return
+    print(f"{of_arm.arm}: {of_arm.results} results, {date_text(of_arm.start)} to {date_text(of_arm.end)}")
+    for sentence in trends.sentences[:MOST_SENTENCES]:
+        print(f"  {sentence}")
+    if len(trends.sentences) > MOST_SENTENCES:
+        print(f"  and {len(trends.sentences) - MOST_SENTENCES} more")
+    shown = trends.trends.pick("name", "joint", "results", "start", "change", "change_half", "unit", "p_value")
+    rows = [row for row, one in enumerate(of_arm.parameters) if one.trend is not None]
+    print_tables([shown.in_order(rows[:MOST_ROWS])])
+    for note in trends.notes:
+        print(note)

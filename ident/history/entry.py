@@ -1,0 +1,254 @@
+"""What a history keeps of a result: which arm, when, how warm, and its parameters with σ."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+from daq.output_files import GENERATION_KEY
+from drivers.core.errors import ResultFileError
+from ident.friction.table import TEMPERATURE_KINDS, TERMS
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.result.graded import UsedRecording
+from ident.result.gravity import GRAVITY_SCHEMA, GravityResult
+from ident.result.result_file import GRAVITY, SERVO, checked
+from ident.result.schema import RESULT_SCHEMA, Result
+from ident.servo.result import SERVO_SCHEMA, ServoResult
+
+EARLIEST = datetime(2000, 1, 1, tzinfo=UTC)
+"""A clock that shows an earlier time was not set."""
+
+CLOCKS_APART = timedelta(hours=1)
+"""By which the clock of a recording may be ahead of this computer's."""
+
+
+@dataclass(frozen=True)
+class KeptValue:
+    """A parameter of a result.
+
+    Attributes:
+        name: of the parameter.
+        joint: that it belongs to.
+        kind: in words, as "Coulomb friction".
+        unit: of value and σ.
+        basis: what else the value depends on: other friction terms, drive gains, grouped parameters. Values of
+            different bases are not compared.
+        value: of the parameter.
+        std: its σ, > 0.
+        temperature: of the joint [°C]; None where it is not known, or the model has its own terms for it.
+    """
+
+    name: str
+    joint: str
+    kind: str
+    unit: str
+    basis: str
+    value: float
+    std: float
+    temperature: float | None
+
+
+@dataclass(frozen=True)
+class HistoryEntry:
+    """What is kept of one result.
+
+    Attributes:
+        digest: SHA-256 of its content; one result, one digest.
+        data: SHA-256 of its kind and of the recordings that it was identified from.
+        robot, serial: which arm; the serial number is empty where the recordings do not say it.
+        kind: result, gravity or servo.
+        time: mean start of the recordings [s since 1970, UTC].
+        created: when it was identified, ISO 8601.
+        source: its file, as it was given.
+        values: its parameters that have a σ.
+    """
+
+    digest: str
+    data: str
+    robot: str
+    serial: str
+    kind: str
+    time: float
+    created: str
+    source: str
+    values: tuple[KeptValue, ...]
+
+    @property
+    def arm(self) -> str:
+        """Name of the arm in a history."""
+        return f"{self.robot} {self.serial}" if self.serial else self.robot
+
+
+def read_entry(content: Mapping[str, Any], path: Path, recorded: datetime | None = None) -> HistoryEntry:
+    """What to keep of a result.
+
+    Args:
+        content: the object of its result.json.
+        path: of that file, for messages.
+        recorded: when its data were recorded, in place of what the result says.
+
+    Raises:
+        ResultFileError: no result, one without times or with impossible ones, one of several arms, or without values.
+    """
+    kind = content.get("kind")
+    result: Result | GravityResult | ServoResult
+    if kind == SERVO:
+        result = checked(ServoResult, content, path, SERVO, "dynid identify", SERVO_SCHEMA)
+    elif kind == GRAVITY:
+        result = checked(GravityResult, content, path, GRAVITY, "dynid identify", GRAVITY_SCHEMA)
+    else:
+        result = checked(Result, content, path, "result", "dynid identify", RESULT_SCHEMA)
+    used = [recording for recording in result.recordings if recording.role == "identification"]
+    serials = {recording.serial for recording in used if recording.serial}
+    if len(serials) > 1:
+        raise ResultFileError(
+            f"was identified from recordings of several arms: serial numbers {', '.join(sorted(serials))}",
+            where=str(path),
+            hint="identify each arm by itself",
+        )
+    warm = _temperatures(used, result.joints)
+    values = tuple(value for value in _values(result, warm) if _usable(value))
+    if not values:
+        raise ResultFileError("has no parameter with a standard deviation", where=str(path))
+    hashed = {key: value for key, value in content.items() if key != GENERATION_KEY}
+    text = json.dumps(hashed, sort_keys=True, ensure_ascii=False)
+    recordings = sorted(recording.sha256 for recording in used)
+    return HistoryEntry(
+        digest=hashlib.sha256(text.encode(errors="surrogatepass")).hexdigest(),
+        data=hashlib.sha256("\n".join([result.kind, *(recordings or [text])]).encode()).hexdigest(),
+        robot=result.robot,
+        serial=next(iter(serials), ""),
+        kind=result.kind,
+        time=_time(used, path) if recorded is None else _plausible(recorded, path),
+        created=result.created,
+        source=str(path),
+        values=values,
+    )
+
+
+def _usable(value: KeptValue) -> bool:
+    numbers = (value.value, value.std, value.temperature or 0.0)
+    return all(map(math.isfinite, numbers)) and value.std > 0.0
+
+
+def parse_time(text: str) -> datetime:
+    """An ISO 8601 time; one without a zone is UTC.
+
+    Raises:
+        ValueError: it is none.
+    """
+    time = datetime.fromisoformat(text)
+    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
+
+
+def _time(used: Sequence[UsedRecording], path: Path) -> float:
+    """Mean start of the recordings [s]."""
+    starts = []
+    for recording in used:
+        try:
+            starts.append(_plausible(parse_time(recording.started), path))
+        except (ValueError, OverflowError):
+            said = f"'{recording.started}'" if recording.started else "nothing"
+            raise ResultFileError(
+                f"does not say when '{recording.file}' was recorded: {said}",
+                where=str(path),
+                hint="identify again with this dynid, or say it: --time 2026-05-01T12:00",
+            ) from None
+    if not starts:
+        raise ResultFileError(
+            "names no recording, so its time is not known", where=str(path), hint="say it: --time 2026-05-01T12:00"
+        )
+    return sum(starts) / len(starts)
+
+
+def _plausible(time: datetime, path: Path) -> float:
+    if not EARLIEST <= time <= datetime.now(UTC) + CLOCKS_APART:
+        shown = time.isoformat(timespec="minutes")
+        said = "was recorded in the future" if time > EARLIEST else "was recorded with a clock that was not set"
+        raise ResultFileError(f"{said}: {shown}", where=str(path), hint="say when it was: --time 2026-05-01T12:00")
+    return time.timestamp()
+
+
+def _temperatures(used: Sequence[UsedRecording], joints: list[str]) -> dict[str, float]:
+    """Joint → mean temperature over the recordings [°C]; joints without one in each recording are left out."""
+    found: dict[str, float] = {}
+    for place, joint in enumerate(joints):
+        read = [recording.temperature[place] for recording in used if place < len(recording.temperature)]
+        known = [value for value in read if value is not None]
+        if known and len(known) == len(used):
+            found[joint] = sum(known) / len(known)
+    return found
+
+
+def _values(result: Result | GravityResult | ServoResult, warm: Mapping[str, float]) -> Iterator[KeptValue]:
+    if isinstance(result, ServoResult):
+        return _servo_values(result, warm)
+    return _gravity_values(result, warm) if isinstance(result, GravityResult) else _model_values(result, warm)
+
+
+def _model_values(result: Result, warm: Mapping[str, float]) -> Iterator[KeptValue]:
+    gains = {gain.joint: f"gain {gain.gain:.6g}" for gain in result.drive_gains if gain.gain is not None}
+    kinds: dict[str, list[str]] = {}
+    for entry in result.base_parameters:
+        if entry.kind not in _BODY_KINDS:
+            kinds.setdefault(entry.joint, []).append(entry.kind)
+    for entry in result.base_parameters:
+        if entry.value is None or entry.std is None:
+            continue
+        if entry.kind in _BODY_KINDS:
+            basis = ", ".join([entry.expression, *gains.values()])
+        else:
+            basis = ", ".join([*kinds[entry.joint], *([gains[entry.joint]] if entry.joint in gains else [])])
+        own = entry.kind not in _BODY_KINDS and any(kind in TEMPERATURE_KINDS for kind in kinds[entry.joint])
+        temperature = None if own else warm.get(entry.joint)
+        words = _KIND_WORDS.get(entry.kind, entry.kind.replace("_", " "))
+        yield KeptValue(entry.name, entry.joint, words, entry.unit, basis, entry.value, entry.std, temperature)
+
+
+_BODY_KINDS = frozenset({"inertial", "motor_inertia"})
+"""Kinds of parameters that are estimated from all joints' torques."""
+
+_KIND_WORDS = {
+    "inertial": "inertial parameter",
+    "motor_inertia": "motor inertia",
+    "coupling": "friction of coupled joints",
+    **{term.kind: term.words for term in TERMS},
+    "offset": "torque offset",
+}
+
+
+def _gravity_values(result: GravityResult, warm: Mapping[str, float]) -> Iterator[KeptValue]:
+    for entry in result.gravity_parameters:
+        if entry.value is not None and entry.std is not None:
+            words = "gravity parameter" if entry.kind == "inertial" else "torque offset"
+            yield KeptValue(
+                entry.name, entry.joint, words, entry.unit, entry.expression, entry.value, entry.std,
+                warm.get(entry.joint),
+            )  # fmt: skip
+    for joint in result.of_joints:
+        if joint.friction is not None and joint.friction_interval is not None:
+            std = joint.friction_interval / WITHIN_95_PERCENT
+            yield KeptValue(
+                f"friction {joint.joint}", joint.joint, "friction at low speed", joint.unit, "", joint.friction, std,
+                warm.get(joint.joint),
+            )  # fmt: skip
+
+
+def _servo_values(result: ServoResult, warm: Mapping[str, float]) -> Iterator[KeptValue]:
+    for joint in result.servo:
+        terms = ", ".join(joint.parameters)
+        for name, entry in joint.parameters.items():
+            if entry.interval is None or entry.unidentifiable or entry.origin != "data":
+                continue
+            std = (entry.interval[1] - entry.interval[0]) / (2.0 * WITHIN_95_PERCENT)
+            words = name.replace("_", " ")
+            yield KeptValue(
+                f"{words} {joint.joint}", joint.joint, words, entry.unit, terms, entry.value, std,
+                warm.get(joint.joint),
+            )  # fmt: skip

@@ -1,0 +1,96 @@
+"""The page of an arm's history: one self-contained HTML file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ident.history.arm import ArmHistory, ParameterHistory
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain
+from ident.report.figures.panels import Panel, panel_figure
+from ident.report.html_file import page_templates
+from ident.report.section import Tile
+from ident.views.history_tables import date_text, notes, sentences, span_text, step_table, trend_table
+
+MOST_PANELS = 24
+COLUMNS = 2
+CAPTION = (
+    "Each result with the 95 % interval of its identification, at the mean temperature where a line says so, and the "
+    "estimated trend. Findings come first; steps are upright lines."
+)
+
+
+def history_page(history: ArmHistory) -> str:
+    """The page: what changed, every series, trends and steps as tables."""
+    tiles = [
+        Tile("Results", str(history.results), f"over {span_text(history.end - history.start)}"),
+        Tile("Parameters", str(sum(one.trend is not None for one in history.parameters)), "with a trend"),
+        Tile("Findings", str(len(history.findings)), "changes and steps"),
+        Tile("Latest result", date_text(history.end)),
+    ]
+    return (
+        page_templates()
+        .get_template("history_page.html.j2")
+        .render(
+            history=history,
+            tiles=tiles,
+            sentences=sentences(history),
+            notes=notes(history),
+            trends=trend_table(history),
+            steps=step_table(history),
+            series=series_figure(history),
+        )
+    )
+
+
+def series_figure(history: ArmHistory) -> Figure:
+    """Values and trends of the parameters over time, at most `MOST_PANELS`."""
+    panels = [_panel(one, place == 0) for place, one in enumerate(history.parameters[:MOST_PANELS])]
+    rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
+    return panel_figure("series-plot", rows, CAPTION)
+
+
+def _panel(one: ParameterHistory, first: bool) -> Panel:
+    trend, series = one.trend, one.series
+    times = [1000.0 * time for time in series.time]
+    values = series.value if trend is None else trend.corrected
+    traces: list[dict[str, Any]] = [
+        {
+            "type": "scatter",
+            "mode": "markers",
+            "name": "result",
+            "legendgroup": "result",
+            "showlegend": first,
+            "marker": {"color": MEASURED, "size": 5},
+            "x": times,
+            "y": values.tolist(),
+            "error_y": {
+                "type": "data", "array": (WITHIN_95_PERCENT * series.std).tolist(), "thickness": 1, "width": 0,
+                "color": MEASURED,
+            },
+        }
+    ]  # fmt: skip
+    if trend is not None:
+        traces.append(
+            {
+                "type": "scatter",
+                "mode": "lines",
+                "name": "trend",
+                "legendgroup": "trend",
+                "showlegend": first,
+                "line": {"color": PREDICTED, "width": 2},
+                "x": times,
+                "y": trend.line.tolist(),
+            }
+        )
+    at = "" if trend is None or trend.mean_temperature is None else f", at {trend.mean_temperature:.1f} °C"
+    steps = () if trend is None else trend.steps
+    return Panel(
+        one.name,
+        f"<b>{plain(one.name)}</b> {plain(one.joint)}: {plain(one.kind)}{at}",
+        traces,
+        x={"type": "date", "nticks": 4},
+        y={"title": {"text": one.unit}},
+        vertical=[(1000.0 * step.after, {"color": RESIDUAL, "width": 1, "dash": "dot"}) for step in steps],
+        height=170,
+    )

@@ -1,0 +1,151 @@
+"""The history of an arm in tables and sentences."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+from drivers.core.text import in_percent
+from ident.history.arm import STEP_LEVEL, TREND_LEVEL, ArmHistory, ParameterHistory
+from ident.history.trend import LEAST_RESULTS, Step
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.result.tables import Cell, Column, Table, table_of_rows
+from ident.views.number_text import with_error
+
+MINUTE, HOUR, DAY, WEEK = 60.0, 3600.0, 86400.0, 7 * 86400.0
+MONTH, YEAR = 365.25 * DAY / 12, 365.25 * DAY
+
+UNITS_OF_TIME = (
+    (YEAR, "years"), (MONTH, "months"), (WEEK, "weeks"), (DAY, "days"), (HOUR, "hours"), (MINUTE, "minutes"),
+)  # fmt: skip
+
+LEAST_START = 3.0
+"""A change is relative to a start that is this many times half of the change's interval; else it has a unit."""
+
+
+def date_text(time: float) -> str:
+    """A time [s since 1970] as a date, UTC."""
+    return datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d")
+
+
+def span_text(seconds: float) -> str:
+    """A time between two results in words: `6 weeks`, from two of a unit on."""
+    size, name = next(((size, name) for size, name in UNITS_OF_TIME if seconds >= 2 * size), (1.0, "seconds"))
+    return f"{seconds / size:.0f} {name}"
+
+
+def trend_table(history: ArmHistory) -> Table:
+    """A row per parameter: its value at first, its change and by the temperature, with half of the 95 % intervals."""
+    rows: list[list[Cell]] = []
+    for one in history.parameters:
+        trend = one.trend
+        cells: list[Cell] = [None] * 8
+        if trend is not None:
+            start = abs(trend.start)
+            cells = [
+                trend.start,
+                trend.change,
+                trend.change_half,
+                in_percent(trend.change / start) if _relative(one) else None,
+                trend.p_value,
+                trend.scatter,
+                trend.per_kelvin,
+                len(trend.steps),
+            ]
+        rows.append([one.name, one.joint, one.kind, len(one.series), *cells, one.unit, one.significant])
+    columns = [
+        Column("name"),
+        Column("joint"),
+        Column("kind", kind="minor"),
+        Column("results"),
+        Column("start"),
+        Column("change"),
+        Column("change_half", label="± 95 %", digits=2),
+        Column("change_percent", unit="%", label="change", digits=3),
+        Column("p_value", label="p", digits=2),
+        Column("scatter", label="σ between results", kind="minor", digits=2),
+        Column("per_kelvin", label="per K", kind="minor", digits=3),
+        Column("steps"),
+        Column("unit"),
+        Column("significant"),
+    ]
+    return table_of_rows(f"Parameters of {history.arm} over {span_text(history.end - history.start)}", columns, rows)
+
+
+def step_table(history: ArmHistory) -> Table:
+    """A row per step of a parameter."""
+    rows: list[list[Cell]] = [
+        [one.name, one.joint, one.kind, date_text(step.before), date_text(step.after), step.size, step.half,
+         step.p_value, one.unit]
+        for one in history.findings
+        for step in (one.trend.steps if one.trend is not None else ())
+    ]  # fmt: skip
+    columns = [
+        *map(Column, ("name", "joint", "kind", "after", "before", "size")),
+        Column("half", label="± 95 %", digits=2),
+        Column("p_value", label="p", digits=2),
+        Column("unit"),
+    ]
+    return table_of_rows(f"Steps of parameters of {history.arm}", columns, rows)
+
+
+def sentences(history: ArmHistory) -> list[str]:
+    """What changed, a sentence per parameter, the most significant first; and one where nothing did."""
+    found = [_sentence(one) for one in history.findings]
+    if found:
+        return found
+    followed = [one for one in history.parameters if one.trend is not None]
+    if followed:
+        return [f"No significant change of {len(followed)} parameters."]
+    if history.results < LEAST_RESULTS:
+        return [f"A trend needs {LEAST_RESULTS} results of one arm; there are {history.results}."]
+    return ["No trend: no parameter has enough comparable results at temperatures that do not just follow the time."]
+
+
+def notes(history: ArmHistory) -> list[str]:
+    """What was left out, and how certain findings are."""
+    said = []
+    if any(one.trend is not None for one in history.parameters):
+        said.append(
+            f"An arm that does not change shows a change or step in {100 * (TREND_LEVEL + STEP_LEVEL):.0f} % of cases."
+        )
+    if history.repeated:
+        said.append(f"{history.repeated} results are left out: later ones are from the same recordings.")
+    others = [one for one in history.parameters if one.not_comparable]
+    if others:
+        most = max(one.not_comparable for one in others)
+        said.append(
+            f"{len(others)} parameters have results that are not comparable (up to {most}): other friction terms, "
+            "drive gains or groups of parameters."
+        )
+    return said
+
+
+def _relative(one: ParameterHistory) -> bool:
+    trend = one.trend
+    return trend is not None and abs(trend.start) > LEAST_START * trend.change_half
+
+
+def _size(one: ParameterHistory, change: float, half: float) -> str:
+    if one.trend is None or not _relative(one):
+        return f"{with_error(abs(change), half / WITHIN_95_PERCENT)} {one.unit}"
+    scale = 100.0 / abs(one.trend.start)
+    return f"{with_error(abs(change) * scale, half * scale / WITHIN_95_PERCENT)} %"
+
+
+def _sentence(one: ParameterHistory) -> str:
+    trend = one.trend
+    assert trend is not None
+    name = f"{one.kind} {one.name}" if one.kind.endswith("parameter") else one.kind
+    subject = f"{one.joint}'s {name}"
+    steps = [_step_text(one, step) for step in trend.steps]
+    if not one.significant:
+        return f"{subject} stepped {' and '.join(steps)}."
+    verb = "rose" if trend.change > 0 else "fell"
+    span = span_text(one.series.time[-1] - one.series.time[0])
+    whole = f"{subject} {verb} by {_size(one, trend.change, trend.change_half)} in {span}"
+    return f"{whole}; it stepped {' and '.join(steps)}." if steps else f"{whole}."
+
+
+def _step_text(one: ParameterHistory, step: Step) -> str:
+    way = "up" if step.size > 0 else "down"
+    return f"{way} by {_size(one, step.size, step.half)} between {date_text(step.before)} and {date_text(step.after)}"
