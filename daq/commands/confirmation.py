@@ -127,8 +127,8 @@ def _held(limits: Sequence[JointLimits]) -> list[str]:
         f"a command is faster than {velocity} or changes faster than {acceleration} (joint by joint)",
         f"a command is {TRACKING_ERROR:g} {common_unit('rad', sliding)} away from what the arm does, or outside the "
         "position limits",
-        f"this computer stalls for longer than the arm bridges without commands ({1e3 * STALL_LIMIT:.0f} ms at most), or "
-        "samples or the connection fail",
+        f"this computer stalls for longer than the arm bridges without commands ({1e3 * STALL_LIMIT:.0f} ms at most), "
+        "or samples or the connection fail",
     ]
 
 

@@ -32,14 +32,20 @@ def predict_torque(
     from drivers.core.errors import UsageError
     from ident.commands.servo import predict_servo_command
     from ident.result.model import result_path
-    from ident.result.result_file import SERVO, kind_of
+    from ident.result.result_file import GRAVITY, SERVO, kind_of
     from ident.tasks.arguments import paths_of
     from ident.tasks.prediction import predict
 
     model, recording = paths_of(options.identified, options.run)
     file = out if out is not None else Path(f"{recording.stem}-predicted.h5")
     check_outputs([file, page], [recording, result_path(model)], overwrite=force)
-    if kind_of(result_path(model)) == SERVO:
+    kind = kind_of(result_path(model))
+    if kind == GRAVITY:
+        raise UsageError(
+            f"{model} is a model of gravity, which does not know the torque of a motion",
+            hint="dynid validate compares it with static poses",
+        )
+    if kind == SERVO:
         if page is not None or options.parameters is not None:
             raise UsageError("--page and --parameters are of models with torques", hint="leave them out")
         predict_servo_command(model, recording, file, as_json=as_json, force=force)

@@ -229,8 +229,8 @@ def predict(options: PredictOptions) -> Prediction:
         >>> prediction.summary.columns[1].heading
         'measured [N·m]'
     """
-    model = _model(options.identified, options.parameters)
     recording = recording_of(options.run)
+    model = _model(options.identified, options.parameters)
     robot_file = stored_model(model.result).robot_file
     predicted = predict_recording(model, robot_file, recording)
     segments = predicted.segments

@@ -32,6 +32,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report import ReportData, TruthTable, recorded_runs, write_result_folder
 from ident.result.schema import Result
+from ident.tasks.excitation import search_state
 from sim_drivers.options import DemoOptions
 from sim_drivers.simulated_arm import Record, Recorded, over_rtde
 
@@ -126,8 +127,8 @@ def run_demo(
     choices = DesignChoices(period=period, periods=periods, ramp=RAMP, margin=LIMIT_MARGIN)
     other = replace(choices, period=min(period, VALIDATION_PERIOD), periods=1)
     trajectories = {
-        "identification": _excitation(robot_file, choices, seed),
-        "validation": _excitation(robot_file, other, seed + 1),
+        "identification": _excitation(robot_file, choices, seed, progress),
+        "validation": _excitation(robot_file, other, seed + 1, progress),
     }
     paths = []
     lost = samples = 0
@@ -181,9 +182,12 @@ def _recorded(
         return record(trajectory, out)
 
 
-def _excitation(robot_file: RobotFile, choices: DesignChoices, seed: int) -> str:
+def _excitation(robot_file: RobotFile, choices: DesignChoices, seed: int, progress: Callable[[str], None]) -> str:
     """The trajectory file of a design as `dynid excite` makes it: the file's public inertias bound the torque."""
-    designed = design(robot_file, find_prior(robot_file), choices, SearchChoices(seed=seed, starts=STARTS, workers=1))
+    search = SearchChoices(seed=seed, starts=STARTS, workers=1)
+    designed = design(
+        robot_file, find_prior(robot_file), choices, search, progress=lambda result: progress(search_state(result))
+    )
     comment = f"designed by dynid demo, condition number {designed.condition:.3g}"
     return dump_trajectory(designed.family.trajectory(designed.variables, robot_file.robot.name, comment))
 

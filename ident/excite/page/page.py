@@ -86,7 +86,7 @@ def _tiles(figures: ExcitationFigures) -> list[Tile]:
     count = len(forecast.parameters)
     return [
         Tile("Duration", f"{number(figures.duration, 4)} s", "from rest to rest"),
-        Tile("Column-normalised condition", number(forecast.scaled_condition, 3), "independent of units"),
+        Tile("Condition number", number(forecast.scaled_condition, 3), "columns of unit length; below 50 is good"),
         Tile("Condition", number(forecast.condition, 3), "depends on units"),
         Tile("Largest limit utilisation", percent(figures.worst_use), _worst(figures)),
         Tile("Significant", str(significant) if known else number_text.DASH, _significance(known, count)),

@@ -180,7 +180,8 @@ def revalidated(experiment: GravityExperiment, recordings: Sequence[Recording]) 
     concerns = [(False, text) for text in result.verdict.checks]
     if not held_out:
         concerns.append((False, "not held out: these data are in the identification"))
-    verdict = gravity_verdict(result.of_joints, (rms, largest), len(error), concerns, "of other recordings")
+    whose = "of other recordings" if held_out else "of its own recordings"
+    verdict = gravity_verdict(result.of_joints, (rms, largest), len(error), concerns, whose)
     worse = result.verdict.grade == "poor" or (result.verdict.grade == "usable" and verdict.grade == "good")
     if worse:
         verdict = verdict.model_copy(

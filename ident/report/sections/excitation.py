@@ -19,7 +19,7 @@ def section(data: ReportData) -> ReportSection:
     context = {
         "tiles": [
             Tile("Condition of W", number(excitation.condition, 3), "depends on units"),
-            Tile("Column-normalised condition", number(excitation.scaled_condition, 3), "columns of unit length"),
+            Tile("Condition number", number(excitation.scaled_condition, 3), "columns of unit length"),
             Tile("Not excited", str(len(excitation.unexcited)), f"of {len(result.base_parameters)} base parameters"),
             Tile("Rank margin", number(result.rank_margin, 3), "smallest singular value kept / largest dropped"),
         ],

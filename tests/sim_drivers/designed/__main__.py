@@ -11,5 +11,5 @@ from sim_drivers.rtde.demo import LIMIT_MARGIN, RAMP, _excitation
 if __name__ == "__main__":
     choices = DesignChoices(period=8.0, periods=1, ramp=RAMP, margin=LIMIT_MARGIN)
     for seed in (1, 2):
-        text = _excitation(load_robot("ur5e"), choices, seed)
+        text = _excitation(load_robot("ur5e"), choices, seed, print)
         Path(__file__).with_name(f"{seed}.yaml").write_text(text, encoding="utf-8")
