@@ -10,7 +10,7 @@ Robots         load_robot, builtin_robots, RobotFile, base_parameters
 Recordings     Recording, read_recording, import_recording, write_recording, simulate, info
 Motions        design_excitation, design_gravity_motion, design_servo_motion, load_trajectory
 Identify       identify, identify_gravity, compare, merge, friction, payload, drive_gains
-Results        load_result, load_model, Model, predict, validate, diff, History, Table
+Results        load_result, load_model, Model, predict, monitor, validate, diff, History, Table
 Errors         DynidError, and below it InputError and WorkError: each says what was wrong, where, and what to type
 
 Arrays are (N, n): time first, joints last. Units are s, rad, rad/s, rad/s², A, N·m, kg, m. help(dynid.identify) shows
@@ -70,6 +70,7 @@ if TYPE_CHECKING:
     from ident.tasks.loads import IdentifiedPayload as IdentifiedPayload
     from ident.tasks.loads import drive_gains as drive_gains
     from ident.tasks.loads import payload as payload
+    from ident.tasks.monitoring import monitor as monitor
     from ident.tasks.prediction import Prediction as Prediction
     from ident.tasks.prediction import predict as predict
     from ident.tasks.recording_quality import RecordingQuality as RecordingQuality
@@ -122,6 +123,7 @@ _HOMES = {
     "ident.tasks.history": ("History",),
     "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),
     "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),
+    "ident.tasks.monitoring": ("monitor",),
     "ident.tasks.prediction": ("Prediction", "predict"),
     "ident.tasks.recording_quality": ("RecordingQuality", "info"),
     "ident.tasks.servo": ("ServoModel", "identify_servo", "load_servo_model"),

@@ -40,7 +40,8 @@ def sim(
 ) -> None:
     """Serve a simulated arm over RTDE or CAN until Ctrl-C; or play a motion on a simulated servo arm.
 
-    Type a fault while it runs, such as: drop 10, freeze 3, cut, block 2, power-cycle 3.
+    Type a fault while it runs, such as: drop 10, freeze 3, cut, block 2, power-cycle 3; or a contact, such as
+    push elbow_joint 0 0 30 for 0.5.
 
     Example: dynid sim ur5e --wire canopen
     """

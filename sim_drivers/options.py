@@ -42,6 +42,9 @@ class SimOptions(Options):
     worst_stuffing: bool = option(False, "Stuff every CAN frame to the maximum.")
     thermometer: bool = option(False, "Serve its serial thermometer, too.")
     payload: str | None = option(None, "MASS@X,Y,Z: kg, and m in the flange frame.")
+    contact: str | None = option(
+        None, "What touches it, separated by ';': push LINK FX FY FZ for S after S; wall …; pick MASS after S."
+    )
     position: str | None = option(None, "Where it stands at first, joint after joint, rad or m; default: mid-range.")
     seed: int = option(1, "Of the noise.")
     play: Path | None = option(None, "Of servo arms: motion to play and record, not to serve.")

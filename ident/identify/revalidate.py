@@ -121,12 +121,17 @@ def used_share(result: Result, recording: Recording, window: RunWindow) -> float
 
 def _still_there(result: Result, recording: Recording, used: Sequence[RecordingUse]) -> Iterator[RunWindow]:
     """The recordings of the identification that lie beside this one or in the working folder, unchanged."""
-    folders = {Path()} | ({recording.path.parent} if recording.path is not None else set())
+    for use, path in unchanged_files(used, [] if recording.path is None else [recording.path.parent]):
+        chosen = PreprocessChoices(start=use.window[0], stop=use.window[1])
+        yield run_window(read_recording(path), stored_model(result).robot_file.robot, chosen)
+
+
+def unchanged_files(used: Sequence[RecordingUse], folders: Sequence[Path]) -> Iterator[tuple[RecordingUse, Path]]:
+    """The files of recordings that are what they were: where they were, in the working folder, or in `folders`."""
     for use in used:
-        for path in (folder / Path(use.file).name for folder in folders):
+        for path in (Path(use.file), *(folder / Path(use.file).name for folder in (Path(), *folders))):
             if path.suffix == ".h5" and path.is_file() and file_sha256(path) == use.sha256:
-                chosen = PreprocessChoices(start=use.window[0], stop=use.window[1])
-                yield run_window(read_recording(path), stored_model(result).robot_file.robot, chosen)
+                yield use, path
                 break
 
 

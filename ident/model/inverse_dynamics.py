@@ -15,12 +15,13 @@ then need the standard parameters, of which base parameters do not tell.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.friction.terms import FrictionConditions
+from ident.friction.terms import NO_STATES, FrictionConditions, States
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
@@ -149,7 +150,11 @@ class InverseDynamics:
         return FrictionConditions(self._load.torque(position), temperature, position=position)
 
     def friction(
-        self, velocity: FloatArray, position: FloatArray | None = None, temperature: FloatArray | None = None
+        self,
+        velocity: FloatArray,
+        position: FloatArray | None = None,
+        temperature: FloatArray | None = None,
+        presliding: States = NO_STATES,
     ) -> FloatArray:
         """Friction and offsets (n, N) [N·m] at joint velocities (n, N); of `confounded` joints with their weight.
 
@@ -157,11 +162,12 @@ class InverseDynamics:
             velocity: (n, N) [rad/s or m/s].
             position: (n, N), where friction depends on it or on the load.
             temperature: (n, N) [K], where friction depends on it.
+            presliding: states (N,) in place of sign(q̇), by the motion that rubs.
 
         Raises:
             ModelError: the friction depends on what is not given.
         """
-        conditions = self.conditions(position, temperature)
+        conditions = replace(self.conditions(position, temperature), presliding=presliding)
         motors = np.zeros_like(velocity)
         for column, value in self.joint_columns:
             if column.quantity != "motor_inertia":

@@ -23,19 +23,23 @@ from ident.model.joint_columns import JointColumn, column_signal, combined, join
 from ident.model.regressor import LoadTorqueKernel
 
 
-def dahl_states(velocity: FloatArray, rate: float, travels: Sequence[float] | FloatArray) -> FloatArray:
-    """Dahl's state z (T, N), exact for a velocity that is constant between samples; sliding at the first motion.
+def dahl_states(
+    velocity: FloatArray, rate: float, travels: Sequence[float] | FloatArray, start: float | None = None
+) -> FloatArray:
+    """Dahl's state z (T, N), exact for a velocity that is constant between samples.
 
     Args:
         velocity: (N,) on a uniform grid [rad/s or m/s].
         rate: [Hz].
         travels: (T,) δ [rad or m], positive.
+        start: the state before the first sample; that of a joint that slides at the first motion where None.
     """
     scale = 1.0 / (rate * np.asarray(travels, dtype=np.float64)[:, None])
     sign, distance = np.sign(velocity), np.abs(velocity)
     states = np.empty((len(scale), len(velocity)))
     moving = np.flatnonzero(sign)
-    state = np.full((len(scale), 1), sign[moving[0]] if len(moving) else 0.0)
+    first = sign[moving[0]] if len(moving) else 0.0
+    state = np.full((len(scale), 1), first if start is None else start)
     edges = [0, *(np.flatnonzero(np.diff(sign)) + 1).tolist(), len(sign)]
     for start, stop in pairwise(edges):
         if stop > start:
@@ -49,12 +53,16 @@ def presliding_states(model: DynamicModel, velocity: FloatArray, rate: float) ->
     """Dahl's state (N,) of each motion of the model that has a travel, along velocities (n, N) on a uniform grid."""
     if not model.presliding:
         return NO_STATES
-    standard = {parameter.name: parameter for parameter in model.parameters}
-    states: dict[Motion, FloatArray] = {}
-    for name, travel in model.presliding:
-        motion = joint_column(model, standard[name]).motion
-        states[motion] = dahl_states(combined(motion, velocity), rate, [travel])[0]
-    return states
+    return {
+        motion: dahl_states(combined(motion, velocity), rate, [travel])[0]
+        for motion, travel in presliding_motions(model).items()
+    }
+
+
+def presliding_motions(model: DynamicModel) -> dict[Motion, float]:
+    """The motions that have a pre-sliding travel [rad or m]."""
+    standard = {parameter.name: parameter for parameter in model.parameters} if model.presliding else {}
+    return {joint_column(model, standard[name]).motion: travel for name, travel in model.presliding}
 
 
 @dataclass(frozen=True)

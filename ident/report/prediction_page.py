@@ -73,10 +73,10 @@ def write_prediction_page(
             plots={
                 "torque": prediction_figure(joints, predicted),
                 "residual": _residual_figure(joints, predicted),
-                "parts": _figure(
+                "parts": joints_figure(
                     "parts-plot",
                     joints,
-                    segments,
+                    _stamps(segments),
                     [(part, PART_COLOURS[part], [segment.parts[part] for segment in segments]) for part in PARTS],
                     "The parts of the predicted torque; together they are its whole.",
                 ),
@@ -89,7 +89,7 @@ def write_prediction_page(
 def prediction_figure(joints: Sequence[JointLimits], predicted: RecordingPrediction) -> Figure:
     """Measured and predicted torque, a panel per joint."""
     segments = predicted.segments
-    return _figure("torque-plot", joints, segments, _torque_lines(segments), _torque_caption(predicted))
+    return joints_figure("torque-plot", joints, _stamps(segments), _torque_lines(segments), _torque_caption(predicted))
 
 
 def _torque_lines(segments: Sequence[SegmentPrediction]) -> list[Line]:
@@ -118,19 +118,27 @@ def _residual_figure(joints: Sequence[JointLimits], predicted: RecordingPredicti
         band = [WITHIN_95_PERCENT * np.sqrt(segment.std**2 + predicted.noise**2) for segment in predicted.segments]
         lines += [("95 %", PREDICTED, band), ("", PREDICTED, [-limit for limit in band])]
         caption += " Red: its 95 % interval without contact."
-    return _figure("residual-plot", joints, predicted.segments, lines, caption)
+    return joints_figure("residual-plot", joints, _stamps(predicted.segments), lines, caption)
 
 
-def _figure(
-    anchor: str,
-    joints: Sequence[JointLimits],
-    segments: Sequence[SegmentPrediction],
-    lines: Sequence[Line],
-    caption: str,
+def _stamps(segments: Sequence[SegmentPrediction]) -> list[FloatArray]:
+    return [segment.time for segment in segments]
+
+
+def joints_figure(
+    anchor: str, joints: Sequence[JointLimits], stamps: Sequence[FloatArray], lines: Sequence[Line], caption: str
 ) -> Figure:
-    """One panel a joint over one time axis; a line without a label belongs to the one before."""
-    start = float(segments[0].time[0])
-    times = [segment.time - start for segment in segments]
+    """One panel a joint over one time axis; a line without a label belongs to the one before.
+
+    Args:
+        anchor: its id within the page.
+        joints: of the panels.
+        stamps: (N,) of each segment [s].
+        lines: (N, n) of each segment.
+        caption: what is shown.
+    """
+    start = float(stamps[0][0])
+    times = [time - start for time in stamps]
     height = TOP + BOTTOM + PANEL * len(joints) + GAP * (len(joints) - 1)
     domains = row_domains(len(joints), height, GAP)
     points = points_per_trace(len(joints))

@@ -318,13 +318,7 @@ class Model(ExportedModel):
             >>> goal.position.shape
             (501, 6)
         """
-        if self._missing:
-            raise ModelError(
-                f"{', '.join(self._base.names[index] for index in self._missing)} has no value: the recording did not "
-                "excite it",
-                where=self.name,
-                hint='simulate the physically consistent model (parameters="consistent", the default)',
-            )
+        self.require_complete("a simulation")
         kelvin = self._kelvin(temperature, 1)
         return simulated_motion(
             self._dynamics, q0, dq0, torque, duration, step, None if kelvin is None else kelvin[:, 0]

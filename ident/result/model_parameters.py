@@ -116,6 +116,30 @@ class ModelParameters:
         """Number n of joints with a motor."""
         return self._stored.model.dof
 
+    @property
+    def dynamics(self) -> InverseDynamics:
+        """Inverse dynamics (n, N) of these parameters, for what evaluates them in parts and sample by sample."""
+        return self._dynamics
+
+    @property
+    def stored(self) -> StoredModel:
+        """The model that these parameters belong to, with its robot file."""
+        return self._stored
+
+    def require_complete(self, what: str) -> None:
+        """Refuse a model some of whose base parameters have no value, where all are needed for `what`.
+
+        Raises:
+            ModelError: names the parameters.
+        """
+        if self._missing:
+            raise ModelError(
+                f"{', '.join(self._base.names[index] for index in self._missing)} has no value: the recording did not "
+                f"excite it, and {what} needs it",
+                where=self.name,
+                hint='take the physically consistent model (parameters="consistent", the default)',
+            )
+
     def require_temperature(self, kelvin: FloatArray | None, where: str) -> None:
         """Refuse joint temperatures (N, n) [K] that lack those of joints whose friction depends on them.
 

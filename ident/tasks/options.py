@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 from drivers.core.errors import UsageError
 from drivers.core.options import Options, argument, option, read_names, read_numbers
+from drivers.core.ranges import Range
 from ident.excite.choices import DesignChoices, SearchOptions
 from ident.excite.purpose_choices import GravityChoices, ServoMotionChoices, SweepChoices
 from ident.identify.options import ColumnOptions
+from ident.monitor.observers import BANDWIDTH, Kind
 from ident.regression.options import PERCENT, EssentialOptions, ExperimentChoices, ReversalOptions
 from ident.signals.options import FilterOptions, WindowOptions, delay_option
 
@@ -33,6 +35,9 @@ _RUNS = argument(
     meaning="a recording, or several of one arm, which stack; each read already or a path.",
     command_type=list[Path],
 )
+OBSERVER_BANDWIDTH = Range(1.0, 1000.0, "1/s")
+ALARM_RATE = Range(1e-3, 1e4, "1/h")
+"""False alarms per hour."""
 _PROGRESS = "called with the name of each step before it begins."
 
 
@@ -280,6 +285,36 @@ class PredictOptions(Options):
         None,
         "consistent, full or essential; consistent where there are any, else full.",
         meaning='"consistent", "full" or "essential", as in `load_model`; None takes what that does.',
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class DetectionOptions(Options):
+    """How contacts are noticed, and what thresholds are earned on."""
+
+    quiet: Runs | None = option(
+        None,
+        "Recording without contact that thresholds are learnt from; repeatable; default: those of the model.",
+        meaning="recordings without contact that thresholds are learnt from; those of the model where None.",
+        command_type=list[Path],
+    )
+    observer: Kind = option("direct", "momentum, direct or kalman.", one_of=get_args(Kind))
+    bandwidth: float = option(BANDWIDTH, "Of the observer [1/s].", allowed=OBSERVER_BANDWIDTH)
+    false_alarms: float = option(1.0, "False alarms per hour that thresholds allow.", allowed=ALARM_RATE)
+
+
+@dataclass(frozen=True)
+class MonitorOptions(DetectionOptions):
+    """Arguments of `monitor`."""
+
+    identified: Identified = field(
+        metadata=argument("model", "", meaning="a result, a model, or the folder or file of a result.")
+    )
+    run: Run = field(metadata=argument("recording", "", meaning="a recording of the same arm, or its path."))
+    _: KW_ONLY
+    contacts: str | PathLike[str] | None = option(
+        None,
+        meaning="CSV file with columns start and end, in seconds from the first sample: contacts that should be found.",
     )
 
 

@@ -230,7 +230,7 @@ def predict(options: PredictOptions) -> Prediction:
         'measured [N·m]'
     """
     recording = recording_of(options.run)
-    model = _model(options.identified, options.parameters)
+    model = model_of(options.identified, options.parameters, "the torque of a motion")
     robot_file = stored_model(model.result).robot_file
     predicted = predict_recording(model, robot_file, recording)
     segments = predicted.segments
@@ -257,11 +257,19 @@ def predict(options: PredictOptions) -> Prediction:
     )
 
 
-def _model(identified: IdentificationResult | Model | str | PathLike[str], parameters: Parameters | None) -> Model:
+def model_of(
+    identified: IdentificationResult | Model | str | PathLike[str], parameters: Parameters | None, what: str
+) -> Model:
+    """The model of a result, a model, or a path; `what` it is needed for.
+
+    Raises:
+        ModelError: it knows gravity alone.
+        ResultFileError, UsageError: as `load_model`.
+    """
     if isinstance(identified, IdentificationResult):
         return Model(identified.result, parameters)
     model = identified if isinstance(identified, Model) else load_model(identified, parameters)
-    refuse_gravity_alone(model, "the torque of a motion")
+    refuse_gravity_alone(model, what)
     return model
 
 

@@ -22,6 +22,8 @@ from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
 from ident.model.rigid_arm import RigidArm, rigid_arm
 from ident.model.true_parameters import truth_vector
+from sim_drivers.plant.altered_arm import with_load
+from sim_drivers.plant.contact import Contacts
 from sim_drivers.plant.control import Braking, ComputedTorque, JointController, Pid, Reference, independent_inertia
 from sim_drivers.plant.friction import (
     PairFriction,
@@ -91,6 +93,7 @@ class Plant:
         drive_torque: (n,) true torque of the drives, joint side [N·m].
         friction_torque: (n,) true friction of the motors, counted positive against a positive velocity [N·m].
         thermal: winding and housing temperatures.
+        contacts: what touches the arm; `contacts.request` takes more.
 
     Raises:
         RobotFileError: the truth names no link for some joint, or a link without inertia.
@@ -107,12 +110,13 @@ class Plant:
         self.robot, self.settings = robot_file.robot, settings
         robot = self.robot
         model = build_model(robot_file)
+        self._robot_file, self._model = robot_file, model
+        self.contacts = Contacts(robot_file, model)
         inertial = truth_vector(robot_file)[: 10 * len(model.joints)]
         joints = [robot.truth.joints.get(name, TruthJoint()) for name in robot.joint_names]
         self._motor_inertia = np.array([joint.motor_inertia for joint in joints])
-        pair_inertia = np.array([joint.pair_inertia for joint in joints])
-        self._arm = rigid_arm(model, inertial, self._motor_inertia, pair_inertia)
-        self._moving_arm = rigid_arm(model, inertial, self._motor_inertia, pair_inertia)
+        self._pair_inertia = pair_inertia = np.array([joint.pair_inertia for joint in joints])
+        self._arm, self._moving_arm = self._loaded_arms(robot_file, self._motor_inertia)
         self._coupling = coupling_matrix(robot.model.coupling, robot.joint_names) if robot.model.coupling else None
         start = np.array([0.5 * sum(joint.position) for joint in robot.joints]) if position is None else position
         self.position = self._to_motors(self._vector(start, "position")).copy()
@@ -211,6 +215,8 @@ class Plant:
         settings = self.settings
         for _ in range(round(self._time_due / settings.step) - self._steps):
             if self._steps % settings.control_steps == 0:
+                if (grasp := self.contacts.due(self.time)) is not None:
+                    self.carry(grasp.mass, grasp.centre)
                 self._control()
             self._step()
             self._steps += 1
@@ -255,6 +261,25 @@ class Plant:
         self.thermal.housing[joint] += celsius
         self._update_conditions()
 
+    def carry(self, mass: float, centre: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+        """Carry a point mass [kg] on the tool from now on, its centre [m] from the tool point; nothing where it is 0.
+
+        The controller does not know of it.
+
+        Raises:
+            RobotFileError: the file has no true link there.
+        """
+        loaded = with_load(self._robot_file, mass, centre, [0.0] * 6) if mass > 0.0 else self._robot_file
+        self._arm, self._moving_arm = self._loaded_arms(loaded, self._moving_arm.armature)
+
+    def _loaded_arms(self, robot_file: RobotFile, armature: FloatArray) -> tuple[RigidArm, RigidArm]:
+        """The arm, and the one that the integration moves."""
+        inertial = truth_vector(robot_file)[: 10 * len(self._model.joints)]
+        true, moving = (
+            rigid_arm(self._model, inertial, inertia, self._pair_inertia) for inertia in (self._motor_inertia, armature)
+        )
+        return true, moving
+
     def block(self, joint: int) -> None:
         """Jam the joint of this index: it stops at once and does not move, whatever its drive does.
 
@@ -294,6 +319,9 @@ class Plant:
     def _to_joints(self, values: FloatArray) -> FloatArray:
         return values if self._coupling is None else np.asarray(np.linalg.solve(self._coupling, values))
 
+    def _from_joints(self, torque: FloatArray) -> FloatArray:
+        return torque if self._coupling is None else np.asarray(np.linalg.solve(self._coupling.T, torque))
+
     def _torque_at_joints(self, torque: FloatArray) -> FloatArray:
         return torque if self._coupling is None else np.asarray(self._coupling.T @ torque)
 
@@ -323,6 +351,9 @@ class Plant:
         if self._pair_friction.present:
             friction = friction + self._pair_friction.torque(velocity)
         push = self.drive_torque - friction
+        if self.contacts.present:
+            joints = self._to_joints(self.position), self._to_joints(velocity)
+            push = push + self._from_joints(self.contacts.torque(*joints, self.time))
         if self._stiff:
             push = push + self._added_inertia * before
         acceleration = self._moving_arm.forward(self.position, velocity, push)

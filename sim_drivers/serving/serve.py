@@ -15,6 +15,7 @@ from sim_drivers.serving.served import serve_until_interrupted
 if TYPE_CHECKING:
     from daq.robot.loader import RobotFile
     from drivers.core.arrays import FloatArray
+    from sim_drivers.plant.plant import Plant
 
 START = "start"
 """Name of the pose in which a simulated arm stands at first."""
@@ -35,6 +36,7 @@ def simulate(options: SimOptions, *, live: bool) -> None:
     import numpy as np
 
     from daq.robot.loader import load_robot
+    from sim_drivers.plant.contact import CONTACT_WORDS
 
     if options.wire is not None:
         back_end_of(options.wire)
@@ -47,8 +49,26 @@ def simulate(options: SimOptions, *, live: bool) -> None:
         start: FloatArray | None = start_position(robot_file, options.position)
     else:
         start = np.array(pose) if (pose := robot_file.robot.poses.get(START)) is not None else None
-    served = served_arm(robot_file, options, start)
-    serve_until_interrupted(served, robot_file.robot.name, live=live)
+    served, plant = served_arm(robot_file, options, start)
+
+    def obey(line: str) -> None:
+        if line.split()[0] in CONTACT_WORDS:
+            require_contacts(robot_file)
+            plant.contacts.request(line)
+        else:
+            served.obey(line)
+
+    serve_until_interrupted(served, robot_file.robot.name, obey, live=live)
+
+
+def require_contacts(robot_file: RobotFile) -> None:
+    """Refuse contacts of an arm of servos, whose plant is another.
+
+    Raises:
+        UsageError: it is one.
+    """
+    if any(joint.servo is not None for joint in robot_file.robot.truth.joints.values()):
+        raise UsageError("contacts are not simulated on arms of servos", where=robot_file.robot.name)
 
 
 def back_end_of(wire: str) -> SimulatedBackEnd:
@@ -113,8 +133,8 @@ def start_position(robot_file: RobotFile, text: str) -> FloatArray:
 
 def served_arm(
     robot_file: RobotFile, options: SimOptions, position: FloatArray | None = None, clock: Clock = SYSTEM_CLOCK
-) -> Served:
-    """A simulated arm on its bus, not started yet.
+) -> tuple[Served, Plant]:
+    """A simulated arm on its bus, not started yet, and its plant.
 
     Args:
         robot_file: of the arm.
@@ -134,4 +154,8 @@ def served_arm(
     if options.thermometer and back_end.arm:
         for beside in filter(None, (one.beside for one in _back_ends())):
             served = named(beside)(served, robot_file, plant, options, clock)
-    return served
+    if options.contact is not None:
+        require_contacts(robot_file)
+        for line in filter(str.strip, options.contact.split(";")):
+            plant.contacts.request(line)
+    return served, plant

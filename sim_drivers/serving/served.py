@@ -10,6 +10,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from types import FrameType
 
 from drivers.core.errors import DynidError, UsageError, WorkError
@@ -21,8 +22,10 @@ REFRESH = 0.5
 CLEAR_LINE = "\r\x1b[K"
 
 
-def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
+def serve_until_interrupted(served: Served, name: str, obey: Callable[[str], None], *, live: bool) -> None:
     """Start a simulated device, report it in one JSON object on standard output, and wait for Ctrl-C or SIGTERM.
+
+    Lines that are typed go to `obey`, which refuses them by a UsageError.
 
     Raises:
         ConnectionFailedError: its bus or port is not available.
@@ -39,7 +42,7 @@ def serve_until_interrupted(served: Served, name: str, *, live: bool) -> None:
         gc.freeze()
         print(json.dumps({"ready": True, "robot": name, "pid": os.getpid(), **served.ready()}), flush=True)
         # Typed by a person: it runs in real time, whatever clock the device has.
-        threading.Thread(target=_obey_typed_faults, args=(served,), name="faults", daemon=True).start()
+        threading.Thread(target=_obey_typed_lines, args=(served, obey), name="faults", daemon=True).start()
         with contextlib.suppress(KeyboardInterrupt):
             while served.failure is None:
                 time.sleep(REFRESH)
@@ -71,13 +74,13 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _obey_typed_faults(served: Served) -> None:
+def _obey_typed_lines(served: Served, obey: Callable[[str], None]) -> None:
     try:
         for line in sys.stdin:
             if not line.strip():
                 continue
             try:
-                served.obey(line)
+                obey(line)
             except UsageError as error:
                 served.messages.append(str(error))
     except (OSError, ValueError, AttributeError):

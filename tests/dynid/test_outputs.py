@@ -31,12 +31,14 @@ ARGUMENTS = {
     "gains": "free.h5 loaded.h5 --mass 2 --robot arm.yaml -o FOLDER",
     "info": "run.h5 --robot arm.yaml --page FOLDER",
     "demo": "--robot arm.yaml -o FOLDER",
+    "monitor": "--replay run.h5 --model model --contacts labels.csv --quiet free.h5 --page PAGE",
     "sim": "arm.yaml --play traj.yaml -o OUT",
 }
 """Each command that writes files, with all that it reads; OUT and PAGE are files, FOLDER is a folder."""
 
 READS = {
     "predict": ["model/result.json"],
+    "monitor": ["model/result.json"],
     "export": ["model/result.json"],
     "record": ["samples.csv"],
     "merge": ["model/result.json"],

@@ -1,0 +1,274 @@
+"""The observer at work: residuals, alarms, load and wrench of an arm, from batches of samples as they come."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile
+from drivers.core.arrays import BoolArray, FloatArray, IndexArray
+from drivers.core.errors import DataError
+from drivers.core.units import ZERO_CELSIUS
+from ident.model.dynamic_model import build_model
+from ident.model.link_jacobian import LinkJacobians
+from ident.monitor.contact_forces import Wrench, tool_wrench
+from ident.monitor.interval_torque import Intervals, IntervalTorque, JointSamples
+from ident.monitor.load_estimate import LoadEstimate, LoadEstimator
+from ident.monitor.observers import BANDWIDTH, Kind
+from ident.monitor.thresholds import SETTLING, STD_EVERY, Thresholds, learn
+from ident.result.model import Model
+from ident.signals.joint_signals import read_joint_signals
+from ident.signals.resampling import measure_irregularity
+
+RELEASE = 0.7
+"""Share of the threshold below which an alarm ends."""
+RELEASE_TIME = 0.1
+"""[s] for which every joint must have been below it."""
+SAME_PLACE = 1e-4
+"""Difference of two arms' joint frames [m, rad] that calibration does not make."""
+INERTIA_POSES = 20
+"""Random poses over which the joints' inertias are averaged."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A contact that was noticed.
+
+    Attributes:
+        time: of the sample that passed its threshold [s, the source's clock].
+        end: of the last that did [s]; nan while it lasts.
+        joint: that passed it farthest.
+        torque: largest external torque of this joint [N·m or N].
+        threshold: at that moment [N·m or N].
+        ratio: largest of torque over threshold.
+    """
+
+    time: float
+    end: float
+    joint: str
+    torque: float
+    threshold: float
+    ratio: float
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What a batch of samples gave; N of n joints.
+
+    Attributes:
+        intervals: motion, measured torque and unfiltered external torque.
+        external: (N, n) external torque [N·m or N].
+        threshold: (N, n) beyond which |external| is an alarm [N·m or N].
+        spread: (N, n) its σ without contact [N·m or N].
+        way: (N, n) of motion.
+        alarm: (N,) whether an alarm is on.
+    """
+
+    intervals: Intervals
+    external: FloatArray
+    threshold: FloatArray
+    spread: FloatArray
+    way: IndexArray
+    alarm: BoolArray
+
+    @property
+    def ratio(self) -> FloatArray:
+        """(N,) the largest |external| over its threshold."""
+        if not len(self.external):
+            return np.zeros(0)
+        return np.asarray(np.max(np.abs(self.external) / self.threshold, axis=1))
+
+
+class Monitor:
+    """Watches an arm; batches may be divided in any way, the result is the same.
+
+    Args:
+        model: of the whole arm.
+        thresholds: of its residual.
+        load: whether a load is estimated, too.
+
+    Attributes:
+        contacts: noticed so far, in order of time; the last one may last.
+        lag: time [s] after a sample at which its residual is known.
+    """
+
+    def __init__(self, model: Model, thresholds: Thresholds, *, load: bool = True) -> None:
+        self.model, self.thresholds = model, thresholds
+        self._intervals = IntervalTorque(model, thresholds.period, momentum=thresholds.kind != "direct")
+        self._observer = thresholds.observer()
+        self._load = LoadEstimator(model, thresholds) if load else None
+        self._places = LinkJacobians(model.dynamics.model)
+        self._tool = np.array(model.stored.robot_file.robot.workspace.tool)
+        self._since = np.full(model.dof, np.inf)
+        self._std, self._count = np.zeros(model.dof), 0
+        self._settle = round(SETTLING / (thresholds.bandwidth * thresholds.period))
+        self._after_restart = 0
+        self._below = 0.0
+        self._last: Residuals | None = None
+        self.contacts: list[Contact] = []
+        self.lag = self._intervals.lag
+
+    def add(self, samples: JointSamples) -> Residuals:
+        """Take over samples (N, n); what they complete.
+
+        Raises:
+            DataError: another number of joints, or a temperature is missing.
+        """
+        intervals = self._intervals.add(samples)
+        external = self._observer.apply(intervals.external, intervals.restarted)
+        way, self._since = self.thresholds.ways.of(intervals.velocity, self._since)
+        spread = self.thresholds.spread_of(way, self._model_std(intervals))
+        threshold = self.thresholds.level[way] * spread
+        alarm = np.zeros(len(intervals), dtype=bool)
+        if len(intervals):
+            ratio = np.abs(external) / threshold
+            for row, restarted in enumerate(intervals.restarted.tolist()):
+                self._after_restart = 0 if restarted else self._after_restart + 1
+                alarm[row] = self._judged(float(intervals.time[row]), external[row], threshold[row], ratio[row])
+            if self._load is not None:
+                self._load.add(intervals, external, way)
+        result = Residuals(intervals, external, threshold, spread, way, alarm)
+        self._last = result if len(intervals) else self._last
+        return result
+
+    def _model_std(self, intervals: Intervals) -> FloatArray:
+        """(N, n) σ of the model, which changes slowly: of every `STD_EVERY`-th sample, held in between."""
+        count = len(intervals)
+        due = np.flatnonzero((self._count + np.arange(count)) % STD_EVERY == 0)
+        self._count += count
+        if not count:
+            return np.zeros((0, self.model.dof))
+        heat = None if intervals.celsius is None else intervals.celsius[due]
+        held = self._std[None]
+        if len(due):
+            rows = self.model.torque_std(intervals.position[due], intervals.velocity[due], None, heat)
+            held = np.vstack([held, rows])
+        self._std = held[-1]
+        return np.asarray(held[np.searchsorted(due, np.arange(count), side="right")])
+
+    def _judged(self, time: float, external: FloatArray, threshold: FloatArray, ratio: FloatArray) -> bool:
+        """Whether an alarm is on; contacts begin and end here."""
+        largest = float(ratio.max())
+        lasting = bool(self.contacts) and np.isnan(self.contacts[-1].end)
+        if largest > 1.0 and self._after_restart >= self._settle:
+            joint = int(ratio.argmax())
+            now = Contact(
+                time, np.nan, self.model.joint_names[joint], float(external[joint]), float(threshold[joint]), largest
+            )
+            if not lasting:
+                self.contacts.append(now)
+                if self._load is not None:
+                    self._load.restart()  # what was grasped is another load from now on
+            elif largest > self.contacts[-1].ratio:
+                self.contacts[-1] = replace(now, time=self.contacts[-1].time)
+            self._below = time
+            return True
+        if not lasting:
+            return False
+        if largest > RELEASE:
+            self._below = time
+        elif time - self._below >= RELEASE_TIME:
+            self.contacts[-1] = replace(self.contacts[-1], end=self._below)
+            return False
+        return True
+
+    @property
+    def load(self) -> LoadEstimate | None:
+        """The load since the last contact began; None before the arm has moved long enough."""
+        return None if self._load is None else self._load.estimate
+
+    @property
+    def wrench(self) -> Wrench | None:
+        """The wrench at the tool by the newest sample; None where joint torques do not determine it."""
+        if self._last is None:
+            return None
+        self._places.move(self._last.intervals.position[-1])
+        jacobian = self._places.jacobian(self.model.dynamics.model.tool_link, self._tool)
+        return tool_wrench(jacobian, self._last.external[-1], self._last.spread[-1])
+
+
+def another_arm(model: Model, robot_file: RobotFile) -> str:
+    """How a robot file's arm differs from the one that a model is of, in words; empty where it does not."""
+    own, theirs = model.stored.robot_file.robot, robot_file.robot
+    if own.joint_names != theirs.joint_names:
+        return (
+            f"is of {theirs.name} with joints {', '.join(theirs.joint_names)}, the model of {own.name} with joints "
+            f"{', '.join(own.joint_names)}"
+        )
+    pairs = zip(model.dynamics.model.joints, build_model(robot_file).joints, strict=False)
+    for joint, other in pairs:
+        same = joint.parent == other.parent and joint.prismatic == other.prismatic
+        for part in ("rotation", "translation", "axis"):
+            same = same and np.allclose(getattr(joint, part), getattr(other, part), atol=SAME_PLACE)
+        if not same:
+            return f"is of {theirs.name}, whose joint {other.name} sits elsewhere than in the model's {own.name}"
+    return ""
+
+
+def joint_samples(model: Model, recording: Recording) -> JointSamples:
+    """A recording's samples for a monitor of its model, torques by the drive gains of the model's robot file.
+
+    Raises:
+        DataError: it lacks positions, a torque, a joint or a gain, or is of another arm.
+    """
+    if recording.robot_text and (said := another_arm(model, recording.robot())):
+        raise DataError(said, where=recording.label, hint="give a recording of the arm that was identified")
+    signals = read_joint_signals(recording, model.stored.robot_file.robot)
+    celsius = None if signals.temperature is None else signals.temperature - ZERO_CELSIUS
+    return JointSamples(signals.time, signals.position, signals.torque @ model.coupling, celsius)
+
+
+def sample_period(samples: JointSamples) -> float:
+    """The nominal period [s] of samples."""
+    return measure_irregularity(samples.time).median_period
+
+
+def earned_thresholds(
+    model: Model,
+    quiet: Sequence[tuple[str, JointSamples]],
+    *,
+    kind: Kind = "momentum",
+    bandwidth: float = BANDWIDTH,
+    per_hour: float = 1.0,
+    period: float | None = None,
+) -> Thresholds:
+    """Thresholds from recordings without contact.
+
+    Args:
+        model: of the whole arm.
+        quiet: recording → its samples.
+        kind: of the observer.
+        bandwidth: of it, K [1/s].
+        per_hour: false alarms [1/h].
+        period: of the samples that will be watched [s]; the first recording's where None.
+
+    Raises:
+        DataError: the recordings are too short for this rate.
+        ModelError: the model has parameters without a value.
+        ResultFileError: the result holds no covariance.
+    """
+    own = period or (sample_period(quiet[0][1]) if quiet else 0.0)
+    runs, stds = [], []
+    for name, samples in quiet:
+        intervals = IntervalTorque(model, sample_period(samples), momentum=kind != "direct").add(samples)
+        runs.append((name, intervals))
+        at = slice(None, None, STD_EVERY)
+        heat = None if intervals.celsius is None else intervals.celsius[at]
+        if len(intervals):
+            stds.append(model.torque_std(intervals.position[at], intervals.velocity[at], None, heat))
+    limits = model.stored.robot_file.robot.joints
+    low, high = (np.array(bound) for bound in zip(*(joint.position for joint in limits), strict=True))
+    poses = np.random.default_rng(0).uniform(np.maximum(low, -10.0), np.minimum(high, 10.0), (INERTIA_POSES, model.dof))
+    return learn(
+        runs,
+        stds,
+        np.array([joint.velocity for joint in limits]),
+        kind=kind,
+        bandwidth=bandwidth,
+        period=own,
+        per_hour=per_hour,
+        inertia=np.mean(np.diagonal(model.mass_matrix(poses), axis1=1, axis2=2), axis=0),
+    )

@@ -1,0 +1,145 @@
+"""Thresholds: rates of extreme values, ways of motion, smallest forces, the tool's wrench, the load, labels and ROC."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from monitored_arm import exact_samples, known_model
+
+from drivers.core.errors import DataError, UsageError
+from ident.model.dynamic_model import build_model
+from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.link_jacobian import LinkJacobians
+from ident.model.true_parameters import truth_vector
+from ident.monitor.contact_forces import force_noticed, tool_wrench
+from ident.monitor.extremes import require_time, return_level
+from ident.monitor.interval_torque import JointSamples
+from ident.monitor.labelled_contacts import LabelledContact, found_at, operating_point, read_contacts, roc
+from ident.monitor.monitor import Monitor, earned_thresholds
+from ident.monitor.thresholds import MotionWays, Thresholds
+from sim_drivers.plant.altered_arm import with_load
+from sim_drivers.synthetic.measurement import random_fourier_motion
+
+BLOCK = 0.2
+"""[s]"""
+
+
+def test_a_level_is_passed_as_often_as_asked_for() -> None:
+    """Mean of the true rates over sets of exponential data."""
+    rates = []
+    for seed in range(12):
+        maxima = np.random.default_rng(seed).exponential(size=300)
+        found = return_level(maxima, 300 * BLOCK / 3600.0, 1.0)
+        rates.append(np.exp(-found.level) * 3600.0 / BLOCK)
+        assert found.interval[0] < found.level < 1.2 * found.interval[1]
+    assert 0.2 < np.mean(rates) < 2.5
+
+
+def test_data_that_are_too_short_are_refused_with_what_is_needed() -> None:
+    with pytest.raises(DataError, match="at least 16 s"):
+        require_time(5.0, 0.2, 100.0)
+    with pytest.raises(DataError, match=r"at least 1.8e\+03 s"):
+        require_time(100.0, 0.2, 1e-3)
+
+
+def test_a_joint_is_near_rest_for_a_while_after_it_was() -> None:
+    ways = MotionWays(np.array([0.1]), np.array([1.0]), hold=3)
+    velocity = np.array([0.05, 0.5, 0.5, 0.5, 0.5, 2.0])[:, None]
+    way, since = ways.of(velocity, np.array([np.inf]))
+    assert way[:, 0].tolist() == [0, 0, 0, 0, 1, 2]
+    assert since.tolist() == [5.0]
+    stepped, state = [], np.array([np.inf])
+    for row in velocity:
+        one, state = ways.of(row[None], state)
+        stepped.append(int(one[0, 0]))
+    assert stepped == way[:, 0].tolist()
+
+
+def test_forces_and_wrenches() -> None:
+    lever = np.array([[0.5, 0.0], [0.001, 0.0], [0.1, 1.0]])
+    assert force_noticed(lever, np.array([10.0, 5.0])).tolist() == [20.0, np.inf, 5.0]
+    model, _ = known_model("ur5e")
+    places = LinkJacobians(model.dynamics.model)
+    places.move(np.array([0.3, -1.2, 1.4, -0.6, 0.8, 0.2]))
+    jacobian = places.jacobian(5, np.zeros(3))
+    force = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
+    wrench = tool_wrench(jacobian, jacobian.T @ force, np.full(6, 0.5))
+    assert wrench is not None
+    assert np.r_[wrench.force, wrench.moment] == pytest.approx(force)
+    draws = np.random.default_rng(1).normal(scale=0.5, size=(4000, 6))
+    spread = np.cov(
+        np.array([np.r_[w.force, w.moment] for d in draws[:400] if (w := tool_wrench(jacobian, d, np.full(6, 0.5)))]).T
+    )
+    assert np.diag(spread) == pytest.approx(np.diag(wrench.covariance), rel=0.3)
+    places.move(np.array([0.3, -1.2, 0.0, -0.6, 0.8, 0.2]))  # the stretched elbow
+    assert tool_wrench(places.jacobian(5, np.zeros(3)), np.ones(6), np.ones(6)) is None
+    assert tool_wrench(jacobian[:, :4], np.ones(4), np.ones(4)) is None
+
+
+@pytest.fixture(scope="module")
+def noisy() -> tuple[JointSamples, Thresholds]:
+    """Four seconds of an exact motion ten times, with noise; and thresholds from them."""
+    model, _ = known_model("ur5e")
+    exact = exact_samples("ur5e", 2500)
+    noise = np.random.default_rng(1).normal(scale=0.3, size=(4, *exact.torque.shape))
+    runs = [(str(k), JointSamples(exact.time, exact.position, exact.torque + one)) for k, one in enumerate(noise)]
+    return runs[0][1], earned_thresholds(model, runs)
+
+
+def test_no_alarm_without_contact_and_one_for_a_push(noisy: tuple[JointSamples, Thresholds]) -> None:
+    model, _ = known_model("ur5e")
+    quiet, thresholds = noisy
+    watched = Monitor(model, thresholds)
+    watched.add(quiet)
+    assert watched.contacts == []
+    torque = quiet.torque.copy()
+    torque[1000:1200, 2] -= 3.0 * thresholds.limit[:, 2].max()
+    pushed = Monitor(model, thresholds)
+    pushed.add(JointSamples(quiet.time, quiet.position, torque))
+    (contact,) = pushed.contacts
+    assert contact.joint == "elbow_joint"
+    assert 0.0 < contact.time - quiet.time[1000] < 0.03
+    assert contact.end - quiet.time[1200] < 0.05
+    assert contact.torque > contact.threshold > 0.0
+
+
+def test_a_load_is_estimated_with_its_interval(noisy: tuple[JointSamples, Thresholds]) -> None:
+    model, file = known_model("ur5e")
+    quiet, thresholds = noisy
+    loaded = with_load(file, 2.0, (0.02, 0.0, 0.1), [0.0] * 6)
+    arm = build_model(loaded)
+    base = model.dynamics.base
+    standard = truth_vector(loaded)
+    dynamics = InverseDynamics(arm, base, base.projection @ standard, standard)
+    motion = random_fourier_motion(build_model(file), 5.0, seed=1, candidates=1)
+    torque = dynamics.torque(*motion.evaluate(quiet.time)).T
+    torque += np.random.default_rng(2).normal(scale=0.3, size=torque.shape)
+    watched = Monitor(model, thresholds)
+    watched.add(JointSamples(quiet.time, quiet.position, torque))
+    load = watched.load
+    assert load is not None
+    assert abs(load.mass - 2.0) < max(2.0 * load.margin, 0.04)
+    assert load.centre == pytest.approx([0.02, 0.0, 0.1], abs=0.02)
+
+
+def test_labels_and_operating_points(tmp_path: Path) -> None:
+    file = tmp_path / "labels.csv"
+    file.write_text("start,end,link\n1,2,elbow\n5,6,tool\n")
+    contacts = read_contacts(file, 100.0)
+    assert contacts == (LabelledContact(101.0, 102.0), LabelledContact(105.0, 106.0))
+    time = 100.0 + 0.01 * np.arange(1000)
+    ratio = np.full(1000, 0.5)
+    ratio[120:150] = 2.0  # found after 0.2 s
+    ratio[800:805] = 1.5  # a false alarm
+    point = operating_point(time, ratio, contacts, 1.0, 0.01)
+    assert (point.found, point.false_per_hour) == (0.5, pytest.approx(100.0))
+    assert point.delay == pytest.approx(0.2)
+    curve = roc(time, ratio, contacts, 0.01)
+    assert found_at(curve, 0.0).found == 0.5
+    assert found_at(curve, 0.0).threshold >= 1.5
+    for text in ("a,b\n1,2\n", "start,end\n2,1\n", "start,end\nx,1\n", "start,end\n"):
+        file.write_text(text)
+        with pytest.raises(UsageError):
+            read_contacts(file, 0.0)
