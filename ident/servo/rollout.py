@@ -7,7 +7,9 @@ step is implicit in damping, stiffness and friction (soft threshold), so that st
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -135,33 +137,29 @@ def roll_out(
     p = {name: values[index] for name, index in INDEX.items()}
     goals, d_goals = _goals(lanes, p["delay"], p["acceleration_limit"], rows)
     inertia = p["armature"] + lanes.inertia
+    offset = p["zero"] * lanes.load_slope
+    resistance = inertia + lanes.step * p["damping"]
     h, (count, width) = lanes.step, lanes.load.shape
     position, velocity = lanes.start.copy(), np.zeros(width)
-    d_position, d_velocity = np.zeros((len(free), width)), np.zeros((len(free), width))
-    path, tangents = np.empty((count, width)), np.zeros((len(free), count, width))
+    path, velocities = np.empty((count, width)), np.empty((count, width))
     contact = None if surface is None or lanes.touch is None else _Surface(lanes, lanes.touch, surface)
     force = np.zeros((count, 0 if contact is None else contact.pieces))
     for index in range(count):
-        path[index] = position
-        if len(free):
-            tangents[:, index] = d_position
-        step = _step(lanes, p, inertia[index], index, goals[index] - position - p["bias"], velocity)
+        path[index], velocities[index] = position, velocity
+        error = goals[index] - position - p["bias"]
+        step = _step(h, p, inertia[index], resistance[index], lanes.load[index], offset[index], error, velocity)
         if contact is not None:
             step = contact.pushed(step, index, position, force[index])
-        if len(free):
-            d_error = -d_position
-            for row, derivative in d_goals.items():
-                d_error[row] += derivative[index]
-            d_velocity = _derived(lanes, p, rows, inertia[index], index, step, velocity, d_error, d_velocity)
-            d_position = d_position + h * d_velocity
         velocity = step.velocity
         position = position + h * velocity
-    return path, tangents, force
+    if not len(free):
+        return path, np.zeros((0, count, width)), force
+    step = _step(h, p, inertia, resistance, lanes.load, offset, goals - path - p["bias"], velocities)
+    return path, _tangents(lanes, p, rows, inertia, step, velocities, d_goals), force
 
 
-@dataclass(frozen=True, eq=False)
-class _Step:
-    """What one step computes, (L,) each: the drive's torque, whether it acts freely, and the velocity after it."""
+class _Step(NamedTuple):
+    """What a step computes, (…, L) each: the drive's torque, whether it acts freely, and the velocity after it."""
 
     outside: BoolArray
     side: FloatArray
@@ -178,20 +176,25 @@ class _Step:
 
 
 def _step(
-    lanes: Lanes,
+    h: float,
     p: dict[str, FloatArray],
     inertia: FloatArray,
-    index: int,
+    resistance: FloatArray,
+    load: FloatArray,
+    offset: FloatArray,
     error: FloatArray,
     velocity: FloatArray,
 ) -> _Step:
-    h = lanes.step
+    """A step of h [s], or all steps of a path, from position errors and velocities (…, L) before it.
+
+    `resistance` is the inertia with what damping adds in a step; `offset` the load that the encoder's zero adds.
+    """
     outside, side = np.abs(error) > p["dead_band"], np.sign(error)
     linear = p["stiffness"] * np.where(outside, error - side * p["dead_band"], 0.0)
     torque = np.minimum(np.maximum(linear, -p["torque_limit"]), p["torque_limit"])
     acting = np.where(outside & (torque == linear), p["stiffness"], 0.0)
-    divisor = inertia + h * p["damping"] + h * h * acting
-    momentum = inertia * velocity + h * (torque - lanes.load[index] - p["zero"] * lanes.load_slope[index])
+    divisor = resistance + h * h * acting
+    momentum = inertia * velocity + h * (torque - load - offset)
     loaded = np.abs(torque)
     static = p["breakaway"] + p["load_breakaway"] * loaded
     faded = np.exp(-((velocity / p["stribeck_velocity"]) ** 2))
@@ -235,52 +238,70 @@ class _Surface:
             momentum = step.momentum + h * lever * np.repeat(force, self.joints)
             moving, direction = np.abs(momentum) > step.friction, np.sign(momentum)
             velocity = np.where(moving, (momentum - direction * step.friction) / step.divisor, 0.0)
-        return replace(step, velocity=velocity, moving=moving, direction=direction)
+        return step._replace(velocity=velocity, moving=moving, direction=direction)
 
     def _sum(self, values: FloatArray) -> FloatArray:
         summed: FloatArray = values.reshape(self.pieces, self.joints).sum(axis=1)
         return summed
 
 
-def _derived(
+def _tangents(
     lanes: Lanes,
     p: dict[str, FloatArray],
     rows: dict[str, int],
     inertia: FloatArray,
-    index: int,
     step: _Step,
     velocity: FloatArray,
-    d_error: FloatArray,
-    d_velocity: FloatArray,
+    d_goals: dict[int, FloatArray],
 ) -> FloatArray:
-    """Derivatives (F, L) of the velocity after a step, from those of the position error and of the velocity before."""
+    """Derivatives (F, K, L) of the positions on the grid.
+
+    Along a known path they are linear in each other: of a step's velocity, from those of position and velocity before
+    it, d_velocity' = kept·d_velocity + pulled·d_position + driven. The coefficients of all steps are computed at once.
+    """
     h, loaded = lanes.step, np.abs(step.torque)
-
-    def add(derivative: FloatArray, name: str, partial: FloatArray | float) -> None:
-        if name in rows:
-            derivative[rows[name]] += partial
-
-    add(d_error, "bias", -1.0)
-    add(d_error, "dead_band", -step.side * p["dead_band"])
-    d_torque = step.acting * d_error
-    free = step.acting > 0
-    add(d_torque, "stiffness", np.where(free, step.torque, 0.0))
-    add(d_torque, "torque_limit", np.where(step.outside & ~free, step.torque, 0.0))
-    slowness = 2.0 * (velocity / p["stribeck_velocity"]) ** 2
+    freely = step.acting > 0
+    gate = step.moving / step.divisor
     share = p["load_friction"] + p["load_breakaway"] * step.faded
-    d_friction = (h * np.sign(step.torque) * share) * d_torque
-    d_friction -= (h * step.static * step.faded * 2.0 * velocity / p["stribeck_velocity"] ** 2) * d_velocity
-    add(d_friction, "coulomb", h * p["coulomb"])
-    add(d_friction, "load_friction", h * p["load_friction"] * loaded)
-    add(d_friction, "breakaway", h * p["breakaway"] * step.faded)
-    add(d_friction, "load_breakaway", h * p["load_breakaway"] * loaded * step.faded)
-    add(d_friction, "stribeck_velocity", h * step.static * step.faded * slowness)
-    d_after = inertia * d_velocity + h * d_torque - step.direction * d_friction
-    add(d_after, "zero", -h * lanes.load_slope[index])
-    add(d_after, "armature", p["armature"] * (velocity - step.velocity))
-    add(d_after, "damping", -h * p["damping"] * step.velocity)
-    add(d_after, "stiffness", -h * h * step.acting * step.velocity)
-    return np.where(step.moving, d_after / step.divisor, 0.0)
+    pull = gate * h * (1.0 - step.direction * np.sign(step.torque) * share)
+    slope = h * step.static * step.faded * 2.0 * velocity / p["stribeck_velocity"] ** 2
+    kept, pulled = gate * (inertia + step.direction * slope), -pull * step.acting
+    opposed = -gate * step.direction * h
+    driven = np.zeros((len(rows), *velocity.shape))
+
+    def add(name: str, partial: Callable[[], FloatArray]) -> None:
+        if name in rows:
+            driven[rows[name]] = partial()
+
+    for row, derivative in d_goals.items():
+        driven[row] = -pulled * derivative
+    add("bias", lambda: pulled)
+    add("dead_band", lambda: pulled * step.side * p["dead_band"])
+    add(
+        "stiffness",
+        lambda: pull * np.where(freely, step.torque, 0.0) - gate * (h * h * step.acting * step.velocity),
+    )
+    add("torque_limit", lambda: pull * np.where(step.outside & ~freely, step.torque, 0.0))
+    add("coulomb", lambda: opposed * p["coulomb"])
+    add("load_friction", lambda: opposed * p["load_friction"] * loaded)
+    add("breakaway", lambda: opposed * p["breakaway"] * step.faded)
+    add("load_breakaway", lambda: opposed * p["load_breakaway"] * loaded * step.faded)
+    add(
+        "stribeck_velocity",
+        lambda: opposed * step.static * step.faded * 2.0 * (velocity / p["stribeck_velocity"]) ** 2,
+    )
+    add("zero", lambda: -gate * h * lanes.load_slope)
+    add("armature", lambda: gate * p["armature"] * (velocity - step.velocity))
+    add("damping", lambda: -gate * h * p["damping"] * step.velocity)
+    d_position, d_velocity = np.zeros_like(driven[:, 0]), np.zeros_like(driven[:, 0])
+    change = np.empty_like(d_position)
+    for index in range(len(velocity)):
+        d_velocity *= kept[index]
+        d_velocity += np.multiply(d_position, pulled[index], out=change)
+        d_velocity += driven[:, index]
+        driven[:, index] = d_position  # what this step was driven by is needed no more
+        d_position += np.multiply(d_velocity, h, out=change)
+    return driven
 
 
 def at_samples(lanes: Lanes, path: FloatArray) -> FloatArray:
