@@ -19,7 +19,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.assessment.instants import Instants
-from ident.linear_algebra.triangular import triangular
+from ident.linear_algebra.triangular import solved_factor, triangular
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, model_torque
 from ident.regression.least_squares import LeastSquares
@@ -30,6 +30,9 @@ SHIFT_STEP = 1e-3
 
 ZERO_LENGTH = 1e-4
 """[m]; shorter components of a translation are taken for 0 on purpose."""
+
+DEPENDENT = 1e-10
+"""Singular value over the largest one below which columns count as dependent."""
 
 SEEN_SHARE = 1e-6
 """Share of a column's norm that the parameters must leave of it, else the data do not show it."""
@@ -398,7 +401,7 @@ def _settled(  # noqa: C901 — one loop
         left, right = stacked[:, :-1], stacked[:, -1]
         scale = np.linalg.norm(left, axis=0)
         scale[scale == 0.0] = 1.0
-        estimate = np.linalg.lstsq(left / scale, right, rcond=1e-10)[0] / scale
+        estimate = solved_factor(left / scale, right, DEPENDENT) / scale
         parameters = estimate[:width]
         if len(estimate) > width:
             # The last rows of the triangular factor are what the parameters' columns leave of the unknowns'.

@@ -21,6 +21,10 @@ PRECONDITIONER_GROWTH = 1e3
 """A preconditioned column may be this many times longer than the sampled rows predict."""
 
 
+SAFE_MARGIN = 1e3
+"""Times the least singular value beyond which an estimate of the condition in another norm says that none is below."""
+
+
 class Accumulator(Protocol):
     """Accumulates blocks (p, m) of a matrix's transposed rows into its triangular factor (p, p)."""
 
@@ -132,6 +136,20 @@ def triangular(matrix: FloatArray) -> FloatArray:
     factor = np.asarray(np.linalg.qr(matrix, mode="r"))
     missing = matrix.shape[1] - factor.shape[0]
     return np.vstack([factor, np.zeros((missing, matrix.shape[1]))]) if missing > 0 else factor
+
+
+def solved_factor(factor: FloatArray, right: FloatArray, least: float) -> FloatArray:
+    """X (p,) of R·x = y for R (k, p) with k ≥ p, y (k,); the shortest one where singular values are below `least`.
+
+    Those of a factor that is far from singular need not be computed, which takes most of the time.
+    """
+    from scipy.linalg import lapack, solve_triangular
+
+    width = factor.shape[1]
+    square = factor[:width]
+    if width and lapack.dtrcon(square)[0] > SAFE_MARGIN * least:
+        return np.asarray(solve_triangular(square, right[:width], check_finite=False), dtype=np.float64)
+    return np.asarray(np.linalg.lstsq(factor, right, rcond=least)[0], dtype=np.float64)
 
 
 def scaled_condition(factor: FloatArray) -> float:

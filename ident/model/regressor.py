@@ -33,7 +33,8 @@ from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.kinematics.joints import ancestors
 from ident.model.kinematics.transmission import TreeMotion
-from ident.model.newton_euler import AxisMotion, Direction, FrameMotion, Recursion, combine, scaled
+from ident.model.newton_euler import AxisMotion, Direction, FrameMotion, LinkTorques, Recursion, combine, scaled
+from ident.model.parameters import LINK_SIZE
 
 SAMPLES_AT_ONCE = 4096
 """Samples evaluated at once: enough to hide the interpreter, few enough for the cache."""
@@ -411,11 +412,37 @@ def model_torque(
     presliding: States = NO_STATES,
 ) -> FloatArray:
     """Torque (n, N) [N·m] of parameters (p,) on the standard `columns` (all where None) along a motion (n, N)."""
-    kernel = RegressorKernel(model, columns)
-    torque = np.empty_like(position)
-    for chunk, packed in evaluate_in_chunks(kernel, position, velocity, acceleration, temperature, presliding):
-        for joint, rows in enumerate(kernel.joint_rows):
-            torque[joint, chunk] = parameters[list(rows.columns)] @ packed[rows.rows]
+    standard = np.zeros(len(model.parameters))
+    standard[slice(None) if columns is None else list(columns)] = parameters
+    others = range(len(standard)) if columns is None else columns
+    of_joints = [
+        (joint_column(model, model.parameters[column]), float(standard[column]))
+        for column in others
+        if model.parameters[column].kind != "inertial"
+    ]
+    loads = any(column.quantity in LOAD_KINDS for column, _ in of_joints)
+    count, transmission = position.shape[1], model.transmission
+    at_once = min(count, SAMPLES_AT_ONCE)
+    load_kernel = LoadTorqueKernel(model, at_once) if loads else None
+    links = LinkTorques(model.joints, model.gravity, standard[: LINK_SIZE * len(model.joints)], at_once)
+    torque = np.empty(position.shape)
+    for start in range(0, count, SAMPLES_AT_ONCE):
+        chunk = slice(start, start + SAMPLES_AT_ONCE)
+        q, rate, change = position[:, chunk], velocity[:, chunk], acceleration[:, chunk]
+        motion = model.tree_motion(q, rate, change)
+        at_tree = links.torque(motion.position, motion.velocity, motion.acceleration)
+        part = at_tree
+        if not transmission.direct:
+            part = transmission.joint_to_motor @ transmission.from_tree(motion, at_tree)
+        states = {motion: state[chunk] for motion, state in presliding.items()}
+        load = None if load_kernel is None else load_kernel.torque(q)
+        heat = None if temperature is None else temperature[:, chunk]
+        conditions = FrictionConditions(load, heat, states, q)
+        for column, value in of_joints:
+            signal = column_signal(model, column, rate, change, conditions)
+            for motor, factor in column.rows:
+                part[motor] += factor * value * signal
+        torque[:, chunk] = part
     return torque
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
-from ident.linear_algebra.triangular import scaled_condition, triangular
+from ident.linear_algebra.triangular import scaled_condition
 from ident.regression.observation_matrix import Reduction
 
 LinearMethod = Literal["ols", "wls"]
@@ -183,8 +183,7 @@ def _solved(reduction: Reduction, active: tuple[int, ...], weights: FloatArray) 
         raise IdentificationError(
             f"{reduction.rows} equations cannot determine {count} parameters", hint="record longer or decimate less"
         )
-    stacked = reduction.stacked(weights)
-    factor = triangular(stacked[:, [*active, reduction.column_count]])
+    factor = reduction.stacked(weights, active)
     square, right = factor[:count, :count], factor[:count, count]
     lengths = np.linalg.norm(square, axis=0)
     if count and not np.all(np.abs(np.diag(square)) > EXCITATION_TOLERANCE * lengths):

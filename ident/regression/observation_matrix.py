@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -72,16 +73,27 @@ class Reduction:
         """Number of rows r of the system."""
         return sum(joint.rows for joint in self.joints)
 
-    def stacked(self, weights: FloatArray | None = None) -> FloatArray:
-        """R (b + m, b + m) of [W τ…] over all joints, each joint's rows times its weight (n,) (ones where None)."""
+    def stacked(self, weights: FloatArray | None = None, columns: Sequence[int] | None = None) -> FloatArray:
+        """R of [W τ…] over all joints, each joint's rows times its weight (n,) (ones where None).
+
+        Of chosen base columns and the first torque: (b + m, b + m) of all columns and torques where None.
+        """
+        rows = self._rows if columns is None else self._rows[:, [*columns, self.column_count]]
+        if weights is not None:
+            rows = rows * np.repeat(weights, [len(joint.factor) for joint in self.joints])[:, None]
+        return triangular(rows)
+
+    @cached_property
+    def _rows(self) -> FloatArray:
+        """All joints' rows (Σ k, b + m), with structural zeros."""
         blocks = []
-        for joint_index, joint in enumerate(self.joints):
+        for joint in self.joints:
             block = np.zeros((joint.factor.shape[0], self.column_count + self.torque_count))
             width = len(joint.columns)
             block[:, list(joint.columns)] = joint.factor[:, :width]
             block[:, self.column_count :] = joint.factor[:, width:]
-            blocks.append(block if weights is None else weights[joint_index] * block)
-        return triangular(np.vstack(blocks))
+            blocks.append(block)
+        return np.vstack(blocks)
 
     def residual_sums(self, parameters: FloatArray) -> FloatArray:
         """Sum of squared residuals (n,) of the first torque, joint by joint, for base parameters (b,)."""

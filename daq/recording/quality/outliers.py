@@ -155,6 +155,13 @@ def _confirm_runs(
     if len(first) == 0:
         return
     run = np.arange(length)
+    spacings = np.diff(time)
+    median = float(np.median(spacings))
+    periods = spacings[first[:, None] + np.arange(-NEIGHBOURS, length + NEIGHBOURS - 1)]
+    # No cubic goes across a gap.
+    first, periods = (part[np.max(periods, axis=1) < _LARGEST_GAP * median] for part in (first, periods))
+    if len(first) == 0:
+        return
     around = np.concatenate([np.arange(-NEIGHBOURS, 0), np.arange(length, length + NEIGHBOURS)])
     stamps = time[first[:, None] + around]
     middle, width = stamps.mean(axis=1, keepdims=True), 0.5 * np.ptp(stamps, axis=1, keepdims=True)
@@ -164,13 +171,10 @@ def _confirm_runs(
     neighbours = values[first[:, None] + around]
     spread, prediction = _fit_without_worst(basis, neighbours, wanted)
     distance = np.min(np.abs(values[first[:, None] + run] - prediction), axis=1)
-    periods = np.diff(time[first[:, None] + np.arange(-NEIGHBOURS, length + NEIGHBOURS)], axis=1)
-    median = float(np.median(np.diff(time)))
     # A stamp that is off makes a good sample of a moving joint look wrong.
     slope = np.median(np.abs(np.diff(neighbours, axis=1) / np.diff(stamps, axis=1)), axis=1)
     by_stamps = slope * np.max(np.abs(periods - median), axis=1)
     outlying = distance > np.maximum(OUTLIER_DISTANCE * np.maximum(scale, spread), STAMPS * by_stamps)
-    outlying &= np.max(periods, axis=1) < _LARGEST_GAP * median
     for number in np.flatnonzero(outlying)[np.argsort(-distance[outlying])]:
         there = first[number] + run
         # The same glitch also seems to begin a sample earlier or later: the farthest counts.
@@ -190,8 +194,9 @@ def _fit_without_worst(basis: FloatArray, values: FloatArray, wanted: FloatArray
     Returns:
         Standard deviation (M,) of the remaining neighbours about the cubic, and its values (M, r).
     """
-    inverse = np.linalg.pinv(basis)
-    hat = basis @ inverse
+    axes, factor = np.linalg.qr(basis)
+    inverse = np.linalg.solve(factor, axes.swapaxes(1, 2))
+    hat = axes @ axes.swapaxes(1, 2)
     residual = values - np.einsum("mij,mj->mi", hat, values)
     # 0 for a neighbour beyond a gap, through which the cubic goes whatever its value.
     leverage = np.maximum(1.0 - np.einsum("mii->mi", hat), _CUBIC_ROUNDING)

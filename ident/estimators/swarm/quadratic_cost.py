@@ -13,7 +13,6 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.estimators.swarm.box import SearchBox
-from ident.linear_algebra.triangular import triangular
 from ident.regression.observation_matrix import Reduction
 
 
@@ -36,8 +35,7 @@ class QuadraticCost:
         cls, reduction: Reduction, active: Sequence[int], weights: FloatArray | None = None
     ) -> QuadraticCost:
         """Build the cost of a reduced system's active base columns, rows times joints' weights (n,), 1 where None."""
-        columns = [*active, reduction.column_count]
-        factor = triangular(reduction.stacked(weights)[:, columns])
+        factor = reduction.stacked(weights, active)
         count = len(active)
         return cls(factor[:count, :count], factor[:count, count], float(factor[count, count] ** 2))
 

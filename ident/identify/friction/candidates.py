@@ -94,17 +94,19 @@ class CandidateGrams:
 
 def solve_columns(gram: FloatArray, chosen: Sequence[int]) -> FloatArray | None:
     """Values (d − 1,) of all columns that fit the last one best with the chosen ones; None where they depend."""
+    from scipy.linalg import cho_factor, cho_solve
+
     picked = np.array(chosen)
-    scale = np.sqrt(np.diag(gram)[picked])
+    scale = np.sqrt(gram[picked, picked])
     if not np.all(scale > 0.0):
         return None
     try:
-        root = np.linalg.cholesky(gram[np.ix_(picked, picked)] / np.outer(scale, scale))
+        root = cho_factor(gram[picked[:, None], picked] / (scale[:, None] * scale), lower=True, check_finite=False)
     except np.linalg.LinAlgError:
         return None
-    if np.min(np.diag(root)) < INDEPENDENT:
+    if np.min(np.diagonal(root[0])) < INDEPENDENT:
         return None
-    values = np.linalg.solve(root.T, np.linalg.solve(root, gram[picked, -1] / scale))
+    values = cho_solve(root, gram[picked, -1] / scale, check_finite=False)
     parameters = np.zeros(len(gram) - 1)
     parameters[picked] = values / scale
     return parameters
