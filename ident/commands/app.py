@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from ident.commands import (
+    bench,
     check,
     compare,
     diff,
@@ -37,6 +38,7 @@ for command in (
     predict,
     monitor,
     compare,
+    bench,
     diff,
     history,
     merge,

@@ -26,6 +26,7 @@ ARGUMENTS = {
     "merge": "result.json model --validate val.h5 -o FOLDER",
     "history show": "arm.db --page PAGE --csv OUT",
     "compare": "run.h5 --validate val.h5 --robot arm.yaml -o FOLDER",
+    "bench": "--datasets set.yaml -o FOLDER",
     "friction": "run.h5 other.h5 --robot arm.yaml -o FOLDER",
     "payload": "free.h5 loaded.h5 --robot arm.yaml -o FOLDER",
     "gains": "free.h5 loaded.h5 --mass 2 --robot arm.yaml -o FOLDER",
@@ -53,6 +54,7 @@ def outputs_of(name: str) -> list[str]:
     if "FOLDER" in words:
         kinds = {
             "compare": ("comparison.json", "report.html"),
+            "bench": ("benchmark.json", "report.html"),
             "payload": ("payload.json", "report.html"),
             "gains": ("gains.json", "report.html"),
             "friction": ("friction.json", "report.html"),

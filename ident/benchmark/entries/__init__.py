@@ -1,0 +1,1 @@
+"""The methods that the benchmark compares, a module for each origin."""

@@ -1,0 +1,153 @@
+"""Judge every entry on every data set, each in a process of its own, so that one's imports and failures are its own."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+
+from daq.recording.recording import Recording, software_versions
+from drivers.core.errors import DataError, DynidError
+from drivers.core.reading_process import Progress
+from ident.benchmark.dataset import Dataset, LoadedData, download, load_dataset, part
+from ident.benchmark.entry import Training, kind_of, load_method, servo_predictor, torque_predictor
+from ident.benchmark.judge import ServoScore, TorqueScore, agreement, judge_servo, judge_torques
+from ident.benchmark.motion import Motion, motions
+from ident.benchmark.results import Benchmark, Entry, Skipped
+
+
+@dataclass(frozen=True)
+class Judged:
+    """What one process found; `score` is None where the method is not for this kind of data."""
+
+    score: TorqueScore | ServoScore | None
+    parameters: tuple[int, int] | None = None
+    seconds: float = float("nan")
+    memory: float = float("nan")
+
+
+def run_benchmark(
+    datasets: Sequence[Dataset],
+    methods: dict[str, str],
+    folder: Path,
+    *,
+    fetch: bool = False,
+    progress: Progress = lambda step: None,
+) -> Benchmark:
+    """Every method on every data set.
+
+    Args:
+        datasets: to be judged on.
+        methods: name → `module:function`.
+        folder: the mirror with the data sets' files.
+        fetch: download what the folder lacks and has an address.
+        progress: called with what is being done.
+
+    Raises:
+        DataError: the folder has none of the data sets.
+        WorkError: a download failed.
+    """
+    entries: list[Entry] = []
+    skipped: list[Skipped] = []
+    present = []
+    for dataset in datasets:
+        try:
+            if fetch:
+                download(dataset, folder)
+            load_dataset(dataset, folder)
+        except DataError as error:
+            skipped.append(Skipped(dataset.name, str(error)))
+            continue
+        present.append(dataset)
+    if not present:
+        raise DataError(skipped[0].reason if skipped else "no data set is named")
+    for dataset in present:
+        for name, place in methods.items():
+            progress(f"{dataset.name}: {name}")
+            entry = _entry(dataset, name, place, folder)
+            if entry is not None:
+                entries.append(entry)
+    return Benchmark(tuple(present), tuple(entries), tuple(skipped), dict(software_versions()))
+
+
+def _entry(dataset: Dataset, name: str, place: str, folder: Path) -> Entry | None:
+    """A method's figures on a data set; None where it is not for this kind."""
+    empty = Entry(dataset.name, name)
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        try:
+            judged = pool.submit(judge_method, dataset, place, folder).result()
+        except DynidError as error:
+            return replace(empty, failure=str(error))
+        except BrokenProcessPool:
+            return replace(empty, failure="its process ended: out of memory, or a crash")
+        except Exception as error:  # whatever a third party's method raises is its result, not the end of the others'
+            return replace(empty, failure=f"{type(error).__name__}: {error}")
+    if judged.score is None:
+        return None
+    return replace(
+        empty, score=judged.score, parameters=judged.parameters, seconds=judged.seconds, memory=judged.memory
+    )
+
+
+def judge_method(dataset: Dataset, place: str, folder: Path) -> Judged:
+    """Train a method and judge it; in the process that calls.
+
+    Raises:
+        DynidError: the method cannot be found, does not suit the data, or predicts what cannot be compared.
+    """
+    method = load_method(place)
+    if kind_of(method) != dataset.kind:
+        return Judged(None)
+    data = load_dataset(dataset, folder)
+    training = Training(data.robot, data.train, _motions(data, data.train))
+    start = time.process_time()
+    predicted = method(training)
+    seconds = time.process_time() - start
+    if dataset.kind == "servo":
+        score = judge_servo(servo_predictor(predicted, place), data.test, data.robot, dataset.judged)
+        return Judged(score, None, seconds, _peak_memory())
+    predictor = torque_predictor(predicted, place)
+    torques = judge_torques(predictor, list(_motions(data, data.test)), data.robot)
+    parameters = None
+    if predictor.parameters:
+        first, second = (torque_predictor(method(half), place) for half in _halves(data))
+        parameters = agreement(first, second)
+    return Judged(torques, parameters, seconds, _peak_memory())
+
+
+def _motions(data: LoadedData, recordings: Sequence[Recording]) -> tuple[Motion, ...]:
+    if data.dataset.kind == "servo":
+        return ()
+    of = data.dataset
+    return tuple(
+        motion for recording in recordings for motion in motions(recording, data.robot, of.rate, of.states, of.band)
+    )
+
+
+def _halves(data: LoadedData) -> tuple[Training, Training]:
+    """Two trainings without a common sample: half of the recordings each, or the halves of a single one."""
+    runs = data.train
+    if len(runs) > 1:
+        sides = runs[::2], runs[1::2]
+    else:
+        times = [stream.time for stream in runs[0].streams.values() if len(stream.time)]
+        middle = 0.5 * (max(float(time[-1]) for time in times) - min(float(time[0]) for time in times))
+        sides = (part(runs[0], 0.0, middle),), (part(runs[0], middle, None),)
+    first, second = (Training(data.robot, side, _motions(data, side)) for side in sides)
+    return first, second
+
+
+def _peak_memory() -> float:
+    """Largest memory of this process [MB]; nan where the system does not say."""
+    try:
+        import resource
+    except ImportError:
+        return float("nan")
+    import sys
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1e6 if sys.platform == "darwin" else 1e3)
