@@ -15,8 +15,6 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
-from scipy.signal import lfilter
 
 from drivers.core.arrays import BoolArray, FloatArray
 
@@ -38,6 +36,8 @@ class Observer:
     """
 
     def __init__(self, numerator: FloatArray, denominator: FloatArray) -> None:
+        from scipy.signal import lfilter  # here, since every command reads this module's options
+
         self._numerator, self._denominator = numerator, denominator
         impulse = np.zeros(4000)
         impulse[0] = 1.0
@@ -48,6 +48,8 @@ class Observer:
 
     def apply(self, external: FloatArray, restarted: BoolArray) -> FloatArray:
         """Filtered torques (N, n) [N·m or N]; from rest where the observer is `restarted` (N,)."""
+        from scipy.signal import lfilter
+
         result = np.empty_like(external)
         edges = [0, *np.flatnonzero(restarted).tolist(), len(external)]
         for start, stop in pairwise(edges):
@@ -102,6 +104,8 @@ def _kalman(period: float, bandwidth: float, momentum_noise: float, torque_noise
     The state is the momentum p and the disturbance d; p⁺ = p + h·(u + d + noise), y = p + noise. The disturbance walks
     so fast that without noise of the momentum the filter's bandwidth is K.
     """
+    from scipy.linalg import solve_discrete_are
+
     torque = max(float(torque_noise), 1e-9)
     transition = np.array([[1.0, period], [0.0, 1.0]])
     process = np.diag([(period * torque) ** 2, (bandwidth * period * torque) ** 2])
