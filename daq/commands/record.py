@@ -88,6 +88,7 @@ def record_command(
     options: RecordOptions,
     force: bool = FORCE,
     realtime: bool = REALTIME,
+    browser: bool = typer.Option(False, "--browser", help="Show the joints live on a page of this computer."),
     no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
     as_json: bool = JSON,
 ) -> None:
@@ -97,16 +98,19 @@ def record_command(
 
     Example: dynid record ur5e --trajectory traj.yaml --speed-scale 0.2 -o slow.h5
     """
+    from daq.live.page import require_browser
     from daq.session.realtime import ask_for_realtime
     from drivers.core.clock import SYSTEM_CLOCK
 
     clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
+    if browser:
+        require_browser()
     plan = _planned(options, clock, overwrite=force, as_json=as_json)
     if realtime:
         ask_for_realtime()
     for warning in plan.warnings:
         print(f"dynid: warning: {warning}", file=sys.stderr)
-    report = _recorded(plan, options, clock, overwrite=force, live=not (no_ui or as_json))
+    report = _recorded(plan, options, clock, overwrite=force, live=not (no_ui or as_json), browser=browser)
     if report.file is None:
         raise report.error or KeyboardInterrupt
     played = plan.played
@@ -165,11 +169,14 @@ def _planned(options: RecordOptions, clock: Clock, *, overwrite: bool, as_json: 
     return _Plan(robot_file, driver, played, warnings, screen)
 
 
-def _recorded(plan: _Plan, options: RecordOptions, clock: Clock, *, overwrite: bool, live: bool) -> SessionReport:
+def _recorded(
+    plan: _Plan, options: RecordOptions, clock: Clock, *, overwrite: bool, live: bool, browser: bool
+) -> SessionReport:
     """Open the driver, make the file, and record until the end."""
     import math
     from contextlib import closing, nullcontext
 
+    from daq.live.page import page_view
     from daq.live.terminal_view import SECONDS_BETWEEN_LINES, live_view
     from daq.recording.recorder import Recorder
     from daq.recording.serial_numbers import SERIAL_EVENT
@@ -213,7 +220,10 @@ def _recorded(plan: _Plan, options: RecordOptions, clock: Clock, *, overwrite: b
         supervisor = Supervisor(limits, layouts)
         expected = options.duration if played is None else played.figures.duration
         shown = live and (sys.stderr.isatty() or expected is None or expected > SECONDS_BETWEEN_LINES)
-        with live_view(shown=shown, limits=limits, recorder=recorder, clock=clock) as view:
+        with (
+            live_view(shown=shown, limits=limits, recorder=recorder, clock=clock) as terminal_view,
+            page_view(plan.robot_file, layouts, shown=browser, beside=terminal_view) as view,
+        ):
             return record(driver, recorder, supervisor, play, options.duration, view, clock)
 
 

@@ -14,8 +14,9 @@ from daq.robot.urdf_robot import link_of, origin_of
 from drivers.core.arrays import FloatArray
 
 AXES = 6
-Axis = tuple[FloatArray, FloatArray]
-"""A point on an axis and its direction, (3,) each, in the base frame with all joints at 0."""
+Axis = tuple[FloatArray, FloatArray, str]
+"""A point on an axis and its direction, (3,) each, in the base frame with all joints at 0; the joint before it, or
+none."""
 
 
 def arm_lengths(robot_file: RobotFile) -> FloatArray | None:
@@ -30,11 +31,10 @@ def arm_lengths(robot_file: RobotFile) -> FloatArray | None:
     robot = robot_file.robot
     if len(robot.joints) != AXES or any(joint.sliding for joint in robot.joints):
         return None
-    rows, xml = robot.model.mdh, robot_file.urdf_text
-    axes = _of_rows(rows) if rows is not None else _of_urdf(xml, robot_file.where) if xml is not None else {}
+    axes = joint_axes(robot_file)
     if not set(robot.joint_names) <= axes.keys():
         return None
-    points, directions = zip(*(axes[name] for name in robot.joint_names), strict=True)
+    points, directions, _ = zip(*(axes[name] for name in robot.joint_names), strict=True)
     between = [points[later] - points[earlier] for earlier, later in ((1, 2), (2, 3), (0, 4), (3, 5))]
     return np.array(
         [
@@ -46,6 +46,16 @@ def arm_lengths(robot_file: RobotFile) -> FloatArray | None:
     )
 
 
+def joint_axes(robot_file: RobotFile) -> dict[str, Axis]:
+    """The axis of every joint of a robot file's table or URDF, by its name.
+
+    Raises:
+        RobotFileError: the URDF has an origin that is not a number.
+    """
+    rows, xml = robot_file.robot.model.mdh, robot_file.urdf_text
+    return _of_rows(rows) if rows is not None else _of_urdf(xml, robot_file.where) if xml is not None else {}
+
+
 def _of_rows(rows: tuple[MdhRow, ...]) -> dict[str, Axis]:
     frames = {BASE: np.eye(4)}
     for row in rows:
@@ -55,7 +65,7 @@ def _of_rows(rows: tuple[MdhRow, ...]) -> dict[str, Axis]:
             @ _screw(0, row.alpha, row.d)
             @ _screw(2, row.theta0, row.r)
         )
-    return {row.joint: (frames[row.joint][:3, 3], frames[row.joint][:3, 2]) for row in rows}
+    return {row.joint: (frames[row.joint][:3, 3], frames[row.joint][:3, 2], row.antecedent) for row in rows}
 
 
 def _screw(axis: int, angle: float, way: float) -> FloatArray:
@@ -86,11 +96,13 @@ def _of_urdf(xml: str, where: str) -> dict[str, Axis]:
             frames[link] = frame(link_of(joint, "parent"), depth + 1) @ own
         return frames[link]
 
-    axes = {}
+    axes: dict[str, Axis] = {}
     for link, joint in joints.items():
+        before = joints.get(link_of(joint, "parent"))
         stated = joint.find("axis")
         with suppress(ValueError):  # an axis that is no number
             axis = np.array([float(one) for one in ("1 0 0" if stated is None else stated.get("xyz", "1 0 0")).split()])
             if axis.shape == (3,) and (size := float(np.linalg.norm(axis))) > 0.0:
-                axes[joint.get("name", "")] = (frame(link)[:3, 3], frame(link)[:3, :3] @ axis / size)
+                parent = "" if before is None else before.get("name", "")
+                axes[joint.get("name", "")] = (frame(link)[:3, 3], frame(link)[:3, :3] @ axis / size, parent)
     return axes

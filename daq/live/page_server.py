@@ -1,0 +1,217 @@
+"""The server of the live page: a process of its own on loopback, which reads shared rows and sends them to browsers.
+
+It answers only requests to its own address (a foreign name that leads to 127.0.0.1 has another `Host`), from its own
+pages (`Origin`), with the token of its address. What browsers send is ignored. A browser that does not read is dropped.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import os
+import secrets
+import signal
+import socket
+from collections import deque
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from importlib.resources import files
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING
+
+from daq.live.envelope import Envelope
+from daq.live.shared_rows import RowsHandle, SharedRows
+from daq.session.realtime import give_realtime_back
+
+if TYPE_CHECKING:
+    import uvicorn
+    from starlette.applications import Starlette
+    from starlette.requests import HTTPConnection, Request
+    from starlette.responses import Response
+    from starlette.websockets import WebSocket
+
+PERIOD = 0.05
+"""Between two messages to a page [s]."""
+GROUPS = 5
+"""Groups of rows in a message."""
+WAITING = 40
+"""Messages that may wait for a browser, two seconds; then it is dropped."""
+MOST_CLIENTS = 16
+MOST_ALARMS = 1000
+LARGEST_MESSAGE = 4096
+"""Bytes of a message of a browser; nothing that it sends is of use."""
+FAREWELL = 0.3
+"""[s] in which pages are told that the session has ended."""
+
+
+class LivePage:
+    """What the pages show.
+
+    Args:
+        rows: of the session.
+        about: the first message to a page: names of arm and channels, kinematics.
+        token: that every request carries.
+        port: of the server.
+    """
+
+    def __init__(self, rows: SharedRows, about: str, token: str, port: int) -> None:
+        self._rows, self._about, self._token = rows, about, token
+        self._hosts = frozenset({f"127.0.0.1:{port}", f"localhost:{port}"})
+        self._read = 0
+        self._envelope = Envelope()
+        self._alarms: deque[str] = deque(maxlen=MOST_ALARMS)
+        self._clients: dict[asyncio.Queue[bytes | str], asyncio.Task[None]] = {}
+
+    def permitted(self, request: HTTPConnection) -> bool:
+        """Whether a request is to this address, of no foreign page, and carries the token."""
+        origin = request.headers.get("origin")
+        return (
+            request.headers.get("host") in self._hosts
+            and (origin is None or origin.removeprefix("http://") in self._hosts)
+            and hmac.compare_digest(request.query_params.get("token", "").encode(), self._token.encode())
+        )
+
+    async def page(self, request: Request) -> Response:
+        """The page itself."""
+        from starlette.responses import HTMLResponse, PlainTextResponse
+
+        if not self.permitted(request):
+            return PlainTextResponse("forbidden: use the address that dynid printed\n", status_code=403)
+        nonce = secrets.token_urlsafe(16)
+        text = files("daq.live").joinpath("page_files", "page.html").read_text(encoding="utf-8")
+        policy = f"default-src 'none'; script-src 'nonce-{nonce}'; style-src 'nonce-{nonce}'; connect-src 'self'"
+        headers = {
+            "Content-Security-Policy": f"{policy}; img-src data:; frame-ancestors 'none'",
+            "Cache-Control": "no-store",
+            "Referrer-Policy": "no-referrer",
+            "X-Content-Type-Options": "nosniff",
+        }
+        return HTMLResponse(text.replace("NONCE", nonce), headers=headers)
+
+    async def socket(self, client: WebSocket) -> None:
+        """A page's connection: what it missed, then what is new, until it leaves or does not keep up."""
+        from starlette.websockets import WebSocketDisconnect
+
+        if not self.permitted(client) or len(self._clients) >= MOST_CLIENTS:
+            await client.close()  # before it is accepted: 403
+            return
+        await client.accept()
+        waiting: asyncio.Queue[bytes | str] = asyncio.Queue(WAITING)
+        history = self._envelope.history
+        for message in (self._about, *([history] if history else ()), f"[{','.join(self._alarms)}]"):
+            waiting.put_nowait(message)
+        sending = self._clients[waiting] = asyncio.ensure_future(_send(client, waiting))
+        ignoring = asyncio.ensure_future(_ignore(client))
+        try:
+            with suppress(WebSocketDisconnect, RuntimeError, OSError):
+                await asyncio.wait((sending, ignoring), return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._clients.pop(waiting, None)
+            for task in (sending, ignoring):
+                task.cancel()
+
+    def show(self, message: bytes | str) -> None:
+        """Give all pages a message; one that does not read is dropped."""
+        for waiting, sending in list(self._clients.items()):
+            try:
+                waiting.put_nowait(message)
+            except asyncio.QueueFull:
+                sending.cancel()
+                del self._clients[waiting]
+
+    def alarm(self, message: str) -> None:
+        """Keep an alarm, a JSON object, for pages that are opened later, and show it."""
+        self._alarms.append(message)
+        self.show(f"[{message}]")
+
+    async def show_rows(self) -> None:
+        """Show what is new, period by period."""
+        while True:
+            rows, self._read = self._rows.read(self._read)
+            if len(rows):
+                self.show(self._envelope.add(rows, GROUPS))
+            await asyncio.sleep(PERIOD)
+
+
+async def _send(client: WebSocket, waiting: asyncio.Queue[bytes | str]) -> None:
+    while True:
+        message = await waiting.get()
+        await (client.send_bytes(message) if isinstance(message, bytes) else client.send_text(message))
+
+
+async def _ignore(client: WebSocket) -> None:
+    """Read what a browser sends, to know when it leaves."""
+    while (await client.receive())["type"] != "websocket.disconnect":
+        pass
+
+
+def serve(pipe: Connection, handle: RowsHandle, about: str, token: str, listening: socket.socket) -> None:
+    """Serve the page until the pipe ends: the server's process.
+
+    Args:
+        pipe: with an alarm per message.
+        handle: of the rows.
+        about: the first message to a page.
+        token: that every request must carry.
+        listening: the server's socket, on loopback.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    give_realtime_back()
+    import uvicorn
+
+    rows = SharedRows.attach(handle)
+    page = LivePage(rows, about, token, listening.getsockname()[1])
+    ended = asyncio.Event()
+    config = uvicorn.Config(
+        application(page, pipe, ended),
+        log_config=None,
+        access_log=False,
+        ws="websockets-sansio",
+        ws_max_size=LARGEST_MESSAGE,
+        lifespan="on",
+        timeout_graceful_shutdown=1,
+        server_header=False,
+    )
+    try:
+        asyncio.run(_served(uvicorn.Server(config), listening, ended))
+    finally:
+        rows.close()
+
+
+async def _served(server: uvicorn.Server, listening: socket.socket, ended: asyncio.Event) -> None:
+    serving = asyncio.ensure_future(server.serve(sockets=[listening]))
+    ending = asyncio.ensure_future(ended.wait())
+    await asyncio.wait((serving, ending), return_when=asyncio.FIRST_COMPLETED)
+    server.should_exit = True
+    await serving
+
+
+def application(page: LivePage, pipe: Connection, ended: asyncio.Event) -> Starlette:
+    """The routes, and what runs beside them."""
+    from starlette.applications import Starlette
+    from starlette.routing import Route, WebSocketRoute
+
+    @asynccontextmanager
+    async def beside(_: Starlette) -> AsyncIterator[None]:
+        tasks = [asyncio.ensure_future(page.show_rows()), asyncio.ensure_future(_alarms(page, pipe, ended))]
+        try:
+            yield
+        finally:
+            for task in tasks:
+                task.cancel()
+
+    routes = [Route("/", page.page), WebSocketRoute("/socket", page.socket)]
+    return Starlette(routes=routes, lifespan=beside)
+
+
+async def _alarms(page: LivePage, pipe: Connection, ended: asyncio.Event) -> None:
+    """Show alarms until the session ends; then say so."""
+    reader = asyncio.StreamReader(limit=1 << 20)
+    loop = asyncio.get_running_loop()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), os.fdopen(os.dup(pipe.fileno()), "rb"))
+    while line := await reader.readline():
+        page.alarm(line.decode())
+    page.show(json.dumps({"kind": "ended"}))
+    await asyncio.sleep(FAREWELL)
+    ended.set()

@@ -1,0 +1,104 @@
+"""The rows that a page shows: a ring that drops the oldest and never a torn row, and their envelope."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from daq.live.envelope import KEPT, Envelope
+from daq.live.page import skeleton
+from daq.live.shared_rows import SharedRows
+from daq.robot.loader import load_robot
+from ident.excite.constraints.placements import place_arm
+from ident.model.dynamic_model import build_model
+
+
+@given(blocks=st.lists(st.integers(0, 30), max_size=8), capacity=st.integers(2, 12))
+def test_a_reader_gets_the_newest_rows_in_order_and_each_once(blocks, capacity):
+    rows = SharedRows.create(("a", "b"), capacity)
+    reader = SharedRows.attach(rows.handle)
+    try:
+        written, read = 0, 0
+        for block in blocks:
+            for _ in range(block):
+                rows.append(float(written), np.array([written, -written], dtype=np.float64))
+                written += 1
+            new, read = reader.read(read)
+            expected = np.arange(written - min(block, capacity - 1), written)
+            np.testing.assert_array_equal(new, np.column_stack([expected, expected, -expected]))
+            assert read == written
+    finally:
+        reader.close()
+        rows.close()
+
+
+def test_rows_that_are_overwritten_while_they_are_read_are_dropped():
+    rows = SharedRows.create(("a",), 8)
+    try:
+        for number in range(8):
+            rows.append(float(number), np.zeros(1))
+
+        class Overtaken(SharedRows):
+            """Its count is three rows further when it is looked at again."""
+
+            looks = 0
+
+            @property
+            def _count(self):
+                self.looks += 1
+                return np.array([8 if self.looks == 1 else 11])
+
+            @_count.setter
+            def _count(self, _):
+                """The array of the memory is not needed."""
+
+        new, count = Overtaken(rows._memory, rows.handle, owner=False).read(0)
+        np.testing.assert_array_equal(new[:, 0], [4, 5, 6, 7])
+        assert count == 8
+    finally:
+        rows.close()
+
+
+def decoded(message: bytes) -> tuple[np.ndarray, np.ndarray]:
+    groups, channels = np.frombuffer(message, "<u4", 2)
+    times = np.frombuffer(message, "<f8", 2 * groups, 8).reshape(groups, 2)
+    return times, np.frombuffer(message, "<f4", offset=8 + 16 * groups).reshape(groups, 2, channels)
+
+
+@given(count=st.integers(1, 40), seed=st.integers(0, 99))
+def test_no_peak_is_lost_in_an_envelope(count, seed):
+    rows = np.random.default_rng(seed).normal(size=(count, 3))
+    rows[:, 0] = np.arange(count)
+    rows[0, 1] = np.nan
+    times, values = decoded(Envelope().add(rows, 5))
+    assert len(times) == min(count, 5)
+    assert (times[0, 0], times[-1, 1]) == (0, count - 1)
+    np.testing.assert_array_equal(np.fmin.reduce(values[:, 0]), np.fmin.reduce(rows[:, 1:]).astype(np.float32))
+    np.testing.assert_array_equal(np.fmax.reduce(values[:, 1]), np.fmax.reduce(rows[:, 1:]).astype(np.float32))
+
+
+def test_a_page_that_is_opened_later_gets_the_last_minute():
+    envelope = Envelope()
+    assert envelope.history is None
+    for second in range(70):
+        envelope.add(np.column_stack([second + np.arange(100) / 100, np.full(100, 1e300)]), 100)
+    times, values = decoded(envelope.history)
+    assert len(times) == KEPT
+    assert times[-1, 1] == 69.99
+    assert np.isfinite(values).all()
+
+
+def test_the_drawn_arm_is_that_of_the_model():
+    for name in ("ur5e", "so101", "sr400"):
+        robot_file = load_robot(name)
+        arm = skeleton(robot_file)
+        if robot_file.robot.model.loops:
+            assert arm is None
+            continue
+        model = build_model(robot_file)
+        zero = place_arm(model, np.zeros((len(arm), 1)))
+        origins = {joint.name: zero.origin[k, :, 0] for k, joint in enumerate(model.joints)}
+        for joint, drawn in zip(robot_file.robot.joints, arm, strict=True):
+            np.testing.assert_allclose(drawn["point"], origins[joint.name], atol=1e-5)  # models round what URDFs state
+            assert drawn["parent"] < robot_file.robot.joint_names.index(joint.name)
