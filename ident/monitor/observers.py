@@ -12,16 +12,11 @@ Each is a linear filter per joint, exact for a torque that is constant within a 
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Literal
 
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray
-
-Kind = Literal["momentum", "direct", "kalman"]
-
-BANDWIDTH = 50.0
-"""Default K [1/s]: 63 % of a contact's torque after 20 ms."""
+from ident.monitor.choices import BANDWIDTH, Kind
 
 
 class Observer:

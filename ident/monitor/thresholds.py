@@ -15,9 +15,10 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray, IndexArray
 from drivers.core.errors import DataError
+from ident.monitor.choices import Kind
 from ident.monitor.extremes import FEWEST_PEAKS, PEAK_SHARE, ReturnLevel, require_time, return_level
 from ident.monitor.interval_torque import Intervals
-from ident.monitor.observers import Kind, Observer, observer
+from ident.monitor.observers import Observer, observer
 
 NEAR_REST = 0.02
 """Share of a joint's velocity limit below which its friction is not known."""

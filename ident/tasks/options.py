@@ -13,7 +13,7 @@ from drivers.core.ranges import Range
 from ident.excite.choices import DesignChoices, SearchOptions
 from ident.excite.purpose_choices import GravityChoices, ServoMotionChoices, SweepChoices
 from ident.identify.options import ColumnOptions
-from ident.monitor.observers import BANDWIDTH, Kind
+from ident.monitor.choices import BANDWIDTH, Kind
 from ident.regression.options import PERCENT, EssentialOptions, ExperimentChoices, ReversalOptions
 from ident.signals.options import FilterOptions, WindowOptions, delay_option
 

@@ -75,8 +75,11 @@ def test_import_dynid_imports_nothing_heavy():
     assert done.returncode == 0, done.stderr
 
 
-def test_using_one_name_does_not_import_the_numerics():
-    code = "import sys, dynid; dynid.load_robot('ur5e'); sys.exit('scipy' in sys.modules or 'pinocchio' in sys.modules)"
+def test_neither_using_one_name_nor_starting_a_command_imports_the_numerics():
+    code = (
+        "import sys, dynid; from dynid.command import build_app; dynid.load_robot('ur5e'); build_app(); "
+        "sys.exit('scipy' in sys.modules or 'pinocchio' in sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
 

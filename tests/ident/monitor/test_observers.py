@@ -13,8 +13,9 @@ from scipy.linalg import expm
 
 from ident.model.link_jacobian import LinkJacobians
 from ident.model.true_parameters import truth_vector
+from ident.monitor.choices import Kind
 from ident.monitor.interval_torque import Intervals, IntervalTorque, JointSamples, joined
-from ident.monitor.observers import Kind, observer
+from ident.monitor.observers import observer
 
 KINDS: tuple[Kind, ...] = ("momentum", "direct", "kalman")
 
