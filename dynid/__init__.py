@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from drivers.core.errors import RobotFileError as RobotFileError
     from drivers.core.errors import UsageError as UsageError
     from drivers.core.errors import WorkError as WorkError
+    from ident.fleet.fleet import Fleet as Fleet
+    from ident.fleet.fleet import identify_fleet as identify_fleet
     from ident.result.gravity_model import GravityModel as GravityModel
     from ident.result.load_model import load_model as load_model
     from ident.result.model import Model as Model
@@ -121,6 +123,7 @@ _HOMES = {
     "ident.tasks.friction": ("IdentifiedFriction", "friction"),
     "ident.tasks.gravity": ("IdentifiedGravity", "identify_gravity"),
     "ident.tasks.history": ("History",),
+    "ident.fleet.fleet": ("Fleet", "identify_fleet"),
     "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),
     "ident.tasks.loads": ("IdentifiedGains", "IdentifiedPayload", "drive_gains", "payload"),
     "ident.tasks.monitoring": ("monitor",),

@@ -37,6 +37,7 @@ class InputKind:
 ROBOT_FILE = InputKind("a robot file", 500 * KB)
 URDF_FILE = InputKind("a URDF", 10 * MB)
 MESH_FILE = InputKind("a mesh", 50 * MB)
+FLEET_FILE = InputKind("a fleet file", 5 * MB)
 LIMITS_FILE = InputKind("a file of limits", 500 * KB)
 DATASET_FILE = InputKind("a data set of the benchmark", 500 * KB)
 DBC_FILE = InputKind("a DBC file", 4 * MB)

@@ -1,0 +1,173 @@
+"""Identify a fleet in one call: what is done stands, what failed is listed, what is missing is done next time."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+from daq.output_files import REPORT_FILE, replace_files
+from drivers.core.clock import SYSTEM_CLOCK
+from drivers.core.errors import UsageError
+from drivers.core.files import path_of
+from drivers.core.reading_process import Progress
+from drivers.core.text import in_percent
+from ident.fleet.job import JobOutcome, finished
+from ident.fleet.plan import read_fleet
+from ident.fleet.workers import outcomes
+from ident.report.html_file import page_templates
+from ident.report.section import Tile
+from ident.result.tables import Cell, Table, table_of_rows
+from ident.tasks.history import History
+from ident.tasks.options import silent
+
+FLEET_RESULT = "fleet.json"
+REFRESH = 5.0
+"""The page is written so often while jobs run, and loads itself again [s]."""
+
+GRADES = ("good", "usable", "poor")
+
+
+@dataclass(frozen=True)
+class Fleet:
+    """What became of a fleet.
+
+    Attributes:
+        folder: of all results.
+        outcomes: of each job that has ended, in the file's order.
+        total: number of jobs.
+        repeated: how many of them this call has done; the others stood already.
+
+    Example:
+        >>> from pathlib import Path
+        >>> import dynid
+        >>> dynid.Fleet(Path("results"), (), total=3, repeated=0).summary
+        '0 of 3 results: 3 to do'
+    """
+
+    folder: Path
+    outcomes: tuple[JobOutcome, ...]
+    total: int
+    repeated: int
+
+    @property
+    def results(self) -> Table:
+        """A row per result: held-out error over all samples, grade for torque prediction, worst joint, CPU time."""
+        headings = [("name", ""), ("arm", ""), ("error", "%"), ("grade", ""), ("worst_joint", ""), ("cpu_time", "s")]
+        done = [outcome for outcome in self.outcomes if not outcome.failure]
+        rows: list[tuple[Cell, ...]] = [
+            (one.name, one.arm, in_percent(one.error), one.grade, one.worst_joint, one.seconds) for one in done
+        ]
+        return table_of_rows(f"Results in {self.folder}", headings, rows)
+
+    @property
+    def failures(self) -> tuple[JobOutcome, ...]:
+        """Jobs without a result, each with the reason."""
+        return tuple(outcome for outcome in self.outcomes if outcome.failure)
+
+    @property
+    def summary(self) -> str:
+        """How many there are of each grade, and how many failed, in a line."""
+        grades = [outcome.grade for outcome in self.outcomes if not outcome.failure]
+        counts = [f"{grades.count(grade)} {grade}" for grade in GRADES if grade in grades]
+        failed = [f"{len(self.failures)} failed"] if self.failures else []
+        waiting = [f"{self.total - len(self.outcomes)} to do"] if len(self.outcomes) < self.total else []
+        return f"{len(grades)} of {self.total} results: {', '.join(counts + failed + waiting)}"
+
+    def to_json(self) -> str:
+        """The text of `fleet.json`."""
+        content = {"total": self.total, "jobs": [asdict(outcome) for outcome in self.outcomes]}
+        return json.dumps(content, indent=1)
+
+    def page(self, *, running: bool) -> str:
+        """The overview with a link to each report; while it is `running` it loads itself again."""
+        done = [outcome for outcome in self.outcomes if not outcome.failure]
+        tiles = [
+            Tile("Results", f"{len(done)} of {self.total}", f"{len(self.failures)} failed"),
+            *(Tile(grade.title(), str(sum(one.grade == grade for one in done))) for grade in GRADES),
+        ]
+        content: dict[str, Any] = {"fleet": self, "done": done, "tiles": tiles, "report": REPORT_FILE}
+        refresh = int(REFRESH) if running else 0
+        return page_templates().get_template("fleet_page.html.j2").render(**content, refresh=refresh)
+
+    def write(self, *, running: bool = False) -> None:
+        """Write `fleet.json` and `report.html` into the folder."""
+        texts = {FLEET_RESULT: self.to_json() + "\n", REPORT_FILE: self.page(running=running)}
+        replace_files({self.folder / name: text for name, text in texts.items()})
+
+
+def identify_fleet(
+    file: str | PathLike[str],
+    out: str | PathLike[str],
+    *,
+    workers: int | None = None,
+    scheduler: str = "",
+    history: str | PathLike[str] | None = None,
+    progress: Progress = silent,
+) -> Fleet:
+    """Identify every recording of every arm of a fleet file with every method; what stands already is not repeated.
+
+    In a script, call it below `if __name__ == "__main__":`, as workers import the script.
+
+    Args:
+        file: the fleet file (docs/fleet.md).
+        out: folder of all results; of an earlier call, which goes on.
+        workers: processes at once on this computer; one per core where None.
+        scheduler: address of a Dask scheduler (tcp://host:8786) in place of them.
+        history: database of `dynid history` that every result is added to.
+        progress: called after each job.
+
+    Returns:
+        Every outcome. A job that fails (a recording that cannot be read, a worker that dies) is among them.
+
+    Raises:
+        UsageError: the file is wrong, the folder is a file or of another kind, or Dask is not installed.
+        ConnectionFailedError: no scheduler answers.
+
+    Example:
+        >>> import dynid
+        >>> try:
+        ...     dynid.identify_fleet("no-fleet.yaml", "results")
+        ... except dynid.UsageError as error:
+        ...     print(error)
+        no-fleet.yaml: no such file
+    """
+    folder = path_of(out)
+    count = (os.cpu_count() or 1) if workers is None else workers
+    if not isinstance(count, int) or isinstance(count, bool) or count < 1:
+        raise UsageError(f"{workers!r} workers can do nothing", where="--workers", hint="1 or more")
+    if folder.exists() and not folder.is_dir():
+        raise UsageError("is a file, and a fleet has a folder of results", where=str(folder))
+    if (folder / REPORT_FILE).exists() and not (folder / FLEET_RESULT).exists():
+        raise UsageError(f"holds the {REPORT_FILE} of something else", where=str(folder), hint="name another folder")
+    jobs = read_fleet(path_of(file))
+    folder.mkdir(parents=True, exist_ok=True)
+    known = {job.name: outcome for job in jobs if (outcome := finished(job, folder)) is not None}
+    missing = [job for job in jobs if job.name not in known]
+    names = [job.name for job in jobs]
+
+    def fleet() -> Fleet:
+        return Fleet(folder, tuple(known[name] for name in names if name in known), len(jobs), len(missing))
+
+    written = SYSTEM_CLOCK.now()
+    fleet().write(running=bool(missing))
+    progress(f"{len(missing)} of {len(jobs)} results to do")
+    for outcome in outcomes(missing, str(folder.resolve()), count, scheduler):
+        known[outcome.name] = outcome
+        progress(f"{100 * len(known) // len(jobs)} %: {outcome.name} {outcome.failure or outcome.grade}")
+        if SYSTEM_CLOCK.now() - written > REFRESH:
+            written = SYSTEM_CLOCK.now()
+            fleet().write(running=True)
+    ended = fleet()
+    ended.write()
+    if history is not None and (done := _done(ended.outcomes)):
+        History(history).add(*(folder / outcome.name for outcome in done))
+    return ended
+
+
+def _done(all_of_them: Sequence[JobOutcome]) -> list[JobOutcome]:
+    return [outcome for outcome in all_of_them if not outcome.failure]

@@ -1,0 +1,147 @@
+"""The fleet file: which arms, recordings and methods; and the jobs that follow from it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from glob import glob, has_magic
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from drivers.core.errors import DynidError, UsageError
+from drivers.core.files import FLEET_FILE, read_text
+from drivers.core.text import did_you_mean
+from drivers.core.validation import read_mapping, validated
+from ident.tasks.options import IdentifyOptions
+
+EXAMPLE = "arms: [{name: cell-1, recordings: [cell-1/*.h5]}]"
+
+_FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]{0,99}$")]
+_OF_A_JOB = frozenset({"runs", "validation", "robot", "method", "progress"})
+
+
+class FleetArm(BaseModel):
+    """One arm and what was recorded of it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    name: _FolderName = Field(description="its folder of results")
+    recordings: list[str] = Field(min_length=1, description="paths, patterns (*.h5) or URLs; one result of each")
+    together: bool = Field(default=False, description="whether the recordings are stacked into one result")
+    validation: list[str] = Field(default=[], description="held-out recordings; the last 30 % without any")
+    robot: str | None = Field(default=None, description="robot file in place of the recordings' own")
+
+
+class FleetFile(BaseModel):
+    """A fleet: each recording of each arm is identified with each method."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    arms: list[FleetArm] = Field(min_length=1, description="the arms")
+    methods: list[str] = Field(default=["wls"], min_length=1, description="as identify takes them")
+    options: dict[str, Any] = Field(default={}, description="further options of identify, by their Python names")
+
+
+@dataclass(frozen=True)
+class Job:
+    """One identification.
+
+    Attributes:
+        name: arm, recording and method, its folder below the fleet's.
+        arm: its name.
+        recordings, validation: paths or URLs.
+        robot: path or built-in name; None for the recordings' own.
+        method: as identify takes it.
+        options: further options of identify, as pairs.
+    """
+
+    name: str
+    arm: str
+    recordings: tuple[str, ...]
+    validation: tuple[str, ...]
+    robot: str | None
+    method: str
+    options: tuple[tuple[str, Any], ...]
+
+    def key(self) -> str:
+        """What its result depends on, as hexadecimal digits: files by path, size and time, options, dynid's version."""
+        content = [
+            [_state(path) for path in (*self.recordings, *self.validation, self.robot or "")],
+            [self.method, self.options, version("dynid")],
+        ]
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def read_fleet(path: Path) -> list[Job]:
+    """The jobs of a fleet file, in its order; relative paths are taken from its folder.
+
+    Raises:
+        UsageError: it cannot be read, a key or an option is wrong, a pattern finds nothing, or two jobs share a folder.
+    """
+    where = str(path)
+    text = read_text(path, FLEET_FILE, UsageError)
+    content = read_mapping(text, kind="a fleet file", where=where, refusal=UsageError, hint=EXAMPLE)
+    fleet = validated(content, FleetFile, where=where, refusal=UsageError)
+    _check_options(fleet, where)
+    jobs = [job for arm in fleet.arms for job in _jobs(fleet, arm, path.parent, where)]
+    names = [job.name for job in jobs]
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise UsageError(f"two results would be written to {twice[0]}", where=where, hint="give the arms other names")
+    return jobs
+
+
+def is_url(place: str) -> bool:
+    """Whether a recording is named by a URL (s3://…, https://…), which fsspec opens."""
+    return "://" in place
+
+
+def _check_options(fleet: FleetFile, where: str) -> None:
+    allowed = sorted({field.name for field in fields(IdentifyOptions)} - _OF_A_JOB)
+    for name in fleet.options:
+        if name not in allowed:
+            hint = did_you_mean(name, allowed) or f"there are {', '.join(allowed)}"
+            raise UsageError(f"options: '{name}' is no option of identify", where=where, hint=hint)
+    for method in fleet.methods:
+        try:
+            IdentifyOptions(runs=(), method=method, **fleet.options)
+        except DynidError as error:
+            raise UsageError(error.message, where=where, hint=error.hint) from error
+
+
+def _jobs(fleet: FleetFile, arm: FleetArm, folder: Path, where: str) -> Iterator[Job]:
+    recordings = [path for place in arm.recordings for path in _found(place, folder, arm, where)]
+    validation = tuple(path for place in arm.validation for path in _found(place, folder, arm, where))
+    robot = arm.robot
+    if robot is not None and (folder / robot).is_file():
+        robot = str((folder / robot).resolve())
+    groups = [tuple(recordings)] if arm.together else [(recording,) for recording in recordings]
+    for group in groups:
+        stem = Path(group[0]).stem if len(group) == 1 else "all"
+        for method in fleet.methods:
+            name = "/".join((arm.name, stem, re.sub(r"[^A-Za-z0-9.]+", "-", method).strip("-")))
+            yield Job(name, arm.name, group, validation, robot, method, tuple(sorted(fleet.options.items())))
+
+
+def _found(place: str, folder: Path, arm: FleetArm, where: str) -> list[str]:
+    if is_url(place):
+        return [place]
+    if not has_magic(place):
+        return [str((folder / place).resolve())]  # where it is missing, that is its job's failure
+    files = sorted(glob(str(folder.resolve() / place), recursive=True))
+    if not files:
+        raise UsageError(f"arm {arm.name}: no file is named like {place}", where=where)
+    return files
+
+
+def _state(place: str) -> list[Any]:
+    path = Path(place)
+    if not place or is_url(place) or not path.is_file():
+        return [place]
+    stat = path.stat()
+    return [place, stat.st_size, stat.st_mtime_ns]

@@ -1,0 +1,117 @@
+"""Where the jobs of a fleet run: in processes of this computer, one a job, or on a Dask cluster."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from typing import Any
+
+from drivers.core.errors import ConnectionFailedError, UsageError
+from ident.fleet.job import JobOutcome, run_job
+from ident.fleet.plan import Job
+
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+CONNECT_TIMEOUT = 20.0
+"""For the scheduler's first answer [s]."""
+
+
+def outcomes(jobs: Sequence[Job], out: str, workers: int, scheduler: str) -> Iterator[JobOutcome]:
+    """Run jobs, and give each outcome as it comes; a job whose worker dies fails, the others go on.
+
+    Args:
+        jobs: that are to be done.
+        out: folder of the fleet, which every worker sees.
+        workers: processes at once on this computer.
+        scheduler: address of a Dask scheduler (tcp://host:8786); empty for this computer.
+
+    Raises:
+        UsageError: Dask is not installed.
+        ConnectionFailedError: the scheduler does not answer.
+    """
+    with _submitter(workers, scheduler) as submit:
+        futures = {submit(job, out): job for job in jobs}
+        try:
+            for future in as_completed(futures):
+                yield _outcome(future, futures[future])
+        finally:
+            for future in futures:
+                future.cancel()
+
+
+Submit = Callable[[Job, str], Future[JobOutcome]]
+
+
+@contextmanager
+def _submitter(workers: int, scheduler: str) -> Iterator[Submit]:
+    if not scheduler:
+        with _one_thread(), ThreadPoolExecutor(workers) as pool:
+            context = multiprocessing.get_context("forkserver")
+            context.set_forkserver_preload(["ident.fleet.job", "ident.tasks.identification"])
+            yield lambda job, out: pool.submit(_in_a_process, context, job, out)
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise UsageError("a scheduler needs Dask", where="--scheduler", hint="pip install 'dynid[dask]'") from error
+    try:
+        client = Client(scheduler, timeout=CONNECT_TIMEOUT)
+    except (OSError, ValueError) as error:
+        raise ConnectionFailedError(f"no Dask scheduler answers: {error}", where=scheduler) from error
+    with client, client.get_executor(pure=False) as executor:
+        yield lambda job, out: executor.submit(run_job, job, out)
+
+
+def _in_a_process(context: Any, job: Job, out: str) -> JobOutcome:
+    """Run a job in a process of its own, which gives its memory back and takes nobody with it when it dies."""
+    receiving, sending = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(sending, job, out))  # it starts processes itself
+    process.start()
+    sending.close()
+    try:
+        with receiving:
+            return receiving.recv()  # type: ignore[no-any-return]
+    except EOFError:
+        process.join()
+        return _failed(job, f"its process died (exit status {process.exitcode})")
+    finally:
+        process.join()
+
+
+def _work(sending: Connection, job: Job, out: str) -> None:
+    with sending:
+        sending.send(run_job(job, out))
+
+
+def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
+    try:
+        return future.result()
+    except CancelledError:
+        return _failed(job, "the scheduler was lost before it was done")
+    except Exception as error:  # Dask's KilledWorker, or what cannot be sent
+        return _failed(job, f"its worker failed: {type(error).__name__}: {error}")
+
+
+def _failed(job: Job, why: str) -> JobOutcome:
+    empty = JobOutcome(job.name, job.arm, job.method, job.recordings, job.key())
+    return replace(empty, failure=f"{why}; run the fleet again to repeat it")
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """One thread of BLAS in each process started meanwhile."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value

@@ -1,0 +1,132 @@
+"""A fleet: what its file means, what is done again, and what a failure costs."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+import dynid
+from drivers.core.errors import ConnectionFailedError, UsageError
+from ident.fleet import workers
+from ident.fleet.fleet import FLEET_RESULT, identify_fleet
+from ident.fleet.job import run_job
+from ident.fleet.plan import read_fleet
+
+FLEET = """
+arms:
+  - {name: cell-1, recordings: ["run*.h5"]}
+  - {name: cell-2, recordings: [bad.h5, gone.h5, "s3://store/week.h5"], robot: ur10e}
+methods: [ols, "energy:window=0.5"]
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    (folder / "fleet.yaml").write_text(text)
+    return folder / "fleet.yaml"
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("fleet") / "run.h5"
+    dynid.simulate("ur5e", duration=4.0, seed=1).save(path)
+    return path
+
+
+@pytest.fixture
+def in_this_process(monkeypatch) -> None:
+    monkeypatch.setattr("ident.fleet.fleet.outcomes", lambda jobs, out, *_: (run_job(job, out) for job in jobs))
+
+
+def test_each_recording_with_each_method_is_a_job(tmp_path):
+    for name in ("run1.h5", "run2.h5"):
+        (tmp_path / name).touch()
+    jobs = read_fleet(written(tmp_path, FLEET))
+    assert [job.name for job in jobs[:4]] == [
+        "cell-1/run1/ols", "cell-1/run1/energy-window-0.5", "cell-1/run2/ols", "cell-1/run2/energy-window-0.5",
+    ]  # fmt: skip
+    assert jobs[-1].recordings == ("s3://store/week.h5",)
+    assert {job.robot for job in jobs} == {None, "ur10e"}
+    together = FLEET.replace('["run*.h5"]', '["run*.h5"], together: true')
+    assert [len(job.recordings) for job in read_fleet(written(tmp_path, together))][:2] == [2, 2]
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("arms: []", "arms"),
+        ("arms: [{name: ../x, recordings: [a.h5]}]", "name"),
+        ("arms: [{name: a, recordings: [none*.h5]}]", "no file is named like"),
+        ("arms: [{name: a, recordings: [a.h5, a.h5]}]", "two results would be written to a/a/wls"),
+        ("arms: [{name: a, recordings: [a.h5]}]\noptions: {decimat: 2}", "did you mean 'decimate'"),
+        ("arms: [{name: a, recordings: [a.h5]}]\noptions: {runs: 2}", "no option of identify"),
+        ("arms: [{name: a, recordings: [a.h5]}]\noptions: {decimate: -2}", "decimate"),
+        ("- 1", "mapping"),
+    ],
+)
+def test_a_wrong_fleet_file_is_refused_before_any_work(tmp_path, text, said):
+    with pytest.raises(UsageError, match=said):
+        identify_fleet(written(tmp_path, text), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("estimate_alone", "in_this_process")
+def test_a_failure_costs_its_own_job_and_a_second_call_does_what_is_missing(tmp_path, run):
+    (tmp_path / "run1.h5").write_bytes(run.read_bytes())
+    (tmp_path / "bad.h5").write_text("no HDF5")
+    text = "arms: [{name: a, recordings: [run1.h5, bad.h5, gone.h5]}]\nmethods: [ols]\noptions: {friction: coulomb}"
+    file, out = written(tmp_path, text), tmp_path / "out"
+    fleet = identify_fleet(file, out, history=tmp_path / "a.db")
+    assert [bool(outcome.failure) for outcome in fleet.outcomes] == [False, True, True]
+    assert "no such file" in fleet.failures[1].failure
+    assert fleet.results.names == ("a/run1/ols",)
+    assert json.loads((out / FLEET_RESULT).read_text())["total"] == 3
+    page = (out / "report.html").read_text()
+    assert 'href="a/run1/ols/report.html"' in page
+    assert "no such file" in page
+    assert 'http-equiv="refresh"' not in page
+    assert dynid.History(tmp_path / "a.db").arms == ("ur5e",)
+
+    (tmp_path / "gone.h5").write_bytes(run.read_bytes())
+    again = identify_fleet(file, out)
+    assert (again.repeated, [bool(outcome.failure) for outcome in again.outcomes]) == (2, [False, True, False])
+    assert again.outcomes[0] == fleet.outcomes[0]
+    (out / "a" / "gone" / "ols" / "job.json").write_text("{")  # a kill while it was written
+    os.utime(tmp_path / "run1.h5", ns=(1, 1))
+    assert identify_fleet(file, out).repeated == 3
+
+
+def test_a_worker_that_dies_is_an_outcome(tmp_path, monkeypatch):
+    (job,) = read_fleet(written(tmp_path, "arms: [{name: a, recordings: [a.h5]}]"))
+    monkeypatch.setattr(workers, "run_job", lambda *_: os._exit(9))
+    outcome = workers._in_a_process(multiprocessing.get_context("fork"), job, str(tmp_path))
+    assert outcome.failure.startswith("its process died (exit status 9)")
+
+
+def test_a_dask_cluster_does_the_same(tmp_path):
+    distributed = pytest.importorskip("distributed", reason="needs the extra 'dask'")
+    jobs = read_fleet(written(tmp_path, "arms: [{name: a, recordings: [a.h5, b.h5]}]"))
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
+        ended = list(workers.outcomes(jobs, str(tmp_path), 1, cluster.scheduler_address))
+    assert sorted(outcome.name for outcome in ended) == ["a/a/wls", "a/b/wls"]
+    assert all("no such file" in outcome.failure for outcome in ended)
+
+
+def test_a_scheduler_that_is_not_there_is_named(tmp_path, monkeypatch):
+    pytest.importorskip("distributed", reason="needs the extra 'dask'")
+    monkeypatch.setattr(workers, "CONNECT_TIMEOUT", 0.2)
+    with pytest.raises(ConnectionFailedError, match="no Dask scheduler answers"):
+        list(workers.outcomes((), str(tmp_path), 1, "tcp://127.0.0.1:9"))
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(UsageError, match="needs Dask"):
+        list(workers.outcomes((), str(tmp_path), 1, "tcp://127.0.0.1:9"))
+
+
+def test_a_folder_of_another_kind_is_left_alone(tmp_path, run):
+    (tmp_path / "report.html").write_text("of something else")
+    with pytest.raises(UsageError, match="something else"):
+        identify_fleet(written(tmp_path, f"arms: [{{name: a, recordings: [{run}]}}]"), tmp_path)
