@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import JSON
+from daq.commands.options import FORCE, JSON
 
 app = CommandApp("Identify")
 
@@ -21,6 +21,7 @@ def fleet(
     workers: int = typer.Option(None, "--workers", help="Processes at once; one per core without."),
     scheduler: str = typer.Option("", "--scheduler", help="Dask scheduler in place of them (tcp://host:8786)."),
     history: Path = typer.Option(None, "--history", help="Add every result to this history (dynid history)."),
+    force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
     """Identify many recordings of many arms; a second call does what is missing.
@@ -36,7 +37,9 @@ def fleet(
     if history is not None:
         check_history(history)
     with progress_line(quiet=as_json) as progress:
-        ended = identify_fleet(file, folder, workers=workers, scheduler=scheduler, history=history, progress=progress)
+        ended = identify_fleet(
+            file, folder, workers=workers, scheduler=scheduler, history=history, overwrite=force, progress=progress
+        )
     if as_json:
         print(ended.to_json())
     else:

@@ -10,7 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from daq.output_files import REPORT_FILE, replace_files
+from daq.output_files import REPORT_FILE, check_output_folder, replace_files
 from drivers.core.clock import SYSTEM_CLOCK
 from drivers.core.errors import UsageError
 from drivers.core.files import path_of
@@ -107,6 +107,7 @@ def identify_fleet(
     workers: int | None = None,
     scheduler: str = "",
     history: str | PathLike[str] | None = None,
+    overwrite: bool = False,
     progress: Progress = silent,
 ) -> Fleet:
     """Identify every recording of every arm of a fleet file with every method; what stands already is not repeated.
@@ -119,13 +120,14 @@ def identify_fleet(
         workers: processes at once on this computer; one per core where None.
         scheduler: address of a Dask scheduler (tcp://host:8786) in place of them.
         history: database of `dynid history` that every result is added to.
+        overwrite: replace the overview of a folder that is not a fleet's.
         progress: called after each job.
 
     Returns:
         Every outcome. A job that fails (a recording that cannot be read, a worker that dies) is among them.
 
     Raises:
-        UsageError: the file is wrong, the folder is a file or of another kind, or Dask is not installed.
+        UsageError: the file is wrong, the folder holds something else, or Dask is not installed.
         ConnectionFailedError: no scheduler answers.
 
     Example:
@@ -140,10 +142,9 @@ def identify_fleet(
     count = (os.cpu_count() or 1) if workers is None else workers
     if not isinstance(count, int) or isinstance(count, bool) or count < 1:
         raise UsageError(f"{workers!r} workers can do nothing", where="--workers", hint="1 or more")
-    if folder.exists() and not folder.is_dir():
-        raise UsageError("is a file, and a fleet has a folder of results", where=str(folder))
-    if (folder / REPORT_FILE).exists() and not (folder / FLEET_RESULT).exists():
-        raise UsageError(f"holds the {REPORT_FILE} of something else", where=str(folder), hint="name another folder")
+    goes_on = _is_of_a_fleet(folder / FLEET_RESULT)
+    names_of_files = (FLEET_RESULT, REPORT_FILE)
+    check_output_folder(folder, names_of_files, [path_of(file)], overwrite=overwrite or goes_on)
     jobs = read_fleet(path_of(file))
     folder.mkdir(parents=True, exist_ok=True)
     known = {job.name: outcome for job in jobs if (outcome := finished(job, folder)) is not None}
@@ -167,6 +168,15 @@ def identify_fleet(
     if history is not None and (done := _done(ended.outcomes)):
         History(history).add(*(folder / outcome.name for outcome in done))
     return ended
+
+
+def _is_of_a_fleet(file: Path) -> bool:
+    """Whether a regular file is what an earlier call has written."""
+    try:
+        content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() and not file.is_symlink() else None
+    except (OSError, ValueError):
+        return False
+    return isinstance(content, dict) and set(content) == {"total", "jobs"}
 
 
 def _done(all_of_them: Sequence[JobOutcome]) -> list[JobOutcome]:

@@ -60,10 +60,10 @@ def _submitter(workers: int, scheduler: str) -> Iterator[Submit]:
     except ImportError as error:
         raise UsageError("a scheduler needs Dask", where="--scheduler", hint="pip install 'dynid[dask]'") from error
     try:
-        client = Client(scheduler, timeout=CONNECT_TIMEOUT)
+        client = Client(scheduler, timeout=CONNECT_TIMEOUT)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise ConnectionFailedError(f"no Dask scheduler answers: {error}", where=scheduler) from error
-    with client, client.get_executor(pure=False) as executor:
+    with client, client.get_executor(pure=False) as executor:  # type: ignore[no-untyped-call]
         yield lambda job, out: executor.submit(run_job, job, out)
 
 

@@ -33,6 +33,7 @@ ARGUMENTS = {
     "info": "run.h5 --robot arm.yaml --page FOLDER",
     "demo": "--robot arm.yaml -o FOLDER",
     "monitor": "--replay run.h5 --model model --contacts labels.csv --quiet free.h5 --page PAGE",
+    "fleet": "fleet.yaml -o FOLDER",
     "sim": "arm.yaml --play traj.yaml -o OUT",
 }
 """Each command that writes files, with all that it reads; OUT and PAGE are files, FOLDER is a folder."""
@@ -54,6 +55,7 @@ def outputs_of(name: str) -> list[str]:
     if "FOLDER" in words:
         kinds = {
             "compare": ("comparison.json", "report.html"),
+            "fleet": ("fleet.json", "report.html"),
             "bench": ("benchmark.json", "report.html"),
             "payload": ("payload.json", "report.html"),
             "gains": ("gains.json", "report.html"),

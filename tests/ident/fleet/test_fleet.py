@@ -128,5 +128,5 @@ def test_a_scheduler_that_is_not_there_is_named(tmp_path, monkeypatch):
 
 def test_a_folder_of_another_kind_is_left_alone(tmp_path, run):
     (tmp_path / "report.html").write_text("of something else")
-    with pytest.raises(UsageError, match="something else"):
+    with pytest.raises(UsageError, match="exists already"):
         identify_fleet(written(tmp_path, f"arms: [{{name: a, recordings: [{run}]}}]"), tmp_path)
