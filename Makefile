@@ -8,7 +8,7 @@ WORKERS ?= 2
 REALTIME ?= 60
 SOAK ?= 600
 
-.PHONY: demo test coverage lint format bench realtime soak studies-check house clean
+.PHONY: demo test coverage lint format bench realtime soak studies-check house docs clean
 
 demo: $(INSTALLED)
 	$(BIN)/dynid demo --out demo --force
@@ -54,6 +54,11 @@ studies-check: $(INSTALLED)
 # Rooms and arrows, from the imports.
 house: $(INSTALLED)
 	$(BIN)/python -m studies.house
+
+# The site in build/site; opens from the disk, fetches nothing. --strict: a lost link or anchor ends it.
+docs: $(INSTALLED)
+	$(BIN)/python -m pip install -q -c constraints.txt -e '.[docs]'
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
 clean:
 	rm -rf $(VENV) demo build *.egg-info

@@ -80,6 +80,18 @@ def test_files_that_are_named_exist():
     assert missing == []
 
 
+def test_the_site_has_every_page_and_every_public_name():
+    import dynid
+
+    listed = re.findall(r": ([\w/-]+\.md)$", (REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
+    pages = {str(page.relative_to(REPOSITORY / "docs")) for page in REPOSITORY.glob("docs/**/*.md")}
+    assert sorted(listed) == sorted(pages - {"house.md"})
+    api = (REPOSITORY / "docs" / "api.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"^::: dynid\.(\w+)$", api, re.MULTILINE))
+    assert named <= set(dir(dynid))
+    assert "<!-- every other public name -->" in api or named == set(dir(dynid))
+
+
 def test_the_robot_file_of_the_docs_is_valid():
     from daq.robot.loader import parse_robot
     from ident.model.base_parameters import base_parameters
