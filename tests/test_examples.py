@@ -80,12 +80,13 @@ def test_files_that_are_named_exist():
     assert missing == []
 
 
-def test_the_site_has_every_page_and_every_public_name():
+def test_what_the_site_names_exists():
     import dynid
 
     listed = re.findall(r": ([\w/-]+\.md)$", (REPOSITORY / "mkdocs.yml").read_text(encoding="utf-8"), re.MULTILINE)
     pages = {str(page.relative_to(REPOSITORY / "docs")) for page in REPOSITORY.glob("docs/**/*.md")}
-    assert sorted(listed) == sorted(pages - {"house.md"})
+    assert len(set(listed)) == len(listed)
+    assert set(listed) <= pages
     api = (REPOSITORY / "docs" / "api.md").read_text(encoding="utf-8")
     named = set(re.findall(r"^::: dynid\.(\w+)$", api, re.MULTILINE))
     assert named <= set(dir(dynid))

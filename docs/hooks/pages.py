@@ -7,6 +7,7 @@ public names are imported lazily, which mkdocstrings cannot follow.
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 from latex2mathml.converter import convert
@@ -17,6 +18,16 @@ _CODE = re.compile(r"(^```.*?^```|`[^`\n]*`)", re.MULTILINE | re.DOTALL)
 _BLOCK = re.compile(r"^\$\$\n(.+?)\n\$\$$", re.MULTILINE | re.DOTALL)
 _NAME = re.compile(r"^::: dynid\.(\w+)$", re.MULTILINE)
 _INLINE = re.compile(r"\$(?![\s$])([^$\n]*[^\s$])\$(?!\d)")
+
+
+def on_config(config: Any) -> Any:
+    """The settings, with pages that mkdocs.yml does not place in a part of their own."""
+    folder = Path(config["docs_dir"])
+    placed = Path(config["config_file_path"]).read_text(encoding="utf-8")
+    pages = sorted(str(page.relative_to(folder)) for page in folder.glob("**/*.md"))
+    if others := [page for page in pages if page != "house.md" and f": {page}\n" not in placed]:
+        config["nav"].append({"More": others})
+    return config
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
