@@ -2,123 +2,39 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-
-import numpy as np
-
-from drivers.base import Notice
 from drivers.core.clock import Clock
-from drivers.core.errors import ConnectionFailedError, DriverStateError, DynidError
+from drivers.core.errors import ConnectionFailedError, DriverStateError
+from drivers.polled_rows import PolledRows
 from drivers.serial_servos.bus import Feedback, ServoBus, called
 from drivers.serial_servos.control import ServoControl
 from drivers.serial_servos.settings import ServoMotor, ServoSettings
-from drivers.streams import Batch, ChannelLayout
+from drivers.streams import ChannelLayout
 
 ALERT = 0x80
 """Bit of a Dynamixel servo's errors: its hardware error status says which."""
-BUFFERED = 100_000
-"""Rows that wait for `take` before the oldest is dropped."""
-NOTED_AGAIN = 10.0
-"""[s] between two notices on answers that are missing."""
 
 
-class ServoCycle:
-    """Reads the feedback of all servos at a rate; `start` and `stop` begin and end its thread.
+class ServoCycle(PolledRows):
+    """Reads the feedback of all servos at a rate.
 
     Args:
         bus: open.
         control: of the same servos.
         settings: of the connection.
         clock: the host's.
-
-    Attributes:
-        latest: (n,) newest position [rad]; None before the first row.
-        last_row: when it came [s, host's monotonic clock].
-        answered: id → when the servo answered last.
-        failure: what ended the thread; None while it runs.
     """
 
     def __init__(self, bus: ServoBus, control: ServoControl, settings: ServoSettings, clock: Clock) -> None:
-        self._bus, self._control, self._settings, self._clock = bus, control, settings, clock
+        super().__init__(f"servos {settings.url}", settings.keys.rate, control.sent, clock)
+        self._bus, self._control = bus, control
         self._motors = settings.motors
-        self._changed = clock.condition()
-        self._ending = clock.event()
-        self._thread = clock.thread(self._run, f"servos {settings.url}")
-        self._rows: deque[tuple[float, float, dict[str, list[float]]]] = deque(maxlen=BUFFERED)
-        self._lost = 0
         self._faults: dict[int, int] = {}
-        self._silent: Counter[str] = Counter()
-        self._garbled = self._late = 0
-        self._noted = -np.inf
-        self.notices: deque[Notice] = deque()
-        self.latest: np.ndarray | None = None
-        self.last_row = clock.now()
-        self.answered: dict[int, float] = {}
-        self.failure: DynidError | None = None
-
-    def start(self) -> None:
-        """Begin to read."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End the thread."""
-        self._ending.set()
-        self._thread.join(1.0)
-
-    def take(self, timeout: float) -> list[Batch]:
-        """Rows and commands since the last call, waiting at most `timeout` [s] for the first row.
-
-        Raises:
-            DynidError: what ended the thread, once its rows are taken.
-        """
-        with self._changed:
-            self._changed.wait_for(lambda: self._rows or self.failure is not None, timeout)
-            rows = [self._rows.popleft() for _ in range(len(self._rows))]
-            lost, self._lost = (self._lost, 0) if rows else (0, self._lost)
-        if not rows and self.failure is not None:
-            raise self.failure
-        batches = []
-        if rows:
-            stamps, received = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
-            values = {name: np.array([row[2][name] for row in rows]) for name in rows[0][2]}
-            batches.append(Batch("joints", stamps, received, values, lost))
-        sent = self._control.sent
-        if commands := [sent.popleft() for _ in range(len(sent))]:
-            stamps = np.array([moment for moment, _ in commands])
-            goals = np.array([goal for _, goal in commands])
-            batches.append(Batch("commands", stamps, stamps.copy(), {"target_position": goals}))
-        return batches
+        self._garbled = 0
 
     def losses(self) -> str:
         """Why rows were lost, in words; empty where none were."""
-        said = [f"{name} did not answer {count} times" for name, count in self._silent.items()]
-        if self._garbled:
-            said.append(f"{self._garbled} bytes belonged to no answer")
-        if self._late:
-            said.append(f"{self._late} readings took longer than their period")
-        return "; ".join(said)
-
-    def _run(self) -> None:
-        period = 1.0 / self._settings.keys.rate
-        due = self._clock.now()
-        try:
-            while not self._ending.is_set():
-                self._read()
-                if self._control.active:
-                    self._look_closer()
-                due += period
-                if (behind := self._clock.now() - due) > 0.0:
-                    skipped = int(behind / period)  # what would have been read meanwhile is lost
-                    due += skipped * period
-                    if skipped:
-                        with self._changed:
-                            self._lost += skipped
-                            self._late += skipped
-                self._ending.wait(due - self._clock.now())
-        except DynidError as error:
-            with self._changed:
-                self.failure = error
-                self._changed.notify_all()
+        said = [super().losses(), f"{self._garbled} bytes belonged to no answer" if self._garbled else ""]
+        return "; ".join(filter(None, said))
 
     def _read(self) -> None:
         feedback = self._bus.feedback()
@@ -129,15 +45,10 @@ class ServoCycle:
         self._garbled += feedback.strange
         if missing:
             self._note_missing(missing, feedback)
-            with self._changed:
-                self._lost += 1
-            return
-        row = self._row(feedback)
-        self.latest = np.array(row["position"])
-        self.last_row = feedback.received
-        with self._changed:
-            self._rows.append((feedback.time, feedback.received, row))
-            self._changed.notify_all()
+        else:
+            self._add(feedback.time, feedback.received, self._row(feedback))
+        if self._control.active:
+            self._look_closer()
 
     def _row(self, feedback: Feedback) -> dict[str, list[float]]:
         row: dict[str, list[float]] = {}
@@ -157,13 +68,9 @@ class ServoCycle:
     def _note_missing(self, missing: list[ServoMotor], feedback: Feedback) -> None:
         if self._bus.fast and not feedback.answers:
             self._bus.fast = False  # in one packet all wait for the servo that is silent: asked singly, it shows
-            self._notices_add("warning", "the servos no longer answer in one packet: they are read one after the other")
-        for motor in missing:
-            self._silent[called(motor)] += 1
-        if feedback.received - self._noted > NOTED_AGAIN:
-            self._noted = feedback.received
-            garbled = f", {feedback.strange} bytes belonged to no answer" if feedback.strange else ""
-            self._notices_add("warning", f"no answer of {', '.join(map(called, missing))}{garbled}")
+            self._tell("warning", "the servos no longer answer in one packet: they are read one after the other")
+        garbled = f", {feedback.strange} bytes belonged to no answer" if feedback.strange else ""
+        self._lose([called(motor) for motor in missing], feedback.received, garbled)
 
     def _note_fault(self, motor: int, code: int) -> None:
         table = next(one for one in self._motors if one.id == motor)
@@ -174,14 +81,13 @@ class ServoCycle:
             return
         self._faults[motor] = code
         if words := table.table.error_words(code & ~before):
-            level = "error" if self._control.active else "warning"
-            self._notices_add(
-                level,
+            self._tell(
+                "error" if self._control.active else "warning",
                 f"{called(table)} reports {', '.join(words)}",
                 "let it cool down; look at its supply, its load and what it touches",
             )
         elif not code:
-            self._notices_add("info", f"{called(table)} reports no fault any more")
+            self._tell("info", f"{called(table)} reports no fault any more")
 
     def _hardware_error(self, motor: ServoMotor, known: int) -> int:
         """Bits of a Dynamixel servo's hardware error, asked for once."""
@@ -197,12 +103,9 @@ class ServoCycle:
         try:
             self._control.watched()
         except DriverStateError as error:
-            self._notices_add("error", error.message, error.hint)
+            self._tell("error", error.message, error.hint)
         except ConnectionFailedError:
             pass  # the feedback says who is silent
-
-    def _notices_add(self, level: str, message: str, hint: str = "") -> None:
-        self.notices.append(Notice(self._clock.now(), level, message, hint))  # type: ignore[arg-type]
 
 
 SIGNED = ("velocity", "load", "current")

@@ -1,0 +1,256 @@
+"""The driver of an arm whose motors are asked again and again: what serial servos and CAN motors have in common."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+from drivers.base import DriverSettings, Level, Notice, State, drained, require_state
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.first_step import check_first_step, finite_position
+from drivers.polled_rows import PolledRows
+from drivers.streams import Batch, ChannelLayout, StreamLayout
+
+SILENCE_LIMIT = 0.5
+"""Without a row for so long [s], or for `SILENT_PERIODS`, the connection counts as lost."""
+SILENT_PERIODS = 20
+
+
+class Control(Protocol):
+    """Commands of an arm's motors.
+
+    Attributes:
+        active: whether the motors were made to obey, and not yet stopped.
+        sent: commands since they were taken: (when [s, host's monotonic clock], (n,) [rad]).
+    """
+
+    active: bool
+    sent: deque[tuple[float, FloatArray]]
+
+    def take(self) -> None:
+        """Prepare the motors, and let them hold where they are."""
+
+    def command(self, target: FloatArray) -> None:
+        """Send a position (n,) [rad]."""
+
+    def stop(self) -> str:
+        """Let the arm hold or go limp; what is wrong, in words, or nothing."""
+
+
+class PolledArm(ABC):
+    """Implements `drivers.base.Driver` on `_connect`, `_disconnect`, `_new_cycle` and `_channels`.
+
+    Args:
+        settings: of the arm.
+        where: the connection, for messages.
+        rate: of rows and commands [Hz].
+        names: id → what messages call the motor.
+        device: what messages call a motor.
+        read_only: whether the connection only reads.
+    """
+
+    def __init__(
+        self,
+        settings: DriverSettings,
+        where: str,
+        rate: float,
+        names: Mapping[int, str],
+        device: str,
+        *,
+        read_only: bool,
+    ) -> None:
+        self._joints, self._sliding, self._clock = settings.joints, settings.sliding, settings.clock
+        self._where, self._rate, self._names, self._device = where, rate, names, device
+        self._read_only = read_only
+        self._state: State = "closed"
+        self._cycle: PolledRows | None = None
+        self._command_lock = self._clock.lock()
+        self._commanded = self._halted = False
+        self._notices: deque[Notice] = deque()
+        self._control: Control
+
+    @abstractmethod
+    def _connect(self) -> None:
+        """Open the connection and ask every motor who it is."""
+
+    @abstractmethod
+    def _disconnect(self) -> None:
+        """Let go of the connection; safe at any time."""
+
+    @abstractmethod
+    def _new_cycle(self) -> PolledRows:
+        """What reads the motors from now on, not started."""
+
+    @abstractmethod
+    def _channels(self) -> tuple[ChannelLayout, ...]:
+        """The channels of the stream `joints`."""
+
+    @abstractmethod
+    def _stopped_words(self) -> str:
+        """How a stop has left the arm."""
+
+    def open(self) -> None:
+        """Open the connection and ask every motor who it is.
+
+        Raises:
+            ConnectionFailedError: no such bus, or a motor that does not answer or is another model.
+            UsageError: the keys do not fit this bus or these motors.
+            DriverStateError: it is open already.
+        """
+        require_state(self._state, "closed", "open")
+        try:
+            self._connect()
+        except ConnectionLostError as error:
+            self._disconnect()
+            raise ConnectionFailedError(error.message, where=error.where, hint=error.hint) from error
+        except BaseException:
+            self._disconnect()
+            raise
+        self._state = "open"
+
+    def streams(self) -> tuple[StreamLayout, ...]:
+        """`joints` at the connection's rate, and `commands`: what was sent, when it was sent.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        self._require_open("list its streams")
+        joints = StreamLayout("joints", self._channels(), self._rate)
+        if self._read_only:
+            return (joints,)
+        goal = ChannelLayout("target_position", self._joints, "", "goals that were sent, by this computer's clock")
+        return joints, StreamLayout("commands", (goal,), 0.0, essential=False)
+
+    def start(self) -> None:
+        """Make samples flow.
+
+        Raises:
+            DriverStateError: it is not open.
+        """
+        require_state(self._state, "open", "start")
+        self._halted = False
+        self._control.sent.clear()
+        self._cycle = self._new_cycle()
+        self._cycle.start()
+        self._state = "running"
+
+    def read(self, timeout: float) -> Sequence[Batch]:
+        """Rows that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
+
+        Raises:
+            DriverStateError: it is not running.
+            ConnectionLostError: the bus is gone, or no complete row came for half a second.
+        """
+        require_state(self._state, "running", "read")
+        cycle = self._running_cycle()
+        batches = cycle.take(timeout)
+        limit = max(SILENCE_LIMIT, SILENT_PERIODS / self._rate)
+        if not batches and self._clock.now() - cycle.last_row > limit:
+            why = self.silence("joints", limit)
+            raise ConnectionLostError(
+                f"no complete row of the {self._device}s for {limit:g} s{f': {why}' if why else ''}",
+                where=self._where,
+                hint=f"power, cables, and ids: two {self._device}s with one id garble each other's answers",
+            )
+        return batches
+
+    def notices(self) -> Sequence[Notice]:
+        """Notices since the last call: faults of motors, missing answers, a slow or faulty bus."""
+        return drained(self._notices) + (drained(self._cycle.notices) if self._cycle is not None else [])
+
+    def command_rate(self) -> float:
+        """Rate of the commands [Hz]: that of the readings; 0 where the connection only reads."""
+        return 0.0 if self._read_only else self._rate
+
+    def holds(self) -> bool:
+        """Yes: a motor keeps its last goal."""
+        return True
+
+    def take_control(self) -> None:
+        """Set limits in the motors, read them back, and let the arm hold where it is.
+
+        Raises:
+            DriverStateError: it is not running, or a motor is in fault or in another mode.
+            ConnectionFailedError: a motor does not answer, or does not keep what is written.
+            ConnectionLostError: the bus is gone.
+        """
+        with self._command_lock:
+            self._require_movable()
+            self._control.take()
+
+    def command(self, position: FloatArray) -> None:
+        """Send a joint position (n,) [rad] to be reached within one period; takes control where nobody has.
+
+        Raises:
+            DriverStateError: it is not running, a position does not fit, or a first one is too far from the arm.
+            ConnectionLostError: the bus is gone.
+            ValueError: not n finite numbers.
+        """
+        target = finite_position(position, self._joints)
+        with self._command_lock:
+            self._require_movable()
+            if not self._control.active:
+                self._control.take()
+            if not self._commanded:
+                check_first_step(target, self._running_cycle().latest, self._joints, self._sliding)
+            self._control.command(target)
+            self._commanded = True
+
+    def stop(self) -> None:
+        """Let the arm hold or go limp where this driver moves it, then end the samples; never raises."""
+        self._halted = True
+        with self._command_lock:
+            active, self._commanded = self._control.active, False
+            if self._cycle is not None:
+                self._cycle.stop()
+                self._notices.extend(drained(self._cycle.notices))
+            if active and (trouble := self._control.stop()):
+                self._tell("error", trouble)
+            elif active:
+                self._tell("info", self._stopped_words())
+        if self._state == "running":
+            self._state = "open"
+
+    def close(self) -> None:
+        """Let go of the connection; safe in every state."""
+        self.stop()
+        self._disconnect()
+        self._state = "closed"
+
+    def silence(self, stream: str, limit: float) -> str:
+        """Which motors do not answer, in words; empty of another stream than `joints` (see `drivers.base`)."""
+        if stream != "joints" or self._cycle is None:
+            return ""
+        heard = self._cycle.answered
+        newest = max(heard.values(), default=-math.inf)
+        if self._clock.now() - newest > limit:
+            return f"no {self._device} answers: look at the power and the cable, or this computer was late"
+        silent = [name for motor, name in self._names.items() if newest - heard.get(motor, -math.inf) > limit / 2]
+        return f"no answer of {', '.join(silent)}" if silent else ""
+
+    def losses(self, stream: str) -> str:
+        """Why rows of `joints` were lost, in words (see `drivers.base`)."""
+        return self._cycle.losses() if stream == "joints" and self._cycle is not None else ""
+
+    def _require_open(self, action: str) -> None:
+        if self._state == "closed":
+            require_state(self._state, "open", action)
+
+    def _require_movable(self) -> None:
+        require_state(self._state, "running", "move")
+        if self._halted:
+            raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
+        if self._read_only:
+            raise DriverStateError("this connection is read only")
+
+    def _running_cycle(self) -> PolledRows:
+        if self._cycle is None:
+            raise DriverStateError("no samples flow", hint="start the driver first")
+        return self._cycle
+
+    def _tell(self, level: Level, *messages: str) -> None:
+        self._notices.extend(Notice(math.nan, level, message) for message in messages)

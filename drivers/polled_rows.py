@@ -1,0 +1,141 @@
+"""Rows of devices that are asked again and again at a rate, by a thread of its own: buffer, losses, late readings."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from drivers.base import Level, Notice
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import Clock
+from drivers.core.errors import DynidError
+from drivers.streams import Batch
+
+BUFFERED = 100_000
+"""Rows that wait for `take` before the oldest is dropped."""
+NOTED_AGAIN = 10.0
+"""[s] between two notices on answers that are missing."""
+
+
+class PolledRows(ABC):
+    """Reads all devices of a connection at a rate; `start` and `stop` begin and end its thread.
+
+    Args:
+        name: of the thread.
+        rate: [Hz].
+        sent: commands, (when [s, host's monotonic clock], (n,) position [rad]), which `take` hands out and removes.
+        clock: the host's.
+
+    Attributes:
+        latest: (n,) newest position [rad]; None before the first row.
+        last_row: when it came [s, host's monotonic clock].
+        answered: id → when the device answered last.
+        failure: what ended the thread; None while it runs.
+        notices: what the devices reported, oldest first.
+    """
+
+    def __init__(self, name: str, rate: float, sent: deque[tuple[float, FloatArray]], clock: Clock) -> None:
+        self._clock, self._period, self._sent = clock, 1.0 / rate, sent
+        self._changed = clock.condition()
+        self._ending = clock.event()
+        self._thread = clock.thread(self._run, name)
+        self._rows: deque[tuple[float, float, Mapping[str, Sequence[float]]]] = deque(maxlen=BUFFERED)
+        self._silent: Counter[str] = Counter()
+        self._lost = self._late = 0
+        self._noted = -np.inf
+        self.notices: deque[Notice] = deque()
+        self.latest: FloatArray | None = None
+        self.last_row = clock.now()
+        self.answered: dict[int, float] = {}
+        self.failure: DynidError | None = None
+
+    @abstractmethod
+    def _read(self) -> None:
+        """One reading: `_add` a row, or `_lose` it."""
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._ending.set()
+        with self._changed:
+            self._changed.notify_all()
+        self._thread.join(1.0)
+
+    def take(self, timeout: float) -> list[Batch]:
+        """Rows and commands since the last call, waiting at most `timeout` [s] for the first row.
+
+        Raises:
+            DynidError: what ended the thread, once its rows are taken.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._rows or self.failure is not None, timeout)
+            rows = [self._rows.popleft() for _ in range(len(self._rows))]
+            lost, self._lost = (self._lost, 0) if rows else (0, self._lost)
+        if not rows and self.failure is not None:
+            raise self.failure
+        batches = []
+        if rows:
+            stamps, received = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+            values = {name: np.array([row[2][name] for row in rows]) for name in rows[0][2]}
+            batches.append(Batch("joints", stamps, received, values, lost))
+        if commands := [self._sent.popleft() for _ in range(len(self._sent))]:
+            stamps = np.array([moment for moment, _ in commands])
+            goals = np.array([goal for _, goal in commands])
+            batches.append(Batch("commands", stamps, stamps.copy(), {"target_position": goals}))
+        return batches
+
+    def losses(self) -> str:
+        """Why rows were lost, in words; empty where none were."""
+        said = [f"{name} did not answer {count} times" for name, count in self._silent.items()]
+        if self._late:
+            said.append(f"{self._late} readings took longer than their period")
+        return "; ".join(said)
+
+    def _run(self) -> None:
+        due = self._clock.now()
+        try:
+            while not self._ending.is_set():
+                self._read()
+                due += self._period
+                if (behind := self._clock.now() - due) > 0.0:
+                    skipped = int(behind / self._period)  # what would have been read meanwhile is lost
+                    due += skipped * self._period
+                    if skipped:
+                        with self._changed:
+                            self._lost += skipped
+                            self._late += skipped
+                due = self._pause(due)
+        except DynidError as error:
+            with self._changed:
+                self.failure = error
+                self._changed.notify_all()
+
+    def _pause(self, due: float) -> float:
+        """Wait until the next reading is due [s]; when that is."""
+        self._ending.wait(due - self._clock.now())
+        return due
+
+    def _add(self, time: float, received: float, row: Mapping[str, Sequence[float]]) -> None:
+        self.latest = np.array(row["position"])
+        self.last_row = received
+        with self._changed:
+            self._rows.append((time, received, row))
+            self._changed.notify_all()
+
+    def _lose(self, missing: Sequence[str], received: float, besides: str = "") -> None:
+        """A row without the answers of some devices; `besides` is what else came, in words."""
+        self._silent.update(missing)
+        with self._changed:
+            self._lost += 1
+        if received - self._noted > NOTED_AGAIN:
+            self._noted = received
+            self._tell("warning", f"no answer of {', '.join(missing)}{besides}")
+
+    def _tell(self, level: Level, message: str, hint: str = "") -> None:
+        self.notices.append(Notice(self._clock.now(), level, message, hint))
