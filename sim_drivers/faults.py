@@ -316,24 +316,25 @@ class FaultEntry:
 ARMS: tuple[ServerKind, ...] = ("UR controller", "CANopen drives", "signal-table arm")
 CAN: tuple[ServerKind, ...] = ("CANopen drives", "signal-table arm")
 SERVOS: tuple[ServerKind, ...] = ("serial servos",)
+MOTORS: tuple[ServerKind, ...] = ("CAN motors",)
 THERMOMETERS: tuple[ServerKind, ...] = ("thermometer", "arm at rest")
 
 FAULTS = (
-    FaultEntry("drop", (COUNT,), Drop, (*ARMS, *SERVOS)),
-    FaultEntry("freeze", (SECONDS,), Freeze, (*ARMS, *SERVOS)),
+    FaultEntry("drop", (COUNT,), Drop, (*ARMS, *SERVOS, *MOTORS)),
+    FaultEntry("freeze", (SECONDS,), Freeze, (*ARMS, *SERVOS, *MOTORS)),
     FaultEntry("cut", (), Cut, ("UR controller",)),
     FaultEntry("protective-stop", (), ProtectiveStop, ("UR controller",)),
     FaultEntry("local-control", (), LocalControl, ("UR controller",)),
     FaultEntry("mute", (IDENTIFIER, SECONDS), Mute, ("signal-table arm",)),
     FaultEntry("clock-jump", (JUMP,), ClockJump, ("UR controller", "signal-table arm")),
-    FaultEntry("power-cycle", (JOINT,), PowerCycle, ("CANopen drives", *SERVOS)),
+    FaultEntry("power-cycle", (JOINT,), PowerCycle, ("CANopen drives", *SERVOS, *MOTORS)),
     FaultEntry("heartbeat-stop", (JOINT,), HeartbeatStop, ("CANopen drives",)),
-    FaultEntry("over-temperature", (JOINT,), OverTemperature, (*CAN, *SERVOS)),
-    FaultEntry("bus-off", (SECONDS,), BusOff, CAN),
-    FaultEntry("truncate", (COUNT,), Truncate, (*CAN, *SERVOS)),
-    FaultEntry("garbage", (COUNT,), Garbage, (*CAN, *SERVOS)),
-    FaultEntry("heat", (JOINT, CELSIUS), Heat, (*ARMS, *SERVOS, "arm at rest")),
-    FaultEntry("block", (JOINT,), BlockJoint, (*ARMS, *SERVOS)),
+    FaultEntry("over-temperature", (JOINT,), OverTemperature, (*CAN, *SERVOS, *MOTORS)),
+    FaultEntry("bus-off", (SECONDS,), BusOff, (*CAN, *MOTORS)),
+    FaultEntry("truncate", (COUNT,), Truncate, (*CAN, *SERVOS, *MOTORS)),
+    FaultEntry("garbage", (COUNT,), Garbage, (*CAN, *SERVOS, *MOTORS)),
+    FaultEntry("heat", (JOINT, CELSIUS), Heat, (*ARMS, *SERVOS, *MOTORS, "arm at rest")),
+    FaultEntry("block", (JOINT,), BlockJoint, (*ARMS, *SERVOS, *MOTORS)),
     FaultEntry("stick", (QUANTITY, JOINT), Stick, ARMS),
     FaultEntry("stick", (), Stick, THERMOMETERS),
     FaultEntry("refuse", (VARIABLE,), Refuse, ("UR controller",)),
@@ -343,9 +344,9 @@ FAULTS = (
     FaultEntry("unplug", (), Unplug, ("CANopen drives", *SERVOS, *THERMOMETERS)),
     FaultEntry("unplug", (SECONDS,), Unplug, THERMOMETERS),
     FaultEntry("replug", (), Replug, THERMOMETERS),
-    FaultEntry("die", (JOINT,), Die, SERVOS),
-    FaultEntry("same-id", (JOINT,), SameId, SERVOS),
-    FaultEntry("sag", (SECONDS,), Sag, SERVOS),
+    FaultEntry("die", (JOINT,), Die, (*SERVOS, *MOTORS)),
+    FaultEntry("same-id", (JOINT,), SameId, (*SERVOS, *MOTORS)),
+    FaultEntry("sag", (SECONDS,), Sag, (*SERVOS, *MOTORS)),
     FaultEntry("wrong-sum", (COUNT,), WrongSum, SERVOS),
     FaultEntry("latency", (SECONDS,), Latency, SERVOS),
     FaultEntry("echo", (), Echo, SERVOS),

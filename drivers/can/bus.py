@@ -103,13 +103,15 @@ class Sender:
     Args:
         bus: open.
         clock: the host's.
+        fd: whether frames are of CAN FD, their data at its higher bit rate.
 
     Attributes:
         unconfirmed: since when frames are being sent of which none came back [s, the host's monotonic clock]; None
             where one did since, or the adapter returns none.
     """
 
-    def __init__(self, bus: can.BusABC, clock: Clock = SYSTEM_CLOCK) -> None:
+    def __init__(self, bus: can.BusABC, clock: Clock = SYSTEM_CLOCK, *, fd: bool = False) -> None:
+        self._fd = fd
         self.unconfirmed: float | None = None
         self._identifiers: set[int] = set()
         self._returned = False
@@ -140,6 +142,8 @@ class Sender:
                 dlc=len(data),
                 is_extended_id=bool(identifier & EXTENDED),
                 is_remote_frame=bool(identifier & REMOTE),
+                is_fd=self._fd,
+                bitrate_switch=self._fd,
                 check=False,
             )
             for identifier, data in frames

@@ -38,6 +38,7 @@ class Receiver:
         other: is called with every other frame (identifier, data, arrival [s]) in the receiving thread; must be quick.
         clock: the host's.
         own: takes the identifier of a frame that a program of this computer sent; whether it was this program.
+        fd: whether frames of CAN FD are stored.
     """
 
     def __init__(
@@ -47,6 +48,8 @@ class Receiver:
         other: Callable[[int, bytes, float], None] | None = None,
         clock: Clock = SYSTEM_CLOCK,
         own: Callable[[int], bool] | None = None,
+        *,
+        fd: bool = False,
     ) -> None:
         self.overflow = 0
         """Frames dropped because `take` stayed away."""
@@ -56,6 +59,7 @@ class Receiver:
         self._stored = stored
         self._other = other
         self._own = own
+        self._fd = fd
         self._clock = clock
         self._stamps = ArrivalClock(bus, clock)
         self._ring: deque[Frame] = deque()
@@ -150,7 +154,7 @@ class Receiver:
         if message.is_remote_frame:
             self._drained = arrived
             return True
-        if message.is_fd or message.dlc > CLASSICAL_BYTES:
+        if not self._fd and (message.is_fd or message.dlc > CLASSICAL_BYTES):
             self._trouble("CAN FD frame(s) left out", arrived)
             self._drained = arrived
             return True

@@ -93,7 +93,8 @@ class ServoArm:
         self._viscous, self._coulomb = joint("viscous"), joint("coulomb")
         self._breakaway, self._fading = joint("stribeck"), joint("stribeck_velocity")
         # A loop that sees steps, or a joint behind play, does not see the motor move within a step.
-        self._implicit = np.where((self._encoder > 0) | (of("backlash") > 0), 0.0, self._stiffness)
+        self._in_steps = (self._encoder > 0) | (of("backlash") > 0)
+        self._implicit = np.where(self._in_steps, 0.0, self._stiffness)
         armature = joint("motor_inertia")
         play = of("backlash")
         count, self._loose = len(servos), np.flatnonzero(play > 0)
@@ -177,6 +178,11 @@ class ServoArm:
             self.heat.advance(self._warmth[0] / HEATING_STEPS * self._resistance, self._warmth[1] / HEATING_STEPS)
             self._warmth[:] = 0.0
             self._change_temperature()
+
+    def set_gains(self, stiffness: FloatArray, gain_d: FloatArray) -> None:
+        """Take other gains of the position loops (n,) [N·m/rad] and against velocity (n,) [N·m·s/rad]."""
+        self._stiffness, self._gain_d = stiffness, gain_d
+        self._implicit = np.where(self._in_steps, 0.0, stiffness)
 
     def block(self, joint: int) -> None:
         """Jam the joint of this index for good: it brakes harder than its drive can push."""

@@ -80,6 +80,7 @@ SERVERS: tuple[ServerKind, ...] = (
     "CANopen drives",
     "signal-table arm",
     "serial servos",
+    "CAN motors",
     "thermometer",
     "arm at rest",
 )

@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from typing import Any
 
+import motor_bench
 import numpy as np
 import pytest
 import serial
@@ -22,6 +23,8 @@ from simulated_serial import SerialPort, SimulatedLine
 from daq.robot.loader import RobotFile, parse_robot
 from daq.session.connections import driver_settings
 from drivers.base import DriverSettings
+from drivers.can_motors.driver import CanMotorDriver
+from drivers.can_motors.settings import parse_settings as parse_motors
 from drivers.core.arrays import FloatArray
 from drivers.declaration import installed_drivers
 from drivers.gains import DriveGain
@@ -30,6 +33,7 @@ from drivers.serial_servos.driver import SerialServoDriver
 from drivers.serial_servos.settings import parse_settings
 from drivers.serial_thermometer.driver import SerialThermometerDriver
 from dynid.testing import Bench, DriverConformance, SimulatedClock, declared_bench, simulated_time
+from sim_drivers.can_motors.server import CanMotorServer
 from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.server import RtdeServer
@@ -228,7 +232,60 @@ class TestDynamixel(SerialServos):
     wire = "dynamixel"
 
 
+class CanMotors(DriverConformance):
+    """Motors that come and go on a virtual bus."""
+
+    wire: str
+
+    @contextmanager
+    def bench(self) -> Iterator[Bench]:
+        with simulated_time() as clock:
+            arm_file, keys, servers = motor_bench.robot_file(), motor_bench.keys_of(self.wire), list[CanMotorServer]()
+            settings = replace(driver_settings(arm_file.robot, keys), clock=clock)
+            parsed = parse_motors(keys, arm_file.robot.joint_names, self.wire)
+
+            def device() -> CanMotorServer:
+                servers.append(CanMotorServer(arm_file, parsed, motor_bench.START, clock))
+                return servers[-1]
+
+            def truth() -> dict[str, FloatArray]:
+                arm = servers[-1].plant.arm
+                states = [servers[-1].plant.measured(index) for index in range(2)]
+                torque = [parsed.motors[index].to_joint("torque", states[index]["torque"]) for index in range(2)]
+                return {"position": arm.position.copy(), "torque": np.array(torque)}
+
+            yield Bench(
+                clock,
+                lambda: CanMotorDriver(settings, self.wire),
+                device,
+                truth,
+                {"position": SAG, "torque": 0.5},
+                ("position", "torque"),
+            )
+
+
+class TestDamiao(CanMotors):
+    wire = "damiao"
+
+
+class TestRobstride(CanMotors):
+    wire = "robstride"
+
+
+class TestCubemars(CanMotors):
+    wire = "cubemars"
+
+
+class TestMoteus(CanMotors):
+    wire = "moteus"
+
+
+class TestOdrive(CanMotors):
+    wire = "odrive"
+
+
 def test_every_driver_of_dynid_is_here() -> None:
     tried = {"canopen402", "can_frames", "rtde", "serial_thermometer", TestFeetech.wire, TestDynamixel.wire}
+    tried |= set(motor_bench.WIRES)
     own = {name for name, entry in installed_drivers().items() if entry.value.startswith("drivers.")}
     assert own == tried

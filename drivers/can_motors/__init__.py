@@ -1,0 +1,1 @@
+"""Motors on CAN that people buy: Damiao, RobStride, CubeMars, moteus, ODrive."""

@@ -1,0 +1,315 @@
+"""Exchanging frames with the motors of a connection: readings, goals, registers that are written and read back."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import can
+
+from drivers.base import Notice
+from drivers.can.bus import RETURNED, Sender, close_bus, confirms_sending, open_bus, returns_own_frames
+from drivers.can.receiver import Receiver
+from drivers.can_motors.codec import Answer, CanFrame
+from drivers.can_motors.settings import CanMotor, CanMotorSettings
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import STALL_LIMIT, SYSTEM_CLOCK, Clock
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError
+
+ATTEMPTS = 3
+"""So often a motor is asked before it counts as silent."""
+PATIENCE = 0.02
+"""[s] that an answer to a single question is waited for."""
+SHARE = 0.9
+"""Of a period that the answers of a cycle are waited for, at most."""
+ALIKE = 1e-3
+"""How far a register may be from what was written, as a share: floating-point numbers of 32 bits."""
+
+
+MOST_AWAITED = 5
+"""Answers that may have been lost, and are awaited no more."""
+RETURNED_FRAMES = 256
+"""Frames of this program's own by which those are known that a bus returns to their sender."""
+FAULT = "fault"
+"""Beside quantities, what a frame says."""
+
+
+@dataclass(frozen=True)
+class MotorState:
+    """What a motor said in one cycle.
+
+    Attributes:
+        values: quantity → value in the motor's own direction, from its own zero.
+        fault: code; 0 without.
+        enabled: whether it drives; None where its family does not say.
+        time: when its last frame came [s, host's monotonic clock].
+        surplus: answers that came so far beyond one for each request.
+    """
+
+    values: Mapping[str, float]
+    fault: int
+    enabled: bool | None
+    time: float
+    surplus: int
+
+
+@dataclass(frozen=True)
+class Feedback:
+    """What the motors said in one cycle.
+
+    Attributes:
+        states: index of a motor → its state; a motor that did not tell everything is missing.
+        strange: frames that were no motor's.
+        time: in the middle between sending and the last answer [s, host's monotonic clock].
+        received: when the last answer came.
+    """
+
+    states: Mapping[int, MotorState]
+    strange: int
+    time: float
+    received: float
+
+
+class MotorBus:
+    """The motors of a connection; safe to use from several threads.
+
+    Args:
+        settings: of the connection.
+        clock: the host's.
+
+    Attributes:
+        codecs: one a motor; they may be replaced while nothing is exchanged.
+    """
+
+    def __init__(self, settings: CanMotorSettings, clock: Clock = SYSTEM_CLOCK) -> None:
+        self._settings, self._motors, self._clock = settings, settings.motors, clock
+        self.codecs = settings.codecs()
+        self._lock = clock.lock()
+        self._bus: can.BusABC | None = None
+        self._sender: Sender | None = None
+        self._receiver: Receiver | None = None
+        self._turn = 0
+        self._surplus = [0 for _ in self._motors]
+        self._returned: deque[CanFrame] | None = None
+        self._told: list[dict[str, float]] = [{} for _ in self._motors]
+        self._state: list[tuple[int, bool | None]] = [(0, None) for _ in self._motors]
+
+    def open(self) -> None:
+        """Open the bus.
+
+        Raises:
+            ConnectionFailedError: no such bus.
+        """
+        self._told = [{} for _ in self._motors]
+        self._state = [(0, None) for _ in self._motors]
+        self._surplus = [0 for _ in self._motors]
+        keys, fd = self._settings.keys, self.codecs[0].fd
+        options = {**keys.options}
+        if confirms := confirms_sending(keys.interface, keys.options):
+            options |= RETURNED
+        if fd and keys.interface == "socketcan":
+            options |= {"fd": True}
+        elif fd and keys.interface not in ("virtual", "udp_multicast"):
+            options |= {"fd": True, "data_bitrate": keys.data_bitrate}
+        self._bus = open_bus(keys.interface, keys.channel, keys.bitrate, options)
+        self._sender = Sender(self._bus, self._clock, fd=fd)
+        own = self._sender.confirm if confirms else None
+        self._returned = deque(maxlen=RETURNED_FRAMES) if returns_own_frames(self._bus) else None
+        self._receiver = Receiver(self._bus, clock=self._clock, own=own, fd=fd)
+        self._receiver.start()
+
+    def close(self) -> None:
+        """Let go of the bus; safe at any time."""
+        if self._receiver is not None:
+            self._receiver.stop()
+        if self._bus is not None:
+            close_bus(self._bus)
+        self._bus = self._sender = self._receiver = None
+
+    def notices(self) -> list[Notice]:
+        """What the bus had to say since the last call."""
+        return self._receiver.notices() if self._receiver is not None else []
+
+    def send(self, frames: Sequence[CanFrame]) -> float:
+        """Send frames, of which nothing is awaited; when.
+
+        Raises:
+            ConnectionLostError: the adapter is gone, or does not take them.
+        """
+        sender, _ = self._opened()
+        return sender.send_all(frames)
+
+    def cycle(self, goals: FloatArray | None = None) -> Feedback:
+        """Read all motors, sending them goals (n,) [rad of the motors] where they are given.
+
+        Raises:
+            ConnectionLostError: the adapter is gone, or carries nothing.
+        """
+        read_only = self._settings.keys.read_only
+        frames: list[CanFrame] = []
+        for index, codec in enumerate(self.codecs):
+            frames += codec.poll(read_only=read_only) if goals is None else codec.goal(float(goals[index]))
+        self._turn = (self._turn + 1) % len(self.codecs)
+        frames += self.codecs[self._turn].slow_poll()
+        return self.exchange(frames, SHARE / self._settings.keys.rate)
+
+    def exchange(self, frames: Sequence[CanFrame], patience: float, of: int | None = None) -> Feedback:
+        """Send frames and hear what the motors say, waiting until all have told everything.
+
+        Args:
+            frames: to send.
+            patience: longest wait [s].
+            of: index of the only motor that is waited for, also for what it tells slowly; all where None.
+
+        Raises:
+            ConnectionLostError: the adapter is gone, or carries nothing.
+        """
+        sender, receiver = self._opened()
+        with self._lock:
+            heard: list[set[str]] = [set() for _ in self._motors]
+            for _, identifier, data in receiver.take():  # late: of no row, but counted
+                self._owner(identifier, data)
+            for asked in range(len(self._motors)) if of is None else (of,):
+                self._surplus[asked] = max(self._surplus[asked] - 1, -MOST_AWAITED)
+            if self._returned is not None:
+                self._returned += frames
+            sent = sender.send_all(frames)
+            end, received, strange = sent + patience, sent, 0
+            when = [-math.inf] * len(self._motors)
+            everyone = range(len(self._motors))
+            wanted = [self._fast(k) if of is None else self._all(k) if of == k else set() for k in everyone]
+            while any(need - got for need, got in zip(wanted, heard, strict=True)):
+                left = end - self._clock.now()
+                if left <= 0.0:
+                    break
+                for arrived, identifier, data in receiver.take(left):
+                    index = self._hear(identifier, data, heard)
+                    if index is None and not self._is_own((identifier, data)):
+                        strange += 1
+                    elif index is not None:
+                        when[index] = received = arrived
+        self._require_carried(sender, receiver)
+        states = {
+            index: MotorState(dict(self._told[index]), *self._state[index], when[index], self._surplus[index])
+            for index in range(len(self._motors))
+            if heard[index] and not wanted[index] - heard[index] | self._wanted(index) - self._told[index].keys()
+        }
+        return Feedback(states, strange, 0.5 * (sent + received), received)
+
+    def state(self, index: int) -> MotorState:
+        """Ask one motor for its state.
+
+        Raises:
+            ConnectionFailedError: it does not answer.
+            ConnectionLostError: the adapter is gone.
+        """
+        read_only = self._settings.keys.read_only
+        codec = self.codecs[index]
+        for _ in range(ATTEMPTS):
+            feedback = self.exchange((*codec.poll(read_only=read_only), *codec.slow_poll()), PATIENCE, index)
+            if (said := feedback.states.get(index)) is not None:
+                return said
+        raise self._silent(self._motors[index])
+
+    def read(self, index: int, register: str) -> float:
+        """A register of a motor.
+
+        Raises:
+            ConnectionFailedError: it does not answer.
+            ConnectionLostError: the adapter is gone.
+        """
+        sender, receiver = self._opened()
+        codec, number = self.codecs[index], self.codecs[index].registers[register]
+        for _ in range(ATTEMPTS):
+            with self._lock:
+                receiver.take()
+                end = sender.send_all((codec.read(register),)) + PATIENCE
+                while (left := end - self._clock.now()) > 0.0:
+                    for _, identifier, data in receiver.take(left):
+                        answer = codec.parse(identifier, data, number)
+                        if answer is not None and answer.register is not None and answer.register[0] == number:
+                            return answer.register[1]
+        raise self._silent(self._motors[index])
+
+    def write(self, index: int, register: str, value: float) -> None:
+        """Write a register of a motor's volatile memory, and read it back.
+
+        Raises:
+            ConnectionFailedError: it does not answer, or holds something else afterwards.
+            ConnectionLostError: the adapter is gone.
+        """
+        self.send((self.codecs[index].write(register, value),))
+        held = self.read(index, register)
+        if abs(held - value) > ALIKE * abs(value):
+            raise ConnectionFailedError(
+                f"{self._motors[index].name} holds {held:g} as {register} after {value:g} was written",
+                where=self._settings.where,
+                hint="is it in fault, or is its firmware too old for it?",
+            )
+
+    def _hear(self, identifier: int, data: bytes, heard: list[set[str]]) -> int | None:
+        """The motor whose frame it is; None where it is none's."""
+        index, answer = self._owner(identifier, data)
+        if index is None or answer is None:
+            return None
+        if "position" in heard[index] and "position" in answer.values:
+            return index
+        heard[index] |= answer.values.keys() | ({FAULT} if answer.fault is not None else set())
+        self._told[index] |= answer.values
+        fault, enabled = self._state[index]
+        self._state[index] = (
+            fault if answer.fault is None else answer.fault,
+            enabled if answer.enabled is None else answer.enabled,
+        )
+        return index
+
+    def _owner(self, identifier: int, data: bytes) -> tuple[int | None, Answer | None]:
+        """The motor whose frame it is, and what it says."""
+        for index, codec in enumerate(self.codecs):
+            if (answer := codec.parse(identifier, data)) is not None:
+                self._surplus[index] += "position" in answer.values
+                return index, answer
+        return None, None
+
+    def _is_own(self, frame: CanFrame) -> bool:
+        """Whether a bus that returns what is sent returned this frame."""
+        if self._returned is None or frame not in self._returned:
+            return False
+        self._returned.remove(frame)
+        return True
+
+    def _wanted(self, index: int) -> set[str]:
+        return set(self.codecs[index].quantities(read_only=self._settings.keys.read_only))
+
+    def _fast(self, index: int) -> set[str]:
+        """What a motor tells in each cycle."""
+        wanted = self._wanted(index)
+        return wanted - {"temperature", "drive_temperature"} if self.codecs[index].slow_poll() else wanted
+
+    def _all(self, index: int) -> set[str]:
+        """What a motor tells when it is asked for everything; its fault, too, where that is a frame of its own."""
+        return self._wanted(index) | ({FAULT} if self.codecs[index].slow_poll() else set())
+
+    def _opened(self) -> tuple[Sender, Receiver]:
+        if self._sender is None or self._receiver is None:
+            raise ConnectionLostError("the bus is closed", where=self._settings.where)
+        return self._sender, self._receiver
+
+    def _require_carried(self, sender: Sender, receiver: Receiver) -> None:
+        if receiver.failure is not None:
+            raise receiver.failure
+        if sender.unconfirmed is not None and receiver.drained - sender.unconfirmed > STALL_LIMIT:
+            raise ConnectionLostError(
+                f"nothing that was sent for {STALL_LIMIT:g} s came back from the adapter: the bus does not carry it",
+                where=self._settings.where,
+                hint="is the bus terminated, and another device on it, at this bit rate?",
+            )
+
+    def _silent(self, motor: CanMotor) -> ConnectionFailedError:
+        return ConnectionFailedError(
+            f"{motor.name} does not answer",
+            where=self._settings.where,
+            hint="power, cables, termination, bit rate, and its id; no other program may command it",
+        )

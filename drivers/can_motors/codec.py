@@ -1,0 +1,159 @@
+"""What every protocol of CAN motors gives: frames to a motor, and what a motor says in its own."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from drivers.can_motors.tables import MotorFamily, MotorModel
+
+CanFrame = tuple[int, bytes]
+"""Identifier, with `drivers.can.bus.EXTENDED` and `REMOTE`, and data."""
+
+
+@dataclass(frozen=True)
+class MotorAddress:
+    """A motor as its protocol needs it; all at the motor's own output shaft.
+
+    Attributes:
+        id: on the bus.
+        host: this computer's id, or the identifier that the motor answers on, by the protocol.
+        family: table of its family.
+        model: full scale of its frames.
+        kp: of its position loop [N·m/rad].
+        kd: against velocity [N·m·s/rad].
+        torque_limit: that it keeps, where it keeps one [N·m]; None for its own.
+        speed_limit: [rad/s]; None for its own.
+        current_limit: [A]; None for its own.
+        watchdog: [s] without a command after which it lets go; None where it shall go on with its last one.
+        thermistor: whether its windings have one.
+        temperature_offset: added to the byte of its temperature [°C].
+    """
+
+    id: int
+    host: int
+    family: MotorFamily
+    model: MotorModel
+    kp: float = 0.0
+    kd: float = 0.0
+    torque_limit: float | None = None
+    speed_limit: float | None = None
+    current_limit: float | None = None
+    watchdog: float | None = None
+    thermistor: bool = False
+    temperature_offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What one frame of a motor says.
+
+    Attributes:
+        values: quantity → value in the motor's own direction, from its own zero [rad, rad/s, N·m, A, °C, V].
+        fault: its code; None where the frame has none.
+        enabled: whether the motor drives; None where the frame does not say.
+        register: number of a register and what it holds; None where the frame is no answer to a reading.
+    """
+
+    values: Mapping[str, float] = field(default_factory=dict)
+    fault: int | None = None
+    enabled: bool | None = None
+    register: tuple[int, float] | None = None
+
+
+class MotorCodec(ABC):
+    """Frames of one motor.
+
+    Args:
+        motor: address, model and settings.
+
+    Attributes:
+        motor: as given.
+        fd: whether frames are of CAN FD.
+        keeps: which of torque, speed and current limit it keeps (of `MotorAddress`).
+        times_out: whether a program can make it let go where commands fail to come.
+        gains: whether kp and kd are sent, not configured in the motor.
+        unasked: whether it may tell where it is without being asked.
+        registers: name → number, of those that are read and written here.
+    """
+
+    fd: ClassVar[bool] = False
+    keeps: ClassVar[tuple[str, ...]] = ()
+    times_out: ClassVar[bool] = True
+    gains: ClassVar[bool] = True
+    unasked: ClassVar[bool] = False
+    registers: ClassVar[Mapping[str, int]] = {}
+
+    def __init__(self, motor: MotorAddress) -> None:
+        self.motor = motor
+
+    @abstractmethod
+    def quantities(self, *, read_only: bool) -> tuple[str, ...]:
+        """What it tells in every cycle; first of all `position`."""
+
+    @abstractmethod
+    def poll(self, *, read_only: bool) -> Sequence[CanFrame]:
+        """Frames after which it tells them and goes on as before; where `read_only`, nothing is written to it."""
+
+    @abstractmethod
+    def goal(self, position: float) -> Sequence[CanFrame]:
+        """Frames by which it goes to a position [rad] and tells the same."""
+
+    @abstractmethod
+    def enable(self) -> Sequence[CanFrame]:
+        """Frames that make it obey goals."""
+
+    @abstractmethod
+    def disable(self) -> Sequence[CanFrame]:
+        """Frames that make it limp."""
+
+    @abstractmethod
+    def clear(self) -> Sequence[CanFrame]:
+        """Frames that reset a fault; nothing where its family has none."""
+
+    @abstractmethod
+    def parse(self, identifier: int, data: bytes, asked: int | None = None) -> Answer | None:
+        """What a frame says; None where it is not this motor's, or not understood.
+
+        Args:
+            identifier: with `EXTENDED`.
+            data: of the frame.
+            asked: number of the register that it was asked for last, while its answer is awaited.
+        """
+
+    def preparation(self) -> Mapping[str, float]:
+        """What its registers shall hold before it is enabled: its command time-out, its limits, its mode."""
+        return {}
+
+    def release(self) -> Mapping[str, float]:
+        """What its registers shall hold when nobody commands it any more and it shall go on holding."""
+        return {}
+
+    def release_frames(self, position: float) -> Sequence[CanFrame]:
+        """Frames by which it holds a position [rad] when nobody commands it any more."""
+        return self.goal(position)
+
+    def slow_poll(self) -> Sequence[CanFrame]:
+        """Frames after which it tells what changes slowly, sent to one motor a cycle."""
+        return ()
+
+    def read(self, register: str) -> CanFrame:
+        """A frame that asks for a register."""
+        raise NotImplementedError(f"{self.motor.family.name} tells no {register}")
+
+    def write(self, register: str, value: float) -> CanFrame:
+        """A frame that writes a register of its volatile memory."""
+        raise NotImplementedError(f"{self.motor.family.name} takes no {register}")
+
+
+def to_counts(value: float, low: float, high: float, bits: int) -> int:
+    """The nearest of 2^bits counts from `low` to `high`; beyond them the last."""
+    most = (1 << bits) - 1
+    return min(max(round((value - low) * most / (high - low)), 0), most)
+
+
+def from_counts(counts: int, low: float, high: float, bits: int) -> float:
+    """The value of counts of 2^bits from `low` to `high`."""
+    return low + counts * (high - low) / ((1 << bits) - 1)

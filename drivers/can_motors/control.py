@@ -1,0 +1,211 @@
+"""Moving CAN motors: limits and time-outs in the motors, goals, and how they are stopped."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from drivers.can_motors.bus import PATIENCE, Feedback, MotorBus
+from drivers.can_motors.settings import CanMotorSettings
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import Clock
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.standstill import StandstillWatch
+
+HOLD_LEAD = 0.05
+"""[rad] that a goal may be ahead of a joint which is held: more would press on what blocks it."""
+STOP_LIMIT = 2.0
+"""How long [s] an arm may take to come to rest."""
+STOP_SENDINGS = 3
+"""So often a stop is sent: nobody confirms it."""
+ENABLING = 0.3
+"""How long [s] motors may take until they obey."""
+
+
+class MotorControl:
+    """Commands of the motors of a connection; one thread at a time.
+
+    Args:
+        bus: open.
+        settings: of the connection.
+        clock: the host's.
+
+    Attributes:
+        active: whether the motors were made to obey, and not yet stopped.
+        goal: (n,) joint position that was commanded last [rad]; None before.
+        commanded: when that was [s, host's monotonic clock].
+        sent: goals when they were sent, since they were taken: (when [s, host's monotonic clock], (n,) [rad]).
+        fresh: called with each new goal, so that it is sent at once.
+    """
+
+    def __init__(self, bus: MotorBus, settings: CanMotorSettings, clock: Clock) -> None:
+        self._bus, self._settings, self._clock = bus, settings, clock
+        self._motors = settings.motors
+        self.active = False
+        self.goal: FloatArray | None = None
+        self.commanded = -np.inf
+        self.sent: deque[tuple[float, FloatArray]] = deque()
+        self.fresh: Callable[[], None] = _nothing
+
+    def take(self) -> None:
+        """Write limits and time-outs, read them back, and let the motors hold where they are.
+
+        Raises:
+            DriverStateError: a motor is in fault, or does not obey.
+            ConnectionFailedError: a motor does not answer, or does not keep what is written.
+            ConnectionLostError: the adapter is gone.
+        """
+        for index, (motor, codec) in enumerate(zip(self._motors, self._bus.codecs, strict=True)):
+            state = self._bus.state(index)
+            if state.fault:
+                words = ", ".join(motor.address.family.fault_words(state.fault))
+                raise DriverStateError(
+                    f"{motor.name} is in fault: {words}",
+                    hint="let it cool down, look at its supply and load; then dynid check --connect --reset-faults",
+                )
+            for register, value in codec.preparation().items():
+                self._bus.write(index, register, value)
+        self.goal = self._positions(self._all_states())
+        self.active = True  # from here on it may be that some obey
+        for codec in self._bus.codecs:
+            self._bus.send(codec.enable())
+        end = self._clock.now() + ENABLING
+        while True:
+            begun = self._clock.now()
+            states = self.send_goal().states
+            lazy = [m.name for k, m in enumerate(self._motors) if k not in states or states[k].enabled is False]
+            if not lazy:
+                break
+            if self._clock.now() > end:
+                raise DriverStateError(
+                    f"{', '.join(lazy)} did not begin to obey within {ENABLING:g} s",
+                    hint="power, calibration of the motor, and what its own tool says of it",
+                )
+            self._clock.sleep_until(begun + 1.0 / self._settings.keys.rate)
+
+    def command(self, target: FloatArray) -> None:
+        """Take a goal (n,) [rad], which the next cycle sends at once.
+
+        Raises:
+            DriverStateError: a position beyond full scale of its motor's frames.
+        """
+        for motor, position in zip(self._motors, target.tolist(), strict=True):
+            most = motor.address.model.position
+            if most is not None and abs(motor.goal(position)) > most:
+                there = motor.goal(position)
+                raise DriverStateError(
+                    f"{position:.4g} rad are {there:.4g} rad of {motor.name}: its frames end at {most:g}",
+                    hint="look at its zero, direction and ratio",
+                )
+        self.goal, self.commanded = target.copy(), self._clock.now()
+        self.fresh()
+
+    def send_goal(self) -> Feedback:
+        """One cycle with the goal.
+
+        Raises:
+            ConnectionLostError: the adapter is gone.
+        """
+        goal = self.goal
+        assert goal is not None
+        self.sent.append((self._clock.now(), goal))
+        return self._bus.cycle(self._motor_goals(goal))
+
+    def stop(self) -> str:
+        """Let the arm hold or go limp, as the connection says; what is wrong, in words, or nothing."""
+        self.active = False
+        limp = self._settings.keys.on_stop == "limp"
+        state = "limp" if limp else "held"
+        try:
+            if not limp:
+                self._lead_little(self._bus.cycle(None if self.goal is None else self._motor_goals(self.goal)))
+            heard = self._until_rest(limp=limp)
+            if not limp and self._settings.when_lost == "hold":
+                self._hold_for_good()
+        except (ConnectionFailedError, ConnectionLostError) as error:
+            return f"the motors could not be told to stop ({error.message}): {self.left_alone()}"
+        if heard is None:
+            return ""
+        if silent := [motor.name for index, motor in enumerate(self._motors) if index not in heard]:
+            return f"{', '.join(silent)} did not answer when the arm was {state}: where it is, is unknown"
+        return f"the arm did not show within {STOP_LIMIT:g} s that it stands still, {state}"
+
+    def left_alone(self) -> str:
+        """What the motors do where nobody commands them any more, in words."""
+        if self._settings.when_lost == "hold":
+            return "each holds its last goal with torque on"
+        if self._settings.family == "moteus":
+            return f"{self._settings.keys.watchdog:g} s later each does what its servo.timeout_mode says"
+        return f"{self._settings.keys.watchdog:g} s later each goes limp by its time-out"
+
+    def _until_rest(self, *, limp: bool) -> set[int] | None:
+        """Command the stop until the arm is at rest: None; else which motors were heard meanwhile."""
+        watch, end = StandstillWatch(0.2), self._clock.now() + STOP_LIMIT
+        heard: set[int] = set()
+        sendings = 0
+        while not watch.at_rest:
+            if self._clock.now() >= end:
+                return heard
+            begun = self._clock.now()
+            if limp:
+                if sendings < STOP_SENDINGS:
+                    self._bus.send([frame for codec in self._bus.codecs for frame in codec.disable()])
+                    sendings += 1
+                feedback = self._bus.exchange(
+                    [f for codec in self._bus.codecs for f in (codec.disable() or codec.poll(read_only=False))],
+                    PATIENCE,
+                )
+            else:
+                feedback = self.send_goal()
+            heard |= feedback.states.keys()
+            if len(feedback.states) == len(self._motors):
+                watch.add(feedback.time, self._positions(feedback))
+            self._clock.sleep_until(begun + 1.0 / self._settings.keys.rate)
+        return None
+
+    def _lead_little(self, feedback: Feedback) -> None:
+        """Goals near where the joints are, of the motors that answer."""
+        if self.goal is None:
+            return
+        goal = self.goal.copy()
+        for index, state in feedback.states.items():
+            here = self._motors[index].to_joint("position", state.values["position"])
+            goal[index] = here + np.clip(goal[index] - here, -HOLD_LEAD, HOLD_LEAD)
+        self.goal = goal
+
+    def _hold_for_good(self) -> None:
+        """No time-out: it would take the end of this program for its death."""
+        goals = self._motor_goals(self.goal) if self.goal is not None else None
+        for index, codec in enumerate(self._bus.codecs):
+            for register, value in codec.release().items():
+                self._bus.write(index, register, value)
+            if goals is not None:
+                for _ in range(STOP_SENDINGS):
+                    self._bus.send(codec.release_frames(float(goals[index])))
+
+    def _all_states(self) -> Feedback:
+        """A reading of all motors.
+
+        Raises:
+            ConnectionFailedError: one does not answer.
+        """
+        for _ in range(STOP_SENDINGS):
+            feedback = self._bus.cycle()
+            if len(feedback.states) == len(self._motors):
+                return feedback
+        silent = [motor.name for index, motor in enumerate(self._motors) if index not in feedback.states]
+        raise ConnectionFailedError(f"{', '.join(silent)} did not answer", where=self._settings.where)
+
+    def _positions(self, feedback: Feedback) -> FloatArray:
+        return np.array(
+            [m.to_joint("position", feedback.states[k].values["position"]) for k, m in enumerate(self._motors)]
+        )
+
+    def _motor_goals(self, goal: FloatArray) -> FloatArray:
+        return np.array([motor.goal(float(position)) for motor, position in zip(self._motors, goal, strict=True)])
+
+
+def _nothing() -> None:
+    """No cycle waits for goals yet."""

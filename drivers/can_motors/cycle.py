@@ -1,0 +1,144 @@
+"""The thread that reads and commands all motors again and again, and what it tells of them: rows, losses, faults."""
+
+from __future__ import annotations
+
+from drivers.can_motors.bus import Feedback, MotorBus
+from drivers.can_motors.control import MotorControl
+from drivers.can_motors.settings import CanMotorSettings
+from drivers.core.clock import Clock
+from drivers.polled_rows import PolledRows
+from drivers.streams import ChannelLayout
+
+FOLLOWING = 3.0
+"""Periods after a goal during which the next one is awaited, so that it is sent when it comes."""
+LATE = 1.25
+"""Periods after a cycle at which the last goal is sent again, where no new one came."""
+TWICE = 5
+"""Answers beyond one for each request from which on two motors give them."""
+SOONEST = 0.5
+"""Periods after a cycle before which no goal is sent."""
+UNITS = {"supply_voltage": "V", "drive_temperature": "degC"}
+MEANINGS = {
+    "torque": "torque that the motor estimates from its current",
+    "temperature": "of the motor's windings",
+    "drive_temperature": "of the drive's power stage",
+    "supply_voltage": "of the motor's supply",
+}
+
+
+class MotorCycle(PolledRows):
+    """Reads all motors at a rate, with goals while they are moved; a new goal goes out at once.
+
+    Args:
+        bus: open.
+        control: of the same motors.
+        settings: of the connection.
+        clock: the host's.
+    """
+
+    def __init__(self, bus: MotorBus, control: MotorControl, settings: CanMotorSettings, clock: Clock) -> None:
+        super().__init__(f"motors {settings.where}", settings.keys.rate, control.sent, clock)
+        self._bus, self._control, self._settings = bus, control, settings
+        self._motors = settings.motors
+        self._quantities = [name.quantity for name in feedback_channels(settings)]
+        self._faults: dict[int, int] = {}
+        self._strange = 0
+        self._doubled: list[str] = []
+        self._begun = clock.now()
+        self._wanted = False
+        control.fresh = self._hurry
+
+    def losses(self) -> str:
+        """Why rows were lost, in words; empty where none were."""
+        said = [
+            super().losses(),
+            f"{self._strange} frames were no motor's" if self._strange else "",
+            f"answered twice: {', '.join(self._doubled)}" if self._doubled else "",
+        ]
+        return "; ".join(filter(None, said))
+
+    def _read(self) -> None:
+        self._begun = self._clock.now()
+        with self._changed:
+            self._wanted = False
+        feedback = self._control.send_goal() if self._control.active else self._bus.cycle()
+        self._strange += feedback.strange
+        for index, state in feedback.states.items():
+            self.answered[self._motors[index].id] = feedback.received
+            self._note_fault(index, state.fault)
+            if state.enabled is False and self._control.active and not state.fault:
+                self._tell(
+                    "error",
+                    f"{self._motors[index].name} does not drive any more",
+                    "was its power interrupted, or does another program command it?",
+                )
+            if state.surplus >= TWICE and not self._bus.codecs[index].unasked:
+                self._note_twice(index)
+        missing = [motor.name for index, motor in enumerate(self._motors) if index not in feedback.states]
+        if missing:
+            strange = f", {feedback.strange} frames were no motor's" if feedback.strange else ""
+            self._lose(missing, feedback.received, strange)
+        else:
+            self._add(feedback.time, feedback.received, self._row(feedback))
+
+    def _pause(self, due: float) -> float:
+        following = self._clock.now() - self._control.commanded < FOLLOWING * self._period
+        if not (self._control.active and following):
+            return super()._pause(due)
+        with self._changed:
+            latest = self._begun + LATE * self._period
+            self._changed.wait_for(lambda: self._wanted or self._ending.is_set(), latest - self._clock.now())
+        if (soonest := self._begun + SOONEST * self._period) > self._clock.now():
+            self._ending.wait(soonest - self._clock.now())
+        return self._clock.now()
+
+    def _hurry(self) -> None:
+        with self._changed:
+            self._wanted = True
+            self._changed.notify_all()
+
+    def _row(self, feedback: Feedback) -> dict[str, list[float]]:
+        return {
+            quantity: [
+                motor.to_joint(quantity, feedback.states[index].values[quantity])
+                for index, motor in enumerate(self._motors)
+            ]
+            for quantity in self._quantities
+        }
+
+    def _note_fault(self, index: int, fault: int) -> None:
+        motor, before = self._motors[index], self._faults.get(index, 0)
+        if fault == before:
+            return
+        self._faults[index] = fault
+        if fault:
+            self._tell(
+                "error" if self._control.active else "warning",
+                f"{motor.name} reports {', '.join(motor.address.family.fault_words(fault))}",
+                "let it cool down; look at its supply, its load and what it touches",
+            )
+        else:
+            self._tell("info", f"{motor.name} reports no fault any more")
+
+    def _note_twice(self, index: int) -> None:
+        name = self._motors[index].name
+        if name in self._doubled:
+            return
+        self._doubled.append(name)
+        self._tell(
+            "error" if self._control.active else "warning",
+            f"{name} answers twice: two motors have this id, or another program commands it",
+            "give every motor an id of its own with its manufacturer's tool",
+        )
+
+
+def feedback_channels(settings: CanMotorSettings) -> tuple[ChannelLayout, ...]:
+    """The channels of the stream `joints`: what every motor tells."""
+    joints = tuple(motor.joint for motor in settings.motors)
+    told = [codec.quantities(read_only=settings.keys.read_only) for codec in settings.codecs()]
+    common = [quantity for quantity in told[0] if all(quantity in others for others in told)]
+    when = "time is the middle of the reading, by this computer's clock"
+    return tuple(
+        ChannelLayout(quantity, joints, UNITS.get(quantity, ""), f"{MEANINGS.get(quantity, quantity)}; {when}")
+        for quantity in common
+    )

@@ -1,0 +1,221 @@
+"""The driver of an arm of CAN motors: Damiao, RobStride, CubeMars, moteus, ODrive."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.base import DeviceLimits, DriverSettings, Notice
+from drivers.can_motors.bus import MotorBus
+from drivers.can_motors.control import MotorControl
+from drivers.can_motors.cycle import MotorCycle, feedback_channels
+from drivers.can_motors.settings import CODECS, CanMotor, parse_settings
+from drivers.core.errors import ConnectionFailedError
+from drivers.polled_arm import PolledArm
+from drivers.streams import ChannelLayout
+
+TOLD_RANGES = ("position", "velocity", "torque")
+"""Full scale of a motor's frames that its registers tell, where they do."""
+CLEARING = 0.05
+"""[s] that a motor may take to reset a fault."""
+
+
+@dataclass(frozen=True)
+class MotorIdentity:
+    """What a motor says of itself.
+
+    Attributes:
+        joint: it moves.
+        id: on the bus.
+        model: of its table.
+        position: of the joint [rad].
+        temperature: of the windings [°C]; nan where it tells none.
+        drive_temperature: of the power stage [°C]; nan where it tells none.
+        driving: whether it drives; None where it does not say.
+        fault: in words; empty without.
+        velocity_range, torque_range: full scale of its frames [rad/s, N·m]; nan where they carry plain numbers.
+        torque_constant: [N·m/A], told by the motor, else of its table; nan where neither says.
+    """
+
+    joint: str
+    id: int
+    model: str
+    position: float
+    temperature: float
+    drive_temperature: float
+    driving: bool | None
+    fault: str
+    velocity_range: float
+    torque_range: float
+    torque_constant: float
+
+
+class CanMotorDriver(PolledArm):
+    """CAN motors of one family on one bus; implements `drivers.base.Driver`.
+
+    Args:
+        settings: joints and the connection's keys (see `drivers.can_motors.settings.CanMotorKeys`).
+        family: of the motors.
+
+    Raises:
+        UsageError: the connection's keys are wrong.
+    """
+
+    def __init__(self, settings: DriverSettings, family: str) -> None:
+        self._settings = parse_settings(settings.connection, settings.joints, family)
+        keys, names = self._settings.keys, {motor.id: motor.name for motor in self._settings.motors}
+        super().__init__(settings, self._settings.where, keys.rate, names, "motor", read_only=keys.read_only)
+        self._bus = MotorBus(self._settings, self._clock)
+        self._control: MotorControl = MotorControl(self._bus, self._settings, self._clock)
+        self._identities: tuple[MotorIdentity, ...] = ()
+
+    def _connect(self) -> None:
+        self._bus.open()
+        if {f"{name}_range" for name in TOLD_RANGES} <= self._bus.codecs[0].registers.keys():
+            self._take_told_ranges()
+        if self._settings.keys.reset_faults:
+            self._reset_faults()
+        self._identities = tuple(self._identity(index, motor) for index, motor in enumerate(self._settings.motors))
+
+    def _disconnect(self) -> None:
+        self._bus.close()
+
+    def _new_cycle(self) -> MotorCycle:
+        return MotorCycle(self._bus, self._control, self._settings, self._clock)
+
+    def _channels(self) -> tuple[ChannelLayout, ...]:
+        return feedback_channels(self._settings)
+
+    def notices(self) -> Sequence[Notice]:
+        """Notices since the last call: faults of motors, missing answers, errors of the bus."""
+        return [*super().notices(), *self._bus.notices()]
+
+    def identify(self) -> Sequence[MotorIdentity]:
+        """What every motor says of itself.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        self._require_open("identify")
+        return self._identities
+
+    def device_limits(self) -> DeviceLimits:
+        """Torque limits that the motors keep for this program.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        self._require_open("tell limits")
+        nothing = np.full(len(self._settings.motors), np.nan)
+        torque = np.array(
+            [
+                math.nan if motor.address.torque_limit is None else motor.address.torque_limit * motor.ratio
+                for motor in self._settings.motors
+            ]
+        )
+        return DeviceLimits(nothing, nothing, nothing, torque, {"torque": "torque_limit of the connection's motors"})
+
+    def cautions(self) -> Sequence[str]:
+        """What the arm does before, at a stop and where this computer dies."""
+        codec = CODECS[self._settings.family]
+        said = [f"first the motors are switched on: the arm stiffens where it is; then, {self._stop_words()}"]
+        if codec.times_out:
+            said.append(f"where this computer dies or the cable is cut in a motion: {self._control.left_alone()}")
+        elif self._settings.family == "odrive":
+            said.append(
+                "where this computer dies or the cable is cut in a motion, each axis holds its last goal, torque on, "
+                "unless its own configuration has its watchdog on (then it is limp)"
+            )
+        else:
+            said.append(
+                "these motors have no command time-out that a program sets: where this computer dies or the cable is "
+                "cut in a motion, each holds its last goal with torque on until it is switched off"
+            )
+        if "torque_limit" not in codec.keeps:
+            said.append(f"{self._settings.family} motors keep no torque limit of a program's: stiff goals press hard")
+        return said
+
+    def _stop_words(self) -> str:
+        if self._settings.keys.on_stop == "limp":
+            return "when the motion ends or is stopped, the motors are switched off: THE ARM FALLS (on_stop: limp)"
+        if self._settings.when_lost == "limp":
+            return (
+                "when the motion ends or is stopped, the arm holds while dynid runs, and goes limp with its end: "
+                "THE ARM FALLS THEN (on_stop: hold, when_lost: limp)"
+            )
+        return (
+            "when the motion ends or is stopped, the arm holds, torque on, even after dynid has ended (on_stop: hold)"
+        )
+
+    def _stopped_words(self) -> str:
+        if self._settings.keys.on_stop == "limp":
+            return "the motors are off, the arm is limp"
+        if self._settings.when_lost == "limp":
+            return f"the arm was held; {self._control.left_alone()}"
+        return "the arm holds, its torque stays on"
+
+    def _reset_faults(self) -> None:
+        for index, motor in enumerate(self._settings.motors):
+            if fault := self._bus.state(index).fault:
+                self._bus.send(self._bus.codecs[index].clear())
+                self._clock.sleep(CLEARING)
+                words = ", ".join(motor.address.family.fault_words(fault))
+                gone = not self._bus.state(index).fault
+                self._tell("info" if gone else "warning", f"{motor.name}: {words}, {'reset' if gone else 'persists'}")
+
+    def _take_told_ranges(self) -> None:
+        """Scale of each motor's frames as the motor has it, where the table's is another."""
+        motors = []
+        for index, motor in enumerate(self._settings.motors):
+            scale = motor.address.model
+            told = {name: self._bus.read(index, f"{name}_range") for name in TOLD_RANGES}
+            if not all(math.isfinite(value) and value > 0.0 for value in told.values()):
+                raise ConnectionFailedError(
+                    f"{motor.name} tells {told} as full scale of its frames", where=self._settings.where
+                )
+            other = {name: value for name, value in told.items() if not math.isclose(value, getattr(scale, name))}
+            if other:
+                said = ", ".join(
+                    f"{name} {getattr(scale, name):g}, the motor {value:g}" for name, value in other.items()
+                )
+                self._tell("info", f"{motor.name}: the table of {motor.model} says {said}: the motor's is taken")
+            address = replace(motor.address, model=replace(scale, **told))
+            motors.append(replace(motor, address=address))
+        self._settings = replace(self._settings, motors=tuple(motors))
+        self._bus.codecs[:] = self._settings.codecs()
+        self._control = MotorControl(self._bus, self._settings, self._clock)
+
+    def _identity(self, index: int, motor: CanMotor) -> MotorIdentity:
+        state, scale = self._bus.state(index), motor.address.model
+        constant = scale.torque_constant
+        if "torque_constant" in self._bus.codecs[index].registers:
+            constant = self._bus.read(index, "torque_constant")
+        return MotorIdentity(
+            motor.joint,
+            motor.id,
+            motor.model,
+            motor.to_joint("position", state.values["position"]),
+            state.values.get("temperature", math.nan),
+            state.values.get("drive_temperature", math.nan),
+            state.enabled,
+            ", ".join(motor.address.family.fault_words(state.fault)),
+            math.nan if scale.velocity is None else scale.velocity,
+            math.nan if scale.torque is None else scale.torque,
+            math.nan if constant is None else constant,
+        )
+
+
+@dataclass(frozen=True)
+class _Family:
+    """Makes the driver of a family, as the entry points of `dynid.drivers` need it."""
+
+    name: str
+
+    def __call__(self, settings: DriverSettings) -> CanMotorDriver:
+        return CanMotorDriver(settings, self.name)
+
+
+damiao, robstride, cubemars, moteus, odrive = map(_Family, CODECS)

@@ -1,0 +1,1 @@
+"""Simulated CAN motors: Damiao, RobStride, CubeMars, moteus, ODrive."""

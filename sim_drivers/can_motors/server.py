@@ -1,0 +1,256 @@
+"""Simulated CAN motors on a python-can bus, in the time of a clock.
+
+One thread does everything. Frames pass a model of the bus, so that none is there earlier than on a real one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import can
+import numpy as np
+
+from daq.robot.loader import RobotFile
+from drivers.can.arrival_clock import ArrivalClock
+from drivers.can.bus import EXTENDED, REMOTE, returns_own_frames
+from drivers.can.frame_length import fd_frame_bits
+from drivers.can_motors.settings import CODECS, CanMotorSettings
+from drivers.core.arrays import FloatArray
+from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.text import percent_text
+from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
+from sim_drivers.can.bus_server import BusServer, send_error_frame
+from sim_drivers.can_motors.arm import MotorPlant
+from sim_drivers.can_motors.motors import SIMULATED, SimulatedMotor
+from sim_drivers.faults import (
+    BlockJoint,
+    BusOff,
+    Die,
+    Drop,
+    Fault,
+    Freeze,
+    Garbage,
+    Heat,
+    OverTemperature,
+    PowerCycle,
+    Sag,
+    SameId,
+    Truncate,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+ANSWERING = 50e-6
+"""[s] that a motor takes for its answer: an assumption."""
+IDLE = 0.005
+"""[s] between two advances of an arm that nobody asks."""
+OTHER = 3
+"""Bit of the byte behind the first of an answer in which another motor with the same id differs."""
+REMEMBERED = 256
+"""Own frames by which those are known that a bus returns to their sender."""
+
+
+class CanMotorServer(BusServer):
+    """Motors that are switched on by `start` and off by `stop`.
+
+    Args:
+        file: of the arm; its truth has a servo for every joint.
+        settings: of the connection that reaches them.
+        position: (n,) at which it stands at first [rad]; the middle of the ranges where None.
+        clock: the host's.
+        held: whether it is held there, as a program before left it; else it is limp.
+
+    Attributes:
+        settings: as given.
+        motors: in the joints' order.
+        plant: the arm behind them.
+        requests, answers: so far.
+
+    Raises:
+        RobotFileError: a joint's truth has no servo.
+    """
+
+    def __init__(
+        self,
+        file: RobotFile,
+        settings: CanMotorSettings,
+        position: FloatArray | None = None,
+        clock: Clock = SYSTEM_CLOCK,
+        *,
+        held: bool = False,
+    ) -> None:
+        super().__init__("CAN motors", file.robot.joint_names, settings.keys, clock)
+        self.settings = settings
+        start = np.array([0.5 * sum(joint.position) for joint in file.robot.joints]) if position is None else position
+        self.plant = MotorPlant(file, settings.motors, start, clock.now())
+        kind = SIMULATED[settings.family]
+        self.motors: list[SimulatedMotor] = [
+            kind(motor, index, self.plant) for index, motor in enumerate(settings.motors)
+        ]
+        for motor, angle in zip(self.motors if held else (), start.tolist(), strict=False):
+            motor.hold(angle, clock.now())
+        self.requests = self.answers = 0
+        self._fd = CODECS[settings.family].fd
+        keys = settings.keys
+        speed_up = keys.data_bitrate / keys.bitrate
+        length: Callable[[Frame], int] = exact_bits
+        if self._fd:
+            length = lambda frame: math.ceil(fd_frame_bits(len(frame.data), speed_up))  # noqa: E731
+        self._model = BusModel(keys.bitrate, length)
+        self._incoming: deque[tuple[Frame, float]] = deque()
+        self._recent: deque[tuple[int, bytes]] = deque(maxlen=REMEMBERED)
+        self._drop = self._truncate = 0
+        self._frozen_until = self._sag_until = self._sent_until = -math.inf
+        self._twice: set[int] = set()
+        self._begun = clock.now()
+
+    def ready(self) -> dict[str, object]:
+        """Address for clients."""
+        keys = self.settings.keys
+        return {"interface": keys.interface, "channel": keys.channel, "bitrate": keys.bitrate}
+
+    def live_line(self) -> str:
+        """Its state in one line."""
+        on = sum(motor.enabled for motor in self.motors)
+        load = self._model.bits / self.settings.keys.bitrate / max(self._clock.now() - self._begun, 1e-9)
+        line = f"{self.requests} requests, {self.answers} answers, {on} motors on, bus load {percent_text(load, 2)}"
+        return line + (f", {self.plant.stalls} stalls" if self.plant.stalls else "")
+
+    def _work(self) -> Mapping[str, Callable[[], None]]:
+        return {"can-motors": self._run_on_bus}
+
+    def _serve(self, bus: can.BusABC) -> None:
+        stamps, returned = ArrivalClock(bus, self._clock), returns_own_frames(bus)
+        self._begun = self._clock.now()
+        while not self._stopping.is_set():
+            end = self._model.peek()
+            now = self._clock.now()
+            message = self._next_message(bus, IDLE if end is None else min(max(end - now, 0.0), IDLE))
+            while message is not None:
+                self._take(message, stamps, returned=returned)
+                message = self._next_message(bus, 0.0)
+            for fault in self._faults.requested():
+                self._cause(bus, fault, self._clock.now())
+            self._advance(bus, self._clock.now())
+
+    def _next_message(self, bus: can.BusABC, timeout: float) -> can.Message | None:
+        try:
+            return bus.recv(timeout)
+        except (can.CanOperationError, ValueError, IndexError, TypeError):  # something on the bus that is no frame
+            self._stopping.wait(IDLE)
+            return None
+
+    def _take(self, message: can.Message, stamps: ArrivalClock, *, returned: bool) -> None:
+        content = bytes(message.dlc) if message.is_remote_frame else bytes(message.data)
+        if message.is_error_frame or message.dlc != len(content) or len(content) > (64 if self._fd else 8):
+            return
+        if returned and (message.arbitration_id, content) in self._recent:
+            self._recent.remove((message.arbitration_id, content))
+            return
+        frame = Frame(message.arbitration_id, content, message.is_extended_id, message.is_remote_frame)
+        self._incoming.append((frame, stamps.arrived(message)))
+        if len(self._incoming) == 1:
+            self._submit_next()
+
+    def _submit_next(self) -> None:
+        """The client's next frame: an adapter sends what it was given in its order, whatever the identifiers."""
+        frame, arrived = self._incoming[0]
+        # A thread that was late receives frames after the bus has gone on: they queue where it is.
+        self._model.submit(frame, max(arrived, self._sent_until), own=False)
+
+    def _advance(self, bus: can.BusABC, now: float) -> None:
+        """Everything that is due by a time: frames that are over on the bus, time-outs, the arm."""
+        while (end := self._model.peek()) is not None and end <= now:
+            sent = self._model.pop()
+            self._sent_until = sent.time
+            if sent.own:
+                self._transmit(bus, sent.frame)
+                continue
+            if sent.time >= self._frozen_until:
+                self._hear(sent)
+            self._incoming.popleft()
+            if self._incoming:
+                self._submit_next()
+        self._watch(now)
+
+    def _watch(self, now: float) -> None:
+        self.plant.advance(now)
+        for motor in self.motors:
+            motor.watch(now)
+        if self.plant.sagging and now >= self._sag_until:
+            self.plant.sagging = False
+
+    def _hear(self, sent: Sent) -> None:
+        frame = sent.frame
+        identifier = frame.id | (EXTENDED if frame.extended else 0) | (REMOTE if frame.remote else 0)
+        self._watch(sent.time)
+        self.requests += 1
+        for motor in self.motors:
+            if motor.dead or sent.time < motor.silent_until:
+                continue
+            for told, data in motor.hear(identifier, frame.data, sent.time):
+                self._submit(told, data, sent.time + ANSWERING)
+                if motor.index in self._twice:
+                    other = bytes([data[0], data[1] ^ 1 << OTHER, *data[2:]])
+                    self._submit(told, other, sent.time + ANSWERING)
+
+    def _submit(self, identifier: int, data: bytes, ready: float) -> None:
+        plain = identifier & ~EXTENDED
+        self._model.submit(Frame(plain, data, bool(identifier & EXTENDED) or plain > 0x7FF), ready, own=True)
+
+    def _transmit(self, bus: can.BusABC, frame: Frame) -> None:
+        data = frame.data
+        if self._drop or self._clock.now() < self._frozen_until:
+            self._drop = max(0, self._drop - 1)
+            return
+        if self._truncate and data:
+            self._truncate -= 1
+            data = data[:-1]
+        self.answers += 1
+        self._recent.append((frame.id, data))
+        bus.send(
+            can.Message(
+                arbitration_id=frame.id,
+                is_extended_id=frame.extended,
+                data=data,
+                is_fd=self._fd,
+                bitrate_switch=self._fd,
+                check=False,
+            )
+        )
+
+    def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:  # noqa: C901, PLR0912 — one case a fault
+        match fault:
+            case Drop(count):
+                self._drop += count
+            case Truncate(count):
+                self._truncate += count
+            case Freeze(duration):
+                self._frozen_until = now + duration
+            case BusOff(duration):
+                send_error_frame(bus)
+                self._frozen_until = now + duration
+            case Garbage(count):
+                for _ in range(count):
+                    self._model.submit(self._random_frame(), now, own=True)
+            case Sag(duration):
+                self._sag_until, self.plant.sagging = now + duration, True
+                for motor in self.motors:
+                    motor.protect(motor.under_voltage)
+            case Heat(joint, celsius):
+                self.plant.arm.heat.winding[joint] += celsius
+                self.plant.arm.heat.housing[joint] += celsius
+            case BlockJoint(joint):
+                self.plant.arm.block(joint)
+            case Die(joint):
+                self.motors[joint].die()
+            case SameId(joint):
+                self._twice.add(joint)
+            case PowerCycle(joint):
+                self.motors[joint].restart(now)
+            case OverTemperature(joint):
+                self.motors[joint].protect(self.motors[joint].over_temperature)

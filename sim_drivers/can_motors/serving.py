@@ -1,0 +1,44 @@
+"""`dynid sim` of an arm of CAN motors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+from daq.robot.loader import RobotFile
+from drivers.can_motors.settings import CODECS, parse_settings
+from drivers.core.clock import Clock
+from drivers.core.errors import UsageError
+from sim_drivers.can.connection import connection_keys
+from sim_drivers.can_motors.server import CanMotorServer
+from sim_drivers.options import SimOptions
+from sim_drivers.plant.plant import Plant
+
+
+def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock, family: str) -> CanMotorServer:
+    """Motors of a family as the robot file's connection has them.
+
+    Raises:
+        UsageError: there is no such connection, or its keys are wrong.
+        RobotFileError: the truth has no servos.
+    """
+    robot = robot_file.robot
+    if options.swap is not None or options.worst_stuffing:
+        raise UsageError("--swap and --worst-stuffing are for --wire canopen and slcan")
+    keys = connection_keys(robot, family, options)
+    if keys is None:
+        raise UsageError(
+            f"the robot file has no connection with the driver {family}, so there are no ids",
+            where=f"{robot.name}: connections",
+            hint="docs/can-motors.md shows one",
+        )
+    settings = parse_settings(keys, robot.joint_names, family)
+    # Of the plant, whose drives are told torques, only the place is taken: motors have a plant of their own.
+    return CanMotorServer(robot_file, settings, plant.position.copy(), clock, held=True)
+
+
+def _serve(family: str) -> Callable[[RobotFile, Plant, SimOptions, Clock], CanMotorServer]:
+    return partial(serve, family=family)
+
+
+serve_damiao, serve_robstride, serve_cubemars, serve_moteus, serve_odrive = map(_serve, CODECS)

@@ -1,0 +1,210 @@
+"""The driver against simulated CAN motors, in simulated time: samples, motions, time-outs, faults, stops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from motor_bench import JOINTS, START, WIRES, motors, robot_file
+from simulated_clock import SimulatedClock
+
+from daq.recording.commanded_motion import commanded_motion
+from daq.recording.reader import read_recording
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from sim_drivers.faults import Fault, parse_fault
+
+GOAL = START + [0.8, -0.6]
+
+
+def fault(line: str) -> Fault:
+    return parse_fault(line, "CAN motors", JOINTS)
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_a_motion_is_recorded_with_its_commands(clock: SimulatedClock, tmp_path, wire):
+    with motors(clock, wire) as bench:
+        report = bench.session(tmp_path / "run.h5", GOAL)
+        assert report.stopped_by is None, report.stopped_by
+        assert all(motor.enabled for motor in bench.server.motors)
+        clock.sleep(1.0)  # on_stop: hold, also when nobody commands any more
+        held = bench.server.plant.arm.position.copy()
+        assert np.max(np.abs(bench.server.plant.arm.velocity)) < 1e-3
+    run = read_recording(tmp_path / "run.h5")
+    joints = run.streams["joints"]
+    assert {"position", "velocity", "torque"} <= joints.channels.keys()
+    assert report.lost["joints"] == 0
+    position, velocity = joints.channels["position"].values, joints.channels["velocity"].values
+    travelled = np.sum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(joints.time)[:, None], axis=0)
+    assert travelled == pytest.approx(position[-1] - position[0], abs=0.03)
+    assert held == pytest.approx(GOAL, abs=0.08)  # a spring of 60 N·m/rad yields to the weight
+    rate = 1.0 / np.median(np.diff(joints.time))
+    assert rate == pytest.approx(100.0, rel=0.01)
+    # Torque is the motor's own: spring to the commands, damper, within what its frames resolve.
+    motion = commanded_motion(run, robot_file().robot)
+    assert motion.commands["target_position"][-1] == pytest.approx(GOAL, abs=1e-9)
+    assert "the arm holds, its torque stays on" in [event.message for event in run.events]
+
+
+def test_limits_are_set_in_the_motors_and_read_back(clock: SimulatedClock):
+    with motors(clock, "damiao", when_lost="limp", watchdog=0.05) as bench, bench.opened() as driver:
+        driver.start()
+        driver.take_control()
+        assert [motor.timeout for motor in bench.server.motors] == pytest.approx([0.05, 0.05])
+    limited = {"swing": {"id": 1, "torque_limit": 2.0}, "bend": {"id": 7, "torque_limit": 1.5}}
+    for wire in ("robstride", "moteus"):
+        with motors(clock, wire, motors=limited) as bench, bench.opened() as driver:
+            driver.start()
+            driver.take_control()
+            assert bench.server.plant._most == pytest.approx([2.0, 1.5])
+            assert driver.device_limits().torque == pytest.approx([2.0, 1.5])
+    # What a motor does not keep is a failure by name.
+    with motors(clock) as bench, bench.opened() as driver:
+        driver.start()
+        for motor in bench.server.motors:
+            motor._registers = _Stubborn()
+        with pytest.raises(ConnectionFailedError, match=r"swing \(id 1\) holds 7 as (control_mode|timeout) after"):
+            driver.take_control()
+
+
+class _Stubborn(dict[int, float]):
+    """Registers that keep what they hold."""
+
+    def get(self, number: int, _default: float | None = None) -> float:
+        return 7
+
+    def __setitem__(self, number: int, value: float) -> None:
+        pass
+
+
+def test_nothing_drives_where_the_arm_is_only_recorded(clock: SimulatedClock, tmp_path):
+    for wire in WIRES:
+        if wire == "cubemars":
+            continue  # tells nothing unless it is commanded
+        with motors(clock, wire) as bench:
+            report = bench.session(tmp_path / f"{wire}.h5", duration=0.3)
+            assert report.stopped_by is None
+            assert not any(motor.enabled or motor._registers for motor in bench.server.motors)
+            assert read_recording(tmp_path / f"{wire}.h5").streams.keys() == {"joints"}
+
+
+FAULTS = {
+    "die bend": ("stale data of stream joints", "no answer of bend (id 7)"),
+    "same-id bend": ("bend (id 7) answers twice: two motors have this id", ""),
+    "freeze 2": ("stale data of stream joints", "no motor answers"),
+    "bus-off 2": ("stale data of stream joints", "no motor answers"),
+    "over-temperature bend": ("bend (id 7) reports over-temperature", "let it cool down"),
+    "power-cycle bend": ("bend", ""),
+    "sag 1": ("reports under-voltage", ""),
+    "block swing": ("stuck position of swing", "it is jammed"),
+}
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_faults_end_a_motion_and_are_named(clock: SimulatedClock, tmp_path, wire):
+    wrong = {}
+    tried = FAULTS if wire == "damiao" else {line: FAULTS[line] for line in ("die bend", "over-temperature bend")}
+    for line, (said, more) in tried.items():
+        with motors(clock, wire) as bench:
+            clock.call_at(clock.now() + 1.1, lambda bench=bench, line=line: bench.server.cause(fault(line)))
+            report = bench.session(tmp_path / "run.h5", GOAL)
+            stopped = str(report.stopped_by)
+            assert report.file is not None
+            rows = len(read_recording(report.file).streams["joints"].time)
+            if said not in stopped or more not in stopped or rows < 50:
+                wrong[line] = stopped, rows
+            report.file.unlink()
+    assert wrong == {}, wrong
+
+
+def test_what_is_small_is_lost_and_counted(clock: SimulatedClock, tmp_path):
+    with motors(clock, "robstride") as bench:
+        for number, line in enumerate(("drop 2", "garbage 3", "truncate 1")):
+            clock.call_at(clock.now() + 1.0 + 0.15 * number, lambda line=line: bench.server.cause(fault(line)))
+        report = bench.session(tmp_path / "run.h5", GOAL)
+        assert report.stopped_by is None
+        assert 1 <= report.lost["joints"] <= 10
+
+
+def test_limp_on_stop(clock: SimulatedClock):
+    for wire in WIRES:
+        with motors(clock, wire, on_stop="limp") as bench, bench.opened() as driver:
+            assert any("THE ARM FALLS" in line for line in driver.cautions())
+            driver.start()
+            driver.take_control()
+            assert all(motor.enabled for motor in bench.server.motors)
+            driver.stop()
+            assert not any(motor.enabled for motor in bench.server.motors), wire
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_a_dead_computer_leaves_a_holding_or_a_limp_arm(clock: SimulatedClock, wire):
+    for when_lost in ("hold", "limp"):
+        if when_lost == "limp" and wire in ("cubemars", "odrive"):
+            continue  # no time-out that a program sets
+        with motors(clock, wire, when_lost=when_lost) as bench, bench.opened() as driver:
+            driver.start()
+            driver.read(0.1)
+            driver.take_control()
+            here = driver._cycle.latest.copy()
+            for share in np.linspace(0.0, 1.0, 40):
+                driver.command(here + share * np.array([0.3, 0.0]))
+                clock.sleep(0.01)
+            driver._cycle.stop()  # of a killed program nothing more comes
+            clock.sleep(6.0)
+            arm = bench.server.plant.arm
+            assert np.max(np.abs(arm.velocity)) < 0.05, (wire, when_lost)
+            resting = here + [0.3, 0.0] if when_lost == "hold" else START
+            assert arm.position[0] == pytest.approx(resting[0], abs=0.2), (wire, when_lost)
+            assert all(motor.enabled == (when_lost == "hold") for motor in bench.server.motors), (wire, when_lost)
+            driver._cycle.failure = None
+
+
+def test_faults_are_reset_only_on_request(clock: SimulatedClock):
+    for wire in ("damiao", "robstride", "moteus", "odrive"):
+        with motors(clock, wire) as bench:
+            motor = bench.server.motors[1]
+            motor.protect(motor.over_temperature)
+            with bench.opened() as driver:
+                assert driver.identify()[1].fault.startswith("over-temperature")
+                driver.start()
+                with pytest.raises(DriverStateError, match=r"bend \(id 7\) is in fault: over-temperature"):
+                    driver.take_control()
+            with bench.opened(reset_faults=True) as driver:
+                assert driver.identify()[1].fault == "", wire
+                assert any("reset" in notice.message for notice in driver.notices())
+            assert not motor.enabled
+
+
+def test_a_motor_s_own_full_scale_goes_before_the_table(clock: SimulatedClock):
+    with motors(clock, "damiao", model="dm4310_48v") as bench:
+        for motor in bench.server.motors:
+            motor._registers[22] = 50.0
+        with bench.opened(model="dm4310") as driver:
+            said = [notice.message for notice in driver.notices()]
+            assert driver.identify()[0].velocity_range == 50.0
+        assert "swing (id 1): the table of dm4310 says velocity 30, the motor 50: the motor's is taken" in said
+
+
+def test_motors_that_are_refused(clock: SimulatedClock):
+    with motors(clock) as bench:
+        bench.server.motors[1].die()
+        with pytest.raises(ConnectionFailedError, match=r"bend \(id 7\) does not answer"):
+            bench.driver().open()
+    with motors(clock) as bench, bench.opened() as driver:
+        with pytest.raises(DriverStateError, match="cannot move while open"):
+            driver.take_control()
+        driver.start()
+        driver.read(0.1)
+        driver.take_control()
+        with pytest.raises(DriverStateError, match=r"away from the measured one"):
+            driver.command(START + 0.5)
+        driver.command(driver._cycle.latest)
+        with pytest.raises(DriverStateError, match=r"its frames end at 12.5"):
+            driver._control.command(np.array([13.0, 0.0]))
+
+
+def test_without_an_answer_the_connection_is_lost(clock: SimulatedClock, tmp_path):
+    with motors(clock) as bench:
+        clock.call_at(clock.now() + 0.5, lambda: bench.server.cause(fault("die swing")))
+        report = bench.session(tmp_path / "run.h5", duration=3.0)
+    assert isinstance(report.error, ConnectionLostError)
+    assert "no answer of swing (id 1)" in str(report.error)
