@@ -9,7 +9,7 @@ import os
 import pickle
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,6 +26,9 @@ from drivers.core.clock import Clock
 if TYPE_CHECKING:
     from drivers.core.arrays import FloatArray
     from ident.model.regressor import RegressorKernel
+
+FrictionSearch = dict[str, Callable[..., bool]]
+"""The methods of an identification's choices that begin the search for friction terms and pre-sliding, by name."""
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -181,17 +184,30 @@ def not_simulated() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def stated_friction() -> Iterator[None]:
+def stated_friction() -> Iterator[FrictionSearch]:
     """Identify with the friction that the robot file has; the search for more takes two fifths of an estimate's time.
 
-    For a module in which other terms, and pre-sliding, are not what is tested.
+    For a module in which other terms, and pre-sliding, are not what is tested; `with_friction_search` takes it back.
     """
     from ident.identify.identification import IdentifyChoices
 
     with pytest.MonkeyPatch.context() as patch:
+        whole: FrictionSearch = {
+            "chooses_friction": IdentifyChoices.chooses_friction,
+            "finds_travels": IdentifyChoices.finds_travels,
+        }
         patch.setattr(IdentifyChoices, "chooses_friction", lambda self, _: self.model.friction == "auto")
         patch.setattr(IdentifyChoices, "finds_travels", lambda *_: False)
-        yield
+        yield whole
+
+
+@pytest.fixture
+def with_friction_search(stated_friction: FrictionSearch, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Choose friction as dynid does, in a module of `stated_friction`."""
+    from ident.identify.identification import IdentifyChoices
+
+    for name, function in stated_friction.items():
+        monkeypatch.setattr(IdentifyChoices, name, function)
 
 
 @pytest.fixture

@@ -12,6 +12,8 @@ from command_line import stored
 import dynid
 from dynid import command
 
+pytestmark = pytest.mark.usefixtures("stated_friction")
+
 
 @pytest.fixture(scope="module")
 def runs() -> list[dynid.Recording]:

@@ -23,6 +23,8 @@ from drivers.core.errors import SafetyStopError, UsageError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from ident.commands.printing.result import print_result
 
+pytestmark = pytest.mark.usefixtures("stated_friction")
+
 ARM = """
 name: {name}
 model:

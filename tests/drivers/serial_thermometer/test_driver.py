@@ -21,7 +21,7 @@ from drivers.core.errors import ConnectionFailedError, DriverStateError, UsageEr
 from drivers.declaration import DRIVERS_GROUP, named
 from drivers.gains import DriveGain
 from drivers.serial_thermometer.driver import STREAM, SerialThermometerDriver
-from drivers.serial_thermometer.port import BUFFER_BYTES, CHUNK_BYTES, READ_TIMEOUT
+from drivers.serial_thermometer.port import CHUNK_BYTES, READ_TIMEOUT
 from drivers.streams import Batch
 
 JOINTS = ("shoulder", "elbow", "wrist")
@@ -31,6 +31,9 @@ CONNECTION = {
     "rate": 20,
     "timeout": 2.0,
 }
+BUFFER_BYTES = 1 << 16
+"""Of the port's buffer in these tests, a sixteenth of that which it has."""
+
 LIMIT = 60.0
 """[s] that a test in real time waits for what must come."""
 Make = Callable[..., SerialThermometerDriver]
@@ -318,7 +321,10 @@ def test_a_port_that_is_none_is_refused(url: str, kind: type[Exception], message
         made(url, SYSTEM_CLOCK).open()
 
 
-def test_what_nobody_reads_is_dropped_and_told(opened: Make, clock: SimulatedClock, line: SerialLine) -> None:
+def test_what_nobody_reads_is_dropped_and_told(
+    opened: Make, clock: SimulatedClock, line: SerialLine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.serial_thermometer.port.BUFFER_BYTES", BUFFER_BYTES)
     driver = opened()
     spoken = "T1=20.125 T2=30.125\n" * (CHUNK_BYTES // 10)
     kept = BUFFER_BYTES // CHUNK_BYTES

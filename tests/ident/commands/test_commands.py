@@ -20,6 +20,8 @@ from daq.robot.loader import load_robot
 from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
+pytestmark = pytest.mark.usefixtures("stated_friction")
+
 RATE = 125.0
 
 
@@ -90,6 +92,7 @@ def test_info_writes_a_page_once(monkeypatch, capsys, folder):
     assert json.loads(out) == command_line.stored(folder / "run-info" / "info.json")
 
 
+@pytest.mark.usefixtures("with_friction_search")
 def test_identify_validates_writes_and_prints(monkeypatch, capsys, folder):
     status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "--validate", "val.h5", "-o", "model", "-v")
     assert status == 0

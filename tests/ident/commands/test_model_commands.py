@@ -10,6 +10,8 @@ import pytest
 
 import dynid
 
+pytestmark = pytest.mark.usefixtures("stated_friction")
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
@@ -58,6 +60,7 @@ def test_predict_prints_one_object_and_overwrites_by_force_only(monkeypatch, cap
     assert run(monkeypatch, capsys, folder, *arguments, "--force")[0] == 0
 
 
+@pytest.mark.usefixtures("with_friction_search")
 def test_presliding_is_found_and_used_unless_told_not_to(monkeypatch, capsys, folder):
     status, out, _ = run(monkeypatch, capsys, folder, "identify", "run.h5", "-o", "sliding", "-v")
     assert status == 0

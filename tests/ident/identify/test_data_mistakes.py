@@ -24,7 +24,7 @@ from studies.synthetic.data_mistakes import (
     with_velocity,
 )
 
-pytestmark = pytest.mark.usefixtures("not_simulated")
+pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction")
 
 ARMS = ("ur5e", "rocr6")
 DATA_CHECKS = {"encoder-stuck", "rows-repeated", "filled-with-zeros", "residual-bursts", "positions-jitter"}
@@ -54,6 +54,7 @@ def checks(result: dynid.IdentificationResult) -> set[str]:
     return {check.name for check in result.verdict.checks}
 
 
+@pytest.mark.usefixtures("with_friction_search")
 def test_sound_data_raise_none(sound: Recording) -> None:
     assert not checks(dynid.identify(sound)) & (DATA_CHECKS | MODEL_CHECKS)
 

@@ -19,6 +19,8 @@ from ident.model.dynamic_model import build_model
 from ident.result.delivered import delivered_parameters
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
+pytestmark = pytest.mark.usefixtures("stated_friction")
+
 
 def with_stream(recording: Recording, change: Callable[[Stream], Stream]) -> Recording:
     return replace(recording, streams={JOINTS_STREAM: change(recording.streams[JOINTS_STREAM])}, path=None)

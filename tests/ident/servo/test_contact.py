@@ -19,13 +19,18 @@ from ident.servo.terms import INDEX, start_values
 STEP = 1.5e-3
 
 
+@pytest.fixture(scope="module")
+def motions():
+    robot = load_robot("so101")
+    return read_motions(dynid.simulate_servo(robot, duration=20.0, seed=4), robot)
+
+
 @pytest.mark.parametrize("raised", [0.02, None])
-def test_a_surface_is_found_where_it_is_and_only_then(raised):
+def test_a_surface_is_found_where_it_is_and_only_then(raised, motions):
     robot = load_robot("so101")
     links, tool = servo_links(robot), tool_point(robot, servo_links(robot))
     values = start_values(6)
     values[:, INDEX["delay"]] = 0.0
-    motions = read_motions(dynid.simulate_servo(robot, duration=20.0, seed=4), robot)
 
     def pieces(surface):
         played = [

@@ -29,7 +29,7 @@ from ident.result.stored_model import stored_estimate, stored_model
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-SECONDS = 40.0
+SECONDS = 20.0
 STATED = ModelChoices(friction="coulomb-viscous")
 """The terms that the arm has; to look for others takes a quarter of the time."""
 
