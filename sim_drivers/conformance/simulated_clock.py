@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from copy import copy
+from operator import attrgetter
 from typing import Any
 
 import can
@@ -35,14 +36,20 @@ class _Ended(SystemExit):
 class _Waiter:
     """A thread that waits; it goes on when it is handed its baton."""
 
-    def __init__(self, ready: Callable[[], object], deadline: float, thread: int | None = None) -> None:
+    __slots__ = ("baton", "deadline", "is_ready", "ready", "thread")
+
+    def __init__(self, ready: Callable[[], object] | None, deadline: float, thread: int | None = None) -> None:
         self.ready = ready
+        """None where it waits for time alone, which most do."""
         self.is_ready = False
         """When it was chosen to go on; nothing runs until it does."""
         self.deadline = deadline
         self.thread = thread
         self.baton = threading.Lock()
         self.baton.acquire()
+
+
+_DEADLINE = attrgetter("deadline")
 
 
 class SimulatedClock(Clock):
@@ -72,12 +79,12 @@ class SimulatedClock(Clock):
     def sleep(self, seconds: float) -> None:
         """As `Clock.sleep`."""
         if seconds > 0.0:
-            self.wait(lambda: False, seconds)
+            self._wait_until(None, self._after(seconds))
 
     def sleep_until(self, moment: float) -> float:
         """As `Clock.sleep_until`."""
         if moment > self._now:
-            self._wait_until(lambda: False, moment)
+            self._wait_until(None, moment)
         return self._now - moment
 
     def stall(self, seconds: float) -> None:
@@ -95,11 +102,11 @@ class SimulatedClock(Clock):
 
         It is asked again and again, in other threads: it must neither wait nor change anything.
         """
-        if seconds is None:
-            deadline = math.inf
-        else:
-            deadline = self._now if seconds <= 0.0 else max(self._now + seconds, math.nextafter(self._now, math.inf))
-        return self._wait_until(ready, deadline)
+        return self._wait_until(ready, math.inf if seconds is None else self._after(seconds))
+
+    def _after(self, seconds: float) -> float:
+        """Time in so long; later than now where that is not nothing."""
+        return self._now if seconds <= 0.0 else max(self._now + seconds, math.nextafter(self._now, math.inf))
 
     def event(self) -> threading.Event:
         """As `Clock.event`."""
@@ -160,15 +167,16 @@ class SimulatedClock(Clock):
         self._waiters.clear()
         return left
 
-    def _wait_until(self, ready: Callable[[], object], deadline: float) -> bool:
-        if threading.get_ident() not in self._members:
+    def _wait_until(self, ready: Callable[[], object] | None, deadline: float) -> bool:
+        thread = threading.get_ident()
+        if thread not in self._members:
             raise RuntimeError("a thread waits on a simulated clock that it takes no part in; make it by clock.thread")
         if self._ended:
             raise _Ended
         self._turns += 1
         if self._turns > TURNS_LIMIT:
             self._failure = f"at {self._now:.6f} s time does not go on: some loop waits for no time at all"
-        waiter = _Waiter(ready, deadline, threading.get_ident())
+        waiter = _Waiter(ready, deadline, thread)
         self._waiters.append(waiter)
         following = self._next()
         if following is not waiter:
@@ -180,15 +188,16 @@ class SimulatedClock(Clock):
             self._turns = 0
             message, self._failure = self._failure, None
             raise RuntimeError(message)
-        return waiter.is_ready or bool(ready())
+        return waiter.is_ready or (ready is not None and bool(ready()))
 
     def _next(self) -> _Waiter:
         """Take who goes on next out of the list, and let time pass until it does."""
         waiter = self._first_ready() if self._failure is None else None
         if waiter is None and self._failure is None:
-            waiter = min(self._waiters, key=self._limit)
-            if self._limit(waiter) < math.inf:
-                self._now = max(self._now, self._limit(waiter))
+            limit = self._limit if self._held else _DEADLINE
+            waiter = min(self._waiters, key=limit)
+            if limit(waiter) < math.inf:
+                self._now = max(self._now, limit(waiter))
                 self._turns = 0
             else:
                 names = ", ".join(sorted(self._members.values()))
@@ -206,17 +215,16 @@ class SimulatedClock(Clock):
                 continue
             if waiter.deadline <= now:
                 return waiter
-            if waiter.ready():
+            if waiter.ready is not None and waiter.ready():
                 waiter.is_ready = True
                 return waiter
         return None
 
     def _limit(self, waiter: _Waiter) -> float:
         """When a waiter goes on at the latest, or may do so again."""
-        if not self._held:
-            return waiter.deadline
         until = self._held.get(waiter.thread, -math.inf)
-        return max(waiter.deadline, until) if until <= self._now or not waiter.ready() else until
+        ready = until > self._now and waiter.ready is not None and waiter.ready()
+        return until if ready else max(waiter.deadline, until)
 
     def _leave(self) -> None:
         del self._members[threading.get_ident()]

@@ -8,6 +8,7 @@ matrix of [W τ…] is kept, so that estimates without a block, and errors on it
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +35,9 @@ derivative."""
 
 _TORQUES = 5
 _INDEPENDENT = 1e-10
+_CLEARLY = 1e2
+"""Times `_INDEPENDENT` from which on no eigenvalue needs to be looked at one by one."""
+
 _WEIGHT_STEPS = 5
 _CONVEX = 1e-3
 
@@ -336,7 +340,12 @@ def _inverse_deviation(
 def _inverse(normal: FloatArray) -> FloatArray:
     """Inverse of a normal matrix, column-normalised first; 0 for unknowns that the data do not determine."""
     scale = _positive(np.sqrt(np.maximum(np.diag(normal), 0.0)))
-    values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
+    scaled = normal / np.outer(scale, scale)
+    with suppress(np.linalg.LinAlgError):
+        plain = np.linalg.inv(scaled)
+        if np.linalg.norm(plain) * _INDEPENDENT * _CLEARLY < 1.0:  # the norm is at least 1 over the least eigenvalue
+            return np.asarray(0.5 * (plain + plain.T) / np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(scaled)
     inverse = np.where(values > _INDEPENDENT, 1.0 / np.maximum(values, _INDEPENDENT), 0.0)
     return np.asarray((vectors * inverse) @ vectors.T / np.outer(scale, scale))
 

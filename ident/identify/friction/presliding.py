@@ -51,7 +51,8 @@ def find_travels(dry: DryFriction, runs: Sequence[Run], series: Sequence[TorqueS
         ):
             change = dry.change(name, TRAVELS, segment.velocity, segment.rate, given)
             counted = (part.counted & np.isfinite(part.predicted))[motors]
-            filtered = np.array([np.where(counted, run_filter.apply(rows), 0.0) for rows in change])
+            filtered = run_filter.apply(change.reshape(-1, change.shape[-1])).reshape(*change.shape[:2], -1)
+            filtered = np.where(counted, filtered, 0.0)
             gain = np.sum(filtered * (filtered - 2.0 * residual[motors]), axis=1)
             costs += np.array([np.bincount(of_block[part.used], row[part.used], count) for row in gain])
             changes.append(filtered)
