@@ -51,6 +51,7 @@ class Instants:
         torque: (n, N) filtered [N·m or N].
         counted: (n, N) whether a motor's equation takes part.
         block: (N,) which of `BLOCKS` consecutive parts an instant belongs to.
+        time: (N,) stamps [s].
         temperature: (n, N) [K]; None where none was recorded.
         friction: (n, c, N) columns that are no link's, filtered like the torque; None where the positions are others.
         friction_columns: (c,) standard columns of these.
@@ -62,6 +63,7 @@ class Instants:
     torque: FloatArray
     counted: npt.NDArray[np.bool_]
     block: npt.NDArray[np.int64]
+    time: FloatArray
     temperature: FloatArray | None = None
     friction: FloatArray | None = None
     friction_columns: tuple[int, ...] = ()
@@ -110,6 +112,7 @@ def instants(kernel: RegressorKernel, runs: Sequence[Prepared]) -> Instants:
             if segment.resting is not None:
                 left_out = left_out | segment.resting
             rows = {
+                "time": segment.time[every],
                 "position": segment.position[:, every],
                 "velocity": segment.velocity[:, every],
                 "acceleration": segment.acceleration[:, every],
@@ -125,14 +128,14 @@ def instants(kernel: RegressorKernel, runs: Sequence[Prepared]) -> Instants:
             if segment.temperature is not None:
                 rows["temperature"] = segment.temperature[:, every]
             for name, values in rows.items():
-                parts.setdefault(name, []).append(values[:, segment.used[every]])
-    joined = {name: np.concatenate(values, axis=1) for name, values in parts.items()}
+                parts.setdefault(name, []).append(values[..., segment.used[every]])
+    joined = {name: np.concatenate(values, axis=-1) for name, values in parts.items()}
     count = joined["position"].shape[1]
     chosen = np.linspace(0, max(0, count - 1), min(count, MOST_INSTANTS)).astype(int)
-    taken = {name: values[:, chosen] for name, values in joined.items()}
+    taken = {name: values[..., chosen] for name, values in joined.items()}
     block = np.arange(len(chosen)) * BLOCKS // max(1, len(chosen))
     return Instants(
-        **{name: taken[name] for name in ("position", "velocity", "acceleration", "torque")},
+        **{name: taken[name] for name in ("time", "position", "velocity", "acceleration", "torque")},
         counted=np.concatenate(counted, axis=1)[:, chosen],
         block=block,
         temperature=taken.get("temperature"),

@@ -20,6 +20,7 @@ from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, MOTOR_SIGNAL
 from daq.recording.repairs import DROP_REPEATS
 from daq.recording.unit_plausibility import displacement_ratios, other_unit
 from drivers.core.text import percent_text, percentage_text
+from ident.assessment.column_checks import column_checks, jump_checks
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -132,7 +133,7 @@ def recording_checks(
             text = f"{of}{name}: stamps jitter by {quality.jitter_ms:.2g} ms at a period of {period:.2g} ms"
             checks.append(raised("jittering-stamps", text))
     checks += time_axis_checks(recording, of)
-    checks += stale_checks(recording, of) + unit_checks(recording, of)
+    checks += stale_checks(recording, of) + unit_checks(recording, of) + column_checks(recording, of)
     for quantity, joints in unsigned_signals(recording).items():
         text = (
             f"{of}{quantity} never changes its sign though it comes back to 0 and the joints turn round "
@@ -177,7 +178,8 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
         left = "these samples are left out" if stale.stuck[stale.left_out].any() else "too long to leave them out"
         text = f"{of}the position stands still of {'; '.join(shown[:MOST_SHOWN])}{more}: {left}; check the encoder"
         checks.append(raised("encoder-stuck", text, sorted({encoder.joint for encoder in stale.encoders})))
-    return checks
+    first = float(recording.streams[JOINTS_STREAM].time[0])
+    return checks + jump_checks(stale.jumps, first, of)
 
 
 def unit_checks(recording: Recording, of: str = "") -> list[Check]:

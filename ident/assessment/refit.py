@@ -106,6 +106,7 @@ class Refit:
         instants: the recording.
         used: joints whose equations are used.
         rows: (n,) how many equations each joint has.
+        regressor: (n, b, N) of the columns.
     """
 
     def __init__(
@@ -121,9 +122,9 @@ class Refit:
         rows = instants.counted.sum(axis=1)
         self.used = [n for n in experiment.torques if rows[n] and solution.weights[n] > 0]
         self.rows = np.where(np.isin(np.arange(model.dof), self.used), rows, 0).astype(np.float64)
-        self._regressor = instants.filtered_regressor(RegressorKernel(model, self.columns))
+        self.regressor = instants.filtered_regressor(RegressorKernel(model, self.columns))
         self._file = solution.parameters
-        self._plain = self._blocks(self._regressor, self.active, np.empty((0, *instants.torque.shape)))
+        self._plain = self._blocks(self.regressor, self.active, np.empty((0, *instants.torque.shape)))
         self._file_fit = _settled(self._plain, self.rows, 0)
 
     def as_believed(self, unknown: Unknown) -> Deviation:
@@ -145,8 +146,8 @@ class Refit:
         if len(self.used) < 2:
             return []
         shifts = [unknown for unknown in self.unknowns() if unknown.kind in ("length", "zero")]
-        slopes = [self._slope(unknown, 0.0, self._file) for unknown in shifts]
-        blocks = self._blocks(self._regressor, self.active, np.array(slopes).reshape(-1, *self.instants.torque.shape))
+        slopes = [self.slope(unknown, 0.0, self._file) for unknown in shifts]
+        blocks = self._blocks(self.regressor, self.active, np.array(slopes).reshape(-1, *self.instants.torque.shape))
         width = len(self.active)
         found = []
         for number, unknown in enumerate(shifts):
@@ -204,10 +205,10 @@ class Refit:
         parameters, solved = None if value else self._file, None
         for _ in range(relinearisations):
             model, moved = self.shifted(unknown, value)
-            regressor = moved.filtered_regressor(RegressorKernel(model, self.columns)) if value else self._regressor
+            regressor = moved.filtered_regressor(RegressorKernel(model, self.columns)) if value else self.regressor
             if parameters is None:
                 parameters = self._all(self._solved(regressor, self.active).parameters)
-            slope = self._slope(unknown, value, parameters)
+            slope = self.slope(unknown, value, parameters)
             solved = self._solved(regressor, self.active, slope[None])
             if solved.unknown is None or solved.covariance is None:
                 return None
@@ -220,7 +221,7 @@ class Refit:
             return None
         return self._deviation(unknown, value, solved.covariance[0, 0], solved)
 
-    def _slope(self, unknown: Unknown, value: float, parameters: FloatArray) -> FloatArray:
+    def slope(self, unknown: Unknown, value: float, parameters: FloatArray) -> FloatArray:
         """(n, N) derivative of the model's torque by a length or a zero at a value."""
         torques = []
         for step in (SHIFT_STEP, -SHIFT_STEP):

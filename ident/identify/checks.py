@@ -44,6 +44,7 @@ from ident.regression.observability import experiment_states, moving_motors, who
 from ident.regression.observation_matrix import Reduction
 from ident.regression.pruning import relative_std
 from ident.regression.velocity_reversals import STICKING_SHARE, leave_out_reversals
+from ident.signals.prepared import Prepared
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -247,10 +248,20 @@ def _mistake_checks(identification: Identification) -> list[Check]:
             [run.prepared for run in identification.runs],
             _by_joint(identification, identification.reduction),
             identification.corrected.effective_rows,
+            _whole_recording(identification),
         )
         return [with_opposite_torques(identification, one) if one.name == "torques-opposite" else one for one in found]
     opposite = np.any(identification.model.gravity) and _fits_opposite_gravity(identification)
     return [opposite_gravity()] if opposite else []
+
+
+def _whole_recording(identification: Identification) -> list[Prepared]:
+    """All parts of the recording in the order of time; none where there are several recordings."""
+    runs = [*identification.runs, *identification.validation_runs]
+    if len({id(run.signals) for run in runs}) > 1:
+        return []
+    filled = [run.prepared for run in runs if run.prepared.segments]
+    return sorted(filled, key=lambda one: float(one.segments[0].time[0]))
 
 
 def _differing_run_checks(identification: Identification) -> list[Check]:

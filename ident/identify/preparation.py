@@ -105,7 +105,7 @@ def _leading(
 def _for_all_rates(resolved: PreprocessChoices, given: PreprocessChoices, data: DataSplit) -> PreprocessChoices:
     """The cut-offs of the leading recording, low enough for the rate of every other."""
     runs = (*data.identification, *data.held_out)
-    most = POSITION_CUTOFF_OF_RATE * min(1.0 / float(np.median(np.diff(run.signals.time))) for run in runs)
+    most = POSITION_CUTOFF_OF_RATE * min(1.0 / float(np.median(np.diff(np.unique(run.signals.time)))) for run in runs)
     if given.position_cutoff is None and resolved.position_cutoff is not None:
         resolved = replace(resolved, position_cutoff=min(resolved.position_cutoff, most))
     if given.torque_cutoff is None and resolved.torque_cutoff is not None:

@@ -216,6 +216,9 @@ def _stale_step(signals: JointSignals) -> Step | None:
         f"rows that were not measured anew left out: {settings['repeated']} repeat the one before, "
         f"{settings['held']} its positions, {settings['stuck']} while an encoder was stuck"
     )
+    if signals.stale.jumps:
+        settings["jumps"] = len(signals.stale.jumps)
+        text += f", and those beside {settings['jumps']} jumps of the positions"
     return Step("stale samples", settings, text)
 
 

@@ -64,6 +64,44 @@ _RECORDING = (
         "Convert them to rad (or m), or import with --degrees; else correct the limits of the robot file.",
     ),
     CheckKind(
+        "position-jump",
+        "serious",
+        ALL,
+        "a position jumps between two samples",
+        "The encoder lost counts or its zero: identify from the part before or after it, or record again.",
+    ),
+    CheckKind(
+        "motion-as-torque",
+        "serious",
+        ALL,
+        "the torque is the position or the velocity",
+        "Another column was taken for the torque or current: --column torque=NAME.",
+    ),
+    CheckKind(
+        "same-column",
+        "serious",
+        ALL,
+        "two joints have one and the same torque",
+        "One column was taken for both: see the columns' names.",
+    ),
+    CheckKind(
+        "position-velocity-exchanged",
+        "serious",
+        ALL,
+        "position and velocity are exchanged",
+        "See the columns' names: --column position=NAME --column velocity=NAME.",
+    ),
+    _note(
+        "rows-missing",
+        "positions jump while the stamps go on: rows are missing or stand twice",
+        "Segments end there, and nothing is filled in; write the source's own stamps.",
+    ),
+    _note(
+        "position-wraps",
+        "angles are wrapped at a whole turn",
+        "Segments end there; write angles that go on.",
+    ),
+    CheckKind(
         "wrong-time-axis",
         "serious",
         ALL,
@@ -535,6 +573,13 @@ _VALIDATION = (
         "errors-near-standstill",
         "the validation's errors are larger than the identification's below 0.1 rad/s (or m/s) only",
         "Coulomb friction is not well defined near standstill: expect such errors at starts, stops and reversals.",
+    ),
+    CheckKind(
+        "recording-changes",
+        "serious",
+        ALL,
+        "something changed while the arm was recorded",
+        "A drive's gain, an encoder's zero, a load: identify from the part before or after it alone, or record again.",
     ),
     CheckKind(
         "recordings-differ",

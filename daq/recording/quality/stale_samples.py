@@ -1,4 +1,4 @@
-"""Samples that are no measurements of their own: rows that repeat the one before, an encoder that stands still.
+"""Samples that say nothing or something wrong: rows that repeat the one before, a stuck encoder, jumps of positions.
 
 A joint that moves by several steps of its encoder per sample cannot show the same position twice: such a row was
 written again, or its positions were not read anew. An encoder that shows exactly the same position for a while has
@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from daq.recording.commanded_motion import TARGET, command_stream, held
+from daq.recording.quality.position_jumps import PositionJump, beside_jumps, position_jumps
 from daq.recording.quality.quantisation import resolution
 from daq.recording.quality.signal_quality import white_noise
 from daq.recording.recording import JOINTS_STREAM, Recording
@@ -92,19 +93,23 @@ class StaleSamples:
         held: (N,) rows whose positions repeat those of the row before, while other quantities do not.
         stuck: (N,) rows during which an encoder is stuck.
         encoders: these, in words.
+        beside: (N,) rows about a jump of the positions.
+        jumps: these.
     """
 
     repeated: BoolArray
     held: BoolArray
     stuck: BoolArray
     encoders: tuple[StuckEncoder, ...]
+    beside: BoolArray
+    jumps: tuple[PositionJump, ...] = ()
 
     @property
     def left_out(self) -> BoolArray:
         """(N,) rows that say nothing, or something wrong; those of stuck encoders only if most others stay."""
         few = np.count_nonzero(self.stuck) <= MOST_STUCK * len(self.stuck)
         stuck = self.stuck if few else np.zeros_like(self.stuck)
-        return self.repeated | self.held | stuck
+        return self.repeated | self.held | stuck | self.beside
 
 
 def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[str, FloatArray]) -> StaleSamples:
@@ -118,7 +123,7 @@ def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[s
     position = measured["position"]
     none = np.zeros(len(time), dtype=np.bool_)
     if len(time) < 4 * _AROUND or not np.all(np.diff(time) >= 0) or not np.all(np.isfinite(position)):
-        return StaleSamples(none, none, none, ())
+        return StaleSamples(none, none, none, (), none)
     steps = np.array([resolution(column) for column in position.T])
     standstills = []
     for column in range(len(joints)):
@@ -144,7 +149,8 @@ def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[s
         if spans[start, stop] == 1:
             stuck[start + 1 : stop] = True
             encoders.append(StuckEncoder(joints[column], float(time[start]), float(time[stop - 1]), evidence))
-    return StaleSamples(found[0], found[1], stuck, tuple(encoders))
+    jumps = position_jumps(time, joints, position, rows | stuck)
+    return StaleSamples(found[0], found[1], stuck, tuple(encoders), beside_jumps(time, jumps), jumps)
 
 
 def stale_rows(recording: Recording) -> StaleSamples | None:

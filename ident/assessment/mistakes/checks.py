@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ident.assessment.instants import instants
+from ident.assessment.mistakes.changes import Changes, change_check
 from ident.assessment.mistakes.competition import Competition, explanations
 from ident.assessment.mistakes.hypotheses import Mistake
 from ident.assessment.mistakes.unsigned import unsigned_torques
@@ -36,6 +37,7 @@ def mistake_checks(
     runs: Sequence[Prepared],
     solution: LeastSquares,
     independent: float,
+    whole: Sequence[Prepared] = (),
 ) -> list[Check]:
     """At most one check: the mistake that explains the data best, if one does.
 
@@ -46,6 +48,8 @@ def mistake_checks(
         runs: prepared data, with the equations that were fitted.
         solution: of these, with a weight per joint.
         independent: number of independent equations.
+        whole: the recording that the data are a part of, in the order of time; nothing is sought there that changes
+            where it is empty.
     """
     kernel = RegressorKernel(model, base.columns)
     few = instants(kernel, runs)
@@ -65,6 +69,12 @@ def mistake_checks(
     if found:
         axes = all(one.name == "joint-sign" for one in found)  # a neighbour that is turned over looks the same
         return [_check(model, found, _equal_turns(competition, refit, found[0]) if axes else ())]
+    changes = Changes(model, experiment, base, whole, solution) if whole else None
+    changed = None if changes is None else changes.best()
+    if changes is not None and changed is not None:
+        static = competition.with_deviation(deviations[0]) if deviations and reported(deviations[0]) else None
+        if static is None or changed.level < static[0].level:
+            return [change_check(model, changed, changes.times)]
     if not well or (deviations and reported(deviations[0])):
         deviations = most_likely(refit, runs, independent, [*tried, *quarter_turns(refit)])
     if deviations and not well and not competition.explained_by(deviations[0]):

@@ -67,7 +67,7 @@ def test_true_parameters_meet_the_conditions(seed):
     truth = base.projection @ truth_vector(robot_file)
     position, velocity, acceleration = random_states(model, 200)
     counted = np.ones(position.shape, dtype=np.bool_)
-    states = Instants(position, velocity, acceleration, position, counted, np.zeros(200, dtype=np.int64))
+    states = Instants(position, velocity, acceleration, position, counted, np.zeros(200, dtype=np.int64), np.zeros(200))
     kernel = RegressorKernel(model, base.columns)
     energies = inertia_conditions(model, whole_arm(model), base) @ truth
     powers = friction_conditions(model, base, states, states.regressor(kernel)) @ truth

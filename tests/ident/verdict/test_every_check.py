@@ -247,6 +247,35 @@ class Bench:
         return np.gradient(stream.channels["position"].values, stream.time, axis=0)
 
 
+def shifted_from_the_middle(size: float) -> Callable[[np.ndarray], np.ndarray]:
+    """The second joint's position another one from the middle on."""
+    return lambda q: q + size * np.outer(np.arange(len(q)) >= len(q) // 2, [0.0, 1.0, 0.0])
+
+
+def without_rows(recording: Recording, start: int, stop: int) -> Recording:
+    """The recording without some rows, whose stamps go on."""
+    stream = recording.streams[JOINTS_STREAM]
+    rows = np.r_[0:start, stop : len(stream.time)]
+    channels = {name: replace(channel, values=channel.values[rows]) for name, channel in stream.channels.items()}
+    time = stream.time[: len(rows)]
+    stream = replace(stream, time=time, host_time=time, channels=channels)
+    return replace(recording, streams={**recording.streams, JOINTS_STREAM: stream})
+
+
+def taken_for(recording: Recording, quantity: str, other: str, factor: float) -> Recording:
+    """The recording with another quantity's values in a quantity's columns."""
+    values = recording.streams[JOINTS_STREAM].channels[other].values
+    return changed(recording, lambda _: factor * values, quantity)
+
+
+def exchanged_with_velocity(recording: Recording) -> Recording:
+    """The recording with the second joint's position and velocity in each other's columns."""
+    channels = recording.streams[JOINTS_STREAM].channels
+    q, v, second = channels["position"].values, channels["velocity"].values, np.array([False, True, False])
+    found = changed(recording, lambda _: np.where(second, v, q), "position")
+    return changed(found, lambda _: np.where(second, q, v), "velocity")
+
+
 def servo(
     recording: Recording,
     told: Callable[[np.ndarray], np.ndarray] = lambda values: values,
@@ -456,6 +485,34 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
             & b.info(stuck_encoder(servo(b.recorded()), 1, -1.0, 40.0))
         ),
         lambda b: b.names(with_velocity(b.recorded())),
+    ),
+    "position-jump": (
+        lambda b: b.names(changed(b.recorded(), shifted_from_the_middle(0.2), "position")),
+        lambda b: b.names(b.recorded()),
+    ),
+    "position-wraps": (
+        lambda b: b.names(changed(b.recorded(), shifted_from_the_middle(2.0 * np.pi), "position")),
+        lambda b: b.names(changed(b.recorded(), shifted_from_the_middle(0.2), "position")),
+    ),
+    "rows-missing": (
+        lambda b: b.names(without_rows(b.recorded(), 600, 900)),
+        lambda b: b.names(changed(b.recorded(), shifted_from_the_middle(0.2), "position")),
+    ),
+    "motion-as-torque": (
+        lambda b: b.names(taken_for(with_velocity(b.recorded()), "current", "velocity", 180.0 / np.pi)),
+        lambda b: b.names(with_velocity(b.recorded())),
+    ),
+    "same-column": (
+        lambda b: b.names(changed(b.recorded(), lambda i: i[:, [0, 1, 0]])),
+        lambda b: b.names(b.recorded()),
+    ),
+    "position-velocity-exchanged": (
+        lambda b: b.names(exchanged_with_velocity(with_velocity(b.recorded()))),
+        lambda b: b.names(with_velocity(b.recorded())),
+    ),
+    "recording-changes": (
+        lambda b: b.found(changed(b.recorded(), lambda i: i * np.linspace([1.0] * 3, [1.0, 1.2, 1.0], len(i)))),
+        lambda b: b.clean(),
     ),
     "filled-with-zeros": (
         lambda b: b.names(filled_with_zeros(b.recorded(), 0.5, 1)),
