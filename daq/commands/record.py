@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from daq.motion.trajectories import Motion
     from daq.robot.loader import RobotFile
     from daq.session.session import SessionReport
+    from daq.session.watch import Watch
     from drivers.base import Driver
     from drivers.core.clock import Clock
 
@@ -30,8 +31,8 @@ app = CommandApp("Record")
 
 
 @dataclass(frozen=True, kw_only=True)
-class RecordOptions(Options):
-    """What `record` is told: a trajectory to play, or how long to record what moves by itself."""
+class SessionOptions(Options):
+    """What a session is told: a trajectory to play, or how long to watch what moves by itself."""
 
     robot: str = field(metadata=ROBOT_ARGUMENT)
     wire: str | None = option(None, "Connection of the robot file; its first one if absent.")
@@ -42,8 +43,28 @@ class RecordOptions(Options):
     without_safety_status: bool = option(False, "Move a UR arm whose controller does not tell of its stops.")
     prior: Path | None = option(None, "Model folder or result.json whose parameters predict the torque.")
     duration: float | None = option(None, "Record for so many seconds without moving the arm.", allowed=RECORDING_TIME)
-    out: Path = field(metadata=required("Recording to write (.h5).", short="-o"))
     comment: str = option("", "Your words, kept in the recording.")
+
+    def __post_init__(self) -> None:
+        """Check every option, and that they go together.
+
+        Raises:
+            UsageError: names the options.
+        """
+        if self.trajectory is not None and self.duration is not None:
+            raise UsageError("give either --trajectory or --duration")
+        super().__post_init__()
+        if self.trajectory is None and (self.speed_scale != 1.0 or self.prior is not None):
+            raise UsageError("--speed-scale and --prior need --trajectory")
+        if self.trajectory is None and self.without_safety_status:
+            raise UsageError("--without-safety-status needs --trajectory")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordOptions(SessionOptions):
+    """What `record` is told: a session, and its file."""
+
+    out: Path = field(metadata=required("Recording to write (.h5).", short="-o"))
 
     def __post_init__(self) -> None:
         """Check every option, and that there is one thing to do.
@@ -51,13 +72,9 @@ class RecordOptions(Options):
         Raises:
             UsageError: names the options.
         """
-        if (self.trajectory is None) == (self.duration is None):
+        if self.trajectory is None and self.duration is None:
             raise UsageError("give either --trajectory or --duration")
         super().__post_init__()
-        if self.trajectory is None and (self.speed_scale != 1.0 or self.prior is not None):
-            raise UsageError("--speed-scale and --prior need --trajectory")
-        if self.trajectory is None and self.without_safety_status:
-            raise UsageError("--without-safety-status needs --trajectory")
 
 
 @dataclass(frozen=True)
@@ -71,7 +88,7 @@ class _PlannedMotion:
 
 
 @dataclass(frozen=True)
-class _Plan:
+class SessionPlan:
     """All that is known before the bus is touched; `screen` is for people, None for nowhere."""
 
     robot_file: RobotFile
@@ -105,22 +122,34 @@ def record_command(
     clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
     if browser:
         require_browser()
-    plan = _planned(options, clock, overwrite=force, as_json=as_json)
+    plan = planned(options, options.out, clock, overwrite=force, as_json=as_json)
     if realtime:
         ask_for_realtime()
     for warning in plan.warnings:
         print(f"dynid: warning: {warning}", file=sys.stderr)
-    report = _recorded(plan, options, clock, overwrite=force, live=not (no_ui or as_json), browser=browser)
+    live = not (no_ui or as_json)
+    report = recorded(plan, options, options.out, clock, overwrite=force, live=live, browser=browser)
     if report.file is None:
         raise report.error or KeyboardInterrupt
     played = plan.played
     motions = {} if played is None else {"motion": played.figures, "approach": played.confirmation.figures}
-    _report_session(report.file, report, as_json, motions)
-    _end(report, options.out)
+    report_session(report.file, report, as_json, motions)
+    end_session(report, options.out)
 
 
-def _planned(options: RecordOptions, clock: Clock, *, overwrite: bool, as_json: bool) -> _Plan:
-    """Refuse what cannot be recorded or must not move, and tell what will move where."""
+def planned(options: SessionOptions, out: Path | None, clock: Clock, *, overwrite: bool, as_json: bool) -> SessionPlan:
+    """Refuse what cannot be recorded or must not move, and tell what will move where.
+
+    Args:
+        options: of the session.
+        out: recording to write; None where none is kept.
+        clock: the host's.
+        overwrite: replace it where it exists.
+        as_json: whether standard output is a program's.
+
+    Raises:
+        DynidError: says why not.
+    """
     from daq.commands.confirmation import Confirmation, motion_lines, tell, terminal, unchecked_lines
     from daq.motion.motion_check import load_motion_check
     from daq.motion.time_scaled import TimeScaled
@@ -149,8 +178,9 @@ def _planned(options: RecordOptions, clock: Clock, *, overwrite: bool, as_json: 
     changed = changed_since(designed_for, robot, robot_file.urdf_text)
     warnings += [changed] if changed else []
     samples = loaded.samples if loaded is not None else None
-    check_outputs([options.out], [*robot_file.files, trajectory, samples, options.prior], overwrite=overwrite)
-    require_room(options.out)
+    check_outputs([out], [*robot_file.files, trajectory, samples, options.prior], overwrite=overwrite)
+    if out is not None:
+        require_room(out)
     screen = sys.stdout if not as_json else sys.stderr if question is not None else None
     played = None
     if loaded is not None and motion is not None:
@@ -166,13 +196,35 @@ def _planned(options: RecordOptions, clock: Clock, *, overwrite: bool, as_json: 
         if screen is not None:
             title = _title(str(trajectory), robot.name, options.speed_scale, figures.duration)
             tell(title, [*motion_lines(figures), *unchecked_lines(figures)], screen)
-    return _Plan(robot_file, driver, played, warnings, screen)
+    return SessionPlan(robot_file, driver, played, warnings, screen)
 
 
-def _recorded(
-    plan: _Plan, options: RecordOptions, clock: Clock, *, overwrite: bool, live: bool, browser: bool
+def recorded(
+    plan: SessionPlan,
+    options: SessionOptions,
+    out: Path | None,
+    clock: Clock,
+    *,
+    overwrite: bool,
+    live: bool,
+    browser: bool = False,
+    watch: Watch | None = None,
 ) -> SessionReport:
-    """Open the driver, make the file, and record until the end."""
+    """Open the driver, make the file, and record until the end.
+
+    Args:
+        plan: of `planned`.
+        options: of the session.
+        out: recording to write; None where none is kept.
+        clock: the host's.
+        overwrite: replace it where it exists.
+        live: whether the terminal shows the session.
+        browser: whether a page does.
+        watch: of contacts.
+
+    Raises:
+        DynidError: the connection fails, or the file cannot be made; later errors are in the report.
+    """
     import math
     from contextlib import closing, nullcontext
 
@@ -185,6 +237,7 @@ def _recorded(
     from daq.session.play import Play
     from daq.session.session import record
     from daq.session.supervisor import Limits, Supervisor
+    from daq.session.unrecorded import Unrecorded
 
     robot, played = plan.robot_file.robot, plan.played
     lock = only_mover(robot, options.wire, options.host) if played is not None else nullcontext()
@@ -192,23 +245,28 @@ def _recorded(
         driver.open()
         require_same_arm(plan.robot_file, driver)
         layouts, to_mind, play = driver.streams(), [], None
+        if watch is not None:
+            watch.begin(layouts)
         if played is not None:
             to_mind = _to_mind(plan.robot_file, driver, without_safety_status=options.without_safety_status)
             played.confirmation.to_mind = to_mind
             play = Play(played.motion, robot, played.confirmation, options.without_safety_status)
-        recorder = Recorder(
-            options.out,
-            plan.robot_file,
-            layouts,
-            trajectory=played.text if played is not None else "",
-            speed_scale=options.speed_scale,
-            comment=options.comment,
-            overwrite=overwrite,
-            clock=clock,
-        )
-        if plan.screen is not None:
-            into = f"recording into {recorder.file}, which becomes {options.out} when it is closed"
-            print(into, file=plan.screen, flush=True)
+        if out is None:
+            recorder: Recorder = Unrecorded()
+        else:
+            recorder = Recorder(
+                out,
+                plan.robot_file,
+                layouts,
+                trajectory=played.text if played is not None else "",
+                speed_scale=options.speed_scale,
+                comment=options.comment,
+                overwrite=overwrite,
+                clock=clock,
+            )
+            if plan.screen is not None:
+                into = f"recording into {recorder.file}, which becomes {out} when it is closed"
+                print(into, file=plan.screen, flush=True)
         if number := serial_number(driver):
             recorder.event(math.nan, "info", "driver", f"{SERIAL_EVENT}{number}")
         for warning in (*plan.warnings, *to_mind):
@@ -221,10 +279,10 @@ def _recorded(
         expected = options.duration if played is None else played.figures.duration
         shown = live and (sys.stderr.isatty() or expected is None or expected > SECONDS_BETWEEN_LINES)
         with (
-            live_view(shown=shown, limits=limits, recorder=recorder, clock=clock) as terminal_view,
+            live_view(shown=shown, limits=limits, recorder=recorder, clock=clock, watch=watch) as terminal_view,
             page_view(plan.robot_file, layouts, shown=browser, beside=terminal_view) as view,
         ):
-            return record(driver, recorder, supervisor, play, options.duration, view, clock)
+            return record(driver, recorder, supervisor, play, options.duration, view, clock, watch)
 
 
 def _to_mind(robot_file: RobotFile, driver: Driver, *, without_safety_status: bool) -> list[str]:
@@ -241,7 +299,7 @@ def _to_mind(robot_file: RobotFile, driver: Driver, *, without_safety_status: bo
     return to_mind
 
 
-def _end(report: SessionReport, out: Path) -> None:
+def end_session(report: SessionReport, out: Path | None) -> None:
     """Say why a session ended before its time, and exit with its status.
 
     Raises:
@@ -254,7 +312,7 @@ def _end(report: SessionReport, out: Path) -> None:
     status = 1 if report.heavy_loss else 0
     if report.error is not None:
         print(f"dynid: {report.error}", file=sys.stderr)
-        if report.file != out and out.exists():
+        if out is not None and report.file != out and out.exists():
             print(f"dynid: {out} is as it was; what was recorded is {report.file}", file=sys.stderr)
         status = report.error.exit_status
     else:
@@ -274,9 +332,14 @@ def _title(trajectory: str, robot: str, speed_scale: float, duration: float) -> 
     return f"{trajectory} moves {robot} for {duration:.1f} s{slowly}"
 
 
-def _report_session(
+def report_session(
     out: Path, report: SessionReport, as_json: bool, motions: Mapping[str, MotionFigures | None]
 ) -> None:
+    """Print what a recording holds, and how punctually the motion was played.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
     from dataclasses import asdict
 
     from daq.commands.console import print_json

@@ -27,6 +27,7 @@ from daq.recording.recorder import Recorder
 from daq.recording.recording import JOINTS_STREAM
 from daq.session.realtime import give_realtime_back
 from daq.session.supervisor import Limits
+from daq.session.watch import Watch
 from drivers.core.arrays import FloatArray
 from drivers.core.child_process import started_without_interrupt
 from drivers.core.clock import SYSTEM_CLOCK, Clock
@@ -71,6 +72,7 @@ class Status:
         temperature, temperature_joint: highest of the latest sample [°C]; None where unknown.
         backlog: samples that wait for the disk [B].
         overflow: samples that were dropped because the disk did not keep up.
+        lines: of who watches the session.
     """
 
     state: str
@@ -83,6 +85,7 @@ class Status:
     temperature_joint: str
     backlog: int
     overflow: int
+    lines: tuple[str, ...] = ()
 
 
 class Publisher:
@@ -93,14 +96,18 @@ class Publisher:
         limits: of the arm.
         recorder: whose backlog is shown.
         clock: the host's.
+        watch: whose lines are shown, too.
     """
 
-    def __init__(self, pipe: int, limits: Limits, recorder: Recorder, clock: Clock = SYSTEM_CLOCK) -> None:
+    def __init__(
+        self, pipe: int, limits: Limits, recorder: Recorder, clock: Clock = SYSTEM_CLOCK, watch: Watch | None = None
+    ) -> None:
         os.set_blocking(pipe, False)
         self._pipe = pipe
         self._limits = limits
         self._recorder = recorder
         self._clock = clock
+        self._watch = watch
         self._samples: dict[str, int] = {}
         self._lost: dict[str, int] = {}
         self._torque: tuple[float, str] | None = None
@@ -160,6 +167,7 @@ class Publisher:
             temperature_joint,
             backlog,
             overflow,
+            () if self._watch is None else tuple(self._watch.lines()),
         )
 
     def _add_joints(self, values: Mapping[str, FloatArray]) -> None:
@@ -186,7 +194,12 @@ def _largest(values: FloatArray, joints: tuple[str, ...]) -> tuple[float, str] |
 
 @contextmanager
 def live_view(
-    *, shown: bool, limits: Limits, recorder: Recorder, clock: Clock = SYSTEM_CLOCK
+    *,
+    shown: bool,
+    limits: Limits,
+    recorder: Recorder,
+    clock: Clock = SYSTEM_CLOCK,
+    watch: Watch | None = None,
 ) -> Iterator[Publisher | None]:
     """A display in its own process and the pipe to it; None where nothing is to be shown."""
     if not shown:
@@ -203,7 +216,7 @@ def live_view(
         started = False
     reader.close()
     try:
-        yield Publisher(writer.fileno(), limits, recorder, clock) if started else None
+        yield Publisher(writer.fileno(), limits, recorder, clock, watch) if started else None
     finally:
         writer.close()
         if started:
@@ -264,7 +277,7 @@ def _pictures(pipe: int) -> Iterator[Status]:
         if lines:
             content = json.loads(lines[-1])
             streams = tuple(StreamStatus(**stream) for stream in content.pop("streams"))
-            yield Status(streams=streams, **content)
+            yield Status(streams=streams, lines=tuple(content.pop("lines")), **content)
 
 
 def picture(status: Status) -> Group:
@@ -276,7 +289,8 @@ def picture(status: Status) -> Group:
 
     head = Table.grid(padding=(0, 1))
     bar = ProgressBar(total=max(status.total, 1e-9), completed=min(status.elapsed, status.total), width=30)
-    head.add_row(Text(visible(status.state)), bar, Text(f"{status.elapsed:.1f} of {status.total:.1f} s; Ctrl-C stops"))
+    of = f" of {status.total:.1f}" if status.total else ""
+    head.add_row(Text(visible(status.state)), bar, Text(f"{status.elapsed:.1f}{of} s; Ctrl-C stops"))
     streams = [
         Text(f"{visible(s.name)}: {s.rate:.1f} Hz, {s.samples} samples, {s.lost} lost", style="red" if s.lost else "")
         for s in status.streams
@@ -288,4 +302,5 @@ def picture(status: Status) -> Group:
         arm.append(f"hottest {status.temperature:.1f} °C ({status.temperature_joint})")
     disk = f"waiting for the disk {status.backlog / 2**10:.0f} KiB, dropped {status.overflow} samples"
     lines = [Text(visible("; ".join(arm)))] if arm else []
+    lines += [Text(visible(line)) for line in status.lines]
     return Group(head, *streams, *lines, Text(disk, style="red" if status.overflow else ""))

@@ -11,6 +11,7 @@ from daq.recording.quality.clocks import ClockLog
 from daq.recording.recording import JOINTS_STREAM
 from daq.session.command_gate import CommandGate
 from daq.session.supervisor import Breach
+from daq.session.watch import Watch
 from drivers.clock_rates import ClockRates
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
@@ -56,6 +57,7 @@ class Course:
     gate: CommandGate | None = None
     source_minus_host: float = float("nan")
     view: View | None = None
+    watch: Watch | None = None
     moves: bool = False
     interrupted: str | None = None
     breach_time: float = float("nan")
@@ -85,6 +87,8 @@ class Course:
             if self.gate is not None:
                 self.gate.measured(self.clock.now(), self.position)
             self.source_minus_host = float(batch.time[-1] - batch.host_time[-1])
+        if self.watch is not None:
+            self.watch.add(batch)
         if self.view is not None:
             self.view.add(batch)
 

@@ -33,6 +33,7 @@ from daq.session.play import (
 )
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
+from daq.session.watch import Watch
 from drivers.base import Attributing, Driver, Notice
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import DynidError, MotionRefusedError, SafetyStopError, WorkError
@@ -138,6 +139,7 @@ def record(  # noqa: C901, PLR0912 — the steps, in their order
     duration: float | None = None,
     view: View | None = None,
     clock: Clock = SYSTEM_CLOCK,
+    watch: Watch | None = None,
 ) -> SessionReport:
     """Record until the motion is over, `duration` [s] has passed, or something stops it.
 
@@ -153,8 +155,9 @@ def record(  # noqa: C901, PLR0912 — the steps, in their order
         duration: [s]; None for as long as the motion lasts.
         view: shows every batch and the progress of the session.
         clock: the host's; the driver's and the recorder's, too.
+        watch: of contacts; what it notices becomes an event, and ends a motion where it says so.
     """
-    course = Course(clock, ClockLog(clock), view=view)
+    course = Course(clock, ClockLog(clock), view=view, watch=watch)
     player: Player | None = None
     error: DynidError | None = None
     with _signals_noted(course), _undisturbed():
@@ -262,6 +265,7 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
             recorder.event(when, "warning", batch.stream, f"{batch.lost} samples lost")
     for breakdown in course.clock.breakdowns():
         raise WorkError(str(breakdown))
+    _heed(course, recorder)
     now = course.clock.now()
     breach = None
     for batch in batches:
@@ -301,6 +305,22 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
             recorder.event(course.source_time(), "warning", "session", str(breach))
             course.silent.add(breach.joint)
         supervisor.restart_ages(now)
+
+
+def _heed(course: Course, recorder: Recorder) -> None:
+    """What a watch has noticed.
+
+    Raises:
+        SafetyStopError: a motion must not go on.
+    """
+    if course.watch is None:
+        return
+    noticed = float("nan")
+    for noticed, said in course.watch.events():
+        recorder.event(noticed, "warning", "monitor", said)
+    if course.moves and (reason := course.watch.stop_reason()):
+        course.breach_time = noticed
+        raise SafetyStopError(reason, hint="look at what the arm touched; nothing starts it again by itself")
 
 
 def _note(notices: Sequence[Notice], recorder: Recorder) -> Notice | None:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
 from daq.commands.help_text import CommandApp
-from daq.commands.options import FORCE, JSON, takes
+from daq.commands.options import FORCE, JSON, REALTIME, takes
+from daq.commands.record import SessionOptions
+from drivers.core.errors import UsageError
+from drivers.core.options import argument, option, same_named
 from ident.tasks.options import DetectionOptions
 
 if TYPE_CHECKING:
@@ -19,26 +23,153 @@ app = CommandApp("Use")
 SHOWN = 15
 """Contacts that are printed at most, the strongest."""
 REPLAY = "Replay"
+NO_SAFETY = "this is no safety function: it notices contacts above the forces below, after the delay below, or later"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LiveOptions(SessionOptions):
+    """What is watched live; without an arm, a recording is."""
+
+    PANEL = "Live"
+
+    robot: str | None = field(default=None, metadata=argument("robot", "Built-in robot or robot file, to watch live."))  # type: ignore[assignment]
+    record: Path | None = option(None, "Recording to write (.h5).")
+    stop_on_contact: bool = option(False, "End the motion of --trajectory when a contact is noticed.")
+
+    def __post_init__(self) -> None:
+        """Check every option, and that they go together.
+
+        Raises:
+            UsageError: names the options.
+        """
+        super().__post_init__()
+        if self.stop_on_contact and self.trajectory is None:
+            raise UsageError(
+                "--stop-on-contact ends only a motion that dynid plays: what moves the arm otherwise is not stopped",
+                hint="give --trajectory, too",
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class WatchOptions(DetectionOptions, LiveOptions):
+    """All that the command takes beside its files."""
 
 
 @app.command("monitor")
-@takes(DetectionOptions)
+@takes(WatchOptions)
 def monitor_command(
     *,
+    options: WatchOptions,
     model: Path = typer.Option(..., "--model", help="Folder that identify wrote, or its result.json."),
-    replay: Path = typer.Option(..., "--replay", help="Recording (.h5) to watch.", rich_help_panel=REPLAY),
+    replay: Path = typer.Option(None, "--replay", help="Recording (.h5) to watch.", rich_help_panel=REPLAY),
     contacts: Path = typer.Option(
         None, "--contacts", help="CSV (start,end in seconds) of contacts to find.", rich_help_panel=REPLAY
     ),
-    options: DetectionOptions,
     page: Path = typer.Option(None, "--page", help="Page with plots to write (.html).", rich_help_panel=REPLAY),
     force: bool = FORCE,
+    realtime: bool = REALTIME,
+    no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
     as_json: bool = JSON,
 ) -> None:
-    """Find contacts by the external torque on every joint. No safety function.
+    """Find contacts by the external torque on every joint, live or in a recording. No safety function.
 
     Example: dynid monitor --replay run.h5 --model model --page contacts.html
     """
+    if (options.robot is None) == (replay is None):
+        raise UsageError("give either a robot, to watch it live, or --replay RECORDING")
+    detection = same_named(options, DetectionOptions)
+    if options.robot is None:
+        stray = [flag for flag in LIVE_ALONE if getattr(options, flag) not in (None, False, "", 1.0)]
+        if stray:
+            raise UsageError(
+                f"--{stray[0].replace('_', '-')} is for watching live", hint="name the robot, not --replay"
+            )
+        _replay(model, replay, contacts, detection, page, force=force, as_json=as_json)
+        return
+    if contacts is not None or page is not None:
+        raise UsageError("--contacts and --page are for --replay")
+    _live(model, options, detection, force=force, realtime=realtime, shown=not (no_ui or as_json), as_json=as_json)
+
+
+LIVE_ALONE = tuple(of.name for of in fields(LiveOptions) if of.name != "robot")
+"""Options without a meaning for a recording."""
+
+
+def _live(
+    model_path: Path,
+    options: WatchOptions,
+    detection: DetectionOptions,
+    *,
+    force: bool,
+    realtime: bool,
+    shown: bool,
+    as_json: bool,
+) -> None:
+    """Watch an arm until its motion or the time is over, or Ctrl-C."""
+    import sys
+
+    from daq.commands.console import print_json, progress_line
+    from daq.commands.record import end_session, planned, recorded
+    from daq.session.realtime import ask_for_realtime
+    from daq.session.session import INTERRUPTED
+    from drivers.core.clock import SYSTEM_CLOCK
+    from ident.monitor.live import LiveMonitor, contact_text
+    from ident.monitor.monitor import another_arm
+    from ident.tasks.monitoring import explanation, forces_noticed, learnt_thresholds, sensitivity_table
+    from ident.tasks.prediction import model_of
+
+    clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
+    plan = planned(options, options.record, clock, overwrite=force, as_json=as_json)
+    model = model_of(model_path, None, "the external torque")
+    if said := another_arm(model, plan.robot_file):
+        raise UsageError(f"the robot file {said}", where=str(model_path), hint="give the model of this arm")
+    with progress_line(quiet=as_json) as progress:
+        progress("thresholds")
+        thresholds, poses = learnt_thresholds(model, detection)
+    watch = LiveMonitor(model, thresholds, stops=options.stop_on_contact)
+    smallest = forces_noticed(model, thresholds, poses)
+    if not as_json:
+        print(NO_SAFETY)
+        _print(sensitivity_table(smallest))
+        print("\n".join(explanation(thresholds, watch.delay)), flush=True)
+    if realtime:
+        ask_for_realtime()
+    for warning in plan.warnings:
+        print(f"dynid: warning: {warning}", file=sys.stderr)
+    report = recorded(plan, options, options.record, clock, overwrite=force, live=shown, watch=watch)
+    found = watch.monitor.contacts
+    load = watch.monitor.load
+    if as_json:
+        print_json(
+            {
+                "contacts": [asdict(contact) for contact in found],
+                "load": None if load is None else {"mass": load.mass, "margin": load.margin},
+                "file": None if options.record is None or report.file is None else str(report.file),
+                "stopped_by": report.stopped_by,
+                "samples": dict(report.samples),
+                "lost": dict(report.lost),
+            }
+        )
+    else:
+        for contact in found[-SHOWN:]:
+            print(f"{contact.time:.3f} s: {contact_text(contact)}")
+        print(f"{len(found)} contact{'s' * (len(found) != 1)}" + ("" if options.record is None else f"; {report.file}"))
+    if report.error is None and report.stopped_by == INTERRUPTED and options.trajectory is None:
+        return  # the ordinary end of watching
+    end_session(report, options.record)
+
+
+def _replay(
+    model: Path,
+    replay: Path,
+    contacts: Path | None,
+    options: DetectionOptions,
+    page: Path | None,
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Watch a recording."""
     from daq.commands.console import print_json, progress_line
     from daq.output_files import check_outputs
     from ident.result.model import result_path

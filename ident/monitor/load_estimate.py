@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from drivers.core.arrays import BoolArray, FloatArray
-from ident.model.load import load_effect
+from drivers.core.arrays import FloatArray, IndexArray
+from ident.model.load import moved_origin
 from ident.model.parameters import INERTIAL
+from ident.model.pinocchio_model import PINOCCHIO_ORDER, pinocchio_model
 from ident.monitor.interval_torque import Intervals
+from ident.monitor.observers import observer
 from ident.monitor.thresholds import REST, Thresholds
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.model import Model
@@ -18,6 +21,10 @@ PRIOR = {"M": 50.0, "MX": 10.0, "MY": 10.0, "MZ": 10.0}
 """σ before any sample [kg, kg·m]; of the inertias `PRIOR_INERTIA`."""
 PRIOR_INERTIA = 0.5
 """[kg·m²]"""
+TOGETHER = 5
+"""Samples that are averaged before they are evaluated."""
+PINOCCHIO_PLACES = tuple(INERTIAL.index(symbol) for symbol in PINOCCHIO_ORDER)
+"""Where Pinocchio's parameters of a body stand among ours."""
 FEWEST_SECONDS = 0.5
 """Time in motion [s] from which on a load is given."""
 
@@ -42,21 +49,26 @@ class LoadEstimate:
 class LoadEstimator:
     """Estimates the load since its last `restart`.
 
-    A load m acts as external torque −Y·θ, with Y the regressor of the tool link's ten parameters. Both sides go through
-    the observer's filter, a low-pass to which q̈ belongs. Joints near rest say nothing, for their friction is not known.
+    A load acts as external torque −Y·θ, with Y the regressor of a body at the tool. Both sides are averaged over a few
+    samples and go through the same low-pass, as accelerations are second differences of positions. Joints near rest
+    say nothing, for their friction is not known.
 
     Args:
         model: without the load.
-        thresholds: whose observer and spreads are used.
+        thresholds: whose spreads weigh the joints.
     """
 
     def __init__(self, model: Model, thresholds: Thresholds) -> None:
-        dynamics = model.dynamics
-        self._model, self._thresholds = model, thresholds
-        self._effect = load_effect(dynamics.model, dynamics.base, model.stored.robot_file.robot)
-        self._filters = [thresholds.observer() for _ in INERTIAL]
+        self._model, self._thresholds = model.dynamics.model, thresholds
+        self._moved = moved_origin(np.array(model.stored.robot_file.robot.workspace.tool))[list(PINOCCHIO_PLACES)]
+        self._arm: Any = pinocchio_model(self._model)
+        self._data = self._arm.createData()
+        period = TOGETHER * thresholds.period
+        self._filter = observer("direct", period, model.dof * (len(INERTIAL) + 1), thresholds.bandwidth)
         # Filtered samples within a time constant repeat each other.
-        self._independent = min(1.0, thresholds.bandwidth * thresholds.period / 2.0)
+        self._independent = min(1.0, thresholds.bandwidth * period / 2.0)
+        self._rows: list[FloatArray] = []
+        self._broken = True
         self.restart()
 
     def restart(self) -> None:
@@ -66,28 +78,48 @@ class LoadEstimator:
         self._moment = np.zeros(len(INERTIAL))
         self._moving = 0
 
-    def add(
-        self, intervals: Intervals, filtered: FloatArray, way: np.ndarray[tuple[int, ...], np.dtype[np.intp]]
-    ) -> None:
-        """Take over samples: their external torque through the observer (N, n), and each joint's way of motion."""
-        if not len(intervals):
-            return
-        celsius = intervals.celsius
-        rows = (
-            self._model.regressor(intervals.position, intervals.velocity, intervals.acceleration, celsius)
-            @ self._effect
-        )
-        columns = np.stack(
-            [one.apply(rows[..., index], intervals.restarted) for index, one in enumerate(self._filters)], axis=-1
-        )
-        used: BoolArray = way != REST
+    def add(self, intervals: Intervals, way: IndexArray) -> None:
+        """Take over samples, with each joint's way of motion (N, n)."""
+        parts = (intervals.position, intervals.velocity, intervals.acceleration, intervals.external, way)
+        rows = np.concatenate(parts, axis=1)
+        for row, restarted in zip(rows, intervals.restarted.tolist(), strict=True):
+            if restarted:
+                self._rows, self._broken = [], True
+            self._rows.append(row)
+            if len(self._rows) == TOGETHER:
+                self._add_block(np.array(self._rows))
+                self._rows = []
+
+    def _add_block(self, rows: FloatArray) -> None:
+        joints = self._model.dof
+        position, velocity, acceleration, external, _ = np.split(rows.mean(axis=0), 5)
+        columns = self.columns(position, velocity, acceleration)
+        both = np.column_stack([columns, external]).reshape(1, -1)
+        filtered = self._filter.apply(both, np.array([self._broken])).reshape(joints, -1)
+        self._broken = False
+        ways = rows[:, 4 * joints :].astype(np.intp)
+        used = np.all(ways != REST, axis=0)
         if not used.any():
             return
-        spread = np.take_along_axis(self._thresholds.spread, way, axis=0)
-        weighted = columns[used] / spread[used][:, None]
+        spread = self._thresholds.spread[ways[-1], np.arange(joints)][used]
+        weighted = filtered[used, :-1] / spread[:, None]
         self._information += self._independent * weighted.T @ weighted
-        self._moment -= self._independent * weighted.T @ (filtered[used] / spread[used])
-        self._moving += int(np.count_nonzero(used.any(axis=1)))
+        self._moment -= self._independent * weighted.T @ (filtered[used, -1] / spread)
+        self._moving += TOGETHER
+
+    def columns(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """Joint torques (n, 10) per parameter of a body at the tool, for a motion (n,) [rad, rad/s, rad/s² or m…]."""
+        import pinocchio as pin
+
+        motion = self._model.tree_motion(position[:, None], velocity[:, None], acceleration[:, None])
+        tree = [np.ascontiguousarray(part[:, 0]) for part in (motion.position, motion.velocity, motion.acceleration)]
+        link = self._model.tool_link + 1
+        pin.rnea(self._arm, self._data, *tree)
+        body = pin.jointBodyRegressor(self._arm, self._data, link)
+        pin.computeJointJacobians(self._arm, self._data, tree[0])
+        jacobian = pin.getJointJacobian(self._arm, self._data, link, pin.ReferenceFrame.LOCAL)
+        follow = motion.follow if motion.follow.ndim == 2 else motion.follow[..., 0]
+        return np.asarray(follow.T @ (jacobian.T @ body @ self._moved))
 
     @property
     def estimate(self) -> LoadEstimate | None:

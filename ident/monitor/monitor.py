@@ -44,6 +44,7 @@ class Contact:
         torque: largest external torque of this joint [N·m or N].
         threshold: at that moment [N·m or N].
         ratio: largest of torque over threshold.
+        unit: of torque and threshold.
     """
 
     time: float
@@ -52,6 +53,7 @@ class Contact:
     torque: float
     threshold: float
     ratio: float
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,7 @@ class Monitor:
         self._load = LoadEstimator(model, thresholds) if load else None
         self._places = LinkJacobians(model.dynamics.model)
         self._tool = np.array(model.stored.robot_file.robot.workspace.tool)
+        self._units = [joint.unit("N·m") for joint in model.stored.robot_file.robot.joints]
         self._since = np.full(model.dof, np.inf)
         self._std, self._count = np.zeros(model.dof), 0
         self._settle = round(SETTLING / (thresholds.bandwidth * thresholds.period))
@@ -129,7 +132,7 @@ class Monitor:
                 self._after_restart = 0 if restarted else self._after_restart + 1
                 alarm[row] = self._judged(float(intervals.time[row]), external[row], threshold[row], ratio[row])
             if self._load is not None:
-                self._load.add(intervals, external, way)
+                self._load.add(intervals, way)
         result = Residuals(intervals, external, threshold, spread, way, alarm)
         self._last = result if len(intervals) else self._last
         return result
@@ -156,7 +159,13 @@ class Monitor:
         if largest > 1.0 and self._after_restart >= self._settle:
             joint = int(ratio.argmax())
             now = Contact(
-                time, np.nan, self.model.joint_names[joint], float(external[joint]), float(threshold[joint]), largest
+                time,
+                np.nan,
+                self.model.joint_names[joint],
+                float(external[joint]),
+                float(threshold[joint]),
+                largest,
+                self._units[joint],
             )
             if not lasting:
                 self.contacts.append(now)

@@ -38,7 +38,8 @@ class Observer:
         impulse[0] = 1.0
         pairs = zip(numerator, denominator, strict=True)
         self.noise_gain = np.array([float(np.linalg.norm(lfilter(b, a, impulse))) for b, a in pairs])
-        self._state = np.zeros((len(numerator), 2))
+        self._alike = bool(np.all(numerator == numerator[0]) and np.all(denominator == denominator[0]))
+        self._state = np.zeros((2, len(numerator)))
         self.output = np.zeros(len(numerator))
 
     def apply(self, external: FloatArray, restarted: BoolArray) -> FloatArray:
@@ -52,9 +53,15 @@ class Observer:
                 continue
             if restarted[start]:
                 self._state[:] = 0.0
+            part = external[start:stop]
+            if self._alike:
+                b, a = self._numerator[0], self._denominator[0]
+                result[start:stop], self._state = lfilter(b, a, part, axis=0, zi=self._state)
+                continue
             for joint, (b, a) in enumerate(zip(self._numerator, self._denominator, strict=True)):
-                column = external[start:stop, joint]
-                result[start:stop, joint], self._state[joint] = lfilter(b, a, column, zi=self._state[joint])
+                result[start:stop, joint], self._state[:, joint] = lfilter(
+                    b, a, part[:, joint], zi=self._state[:, joint]
+                )
         if len(result):
             self.output = result[-1]
         return result

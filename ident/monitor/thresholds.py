@@ -31,7 +31,7 @@ FEWEST_CONSTANTS = 20.0
 """Time constants of the observer that a way of motion must have been observed for; else it has the largest spread."""
 BLOCK = 10.0
 """Length of a block of the extreme values, in time constants of the observer."""
-STD_EVERY = 25
+STD_EVERY = 200
 """Samples between two evaluations of the model's σ."""
 REST, SLOW, FAST = 0, 1, 2
 WAYS = ("near rest and reversals", "slow", "fast")

@@ -149,9 +149,10 @@ def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
     """
     recording, stale = fresh_recording(recording)
     stream, replaced = _without_outliers(_joints_stream(recording))
-    position = _positions(stream, robot, recording)
-    torque, origin, gains_used = _joint_torque(stream, robot, recording)
-    velocity = _joint_values(stream, "velocity", robot, recording)
+    position = _positions(stream, robot, recording.label)
+    hint = "" if command_stream(recording) is None else SERVO_HINT
+    torque, origin, gains_used = _joint_torque(stream, robot, recording.label, hint)
+    velocity = _joint_values(stream, "velocity", robot, recording.label)
     return JointSignals(
         recording.label,
         tuple(robot.joint_names),
@@ -177,8 +178,17 @@ def joint_positions(recording: Recording, robot: Robot) -> JointPositions:
     """
     recording, _ = fresh_recording(recording)
     stream, _ = _without_outliers(_joints_stream(recording), ("position",))
-    position = _positions(stream, robot, recording)
+    position = _positions(stream, robot, recording.label)
     return JointPositions(recording.label, tuple(robot.joint_names), stream.time, position)
+
+
+def live_signals(stream: Stream, robot: Robot, label: str) -> tuple[FloatArray, FloatArray]:
+    """Positions (N, n) [rad or m] and motor torques (N, n) [N·m or N] of samples as they come, not cleaned.
+
+    Raises:
+        DataError: a quantity, joint or gain is missing.
+    """
+    return _positions(stream, robot, label), _joint_torque(stream, robot, label, "")[0]
 
 
 def _joints_stream(recording: Recording) -> Stream:
@@ -208,22 +218,22 @@ def _without_outliers(
     return replace(stream, channels=channels), tuple(replaced)
 
 
-def _positions(stream: Stream, robot: Robot, recording: Recording) -> FloatArray:
-    position = _joint_values(stream, "position", robot, recording)
+def _positions(stream: Stream, robot: Robot, label: str) -> FloatArray:
+    position = _joint_values(stream, "position", robot, label)
     if position is None:
-        raise DataError("records no position", where=f"{recording.label}: {JOINTS_STREAM}")
+        raise DataError("records no position", where=f"{label}: {JOINTS_STREAM}")
     return position
 
 
-def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[FloatArray, str, tuple[str, ...]]:
+def _joint_torque(stream: Stream, robot: Robot, label: str, hint: str) -> tuple[FloatArray, str, tuple[str, ...]]:
     """Torque, where it comes from, joints whose gain made it."""
     drives = [robot.drive(name) for name in robot.joint_names]
     signals = {drive.signal for drive in drives}
     signal = signals.pop() if len(signals) == 1 else "current"
     unsigned = {name for name in MOTOR_SIGNALS if name in stream.channels and stream.channels[name].magnitude}
-    recorded = None if "torque" in unsigned else _joint_values(stream, "torque", robot, recording)
+    recorded = None if "torque" in unsigned else _joint_values(stream, "torque", robot, label)
     if signal != "torque" and len(signals) == 0:
-        raw = None if signal in unsigned else _joint_values(stream, signal, robot, recording)
+        raw = None if signal in unsigned else _joint_values(stream, signal, robot, label)
         unknown = [drive.joint for drive in drives if drive.gain is None]
         if raw is not None and not unknown:
             drive_gains = [DriveGain(drive.gain, drive.gain_std, drive.signal) for drive in drives]
@@ -232,22 +242,22 @@ def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[F
         if recorded is None and raw is not None:
             raise DataError(
                 f"records {signal}, but the gain of {', '.join(unknown)} is unknown",
-                where=recording.label,
+                where=label,
                 hint=f"give it in a robot file (drives: - {{joint: {unknown[0]}, gain: …}}), name that: --robot, in "
                 "Python robot=",
             )
     if recorded is None and (unsigned or any(drive.signal == "magnitude" for drive in drives)):
         raise DataError(
             f"its {' and '.join(sorted(unsigned)) or 'current'} is a magnitude: without its sign it is no torque",
-            where=recording.label,
+            where=label,
             hint=SERVO_HINT,
         )
     if recorded is None:
         quantities = ", ".join(sorted(stream.channels)) or "nothing"
         raise DataError(
             f"records neither torque nor {signal if signal != 'torque' else 'current'}; it has {quantities}",
-            where=recording.label,
-            hint="" if command_stream(recording) is None else SERVO_HINT,
+            where=label,
+            hint=hint,
         )
     used = tuple(drive.joint for drive in drives if drive.signal == "torque" and drive.gain)
     gains = np.array([drive.gain if drive.joint in used else 1.0 for drive in drives], dtype=np.float64)
@@ -261,7 +271,7 @@ def _joint_torque(stream: Stream, robot: Robot, recording: Recording) -> tuple[F
     return recorded * gains, "torque as recorded", used
 
 
-def _joint_values(stream: Stream, quantity: str, robot: Robot, recording: Recording) -> FloatArray | None:
+def _joint_values(stream: Stream, quantity: str, robot: Robot, label: str) -> FloatArray | None:
     """(N, n) in the robot's joint order; None where the quantity was not recorded."""
     channel: Channel | None = stream.channels.get(quantity)
     if channel is None:
@@ -270,7 +280,7 @@ def _joint_values(stream: Stream, quantity: str, robot: Robot, recording: Record
     if missing:
         raise DataError(
             f"'{quantity}' has no column for joint(s) {', '.join(missing)}; it has {', '.join(channel.columns)}",
-            where=f"{recording.label}: {stream.name}",
+            where=f"{label}: {stream.name}",
             hint="is this the robot that was recorded? name another: --robot, in Python robot=",
         )
     order = [channel.columns.index(name) for name in robot.joint_names]

@@ -123,13 +123,7 @@ class MonitoredRun:
     @cached_property
     def sensitivity(self) -> Table:
         """The smallest force on each link's end that is noticed in 95 % of the moments [N], by axis of the base."""
-        rows = [
-            (one.link, *(_number(value) for part in (one.moving, one.worst, one.resting) for value in part))
-            for one in self.smallest
-        ]
-        names = [f"{axis}{way}" for way in ("", " worst pose", " near rest") for axis in "xyz"]
-        title = "Smallest force noticed, either direction"
-        return table_of_rows(title, [("link", ""), *((name, "N") for name in names)], rows)
+        return sensitivity_table(self.smallest)
 
     @cached_property
     def comparison(self) -> Table | None:
@@ -171,22 +165,7 @@ class MonitoredRun:
     @property
     def explanation(self) -> list[str]:
         """Where the thresholds come from, a sentence each."""
-        learnt = self.thresholds
-        said = [
-            f"{learnt.kind} observer, {learnt.bandwidth:g} 1/s; thresholds for {learnt.per_hour:g} false alarms per "
-            f"hour, from {3600.0 * max((tail.hours for tail in learnt.tails.values()), default=0.0):.0f} s without "
-            f"contact: {', '.join(learnt.sources)}"
-        ]
-        for name, tail in learnt.tails.items():
-            said.append(
-                f"{name}: {tail.level:.3g} σ (90 % interval {tail.interval[0]:.3g} to {tail.interval[1]:.3g}), "
-                f"extrapolated {tail.extrapolation:.3g} times beyond the time observed"
-            )
-        said.append(
-            f"a force of twice the smallest is expected to be noticed after {1e3 * self.delay:.0f} ms; this is no "
-            "safety function"
-        )
-        return said
+        return explanation(self.thresholds, self.delay)
 
     def to_dict(self) -> dict[str, Any]:
         """What `dynid monitor --json` prints."""
@@ -272,14 +251,14 @@ def monitor(options: MonitorOptions) -> MonitoredRun:
 
 
 def learnt_thresholds(
-    model: Model, options: DetectionOptions, period: float, watched: Recording | None = None
+    model: Model, options: DetectionOptions, period: float | None = None, watched: Recording | None = None
 ) -> tuple[Thresholds, FloatArray]:
     """Thresholds from the recordings without contact, and poses (K, n) of theirs.
 
     Args:
         model: of the whole arm.
         options: the observer, and the recordings without contact; those of the model where it names none.
-        period: of the samples that are watched [s].
+        period: of the samples that are watched [s]; that of the recordings without contact where None.
         watched: recording that is watched, which is not learnt from unless it is named.
 
     Raises:
@@ -323,6 +302,36 @@ def forces_noticed(model: Model, thresholds: Thresholds, poses: FloatArray) -> t
     """The smallest forces on a model's links at poses (K, n)."""
     tool = np.array(model.stored.robot_file.robot.workspace.tool)
     return smallest_forces(model.dynamics.model, thresholds, tool, poses)
+
+
+def sensitivity_table(smallest: Sequence[SmallestForce]) -> Table:
+    """The smallest forces that are noticed, a row per link [N]."""
+    rows = [
+        (one.link, *(_number(value) for part in (one.moving, one.worst, one.resting) for value in part))
+        for one in smallest
+    ]
+    names = [f"{axis}{way}" for way in ("", " worst pose", " near rest") for axis in "xyz"]
+    title = "Smallest force noticed, either direction"
+    return table_of_rows(title, [("link", ""), *((name, "N") for name in names)], rows)
+
+
+def explanation(learnt: Thresholds, delay: float) -> list[str]:
+    """Where thresholds come from, a sentence each, and the expected delay [s] of a force of twice the smallest."""
+    said = [
+        f"{learnt.kind} observer, {learnt.bandwidth:g} 1/s; thresholds for {learnt.per_hour:g} false alarms per "
+        f"hour, from {3600.0 * max((tail.hours for tail in learnt.tails.values()), default=0.0):.0f} s without "
+        f"contact: {', '.join(learnt.sources)}"
+    ]
+    for name, tail in learnt.tails.items():
+        said.append(
+            f"{name}: {tail.level:.3g} σ (90 % interval {tail.interval[0]:.3g} to {tail.interval[1]:.3g}), "
+            f"extrapolated {tail.extrapolation:.3g} times beyond the time observed"
+        )
+    said.append(
+        f"a force of twice the smallest is expected to be noticed after {1e3 * delay:.0f} ms; this is no "
+        "safety function"
+    )
+    return said
 
 
 def _detectors(

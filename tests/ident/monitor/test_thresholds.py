@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,16 +13,36 @@ from drivers.core.errors import DataError, UsageError
 from ident.model.dynamic_model import build_model
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.link_jacobian import LinkJacobians
+from ident.model.load import load_effect
 from ident.model.true_parameters import truth_vector
 from ident.monitor.contact_forces import force_noticed, tool_wrench
 from ident.monitor.extremes import require_time, return_level
 from ident.monitor.interval_torque import JointSamples
 from ident.monitor.labelled_contacts import LabelledContact, found_at, operating_point, read_contacts, roc
+from ident.monitor.load_estimate import LoadEstimator
 from ident.monitor.monitor import Monitor, earned_thresholds
 from ident.monitor.thresholds import MotionWays, Thresholds
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion
 
+THRESHOLDS = Thresholds(
+    kind="direct",
+    bandwidth=50.0,
+    period=0.002,
+    ways=MotionWays(np.zeros(6), np.zeros(6), 1),
+    spread=np.ones((3, 6)),
+    level=np.ones(3),
+    tails={},
+    per_hour=1.0,
+    model_std=np.zeros(6),
+    fastest=np.ones(6),
+    celsius=None,
+    momentum_noise=np.zeros(6),
+    torque_noise=np.ones(6),
+    torque_limit=np.ones(6),
+    constant=np.ones(6),
+    sources=(),
+)
 BLOCK = 0.2
 """[s]"""
 
@@ -103,6 +124,18 @@ def test_no_alarm_without_contact_and_one_for_a_push(noisy: tuple[JointSamples, 
     assert 0.0 < contact.time - quiet.time[1000] < 0.03
     assert contact.end - quiet.time[1200] < 0.05
     assert contact.torque > contact.threshold > 0.0
+
+
+@pytest.mark.parametrize("robot", ["ur5e", "sr400"])
+def test_the_columns_of_a_load_are_those_of_the_model(robot: str) -> None:
+    model, file = known_model(robot)
+    thresholds = replace(THRESHOLDS, spread=np.ones((3, model.dof)))
+    motion = np.random.default_rng(1).uniform(-0.5, 0.5, size=(3, model.dof))
+    motion[0] += [np.mean(joint.position) for joint in file.robot.joints]
+    effect = load_effect(model.dynamics.model, model.dynamics.base, file.robot)
+    assert LoadEstimator(model, thresholds).columns(*motion) == pytest.approx(
+        model.regressor(*motion) @ effect, abs=1e-9
+    )
 
 
 def test_a_load_is_estimated_with_its_interval(noisy: tuple[JointSamples, Thresholds]) -> None:

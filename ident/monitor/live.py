@@ -1,0 +1,229 @@
+"""The monitor in a running session: samples become residuals while they arrive, contacts become events."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from daq.recording.recording import JOINTS_STREAM, Channel, Stream
+from drivers.core.arrays import FloatArray
+from drivers.core.errors import DynidError, UsageError
+from drivers.streams import Batch, StreamLayout
+from ident.monitor.contact_forces import expected_delay
+from ident.monitor.interval_torque import JointSamples
+from ident.monitor.monitor import Contact, Monitor, Residuals
+from ident.monitor.thresholds import STD_EVERY, Thresholds
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
+from ident.result.model import Model
+from ident.signals.joint_signals import TEMPERATURE, live_signals
+
+TOGETHER = 0.01
+"""Samples of this time [s] are evaluated at once: one by one would take several times as long."""
+SAME_RATE = 0.05
+"""Relative difference of the connection's rate from that of the recordings which changes no threshold."""
+SHOWN_JOINTS, SHOWN_CONTACTS = 8, 4
+"""Lines on the terminal."""
+AMBIENT = 25.0
+"""[°C] of samples that warm up."""
+BLIND = 1.0
+"""[s] without a residual after which that is said."""
+SHOWN_EVERY = 0.15
+"""[s] between two evaluations of what is shown."""
+
+
+class LiveMonitor:
+    """Watches a session; a `daq.session.watch.Watch`.
+
+    Args:
+        model: of the arm.
+        thresholds: of its residual.
+        stops: whether a contact ends a motion.
+
+    Attributes:
+        monitor: what has been noticed.
+        newest: the residuals of the last samples; None before.
+        failure: why nothing is watched any more, in words; empty while all is well.
+    """
+
+    def __init__(self, model: Model, thresholds: Thresholds, *, stops: bool = False) -> None:
+        self.monitor = Monitor(model, thresholds)
+        self.newest: Residuals | None = None
+        self.failure = ""
+        self._model, self._stops = model, stops
+        self._robot = model.stored.robot_file.robot
+        self._channels: dict[str, dict[str, tuple[str, ...]]] = {}
+        self._celsius = np.full(model.dof, np.nan)
+        self._heated = np.array(model.dynamics.model.needs("temperature"))
+        self._needs_temperature = bool(self._heated.any())
+        self._maps: dict[str, FloatArray] = {}
+        self._order = np.arange(model.dof)
+        self._waiting: list[Batch] = []
+        self._unheard = 0
+        self._heard = np.nan
+        self._shown: tuple[float, tuple[str, ...]] = (-np.inf, ())
+
+    def begin(self, layouts: Sequence[StreamLayout]) -> None:
+        """Prepare for the streams of an opened driver.
+
+        Raises:
+            UsageError: there are no positions and torques of the joints, or they come at another rate than those that
+                the thresholds were learnt from.
+        """
+        self._channels = {
+            layout.name: {channel.quantity: channel.columns for channel in layout.channels} for layout in layouts
+        }
+        rate = next((layout.rate for layout in layouts if layout.name == JOINTS_STREAM), None)
+        if rate is None:
+            raise UsageError("this connection has no stream of joints to watch")
+        learnt = 1.0 / self.monitor.thresholds.period
+        if rate > 0.0 and abs(rate - learnt) > SAME_RATE * learnt:
+            raise UsageError(
+                f"the connection delivers {rate:g} Hz, and the thresholds were learnt at {learnt:.4g} Hz",
+                hint="--quiet names a recording without contact over this connection",
+            )
+        self._maps = self._torque_maps()
+        self._warm_up()
+
+    def _warm_up(self) -> None:
+        """Evaluate once what is made at its first use: a session must not wait for it."""
+        still = np.zeros((2 * STD_EVERY, self._model.dof))
+        time = self.monitor.thresholds.period * np.arange(len(still))
+        scratch = Monitor(self._model, self.monitor.thresholds)
+        scratch.add(JointSamples(time, still, still, np.full_like(still, AMBIENT)))
+        _ = scratch.wrench, scratch.load
+
+    def add(self, batch: Batch) -> None:
+        """Note a batch; where it cannot be watched, `failure` says why."""
+        columns = self._channels.get(batch.stream, {}).get(TEMPERATURE, ())
+        if TEMPERATURE in batch.values and len(batch.time):
+            for joint, value in zip(columns, batch.values[TEMPERATURE][-1].tolist(), strict=True):
+                if joint in self._model.joint_names and np.isfinite(value):
+                    self._celsius[self._model.joint_names.index(joint)] = value
+        if batch.stream != JOINTS_STREAM or not len(batch.time) or self.failure:
+            return
+        self._heard = float(batch.time[-1])
+        if self._lacks_temperature():
+            return
+        self._waiting.append(batch)
+        if batch.time[-1] - self._waiting[0].time[0] < TOGETHER - 1.5 * self.monitor.thresholds.period:
+            return
+        batches, self._waiting = self._waiting, []
+        try:
+            residuals = self.monitor.add(self._samples(batches))
+        except Exception as error:  # neither a recording nor an arm that moves may break by it; `stop_reason` says it
+            self.failure = f"contacts are not watched any more: {error}"
+            return
+        if len(residuals.external):
+            self.newest = residuals
+
+    def _lacks_temperature(self) -> bool:
+        return self._needs_temperature and bool(np.isnan(self._celsius[self._heated]).any())
+
+    def _torque_maps(self) -> dict[str, FloatArray]:
+        """Quantity → (c, n) what its columns add to the joints' torques, which are linear in all of them.
+
+        Raises:
+            UsageError: there are no positions and torques of the joints.
+        """
+        columns = self._channels[JOINTS_STREAM]
+        maps = {}
+        for quantity, names in columns.items():
+            count = len(names)
+            rows = {name: np.zeros((count, len(others))) for name, others in columns.items()}
+            rows[quantity] = np.eye(count)
+            stamps = np.zeros(count)
+            channels = {name: Channel(name, values, "", columns[name]) for name, values in rows.items()}
+            try:
+                position, torque = live_signals(
+                    Stream(JOINTS_STREAM, stamps, stamps, channels), self._robot, "this connection"
+                )
+            except DynidError as error:
+                raise UsageError(str(error)) from error
+            if quantity == "position":
+                self._order = np.argmax(position, axis=0)
+            if torque.any():
+                maps[quantity] = torque @ self._model.coupling
+        return maps
+
+    def _samples(self, batches: Sequence[Batch]) -> JointSamples:
+        time = np.concatenate([batch.time for batch in batches])
+        position = np.concatenate([batch.values["position"] for batch in batches])[:, self._order]
+        torque = np.zeros_like(position)
+        for quantity, shares in self._maps.items():
+            torque += np.concatenate([batch.values[quantity] for batch in batches]) @ shares
+        known = np.isfinite(self._celsius).any()
+        celsius = np.broadcast_to(self._celsius, position.shape) if known else None
+        return JointSamples(time, position, torque, celsius)
+
+    def events(self) -> Sequence[tuple[float, str]]:
+        """The contacts that began since the last call."""
+        begun = self.monitor.contacts[self._unheard :]
+        self._unheard += len(begun)
+        return [(contact.time, contact_text(contact)) for contact in begun]
+
+    def stop_reason(self) -> str:
+        """Why a motion must not go on, where contacts end it."""
+        if not self._stops:
+            return ""
+        if self.failure:
+            return self.failure
+        lasting = [contact for contact in self.monitor.contacts if np.isnan(contact.end)]
+        return contact_text(lasting[-1]) if lasting else ""
+
+    def lines(self) -> Sequence[str]:
+        """Joints, load, wrench and the last contacts, a line each."""
+        if self.failure:
+            return (self.failure,)
+        if self.newest is None or self._heard - self.newest.intervals.time[-1] > BLIND:
+            lacking = "a temperature" if self._lacks_temperature() else "samples with positions and torques"
+            return (f"no external torque: {lacking} of every joint must come first",)
+        now = float(self.newest.intervals.time[-1])
+        if now - self._shown[0] >= SHOWN_EVERY:
+            self._shown = now, tuple(self._said(self.newest))
+        return self._shown[1]
+
+    def _said(self, newest: Residuals) -> list[str]:
+        external, threshold = newest.external[-1], newest.threshold[-1]
+        largest = np.argsort(-np.abs(external) / threshold)[:SHOWN_JOINTS]
+        units = [joint.unit("N·m") for joint in self._robot.joints]
+        width = max(len(name) for name in self._model.joint_names)
+        said = [
+            f"{self._model.joint_names[joint]:<{width}}  external {external[joint]:+8.2f} {units[joint]}, contact from "
+            f"{threshold[joint]:.2f}; drive {newest.intervals.measured[-1, joint]:+8.2f}"
+            for joint in sorted(largest.tolist())
+        ]
+        wrench = self.monitor.wrench
+        if wrench is not None:
+            margins = WITHIN_95_PERCENT * np.sqrt(np.diag(wrench.covariance))[:3]
+            parts = [f"{value:+.1f} ± {margin:.1f}" for value, margin in zip(wrench.force, margins, strict=True)]
+            said.append(f"force at the tool, x y z of the base [N]: {', '.join(parts)}")
+        load = self.monitor.load
+        moving = np.any(newest.way[-1] != 0)
+        if load is not None:
+            frozen = "" if moving else ", frozen while the arm rests"
+            said.append(f"load {load.mass:.2f} ± {load.margin:.2f} kg, from {load.seconds:.0f} s in motion{frozen}")
+        count = len(self.monitor.contacts)
+        said.append(f"{count} contact{'s' * (count != 1)}; no safety function")
+        latest = self.monitor.contacts[-SHOWN_CONTACTS:]
+        return [*said, *(f"  {now_or_end(contact, newest)}: {contact_text(contact)}" for contact in latest)]
+
+    @property
+    def delay(self) -> float:
+        """Expected time [s] until a force of twice the smallest is noticed, with the wait for samples together."""
+        return expected_delay(self.monitor.thresholds, self.monitor.lag) + TOGETHER / 2.0
+
+
+def contact_text(contact: Contact) -> str:
+    """A contact in words."""
+    return (
+        f"contact: external torque on {contact.joint} {contact.torque:+.3g} {contact.unit}, threshold "
+        f"{contact.threshold:.3g}"
+    )
+
+
+def now_or_end(contact: Contact, newest: Residuals) -> str:
+    """Whether a contact lasts, or how long ago it was."""
+    if np.isnan(contact.end):
+        return "now"
+    return f"{float(newest.intervals.time[-1]) - contact.end:.0f} s ago"
