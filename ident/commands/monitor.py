@@ -34,6 +34,7 @@ class LiveOptions(SessionOptions):
 
     robot: str | None = field(default=None, metadata=argument("robot", "Built-in robot or robot file, to watch live."))  # type: ignore[assignment]
     record: Path | None = option(None, "Recording to write (.h5).")
+    browser: bool = option(False, "Show external torque and arm live on a page of this computer.")
     stop_on_contact: bool = option(False, "End the motion of --trajectory when a contact is noticed.")
 
     def __post_init__(self) -> None:
@@ -107,17 +108,21 @@ def _live(
 ) -> None:
     """Watch an arm until its motion or the time is over, or Ctrl-C."""
     import sys
+    from contextlib import nullcontext
 
     from daq.commands.console import print_json, progress_line
     from daq.commands.record import end_session, planned, recorded
+    from daq.live.page import Alarm, browser_page, require_browser
     from daq.session.realtime import ask_for_realtime
     from daq.session.session import INTERRUPTED
     from drivers.core.clock import SYSTEM_CLOCK
-    from ident.monitor.live import LiveMonitor, contact_text
+    from ident.monitor.live import LiveMonitor, contact_text, page_channels
     from ident.monitor.monitor import another_arm
     from ident.tasks.monitoring import explanation, forces_noticed, learnt_thresholds, sensitivity_table
     from ident.tasks.prediction import model_of
 
+    if options.browser:
+        require_browser()
     clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
     plan = planned(options, options.record, clock, overwrite=force, as_json=as_json)
     model = model_of(model_path, None, "the external torque")
@@ -136,7 +141,11 @@ def _live(
         ask_for_realtime()
     for warning in plan.warnings:
         print(f"dynid: warning: {warning}", file=sys.stderr)
-    report = recorded(plan, options, options.record, clock, overwrite=force, live=shown, watch=watch)
+    with browser_page(plan.robot_file, page_channels(model)) if options.browser else nullcontext() as page:
+        if page is not None:
+            watch.page = page
+            watch.alarm = lambda time, text, joint: page.alarm(Alarm(time, text, joint))
+        report = recorded(plan, options, options.record, clock, overwrite=force, live=shown, watch=watch)
     found = watch.monitor.contacts
     load = watch.monitor.load
     if as_json:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -32,6 +33,13 @@ SHOWN_EVERY = 0.15
 """[s] between two evaluations of what is shown."""
 
 
+class Page(Protocol):
+    """Where residuals are drawn; `daq.live.page.BrowserPage` is one."""
+
+    def append(self, time: float, row: FloatArray) -> None:
+        """Show a row of the channels."""
+
+
 class LiveMonitor:
     """Watches a session; a `daq.session.watch.Watch`.
 
@@ -41,12 +49,16 @@ class LiveMonitor:
         stops: whether a contact ends a motion.
 
     Attributes:
+        alarm: called with each contact's time [s], text and joint.
+        page: where rows of `page_channels` are drawn; None for nowhere.
         monitor: what has been noticed.
         newest: the residuals of the last samples; None before.
         failure: why nothing is watched any more, in words; empty while all is well.
     """
 
     def __init__(self, model: Model, thresholds: Thresholds, *, stops: bool = False) -> None:
+        self.page: Page | None = None
+        self.alarm: Callable[[float, str, str], None] = lambda time, text, joint: None
         self.monitor = Monitor(model, thresholds)
         self.newest: Residuals | None = None
         self.failure = ""
@@ -116,6 +128,16 @@ class LiveMonitor:
             return
         if len(residuals.external):
             self.newest = residuals
+            self._draw(residuals)
+
+    def _draw(self, residuals: Residuals) -> None:
+        if self.page is None:
+            return
+        intervals = residuals.intervals
+        predicted = intervals.measured + intervals.external
+        parts = (intervals.position, intervals.measured, predicted, residuals.external, residuals.threshold)
+        for time, row in zip(intervals.time.tolist(), np.concatenate(parts, axis=1), strict=True):
+            self.page.append(time, row)
 
     def _lacks_temperature(self) -> bool:
         return self._needs_temperature and bool(np.isnan(self._celsius[self._heated]).any())
@@ -160,6 +182,8 @@ class LiveMonitor:
         """The contacts that began since the last call."""
         begun = self.monitor.contacts[self._unheard :]
         self._unheard += len(begun)
+        for contact in begun:
+            self.alarm(contact.time, contact_text(contact), contact.joint)
         return [(contact.time, contact_text(contact)) for contact in begun]
 
     def stop_reason(self) -> str:
@@ -212,6 +236,12 @@ class LiveMonitor:
     def delay(self) -> float:
         """Expected time [s] until a force of twice the smallest is noticed, with the wait for samples together."""
         return expected_delay(self.monitor.thresholds, self.monitor.lag) + TOGETHER / 2.0
+
+
+def page_channels(model: Model) -> tuple[str, ...]:
+    """The channels of a page's rows; `residual` is the external torque through the observer."""
+    quantities = ("position", "measured", "predicted", "residual", "band")
+    return tuple(f"{quantity}/{joint}" for quantity in quantities for joint in model.joint_names)
 
 
 def contact_text(contact: Contact) -> str:

@@ -32,10 +32,11 @@ from daq.session.session import (
     record,
 )
 from daq.session.supervisor import Limits, Supervisor
+from daq.session.watch import Watch
 from drivers.base import Notice
 from drivers.core.errors import ConnectionLostError, MotionRefusedError, SafetyStopError, UsageError, WorkError
 from drivers.standstill import REST_WINDOW
-from drivers.streams import Batch
+from drivers.streams import Batch, StreamLayout
 
 MOTION = PointToPoint(np.array([[0.1, -0.1], [0.5, 0.3], [0.0, 0.0]]), np.array([1.2, 1.2]))
 PLAY = unchecked_play(MOTION, ROBOT_FILE.robot)
@@ -52,13 +53,18 @@ PLAYED = REST_TIME + 3.0 * PERIOD
 """When the player begins: the first sample comes after a period, and another one after control was taken."""
 
 
-def run(path: Path, arm: KinematicArm, play: Play | None = None, duration: float | None = None) -> SessionReport:
+def run(
+    path: Path,
+    arm: KinematicArm,
+    play: Play | None = None,
+    duration: float | None = None,
+    watch: Watch | None = None,
+) -> SessionReport:
     arm.open()
     layouts = arm.streams()
     supervisor = Supervisor(Limits.of_robot(ROBOT_FILE.robot, tracking_error=TRACKING_ERROR), layouts)
-    return record(
-        arm, Recorder(path, ROBOT_FILE, layouts, clock=arm.clock), supervisor, play, duration, clock=arm.clock
-    )
+    recorder = Recorder(path, ROBOT_FILE, layouts, clock=arm.clock)
+    return record(arm, recorder, supervisor, play, duration, clock=arm.clock, watch=watch)
 
 
 def stopped(arm: KinematicArm) -> float:
@@ -336,6 +342,45 @@ def test_a_thread_that_breaks_ends_the_motion(tmp_path: Path, clock: SimulatedCl
     assert report.stopped_by == "the thread 'temperatures' broke: KeyError: '0x581'"
     assert stopped(arm) == pytest.approx(SEEN, abs=2 * PERIOD)
     assert_closed(path, arm, report)
+
+
+class Feeling:
+    """A watch that notices a contact at a sample of the motion."""
+
+    def __init__(self, sample: int) -> None:
+        self.sample, self.samples, self.told = sample, 0, False
+
+    def begin(self, layouts: Sequence[StreamLayout]) -> None:
+        raise AssertionError("the command's, not the session's")
+
+    def add(self, batch: Batch) -> None:
+        self.samples += len(batch.time)
+
+    def events(self) -> list[tuple[float, str]]:
+        if self.told or self.samples < self.sample:
+            return []
+        self.told = True
+        return [(FIRST_STAMP + self.sample * PERIOD, "contact: elbow")]
+
+    def stop_reason(self) -> str:
+        return "contact: elbow" if self.told else ""
+
+    def lines(self) -> list[str]:
+        return []
+
+
+def test_a_contact_ends_a_motion_at_once_and_a_recording_not(tmp_path: Path, clock: SimulatedClock) -> None:
+    path, arm = tmp_path / "run.h5", KinematicArm(clock=clock)
+    report = run(path, arm, PLAY, watch=Feeling(161))
+    assert isinstance(report.error, SafetyStopError)
+    assert stopped(arm) <= SEEN + PERIOD
+    recording = assert_closed(path, arm, report)
+    assert session_event(recording).time == pytest.approx(FIRST_STAMP + 161 * PERIOD)
+    assert [event.message for event in recording.events if event.source == "monitor"] == ["contact: elbow"]
+    path, arm = tmp_path / "rest.h5", KinematicArm(clock=clock)
+    report = run(path, arm, duration=0.702, watch=Feeling(50))
+    assert report.error is None
+    assert [event.message for event in read_recording(path).events if event.source == "monitor"] == ["contact: elbow"]
 
 
 def test_a_recorder_that_breaks_ends_the_motion(

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from monitored_arm import exact_samples, known_model
 
+from daq.robot.loader import load_robot
 from drivers.core.errors import DataError, UsageError
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 from ident.model.dynamic_model import build_model
 from ident.model.inverse_dynamics import InverseDynamics
 from ident.model.link_jacobian import LinkJacobians
@@ -19,8 +21,9 @@ from ident.monitor.contact_forces import force_noticed, tool_wrench
 from ident.monitor.extremes import require_time, return_level
 from ident.monitor.interval_torque import JointSamples
 from ident.monitor.labelled_contacts import LabelledContact, found_at, operating_point, read_contacts, roc
+from ident.monitor.live import LiveMonitor
 from ident.monitor.load_estimate import LoadEstimator
-from ident.monitor.monitor import Monitor, earned_thresholds
+from ident.monitor.monitor import Monitor, another_arm, earned_thresholds
 from ident.monitor.thresholds import MotionWays, Thresholds
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion
@@ -155,6 +158,48 @@ def test_a_load_is_estimated_with_its_interval(noisy: tuple[JointSamples, Thresh
     assert load is not None
     assert abs(load.mass - 2.0) < max(2.0 * load.margin, 0.04)
     assert load.centre == pytest.approx([0.02, 0.0, 0.1], abs=0.02)
+
+
+def test_live_batches_give_contacts_a_reason_to_stop_and_lines(noisy: tuple[JointSamples, Thresholds]) -> None:
+    model, file = known_model("ur5e")
+    quiet, thresholds = noisy
+    torque = quiet.torque.copy()
+    torque[1000:1200, 2] -= 3.0 * thresholds.limit[:, 2].max()
+    torque[1500] = np.nan
+    gains = np.array([drive.gain for drive in file.robot.drives], dtype=float)
+    names = model.joint_names
+    layout = StreamLayout("joints", (ChannelLayout("current", names[::-1]), ChannelLayout("position", names)), 500.0)
+    watch = LiveMonitor(model, thresholds, stops=True)
+    watch.begin([layout])
+    reasons, events = [], []
+    for start in range(0, 2400, 3):
+        at = slice(start, start + 3)
+        values = {"current": (torque[at] / gains)[:, ::-1], "position": quiet.position[at]}
+        watch.add(Batch("joints", quiet.time[at], quiet.time[at], values))
+        events += watch.events()
+        reasons.append(watch.stop_reason())
+    assert watch.failure == ""
+    whole = Monitor(model, thresholds)
+    whole.add(JointSamples(quiet.time[:2400], quiet.position[:2400], torque[:2400]))
+    assert [time for time, _ in events] == [contact.time for contact in whole.contacts] == [whole.contacts[0].time]
+    assert "elbow_joint" in next(filter(None, reasons))
+    assert reasons[0] == reasons[-1] == ""
+    said = "\n".join(watch.lines())
+    assert "1 contact; no safety function" in said
+    other_rate = replace(layout, rate=125.0)
+    with pytest.raises(UsageError, match="125 Hz"):
+        LiveMonitor(model, thresholds).begin([other_rate])
+    with pytest.raises(UsageError, match="neither torque nor current"):
+        LiveMonitor(model, thresholds).begin([replace(layout, channels=layout.channels[1:])])
+    watch.add(Batch("joints", quiet.time[:5], quiet.time[:5], {"position": quiet.position[:5]}))
+    assert "not watched any more" in watch.stop_reason()
+
+
+def test_another_arm_is_told() -> None:
+    model, file = known_model("ur5e")
+    assert another_arm(model, file) == ""
+    assert "sits elsewhere" in another_arm(model, load_robot("ur10e"))
+    assert "with joints" in another_arm(model, load_robot("sr400"))
 
 
 def test_labels_and_operating_points(tmp_path: Path) -> None:
