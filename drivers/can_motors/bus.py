@@ -20,7 +20,7 @@ from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 
 ATTEMPTS = 3
 """So often a motor is asked before it counts as silent."""
-PATIENCE = 0.02
+PATIENCE = 0.1
 """[s] that an answer to a single question is waited for."""
 SHARE = 0.9
 """Of a period that the answers of a cycle are waited for, at most."""

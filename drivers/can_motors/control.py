@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.can_motors.bus import PATIENCE, Feedback, MotorBus
+from drivers.can_motors.bus import Feedback, MotorBus
 from drivers.can_motors.settings import CanMotorSettings
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
@@ -155,7 +155,7 @@ class MotorControl:
                     sendings += 1
                 feedback = self._bus.exchange(
                     [f for codec in self._bus.codecs for f in (codec.disable() or codec.poll(read_only=False))],
-                    PATIENCE,
+                    1.0 / self._settings.keys.rate,
                 )
             else:
                 feedback = self.send_goal()
