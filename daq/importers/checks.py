@@ -14,11 +14,23 @@ from daq.importers.table import Note, printable
 from daq.importers.units import REVOLUTE
 from daq.recording.quality.stale_samples import stale_samples
 from daq.recording.recording import MOTOR_SIGNALS
-from daq.recording.repairs import DROP_DUPLICATES, DROP_NAN, DROP_REPEATS, OPPOSITE_TORQUE, SORT
+from daq.recording.repairs import (
+    DROP_DUPLICATES,
+    DROP_NAN,
+    DROP_REPEATS,
+    OPPOSITE_TORQUE,
+    SORT,
+    UNWRAP,
+    counter_range,
+    unwrapped,
+)
 from daq.recording.unit_plausibility import near
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError
 from drivers.core.ranges import SAMPLING_RATE
+
+COARSE = 0.4
+"""Share of the samples that repeat a stamp from which on the clock is coarser than the samples."""
 
 RESTART_RUN = 50
 """So many samples that rise in order, all before a stamp already passed, are a second run and not a late message."""
@@ -120,6 +132,17 @@ def _culprit(samples: ImportedSamples, index: int) -> str:
 def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> ImportedSamples:
     steps = np.diff(samples.time)
     backward = np.flatnonzero(steps < 0) + 1
+    if len(backward) and (found := counter_range(samples.time, int(backward[0]))) is not None:
+        first = int(backward[0])
+        if UNWRAP not in choices.repair:
+            raise ImportFileError(
+                f"time goes backward by {found:.6g} s, at the end of a counter's range",
+                where=sample_place(samples, first, where),
+                hint=f"let the stamps go on: --repair {UNWRAP}, in Python repair=['{UNWRAP}']",
+            )
+        text = f"{UNWRAP}: the counter of the stamps began anew {len(backward)} times, first at sample {first}"
+        samples = replace(samples, time=unwrapped(samples.time), notes=(*samples.notes, Note("warning", text)))
+        backward = np.flatnonzero(np.diff(samples.time) < 0) + 1
     if len(backward):
         first = int(backward[0])
         back = float(samples.time[first - 1] - samples.time[first])
@@ -145,10 +168,16 @@ def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
         first = int(repeated[0])
         count = len(samples.time)
         if DROP_DUPLICATES not in choices.repair:
+            hint = f"keep the first of each: --repair {DROP_DUPLICATES}, in Python repair=['{DROP_DUPLICATES}']"
+            if len(repeated) >= COARSE * count and (span := float(np.ptp(samples.time))) > 0:
+                hint = (
+                    f"the clock is coarser than the samples: leave its column out and give their rate, about --rate "
+                    f"{(count - 1) / span:.4g}; or {hint}"
+                )
             raise ImportFileError(
                 f"{len(repeated)} of {count} samples repeat the stamp before them, first {samples.time[first]:.9g} s",
                 where=sample_place(samples, first, where),
-                hint=f"keep the first of each: --repair {DROP_DUPLICATES}, in Python repair=['{DROP_DUPLICATES}']",
+                hint=hint,
             )
         keep = np.setdiff1d(np.arange(count), repeated)
         if len(keep) < 2:

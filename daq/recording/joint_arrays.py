@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from daq.recording.repairs import counter_range
 from daq.recording.unit_plausibility import DEGREES, displacement_ratios, near, other_unit
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
@@ -142,8 +143,18 @@ def _check_time(clock: str, time: FloatArray) -> None:
             clock,
             f"{'repeats the stamp before' if repeats else 'goes backward'} at sample {first} ({time[first]:.9g} s), "
             f"{len(wrong)} times in all",
-            "keep the first of each" if repeats else "sort all arrays by time, or give each run as its own recording",
+            _remedy(time, first, repeats),
         )
+
+
+def _remedy(time: FloatArray, sample: int, repeats: bool) -> str:
+    """What to do about a stamp that does not rise."""
+    if repeats:
+        return "keep the first of each"
+    found = counter_range(time, sample)
+    if found is not None:
+        return f"the counter began anew: add its range of {found:.6g} s from there on"
+    return "sort all arrays by time, or give each run as its own recording"
 
 
 def _check_units(robot_file: RobotFile, time: FloatArray, values: Mapping[str, FloatArray]) -> None:

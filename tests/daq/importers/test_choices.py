@@ -207,3 +207,13 @@ def test_the_sign_of_all_torques_is_changed_when_asked_for(tmp_path: Path, robot
     np.testing.assert_array_equal(content(recording)["torque"], -3.0 * arrays["q"])
     np.testing.assert_array_equal(content(recording)["position"], arrays["q"])
     assert "warning: opposite-torque: the sign of torque, current was changed" in messages(recording)
+
+
+def test_stamps_of_a_counter_that_began_anew_go_on_when_asked(tmp_path: Path, robot: RobotFile) -> None:
+    arrays = samples(60)
+    counter = np.round(arrays["t"] * 1e6) + 2**32 - 50_000
+    path = write_npz(tmp_path, {**arrays, "t": counter % 2**32 * 1e-6})
+    recording = import_file(path, robot, ImportChoices(repair=frozenset({"unwrap"})))
+    time = content(recording)["time"]
+    np.testing.assert_allclose(time - time[0], arrays["t"] - arrays["t"][0], atol=1e-5)
+    assert "warning: unwrap: the counter of the stamps began anew 1 times" in messages(recording)

@@ -190,6 +190,12 @@ ARRAYS = [
         "sample 200: time jumps back by 1.592 s.*two runs in one file",
         ImportChoices(repair=frozenset({"sort"})),
     ),
+    Refused(
+        "counter of 32 bits",
+        npz(t=np.arange(2**32 - 100_000, 2**32 + 100_000, 1000) % 2**32 * 1e-6, q=Q),
+        "sample 100: time goes backward by 4294.97 s, at the end of a counter.*--repair unwrap",
+    ),
+    Refused("coarse clock", npz(t=np.floor(TIME / 0.04) * 0.04, q=Q), "leave its column out and give their rate"),
     Refused("nan", npz(t=TIME, q=spoilt(Q, (7, 2), np.nan)), "sample 7: 1 of 200 samples.*position of wrist"),
     Refused(
         "all nan",
