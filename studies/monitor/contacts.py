@@ -46,7 +46,6 @@ MULTIPLES = (0.6, 0.8, 1.0, 1.2, 1.5, 2.0)
 KINDS: tuple[Kind, ...] = ("momentum", "direct", "kalman")
 ROBOT = load_robot("ur5e")
 ARM = build_model(ROBOT)
-TOOL = np.array(ROBOT.robot.workspace.tool)
 
 
 def run(seed: int, duration: float = DURATION, contact: str = "") -> JointSamples:
@@ -66,37 +65,38 @@ MODEL: list[Model] = []
 
 
 def pushed(
-    samples: JointSamples, thresholds: Thresholds, multiple: float, generator: np.random.Generator
+    model: Model, samples: JointSamples, thresholds: Thresholds, multiple: float, generator: np.random.Generator
 ) -> tuple[JointSamples, list[tuple[int, LabelledContact]]]:
     """The samples with forces added to the torques: a multiple of the smallest that is stated for the moment's pose and
     way of motion; and for each push its link and when it was."""
-    places = LinkJacobians(ARM)
+    arm, tool = model.dynamics.model, np.array(model.stored.robot_file.robot.workspace.tool)
+    places = LinkJacobians(arm)
     velocity = np.gradient(samples.position, samples.time, axis=0)
-    ways, _ = thresholds.ways.of(velocity, np.full(len(ROBOT.robot.joints), np.inf))
+    ways, _ = thresholds.ways.of(velocity, np.full(arm.dof, np.inf))
     torque, contacts = samples.torque.copy(), []
-    directions = [(link, axis, sign) for link in range(1, 6) for axis in range(3) for sign in (1.0, -1.0)]
+    directions = [(link, axis, sign) for link in range(1, len(arm.joints)) for axis in range(3) for sign in (1.0, -1.0)]
     starts = np.arange(1.0, samples.time[-1] - samples.time[0] - 1.0, EVERY)
     order = generator.permutation(len(starts))
     for number, start in zip(order, starts, strict=True):
         link, axis, sign = directions[number % len(directions)]
         first = int(np.searchsorted(samples.time, samples.time[0] + start))
         places.move(samples.position[first])
-        lever = places.jacobian(link, link_end(ARM, link, TOOL))[:3]
-        needed = (thresholds.level[ways[first]] + SURELY) * thresholds.spread[ways[first], np.arange(ARM.dof)]
+        lever = places.jacobian(link, link_end(arm, link, tool))[:3]
+        needed = (thresholds.level[ways[first]] + SURELY) * thresholds.spread[ways[first], np.arange(arm.dof)]
         size = force_noticed(np.abs(lever), needed)[axis]
         if not np.isfinite(size):
             continue
-        last = first + round(PUSH * RATE)
+        last = first + round(PUSH / thresholds.period)
         for row in range(first, last):
             places.move(samples.position[row])
-            torque[row] -= multiple * sign * size * places.jacobian(link, link_end(ARM, link, TOOL))[axis]
+            torque[row] -= multiple * sign * size * places.jacobian(link, link_end(arm, link, tool))[axis]
         contacts.append((link, LabelledContact(float(samples.time[first]), float(samples.time[last]))))
     return replace(samples, torque=torque), contacts
 
 
-def delays(samples: JointSamples, thresholds: Thresholds, contacts: list[LabelledContact]) -> FloatArray:
+def delays(model: Model, samples: JointSamples, thresholds: Thresholds, contacts: list[LabelledContact]) -> FloatArray:
     """Time [s] from each contact's start to the first sample over its threshold; inf where there is none."""
-    watched = Monitor(MODEL[0], thresholds, load=False)
+    watched = Monitor(model, thresholds, load=False)
     residuals = watched.add(samples)
     stamps = residuals.intervals.time[residuals.ratio > 1.0] + watched.lag
     found = []
@@ -128,8 +128,8 @@ def main() -> None:
         generator = np.random.default_rng(1)
         late = []
         for samples in others[:4]:
-            with_force, contacts = pushed(samples, thresholds[kind], 2.0, generator)
-            late.append(delays(with_force, thresholds[kind], [contact for _, contact in contacts]))
+            with_force, contacts = pushed(model, samples, thresholds[kind], 2.0, generator)
+            late.append(delays(model, with_force, thresholds[kind], [contact for _, contact in contacts]))
         delay = np.concatenate(late)
         forces = forces_noticed(model, thresholds[kind], quiet[0][1].position[::400])[-1].moving
         print(
@@ -147,8 +147,8 @@ def main() -> None:
         generator = np.random.default_rng(2)
         late = []
         for samples in others[:2]:
-            with_force, contacts = pushed(samples, thresholds[kind], multiple, generator)
-            late.append(delays(with_force, thresholds[kind], [contact for _, contact in contacts]))
+            with_force, contacts = pushed(model, samples, thresholds[kind], multiple, generator)
+            late.append(delays(model, with_force, thresholds[kind], [contact for _, contact in contacts]))
         shares.append(float(np.mean(np.isfinite(np.concatenate(late)))))
         print(f"| {multiple:g} | {100 * shares[-1]:.1f} |", flush=True)
     print(f"\n95 % are found at {np.interp(0.95, shares, MULTIPLES):.2f} times the stated force.\n")
@@ -172,7 +172,7 @@ def compare(runs: list[JointSamples], thresholds: Thresholds) -> None:
     ratios: dict[str, list[FloatArray]] = {}
     stamps, contacts, hours, shift = [], [], 0.0, 0.0
     for samples in runs:
-        with_force, labelled = pushed(samples, thresholds, 2.0, generator)
+        with_force, labelled = pushed(MODEL[0], samples, thresholds, 2.0, generator)
         residuals = Monitor(MODEL[0], thresholds, load=False).add(with_force)
         stamps.append(residuals.intervals.time + shift)
         contacts += [LabelledContact(one.start + shift, one.end + shift) for _, one in labelled]

@@ -112,6 +112,25 @@ def test_an_option_goes_before_the_files_limit(monkeypatch, capsys, folder):
     assert criteria["consistent"]["passed"] is True
 
 
+def test_monitor_watches_a_recording_and_writes_a_page(monkeypatch, capsys, folder):
+    (folder / "labels.csv").write_text("start,end\n2,2.5\n")
+    quiet = ("--quiet", "run.h5", "--quiet", "val.h5", "--bandwidth", "45", "--false-alarms", "100")
+    arguments = ("monitor", "--replay", "val.h5", "--model", "model", *quiet, "--contacts", "labels.csv")
+    status, out, err = run(monkeypatch, capsys, folder, *arguments, "--page", "contacts.html")
+    assert status == 0, err
+    assert "Smallest force noticed" in out
+    assert "torque of the drives, one threshold per joint" in out
+    assert "no safety function" in out
+    assert "External torque" in (folder / "contacts.html").read_text(encoding="utf-8")
+    status, out, _ = run(monkeypatch, capsys, folder, *arguments, "--json")
+    assert status == 0
+    told = json.loads(out)
+    assert told["contacts"] == []
+    assert told["observer"] == "direct"
+    assert len(told["detectors"]["external torque, earned thresholds"]["roc"]) == 60
+    assert set(told["smallest_force"]) == set(dynid.load_model(folder / "model").joint_names)
+
+
 def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
     status, out, _ = run(monkeypatch, capsys, folder, "diff", "model", "model")
     assert status == 0
@@ -130,6 +149,13 @@ def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
     [
         (["diff", "model", "nowhere"], "nowhere: no such file"),
         (["diff", "limits.yaml", "model"], "is not JSON"),
+        (["monitor", "--model", "model", "--replay", "val.h5"], "10 s without contact are too short for 1 false"),
+        (["monitor", "--model", "model", "--replay", "run.h5", "--quiet", "val.h5", "--false-alarms", "0"], "1/h"),
+        (["monitor", "--model", "model"], "give either a robot"),
+        (["monitor", "--model", "model", "--replay", "val.h5", "--yes"], "--yes is for watching live"),
+        (["monitor", "ur5e", "--model", "model"], "the robot file is of ur5e with joints"),
+        (["monitor", "ur5e", "--model", "model", "--stop-on-contact"], "ends only a motion that dynid plays"),
+        (["monitor", "ur5e", "--model", "model", "--page", "contacts.html"], "are for --replay"),
         (["predict", "nowhere", "val.h5"], "nowhere: no such file"),
         (["predict", "model", "nowhere.h5"], "nowhere.h5: no such file"),
         (["predict", "model", "limits.yaml"], "is not an HDF5 file"),

@@ -32,6 +32,8 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.report import ReportData, TruthTable, write_result_folder
+from ident.report.monitor_page import write_monitor_page
+from ident.result.tables import table_of_rows
 from ident.tasks.history import History
 from ident.tasks.identification import identify
 from ident.tasks.loads import drive_gains, payload
@@ -112,6 +114,15 @@ def friction_page(folder: Path) -> Path:
     return folder / REPORT_FILE
 
 
+def monitor_page(folder: Path) -> Path:
+    time, joints = 0.01 * np.arange(2000), np.arange(6.0)
+    external, threshold = np.sin(time[:, None] + joints), np.full((2000, 6), 1.5)
+    table = table_of_rows("Contacts", [("time", "s"), ("joint", "")], [(1.0, "elbow_joint"), (2.0, "wrist_1_joint")])
+    page = folder / "contacts.html"
+    write_monitor_page(page, load_robot(ARM).robot, "run.h5", [table], ["direct observer"], (time, external, threshold))
+    return page
+
+
 def history_page(folder: Path) -> Path:
     path, page = folder / "arm.db", folder / "history.html"
     add_entries(path, worn_arm(1, 60, dict.fromkeys(("Fs1", "Fs2", "Fs3"), 0.2), step=0.3))
@@ -128,6 +139,7 @@ PAGES: dict[str, Callable[[Path], Path]] = {
     "gains": gains_page,
     "friction": friction_page,
     "history": history_page,
+    "monitor": monitor_page,
 }
 """What writes each page into a folder; a new page is one line here."""
 
