@@ -12,7 +12,7 @@ from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, REALTIME, takes
 from daq.commands.record import SessionOptions
 from drivers.core.errors import UsageError
-from drivers.core.options import argument, option, same_named
+from drivers.core.options import argument, flag_of, option, same_named
 from ident.tasks.options import DetectionOptions
 
 if TYPE_CHECKING:
@@ -90,10 +90,6 @@ def monitor_command(
     if contacts is not None or page is not None:
         raise UsageError("--contacts and --page are for --replay")
     _live(model, options, detection, force=force, realtime=realtime, shown=not (no_ui or as_json), as_json=as_json)
-
-
-LIVE_ALONE = tuple(of.name for of in fields(LiveOptions) if of.name != "robot")
-"""Options without a meaning for a recording."""
 
 
 def _live(
