@@ -8,7 +8,7 @@ WORKERS ?= 2
 REALTIME ?= 60
 SOAK ?= 600
 
-.PHONY: demo test coverage lint format bench realtime soak studies-check house docs clean
+.PHONY: demo test coverage lint format bench realtime soak studies-check house docs wheel sbom clean
 
 demo: $(INSTALLED)
 	$(BIN)/dynid demo --out demo --force
@@ -59,6 +59,19 @@ house: $(INSTALLED)
 docs: $(INSTALLED)
 	$(BIN)/python -m pip install -q -c constraints.txt -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
+
+# Wheel and sdist in dist/, checked as a user meets them: the wheel alone in a fresh environment runs the demo.
+wheel: $(INSTALLED)
+	rm -rf dist build/wheel
+	$(BIN)/python -m pip install -q -c constraints.txt build
+	$(BIN)/python -m build --outdir dist
+	$(PYTHON) -m venv build/wheel
+	build/wheel/bin/pip install -q -c constraints.txt dist/*.whl
+	cd build/wheel && bin/dynid demo --out demo --force
+
+# What is installed, with versions and licences, as CycloneDX: from the environment alone, without a network.
+sbom: $(INSTALLED)
+	$(BIN)/python -m studies.sbom > build/sbom.json
 
 clean:
 	rm -rf $(VENV) demo build *.egg-info

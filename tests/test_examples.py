@@ -105,8 +105,8 @@ def test_the_robot_file_of_the_docs_is_valid():
     assert base_parameters(build_model(robot)).count > 0
 
 
-OF_OTHER_PROGRAMS = {"--bin", "--no-compile", "--no-deps", "--strict", "--write"}
-"""Options of pip and of studies."""
+OF_OTHER_PROGRAMS = {"--bin", "--device", "--network", "--no-compile", "--no-deps", "--rm", "--strict", "--write"}
+"""Options of pip, Docker and of studies."""
 
 
 def test_options_named_in_the_docs_exist():
