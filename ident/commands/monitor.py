@@ -80,11 +80,9 @@ def monitor_command(
         raise UsageError("give either a robot, to watch it live, or --replay RECORDING")
     detection = same_named(options, DetectionOptions)
     if options.robot is None:
-        stray = [flag for flag in LIVE_ALONE if getattr(options, flag) not in (None, False, "", 1.0)]
-        if stray:
-            raise UsageError(
-                f"--{stray[0].replace('_', '-')} is for watching live", hint="name the robot, not --replay"
-            )
+        for of in fields(LiveOptions):
+            if getattr(options, of.name) != of.default:
+                raise UsageError(f"{flag_of(of)} is for watching live", hint="name the robot")
         _replay(model, replay, contacts, detection, page, force=force, as_json=as_json)
         return
     if contacts is not None or page is not None:
