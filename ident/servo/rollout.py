@@ -144,10 +144,13 @@ def roll_out(
     path, velocities = np.empty((count, width)), np.empty((count, width))
     contact = None if surface is None or lanes.touch is None else _Surface(lanes, lanes.touch, surface)
     force = np.zeros((count, 0 if contact is None else contact.pieces))
+    present = _Present.of(p)
     for index in range(count):
         path[index], velocities[index] = position, velocity
         error = goals[index] - position - p["bias"]
-        step = _step(h, p, inertia[index], resistance[index], lanes.load[index], offset[index], error, velocity)
+        step = _step(
+            h, p, inertia[index], resistance[index], lanes.load[index], offset[index], error, velocity, present
+        )
         if contact is not None:
             step = contact.pushed(step, index, position, force[index])
         velocity = step.velocity
@@ -156,6 +159,28 @@ def roll_out(
         return path, np.zeros((0, count, width)), force
     step = _step(h, p, inertia, resistance, lanes.load, offset, goals - path - p["bias"], velocities)
     return path, _tangents(lanes, p, rows, inertia, step, velocities, d_goals), force
+
+
+class _Present(NamedTuple):
+    """Which optional terms some lane has; the others are not computed, step by step."""
+
+    dead_band: bool = True
+    limit: bool = True
+    load: bool = True
+    breakaway: bool = True
+
+    @classmethod
+    def of(cls, p: dict[str, FloatArray]) -> _Present:
+        """The terms that parameters have."""
+        return cls(
+            bool(np.any(p["dead_band"])),
+            bool(np.any(p["torque_limit"] < TERMS[INDEX["torque_limit"]].absent)),
+            bool(np.any(p["load_friction"])),
+            bool(np.any(p["breakaway"]) or np.any(p["load_breakaway"])),
+        )
+
+
+_ALL = _Present()
 
 
 class _Step(NamedTuple):
@@ -184,21 +209,35 @@ def _step(
     offset: FloatArray,
     error: FloatArray,
     velocity: FloatArray,
+    present: _Present = _ALL,
 ) -> _Step:
     """A step of h [s], or all steps of a path, from position errors and velocities (…, L) before it.
 
-    `resistance` is the inertia with what damping adds in a step; `offset` the load that the encoder's zero adds.
+    `resistance` is the inertia with what damping adds in a step; `offset` the load that the encoder's zero adds. What
+    the derivatives need of terms that are not `present` has no meaning.
     """
-    outside, side = np.abs(error) > p["dead_band"], np.sign(error)
-    linear = p["stiffness"] * np.where(outside, error - side * p["dead_band"], 0.0)
-    torque = np.minimum(np.maximum(linear, -p["torque_limit"]), p["torque_limit"])
-    acting = np.where(outside & (torque == linear), p["stiffness"], 0.0)
+    if present.dead_band:
+        outside, side = np.abs(error) > p["dead_band"], np.sign(error)
+        linear = p["stiffness"] * np.where(outside, error - side * p["dead_band"], 0.0)
+    else:
+        outside, side, linear = error != 0.0, error, p["stiffness"] * error
+    if present.limit:
+        torque = np.minimum(np.maximum(linear, -p["torque_limit"]), p["torque_limit"])
+        acting = np.where(outside & (torque == linear), p["stiffness"], 0.0)
+    else:
+        torque, acting = linear, p["stiffness"] * outside
     divisor = resistance + h * h * acting
     momentum = inertia * velocity + h * (torque - load - offset)
-    loaded = np.abs(torque)
-    static = p["breakaway"] + p["load_breakaway"] * loaded
-    faded = np.exp(-((velocity / p["stribeck_velocity"]) ** 2))
-    friction = h * (p["coulomb"] + p["load_friction"] * loaded + static * faded)
+    loaded = np.abs(torque) if present.load or present.breakaway else torque
+    friction = p["coulomb"]
+    if present.load:
+        friction = friction + p["load_friction"] * loaded
+    static = faded = velocity
+    if present.breakaway:
+        static = p["breakaway"] + p["load_breakaway"] * loaded
+        faded = np.exp(-((velocity / p["stribeck_velocity"]) ** 2))
+        friction = friction + static * faded
+    friction = h * friction
     moving, direction = np.abs(momentum) > friction, np.sign(momentum)
     after = np.where(moving, (momentum - direction * friction) / divisor, 0.0)
     return _Step(outside, side, torque, acting, divisor, faded, static, momentum, friction, moving, direction, after)
