@@ -24,9 +24,7 @@ WEIGHTLESS = ("shoulder_pan", "gripper")
 
 @pytest.fixture(scope="module")
 def model() -> dynid.ServoModel:
-    run, other = (
-        dynid.simulate_servo("so101", duration=duration, seed=seed) for duration, seed in ((30.0, 1), (12.0, 2))
-    )
+    run, other = (dynid.simulate_servo("so101", duration=30.0, seed=seed) for seed in (1, 2))
     return dynid.identify_servo(run, validation=other)
 
 
