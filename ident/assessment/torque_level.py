@@ -118,6 +118,7 @@ def weight_checks(
     parameters: FloatArray,
     position: FloatArray,
     apparent: float | None = None,
+    torque: FloatArray | None = None,
 ) -> list[Check]:
     """Whether gravity's part of the torque is that of a mass that no arm of this size, or with these limits, has.
 
@@ -128,17 +129,18 @@ def weight_checks(
         parameters: (b,) their values, of bodies that can exist where there are such.
         position: (n, N) that the arm was in [rad or m].
         apparent: mass that the torques show [kg], where they show one.
+        torque: (N, n) at the joints, as recorded [N·m or N].
     """
     few = position[:, :: max(1, position.shape[1] // GRAVITY_INSTANTS)]
     still = np.zeros_like(few)
     inertial = [column for column, kind in enumerate(base.kinds) if kind == "inertial"]
     kernel = RegressorKernel(model, [base.columns[column] for column in inertial])
     rows = dense_regressor(kernel, few, still, still)
-    torque = np.einsum("nbN,b->nN", rows, parameters[inertial])
+    weight = np.einsum("nbN,b->nN", rows, parameters[inertial])
     turning = [row for row, joint in enumerate(model.active) if not model.joints[joint].prismatic]
-    if not turning or not torque.size:
+    if not turning or not weight.size:
         return []
-    peak = np.max(np.abs(torque), axis=1)
+    peak = np.max(np.abs(weight), axis=1)
     strongest = max(turning, key=lambda row: float(peak[row]))
     mass = mass_of_length(_length(model), part_of_arm(model))
     shown = float(peak[strongest]) / (CENTRE * STANDARD_GRAVITY * _length(model) / LENGTHS_PER_REACH)
@@ -155,8 +157,10 @@ def weight_checks(
     # Gravity shows at no joint of a vertical axis: a SCARA carries its weight with its slide alone.
     carrying = np.max(np.abs(rows), axis=(1, 2), initial=0.0) > NOTHING
     shares = {row: float(peak[row]) / limit for row, limit in limits.items() if carrying[row]}
-    if not shares or len({limits[row] for row in turning if row in limits}) < 2:  # equal limits are placeholders
+    if len({limits[row] for row in turning if row in limits}) < 2:  # equal limits are placeholders
         return []
+    if not shares:
+        return _weightless_checks(robot, model, base, parameters, torque)
     most = max(shares, key=lambda row: shares[row])
     name, share = model.joint_names[most], percent_text(shares[most], 2)
     if most in turning and shares[most] > HOLDS and model.transmission.direct:  # else motors share a load
@@ -187,6 +191,25 @@ def _small_beside(gravity: float, expected: float, apparent: float | None, frict
     elif friction is not None and HARDLY[0] < gravity < HARDLY[1] and friction < SMOOTH:
         return f"Coulomb friction {percent_text(friction, 2)}, where gears take 4 % and more"
     return ""
+
+
+def _weightless_checks(
+    robot: Robot, model: DynamicModel, base: BaseParameters, parameters: FloatArray, torque: FloatArray | None
+) -> list[Check]:
+    """Whether an arm whose joints show no weight uses next to nothing of its torque limits, with friction as small."""
+    limits = np.array([np.nan if joint.torque is None else joint.torque for joint in robot.joints])
+    friction = _largest_friction(robot, model, base, parameters)
+    if torque is None or friction is None or friction >= SMOOTH:
+        return []
+    used = float(np.max(np.quantile(np.abs(torque), PEAK, axis=0) / limits))
+    if used >= LITTLE:
+        return []
+    text = (
+        f"torques reach {percent_text(used, 2)} of the limits at most, and Coulomb friction "
+        f"{percent_text(friction, 2)}, where gears take 4 % and more: check the unit of torque or current, and the "
+        "drive gains (left at 1 they give amperes)"
+    )
+    return [raised("torque-far-below-limits", text)]
 
 
 def _largest_friction(robot: Robot, model: DynamicModel, base: BaseParameters, parameters: FloatArray) -> float | None:

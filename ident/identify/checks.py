@@ -93,16 +93,21 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     checks += [] if exchanged else levels
     checks += delay_checks(identification.delay)
     checks += cutoff_checks(identification.lowered)
-    checks += [] if unsound or any(one.severity == "serious" for one in mistakes) else burst_checks(identification)
+    clipped = {joint for check in checks if check.name == "signal-clipped" for joint in check.joints}
+    named_already = unsound or bool(clipped) or any(one.severity == "serious" for one in mistakes)
+    checks += [] if named_already else burst_checks(identification)
     checks += _size_checks(identification)
     checks += _convergence_checks(identification)
     checks += _experiment_checks(identification)
     checks += _excitation_checks(identification)
     checks += sign_checks(identification.base, identification.solution.parameters, identification.std)
     idle = _idle_joint_checks(identification)
-    # Static friction of resting joints looks like a number of the robot file that is off.
+    # Static friction of resting joints, or a torque that is cut off, looks like a number of the robot file that is off.
     model_errors = ("inconsistent-gain", "inconsistent-length", "joint-zero", "gravity-direction")
-    checks += [*idle, *(one for one in mistakes if not idle or one.name not in model_errors)]
+    checks += idle
+    checks += [
+        one for one in mistakes if one.name not in model_errors or not (idle or clipped.intersection(one.joints))
+    ]
     checks += _reversal_checks(identification)
     share = _indefinite_share(identification)
     if share > 0:
@@ -235,6 +240,7 @@ def _weight_checks(identification: Identification) -> list[Check]:
         parameters,
         position,
         None if consistent is None else consistent.parameters.apparent_mass,
+        np.concatenate([run.signals.torque for run in identification.runs]),
     )
 
 

@@ -27,6 +27,9 @@ FASTEST = 2.0
 STEPS = 10.0
 """Encoder steps of a jump at least."""
 
+SLOW = 3.0
+"""Encoder steps per sample below which a joint that moves stands still for some samples."""
+
 UNEVEN = 5.0
 """Departure from the changes on both sides, over the usual one there, which shows that another joint jumps, too."""
 
@@ -99,7 +102,8 @@ def position_jumps(
         least = np.maximum(LARGER * others.max(axis=1), STEPS * step)
         jumps[inner, column] = own[inner] > np.maximum(least, FASTEST * np.quantile(own, 0.95))
         # Rows that were not read anew for a while end in a jump, too.
-        jumps[inner, column] &= (others[:, :AROUND].max(axis=1) > 0) == (others[:, AROUND:].max(axis=1) > 0)
+        stood = (others[:, :AROUND].max(axis=1) > 0) != (others[:, AROUND:].max(axis=1) > 0)
+        jumps[inner, column] &= ~stood | (others.max(axis=1) < SLOW * step)
         signed = sliding_window_view(moved[:, column], 2 * AROUND + 1)
         usual = np.abs(np.diff(signed, axis=1))
         usual = np.delete(usual, [AROUND - 1, AROUND], axis=1).max(axis=1)
