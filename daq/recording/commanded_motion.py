@@ -95,7 +95,7 @@ def command_stream(recording: Recording) -> Stream | None:
     """The stream that holds the commanded positions: that of the commands, else that of the joints; None without."""
     for name in (COMMANDS_STREAM, JOINTS_STREAM):
         stream = recording.streams.get(name)
-        if stream is not None and TARGET in stream.channels:
+        if stream is not None and TARGET in stream.channels and len(stream.time):  # none sent: a motion was refused
             return stream
     return None
 

@@ -14,7 +14,7 @@ import numpy as np
 from simulated_clock import SimulatedClock
 from unchecked import unchecked_play
 
-from daq.motion.trajectories import slow_move
+from daq.motion.trajectories import Motion, slow_move
 from daq.recording.recorder import Recorder
 from daq.robot.loader import RobotFile, parse_robot
 from daq.session.connections import driver_settings
@@ -112,13 +112,15 @@ class MotorBench:
         finally:
             driver.close()
 
-    def session(
-        self, path: Path, to: np.ndarray | None = None, duration: float | None = None, **more: object
-    ) -> SessionReport:
-        """Record as `dynid record` does: a slow way to a position and back, or only `duration` [s]."""
+    def session(self, path: Path, to: np.ndarray | None = None, duration: float | None = None) -> SessionReport:
+        """Record as `dynid record` does: a slow way to a position, or only `duration` [s]."""
+        return self.play(path, None if to is None else slow_move(START, to, robot_file().robot.joints, 0.3), duration)
+
+    def play(self, path: Path, motion: Motion | None, duration: float | None = None) -> SessionReport:
+        """Record a motion, or only `duration` [s]."""
         robot = robot_file().robot
-        play = None if to is None else unchecked_play(slow_move(START, to, robot.joints, share=0.3), robot)
-        with self.opened(**({} if play else {"read_only": True}), **more) as driver:
+        play = None if motion is None else unchecked_play(motion, robot)
+        with self.opened(**({} if play else {"read_only": True})) as driver:
             layouts = driver.streams()
             supervisor = Supervisor(Limits.of_robot(robot), layouts)
             recorder = Recorder(path, robot_file(), layouts, trajectory="played" if play else "", clock=self.clock)

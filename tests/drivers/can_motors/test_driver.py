@@ -7,9 +7,13 @@ import pytest
 from motor_bench import JOINTS, START, WIRES, motors, robot_file
 from simulated_clock import SimulatedClock
 
+from daq.motion.trajectories import FourierSeries, RestToRest
 from daq.recording.commanded_motion import commanded_motion
+from daq.recording.quality.stale_samples import stale_rows
 from daq.recording.reader import read_recording
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from ident.identify.identification import IdentifyChoices
+from ident.identify.identify import identify
 from sim_drivers.faults import Fault, parse_fault
 
 GOAL = START + [0.8, -0.6]
@@ -84,6 +88,37 @@ def test_nothing_drives_where_the_arm_is_only_recorded(clock: SimulatedClock, tm
             assert report.stopped_by is None
             assert not any(motor.enabled or motor._registers for motor in bench.server.motors)
             assert read_recording(tmp_path / f"{wire}.h5").streams.keys() == {"joints"}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("estimate_alone")
+def test_from_the_bus_to_a_model(clock: SimulatedClock, tmp_path):
+    """A recorded motion gives a model whose torque is that of another motion, and the simulated arm's weight."""
+    runs = []
+    for seed in (1, 2):
+        draw = 0.3 * np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 2, 3)) / [1.0, 1.5, 2.0]
+        series = FourierSeries.from_position_amplitudes(3.0, np.array([-1.3, 0.2]), *draw)
+        with motors(clock, "moteus") as bench:
+            report = bench.play(tmp_path / f"{seed}.h5", RestToRest(series, 1, 0.5))
+        assert (report.stopped_by, report.lost["joints"]) == (None, 0)
+        runs.append(read_recording(tmp_path / f"{seed}.h5"))
+    found = identify(runs[:1], runs[1:], IdentifyChoices())
+    assert found.validation.relative_error < 0.06
+    # First moments of both links about their joints, and with them their weights: m·c of bend is 0.5·0.1 kg·m.
+    named = dict(zip(found.base.names, found.solution.parameters, strict=True))
+    print(named)
+    (moment,) = [value for name, value in named.items() if name.startswith("mx_bend")]
+    assert moment == pytest.approx(0.05, rel=0.1)
+
+
+def test_a_motion_that_was_refused_leaves_a_file_without_commands(clock: SimulatedClock, tmp_path):
+    with motors(clock) as bench:
+        report = bench.session(tmp_path / "run.h5", np.array([-2.5, 0.0]))
+    assert "passes its limit" in str(report.stopped_by)
+    run = read_recording(tmp_path / "run.h5")
+    stale = stale_rows(run)
+    assert stale is not None
+    assert not stale.repeated.any()
 
 
 FAULTS = {
