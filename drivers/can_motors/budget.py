@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 
@@ -25,11 +26,12 @@ def motor_budget(settings: DriverSettings, family: str) -> Budget:
     """
     parsed = parse_settings(settings.connection, settings.joints, family)
     keys, codecs = parsed.keys, parsed.codecs()
-    sent = [frame for codec in codecs for frame in (codec.poll(read_only=True) if keys.read_only else codec.goal(0.0))]
-    sent += codecs[0].slow_poll()
-    # Each request of a remote frame has its answer, and so has each other frame of a family without those.
-    remote = any(identifier & REMOTE for identifier, _ in sent)
-    answers = sum(bool(identifier & REMOTE) for identifier, _ in sent) if remote else len(sent)
+    sent = [] if keys.read_only else [frame for codec in codecs for frame in codec.goal(0.0)]
+    answers = len(sent) if codecs[0].answers_goals else 0
+    if keys.read_only or parsed.between or not codecs[0].answers_goals:
+        polls = [frame for codec in codecs for frame in codec.poll(read_only=keys.read_only)]
+        polls += codecs[0].slow_poll()
+        sent, answers = sent + polls, answers + len(polls)
     extended = any(identifier & EXTENDED for identifier, _ in sent)
     if codecs[0].fd:
         speed_up = keys.data_bitrate / keys.bitrate
@@ -37,7 +39,8 @@ def motor_budget(settings: DriverSettings, family: str) -> Budget:
         def fd(meaning: str, count: int, size: int) -> FrameGroup:
             return FrameGroup(meaning, count, size, math.ceil(fd_frame_bits(size, speed_up)))
 
-        cycle = [fd("goals", len(sent), len(sent[0][1])), fd("answers", answers, FD_ANSWER)]
+        sizes = Counter(len(data) for _, data in sent)
+        cycle = [*(fd("commands", count, size) for size, count in sizes.items()), fd("answers", answers, FD_ANSWER)]
     else:
         cycle = [*_groups(sent), can_frames("answers", answers, FRAME_BYTES, extended=extended)]
     return Budget(keys.bitrate, keys.rate, tuple(cycle), worst=WORST)

@@ -22,8 +22,6 @@ ATTEMPTS = 3
 """So often a motor is asked before it counts as silent."""
 PATIENCE = 0.1
 """[s] that an answer to a single question is waited for."""
-SHARE = 0.9
-"""Of a period that the answers of a cycle are waited for, at most."""
 ALIKE = 1e-3
 """How far a register may be from what was written, as a share: floating-point numbers of 32 bits."""
 
@@ -141,8 +139,12 @@ class MotorBus:
         sender, _ = self._opened()
         return sender.send_all(frames)
 
-    def cycle(self, goals: FloatArray | None = None) -> Feedback:
+    def cycle(self, goals: FloatArray | None = None, patience: float = PATIENCE) -> Feedback:
         """Read all motors, sending them goals (n,) [rad of the motors] where they are given.
+
+        Args:
+            goals: of the motors.
+            patience: longest wait [s].
 
         Raises:
             ConnectionLostError: the adapter is gone, or carries nothing.
@@ -150,10 +152,24 @@ class MotorBus:
         read_only = self._settings.keys.read_only
         frames: list[CanFrame] = []
         for index, codec in enumerate(self.codecs):
-            frames += codec.poll(read_only=read_only) if goals is None else codec.goal(float(goals[index]))
+            frames += codec.goal(float(goals[index])) if goals is not None else ()
+            frames += codec.poll(read_only=read_only) if goals is None or not codec.answers_goals else ()
         self._turn = (self._turn + 1) % len(self.codecs)
         frames += self.codecs[self._turn].slow_poll()
-        return self.exchange(frames, SHARE / self._settings.keys.rate)
+        return self.exchange(frames, patience)
+
+    def send_goals(self, goals: FloatArray) -> None:
+        """Send all motors goals (n,) [rad of the motors], and read nothing.
+
+        Raises:
+            ConnectionLostError: the adapter is gone, or does not take them.
+        """
+        for index, codec in enumerate(self.codecs):
+            self._surplus[index] -= codec.answers_goals
+        frames = [frame for codec, goal in zip(self.codecs, goals, strict=True) for frame in codec.goal(float(goal))]
+        if self._returned is not None:
+            self._returned += frames
+        self.send(frames)
 
     def exchange(self, frames: Sequence[CanFrame], patience: float, of: int | None = None) -> Feedback:
         """Send frames and hear what the motors say, waiting until all have told everything.
@@ -169,8 +185,9 @@ class MotorBus:
         sender, receiver = self._opened()
         with self._lock:
             heard: list[set[str]] = [set() for _ in self._motors]
-            for _, identifier, data in receiver.take():  # late: of no row, but counted
-                self._owner(identifier, data)
+            late: list[set[str]] = [set() for _ in self._motors]
+            for _, identifier, data in receiver.take():  # too late for its row, but not for a fault
+                self._hear(identifier, data, late)
             for asked in range(len(self._motors)) if of is None else (of,):
                 self._surplus[asked] = max(self._surplus[asked] - 1, -MOST_AWAITED)
             if self._returned is not None:

@@ -76,6 +76,8 @@ class MotorCodec(ABC):
         times_out: whether a program can make it let go where commands fail to come.
         gains: whether kp and kd are sent, not configured in the motor.
         unasked: whether it may tell where it is without being asked.
+        answers_goals: whether it tells where it is after each goal.
+        apart: whether it can be read while it follows goals, not only by its answer to one.
         registers: name → number, of those that are read and written here.
     """
 
@@ -84,6 +86,8 @@ class MotorCodec(ABC):
     times_out: ClassVar[bool] = True
     gains: ClassVar[bool] = True
     unasked: ClassVar[bool] = False
+    answers_goals: ClassVar[bool] = True
+    apart: ClassVar[bool] = True
     registers: ClassVar[Mapping[str, int]] = {}
 
     def __init__(self, motor: MotorAddress) -> None:
@@ -99,7 +103,7 @@ class MotorCodec(ABC):
 
     @abstractmethod
     def goal(self, position: float) -> Sequence[CanFrame]:
-        """Frames by which it goes to a position [rad] and tells the same."""
+        """Frames by which it goes to a position [rad]."""
 
     @abstractmethod
     def enable(self) -> Sequence[CanFrame]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drivers.can_motors.bus import Feedback, MotorBus
+from drivers.can_motors.bus import PATIENCE, Feedback, MotorBus
 from drivers.can_motors.settings import CanMotorSettings
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
@@ -20,7 +20,7 @@ STOP_LIMIT = 2.0
 """How long [s] an arm may take to come to rest."""
 STOP_SENDINGS = 3
 """So often a stop is sent: nobody confirms it."""
-ENABLING = 0.3
+ENABLING = 0.5
 """How long [s] motors may take until they obey."""
 
 
@@ -34,6 +34,7 @@ class MotorControl:
 
     Attributes:
         active: whether the motors were made to obey, and not yet stopped.
+        obeying: whether all showed that they do.
         goal: (n,) joint position that was commanded last [rad]; None before.
         commanded: when that was [s, host's monotonic clock].
         sent: goals when they were sent, since they were taken: (when [s, host's monotonic clock], (n,) [rad]).
@@ -43,7 +44,7 @@ class MotorControl:
     def __init__(self, bus: MotorBus, settings: CanMotorSettings, clock: Clock) -> None:
         self._bus, self._settings, self._clock = bus, settings, clock
         self._motors = settings.motors
-        self.active = False
+        self.active = self.obeying = False
         self.goal: FloatArray | None = None
         self.commanded = -np.inf
         self.sent: deque[tuple[float, FloatArray]] = deque()
@@ -73,8 +74,7 @@ class MotorControl:
             self._bus.send(codec.enable())
         end = self._clock.now() + ENABLING
         while True:
-            begun = self._clock.now()
-            states = self.send_goal().states
+            states = self.cycle().states
             lazy = [m.name for k, m in enumerate(self._motors) if k not in states or states[k].enabled is False]
             if not lazy:
                 break
@@ -83,7 +83,8 @@ class MotorControl:
                     f"{', '.join(lazy)} did not begin to obey within {ENABLING:g} s",
                     hint="power, calibration of the motor, and what its own tool says of it",
                 )
-            self._clock.sleep_until(begun + 1.0 / self._settings.keys.rate)
+            self._clock.sleep(ENABLING / 25.0)
+        self.obeying = True
 
     def command(self, target: FloatArray) -> None:
         """Take a goal (n,) [rad], which the next cycle sends at once.
@@ -102,20 +103,25 @@ class MotorControl:
         self.goal, self.commanded = target.copy(), self._clock.now()
         self.fresh()
 
-    def send_goal(self) -> Feedback:
-        """One cycle with the goal.
+    def send_goal(self) -> None:
+        """Send the goal, and read nothing.
 
         Raises:
             ConnectionLostError: the adapter is gone.
         """
-        goal = self.goal
-        assert goal is not None
-        self.sent.append((self._clock.now(), goal))
-        return self._bus.cycle(self._motor_goals(goal))
+        self._bus.send_goals(self._noted_goals())
+
+    def cycle(self, patience: float = PATIENCE) -> Feedback:
+        """Send the goal, and read the motors by their answers, waiting so long [s] at most.
+
+        Raises:
+            ConnectionLostError: the adapter is gone.
+        """
+        return self._bus.cycle(self._noted_goals(), patience)
 
     def stop(self) -> str:
         """Let the arm hold or go limp, as the connection says; what is wrong, in words, or nothing."""
-        self.active = False
+        self.active = self.obeying = False
         limp = self._settings.keys.on_stop == "limp"
         state = "limp" if limp else "held"
         try:
@@ -158,7 +164,7 @@ class MotorControl:
                     1.0 / self._settings.keys.rate,
                 )
             else:
-                feedback = self.send_goal()
+                feedback = self.cycle()
             heard |= feedback.states.keys()
             if len(feedback.states) == len(self._motors):
                 watch.add(feedback.time, self._positions(feedback))
@@ -202,6 +208,12 @@ class MotorControl:
         return np.array(
             [m.to_joint("position", feedback.states[k].values["position"]) for k, m in enumerate(self._motors)]
         )
+
+    def _noted_goals(self) -> FloatArray:
+        """The goal in the motors' positions, noted as sent now."""
+        assert self.goal is not None
+        self.sent.append((self._clock.now(), self.goal))
+        return self._motor_goals(self.goal)
 
     def _motor_goals(self, goal: FloatArray) -> FloatArray:
         return np.array([motor.goal(float(position)) for motor, position in zip(self._motors, goal, strict=True)])

@@ -15,6 +15,10 @@ LATE = 1.25
 """Periods after a cycle at which the last goal is sent again, where no new one came."""
 TWICE = 5
 """Answers beyond one for each request from which on two motors give them."""
+SHARE = 0.97
+"""Of a period that answers are waited for."""
+MIDDLE = 0.5
+"""Periods after a goal when the motors are read."""
 SOONEST = 0.5
 """Periods after a cycle before which no goal is sent."""
 UNITS = {"supply_voltage": "V", "drive_temperature": "degC"}
@@ -61,12 +65,18 @@ class MotorCycle(PolledRows):
         self._begun = self._clock.now()
         with self._changed:
             self._wanted = False
-        feedback = self._control.send_goal() if self._control.active else self._bus.cycle()
+        if self._control.active and not self._settings.between:
+            feedback = self._control.cycle(SHARE * self._period)
+        else:
+            if self._control.active:
+                self._control.send_goal()
+                self._ending.wait(self._begun + MIDDLE * self._period - self._clock.now())
+            feedback = self._bus.cycle(patience=(1.0 - MIDDLE if self._control.active else SHARE) * self._period)
         self._strange += feedback.strange
         for index, state in feedback.states.items():
             self.answered[self._motors[index].id] = feedback.received
             self._note_fault(index, state.fault)
-            if state.enabled is False and self._control.active and not state.fault:
+            if state.enabled is False and self._control.obeying and not state.fault:
                 self._tell(
                     "error",
                     f"{self._motors[index].name} does not drive any more",

@@ -24,6 +24,7 @@ class OdriveCodec(MotorCodec):
     keeps = ("speed_limit", "current_limit")
     times_out = False
     unasked = True
+    answers_goals = False
 
     def quantities(self, *, read_only: bool) -> tuple[str, ...]:
         """The same in any case; temperatures are those told last."""
@@ -38,8 +39,8 @@ class OdriveCodec(MotorCodec):
         return self._asked(HEARTBEAT), self._asked(TEMPERATURES)
 
     def goal(self, position: float) -> Sequence[CanFrame]:
-        """A position, which is not answered, and the requests."""
-        return self._frame(SET_GOAL, struct.pack("<fhh", position / TURN, 0, 0)), *self.poll(read_only=False)
+        """A position, which is not answered."""
+        return (self._frame(SET_GOAL, struct.pack("<fhh", position / TURN, 0, 0)),)
 
     def enable(self) -> Sequence[CanFrame]:
         """Gains, limits, and closed-loop position control."""

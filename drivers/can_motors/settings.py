@@ -61,6 +61,9 @@ class CanMotorKeys(CanSettings):
     host_id: int | None = Field(None, ge=0, le=0xFF, description="this computer's id (RobStride, moteus)")
     kp: float | None = Field(None, ge=0.0, le=1e6, description="[N·m/rad] of joints that name none")
     kd: float | None = Field(None, ge=0.0, le=1e5, description="[N·m·s/rad] of joints that name none")
+    sampling: Literal["between", "with-goals"] = Field(
+        "between", description="when motors that are moved are read: half a period after a goal, or by its answer"
+    )
     on_stop: OnStop = Field("hold", description="what the arm does when a motion ends or is stopped")
     when_lost: OnStop | None = Field(
         None, description="what it does where commands fail to come, by a command time-out of the motors; as on_stop"
@@ -195,6 +198,15 @@ class CanMotorSettings:
         if not CODECS[self.family].times_out:
             return "hold"
         return self.keys.when_lost or self.keys.on_stop
+
+    @property
+    def between(self) -> bool:
+        """Whether motors that are moved are read between two goals.
+
+        A goal stands for a period, and the joint goes on meanwhile: the torque of a spring kp falls by kp·q̇·T. What a
+        motor answers to a goal is the end of that fall; half a period later it is the mean, which moves the arm.
+        """
+        return self.keys.sampling == "between" and CODECS[self.family].apart
 
     def codecs(self) -> list[MotorCodec]:
         """One a motor, in the joints' order."""

@@ -12,6 +12,8 @@ from drivers.can_motors.settings import CanMotor
 from drivers.core.arrays import FloatArray
 from sim_drivers.plant.servo import ServoArm, true_servos
 
+STEP = 0.001
+"""[s]: each step is implicit, so that a spring of 60 N·m/rad damps as if by 0.03 N·m·s/rad; in 2 ms by twice that."""
 NOMINAL_VOLTAGE = 24.0
 """[V] of a supply that the truth does not name."""
 SAGGING = 0.5
@@ -39,7 +41,7 @@ class MotorPlant:
 
     def __init__(self, file: RobotFile, motors: Sequence[CanMotor], position: FloatArray, now: float) -> None:
         truth = true_servos(file.robot, file.where)
-        self.arm = ServoArm(file, position.copy())
+        self.arm = ServoArm(file, position.copy(), step=STEP)
         self.sagging = False
         self.stalls = 0
         supply = file.robot.truth.supply

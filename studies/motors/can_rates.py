@@ -77,7 +77,7 @@ def rows(file: RobotFile, family: str, rate: float, seconds: float, *, moves: bo
                 driver.read(0.2)
                 driver.take_control()
             clock.sleep(0.05)
-            driver.read(0.0)
+            driver.read(0.1)
             begun = clock.now()
             due = begun
             while clock.now() < begun + seconds:
@@ -105,7 +105,7 @@ def main() -> None:
             if family == "cubemars" and not moves:
                 continue  # they tell nothing unless they are commanded
             most = rows(file, family, 50.0, 0.05, moves=moves)[2]
-            for asked in dict.fromkeys((min(200.0, 0.95 * most), min(MOST, 0.95 * most))):
+            for asked in dict.fromkeys((min(200.0, 0.92 * most), min(MOST, 0.92 * most))):
                 reached, lost, most = rows(file, family, asked, seconds, moves=moves)
                 said = "goals" if moves else "read only"
                 print(

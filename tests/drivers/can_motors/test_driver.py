@@ -93,22 +93,19 @@ def test_nothing_drives_where_the_arm_is_only_recorded(clock: SimulatedClock, tm
 @pytest.mark.slow
 @pytest.mark.usefixtures("estimate_alone")
 def test_from_the_bus_to_a_model(clock: SimulatedClock, tmp_path):
-    """A recorded motion gives a model whose torque is that of another motion, and the simulated arm's weight."""
-    runs = []
-    for seed in (1, 2):
-        draw = 0.3 * np.random.default_rng(seed).uniform(-1.0, 1.0, (2, 2, 3)) / [1.0, 1.5, 2.0]
-        series = FourierSeries.from_position_amplitudes(3.0, np.array([-1.3, 0.2]), *draw)
-        with motors(clock, "moteus") as bench:
-            report = bench.play(tmp_path / f"{seed}.h5", RestToRest(series, 1, 0.5))
-        assert (report.stopped_by, report.lost["joints"]) == (None, 0)
-        runs.append(read_recording(tmp_path / f"{seed}.h5"))
-    found = identify(runs[:1], runs[1:], IdentifyChoices())
-    assert found.validation.relative_error < 0.06
-    # First moments of both links about their joints, and with them their weights: m·c of bend is 0.5·0.1 kg·m.
+    """A recorded motion gives the simulated arm's moments, so its weights, and its friction."""
+    draw = 0.3 * np.random.default_rng(1).uniform(-1.0, 1.0, (2, 2, 3)) / [1.0, 1.5, 2.0]
+    series = FourierSeries.from_position_amplitudes(3.0, np.array([-1.3, 0.2]), *draw)
+    with motors(clock, "moteus") as bench:
+        report = bench.play(tmp_path / "run.h5", RestToRest(series, 1, 0.5))
+    assert (report.stopped_by, report.lost["joints"]) == (None, 0)
+    found = identify([read_recording(tmp_path / "run.h5")], [], IdentifyChoices())
+    assert found.fit.relative_error < 0.06
     named = dict(zip(found.base.names, found.solution.parameters, strict=True))
-    print(named)
-    (moment,) = [value for name, value in named.items() if name.startswith("mx_bend")]
-    assert moment == pytest.approx(0.05, rel=0.1)
+    assert named["MX2"] == pytest.approx(0.5 * 0.1, rel=0.1)
+    assert named["MXR1"] == pytest.approx(0.8 * 0.12 + 0.5 * 0.25, rel=0.05)
+    # Read between two goals: by the answers to goals, viscous friction would come out 0.3 N·m·s/rad too small.
+    assert [named["Fs1"], named["Fs2"], named["Fv1"], named["Fv2"]] == pytest.approx([0.15, 0.15, 0.1, 0.1], abs=0.08)
 
 
 def test_a_motion_that_was_refused_leaves_a_file_without_commands(clock: SimulatedClock, tmp_path):
