@@ -86,8 +86,11 @@ METHODS = {
 }
 """Entries that come with dynid, as `module:function`."""
 
-OURS = "dynid"
-"""Names of dynid's own entries begin so."""
+SERVO_METHODS = frozenset({"dynid-servo", "delay-and-lag", "command"})
+"""Those of them that are for servo arms: no process is started to ask."""
+
+DEFAULTS = ("dynid", "dynid-servo")
+"""Entries whose losses are listed: what `dynid identify` does without options."""
 
 
 def all_methods() -> dict[str, str]:

@@ -10,7 +10,7 @@ from scipy.stats import t as student
 
 from drivers.core.text import json_text
 from ident.benchmark.dataset import Dataset
-from ident.benchmark.entry import OURS
+from ident.benchmark.entry import DEFAULTS
 from ident.benchmark.judge import ServoScore, TorqueScore
 from ident.report.html_file import page_templates
 from ident.result.tables import Cell, Column, Table, table_of_rows
@@ -82,6 +82,11 @@ class Benchmark(SavedResult):
         return sorted(scored, key=lambda entry: entry.error)
 
     @property
+    def judges_ours(self) -> bool:
+        """Whether dynid's default is among the entries with a score."""
+        return any(entry.method in DEFAULTS and entry.score is not None for entry in self.entries)
+
+    @property
     def losses(self) -> Table:
         """Every figure in which another entry is better than dynid's default, by data set.
 
@@ -98,7 +103,7 @@ class Benchmark(SavedResult):
         rows: list[tuple[Cell, ...]] = []
         for dataset in self.datasets:
             ranked = self.of(dataset.name)
-            ours = next((entry for entry in ranked if entry.method in (OURS, f"{OURS}-servo")), None)
+            ours = next((entry for entry in ranked if entry.method in DEFAULTS), None)
             if ours is not None:
                 rows += [row for other in ranked for row in _lost(dataset, ours, other)]
         return table_of_rows("Where dynid loses", headings, rows)

@@ -14,7 +14,15 @@ from daq.recording.recording import Recording, software_versions
 from drivers.core.errors import DataError, DynidError
 from drivers.core.reading_process import Progress
 from ident.benchmark.dataset import Dataset, LoadedData, download, load_dataset, part
-from ident.benchmark.entry import Training, kind_of, load_method, servo_predictor, torque_predictor
+from ident.benchmark.entry import (
+    METHODS,
+    SERVO_METHODS,
+    Training,
+    kind_of,
+    load_method,
+    servo_predictor,
+    torque_predictor,
+)
 from ident.benchmark.judge import ServoScore, TorqueScore, agreement, judge_servo, judge_torques
 from ident.benchmark.motion import Motion, motions
 from ident.benchmark.results import Benchmark, Entry, Skipped
@@ -76,6 +84,8 @@ def run_benchmark(
 
 def _entry(dataset: Dataset, name: str, place: str, folder: Path) -> Entry | None:
     """A method's figures on a data set; None where it is not for this kind."""
+    if METHODS.get(name) == place and (name in SERVO_METHODS) != (dataset.kind == "servo"):
+        return None
     empty = Entry(dataset.name, name)
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         try:

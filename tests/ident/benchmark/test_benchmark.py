@@ -33,6 +33,7 @@ from ident.benchmark.dataset import (
 )
 from ident.benchmark.entry import (
     METHODS,
+    SERVO_METHODS,
     TorquePredictor,
     chosen_methods,
     kind_of,
@@ -184,8 +185,8 @@ def test_the_data_set_of_the_docs_is_valid():
 
 def test_registered_data_sets_and_methods_are_whole():
     assert {"tx40", "ur10", "panda", "so101"} <= set(registered())
-    for place in METHODS.values():
-        assert kind_of(load_method(place)) in ("torque", "servo")
+    for name, place in METHODS.items():
+        assert kind_of(load_method(place)) == ("servo" if name in SERVO_METHODS else "torque")
 
 
 @pytest.mark.realdata
