@@ -7,6 +7,7 @@ does not block, and a server that crashed or stands still is not noticed.
 from __future__ import annotations
 
 import json
+import math
 import multiprocessing
 import os
 import secrets
@@ -76,7 +77,8 @@ class BrowserPage:
 
     def alarm(self, alarm: Alarm) -> None:
         """List an alarm; pages that are opened later list it, too."""
-        line = json.dumps({"kind": "alarm", **asdict(alarm)}).encode() + b"\n"
+        time = alarm.time if math.isfinite(alarm.time) else None
+        line = json.dumps({"kind": "alarm", **asdict(alarm), "time": time}).encode() + b"\n"
         with suppress(OSError):  # the server is gone, or stands still
             if len(line) <= LONGEST_LINE:
                 os.write(self._pipe, line)

@@ -14,13 +14,14 @@ from daq.commands.options import FORCE, JSON
 class _ShownByDefault(GroupedCommands):
     """`dynid history arm.db` is `dynid history show arm.db`."""
 
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """The command of the first word, or `show` of a file."""
-        known = args and (args[0] in self.commands or args[0].startswith("-"))
-        return super().resolve_command(ctx, args if known else ["show", *args])
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put `show` before what begins with no command."""
+        known = not args or args[0] in (*self.commands, *ctx.help_option_names)
+        parsed: list[str] = super().parse_args(ctx, args if known else ["show", *args])
+        return parsed
 
 
-history_app = CommandApp("Use", cls=_ShownByDefault, no_args_is_help=True)
+history_app = CommandApp("Use", cls=_ShownByDefault)
 app = CommandApp("Use")
 app.add_typer(history_app, name="history", rich_help_panel="Use")
 
@@ -110,7 +111,8 @@ def show(
             }
         )
         return
-    print(f"{of_arm.arm}: {of_arm.results} results, {date_text(of_arm.start)} to {date_text(of_arm.end)}")
+    count = "1 result" if of_arm.results == 1 else f"{of_arm.results} results"
+    print(f"{of_arm.arm}: {count}, {date_text(of_arm.start)} to {date_text(of_arm.end)}")
     for sentence in trends.sentences[:MOST_SENTENCES]:
         print(f"  {sentence}")
     if len(trends.sentences) > MOST_SENTENCES:

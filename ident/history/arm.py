@@ -82,9 +82,7 @@ def arm_history(arm: str, entries: Sequence[HistoryEntry]) -> ArmHistory:
             grouped.setdefault((name, value.joint, value.unit), []).append((entry.time, value))
     level = STEP_LEVEL / max(len(grouped), 1)
     parameters = [_parameter(name, values, level) for (name, _, _), values in grouped.items()]
-    return ArmHistory(
-        arm, len(used), len(entries) - len(used), entries[0].time, entries[-1].time, tuple(_judged(parameters))
-    )
+    return ArmHistory(arm, len(used), len(entries) - len(used), used[0].time, used[-1].time, tuple(_judged(parameters)))
 
 
 def _parameter(name: str, values: Sequence[tuple[float, KeptValue]], step_level: float) -> ParameterHistory:

@@ -1,6 +1,6 @@
 """Trend and steps of one parameter over the results of an arm.
 
-A result's value is y_i = a + b·t_i + c·(T_i − T̄) [+ d·(T_i − T̄)²] + Σ s_k·(t_i ≥ t_k) + u_i + e_i: e_i has the σ that
+A result's value is y_i = a + b·t_i + Σ c_k·(T_i − T̄)ᵏ + Σ s_k·(t_i ≥ t_k) + u_i + e_i: e_i has the σ that
 the identification states, u_i is what changes from result to result beside it, with variance τ² and the correlation
 exp(−|Δt|/θ). Neither τ nor θ is known: estimates are averaged over a grid of both, weighted by the restricted
 likelihood (Harville, Maximum likelihood approaches to variance component estimation, 1977), so that an interval holds
@@ -19,14 +19,12 @@ from drivers.core.arrays import FloatArray, IntArray
 LEAST_RESULTS = 5
 """Fewer have no trend: four coefficients of five values are what an interval can be given to."""
 
-MOST_POINTS = 150
+MOST_POINTS = 200
 """More results are joined, neighbours in time, to as many groups: the time of an estimate grows with the cube."""
 
-LEAST_WARMING, LEAST_BEND = 2.0, 10.0
-"""Spans of the temperature [K] from which a series is corrected by a line, and by a parabola."""
-
-LEAST_WITH_BEND = 20
-"""Results from which a parabola is estimated."""
+WARMING = ((2.0, 0), (10.0, 20), (20.0, 40))
+"""Least spans of the temperature [K], and least results, from which a series is corrected by a polynomial of one degree
+more: a line, a parabola, a cubic one. Friction falls exponentially, and what a correction leaves over follows seasons."""
 
 MOST_COLLINEAR = 1e4
 """Condition number of time and temperature, columns normalised: beyond it wear and warming are not distinguishable."""
@@ -187,12 +185,11 @@ def _relative(time: FloatArray, series: Series) -> FloatArray:
 
 
 def _warming(temperature: FloatArray) -> tuple[FloatArray, float]:
-    """Columns of the temperature (N, 0 to 2), and its mean [°C]."""
-    if not np.all(np.isfinite(temperature)) or np.ptp(temperature) < LEAST_WARMING:
-        return np.empty((len(temperature), 0)), float("nan")
-    bent = np.ptp(temperature) >= LEAST_BEND and len(temperature) >= LEAST_WITH_BEND
-    mean = float(temperature.mean())
-    return _heat_columns(temperature, mean, 2 if bent else 1), mean
+    """Columns of the temperature (N, 0 to 3), and its mean [°C]."""
+    degree, mean = 0, float(temperature.mean())
+    if np.isfinite(mean):
+        degree = sum(np.ptp(temperature) >= span and len(temperature) >= least for span, least in WARMING)
+    return _heat_columns(temperature, mean, degree), mean
 
 
 def _heat_columns(temperature: FloatArray, mean: float, count: int) -> FloatArray:

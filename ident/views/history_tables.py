@@ -109,13 +109,13 @@ def notes(history: ArmHistory) -> list[str]:
             f"An arm that does not change shows a change or step in {100 * (TREND_LEVEL + STEP_LEVEL):.0f} % of cases."
         )
     if history.repeated:
-        said.append(f"{history.repeated} results are left out: later ones are from the same recordings.")
-    others = [one for one in history.parameters if one.not_comparable]
+        every = history.results + history.repeated
+        said.append(f"Left out: {history.repeated} of {every} results, whose recordings were identified again later.")
+    others = [one.not_comparable for one in history.parameters if one.not_comparable]
     if others:
-        most = max(one.not_comparable for one in others)
         said.append(
-            f"{len(others)} parameters have results that are not comparable (up to {most}): other friction terms, "
-            "drive gains or groups of parameters."
+            f"Left out of {len(others)} parameters: up to {max(others)} results with other friction terms, drive gains "
+            "or groups of parameters."
         )
     return said
 

@@ -43,6 +43,8 @@ def page() -> Iterator[BrowserPage]:
             time = number / 500
             torque = 10 * np.sin(time * np.arange(1, 7))
             shown.append(time, np.concatenate([torque + 0.1, torque, np.full(6, 0.1), np.ones(6), POSITION]))
+        shown.alarm(Alarm(float("nan"), "x" * 10_000))  # does not fit into a pipe at once: left out
+        shown.alarm(Alarm(float("nan"), "at no time"))
         shown.alarm(Alarm(2.5, "external torque <b>3 N·m</b>", JOINTS[1]))
         yield shown
 
@@ -112,7 +114,10 @@ def test_the_page_draws_pauses_zooms_and_keeps_its_alarms(page, tmp_path):
     if program is None:
         pytest.skip("no Chromium on this machine: apt-get install chromium fonts-dejavu-core")
     drawn = "new Promise((done) => { const look = () => Number(document.documentElement.dataset.drawn) > 0"
-    wait = drawn + " && document.querySelectorAll('#alarms li').length ? done(true) : setTimeout(look, 5); look(); })"
+    wait = (
+        drawn
+        + " && document.querySelectorAll('#alarms li').length === 2 ? done(true) : setTimeout(look, 5); look(); })"
+    )
     with chromium(program) as browser:
         tab = browser.new_page()
         tab.resize(1400)

@@ -7,9 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq.live.envelope import KEPT, Envelope
-from daq.live.page import skeleton
+from daq.live.page import PageView, page_view, skeleton
 from daq.live.shared_rows import SharedRows
 from daq.robot.loader import load_robot
+from drivers.streams import Batch, ChannelLayout, StreamLayout
 from ident.excite.constraints.placements import place_arm
 from ident.model.dynamic_model import build_model
 
@@ -87,6 +88,39 @@ def test_a_page_that_is_opened_later_gets_the_last_minute():
     assert len(times) == KEPT
     assert times[-1, 1] == 69.99
     assert np.isfinite(values).all()
+
+
+def test_a_session_shows_the_stream_of_its_joints_beside_its_terminal():
+    class Beside:
+        """Keeps what it was given."""
+
+        def __init__(self) -> None:
+            self.seen: list[object] = []
+
+        def add(self, batch: Batch) -> None:
+            self.seen.append(batch)
+
+        def show(self, state: str, elapsed: float, total: float) -> None:
+            self.seen.append(state)
+
+        def append(self, time: float, row: np.ndarray) -> None:
+            self.seen.append((time, row.tolist()))
+
+    page, terminal = Beside(), Beside()
+    layout = StreamLayout("joints", (ChannelLayout("position", ("a", "b")), ChannelLayout("current", ("a", "b"))))
+    view = PageView(page, layout, terminal)
+    batch = Batch("joints", np.array([1.0, 2.0]), np.zeros(2), {"current": np.array([[1.0, 2.0], [3.0, 4.0]])})
+    for one in (batch, Batch("joints", np.empty(0), np.empty(0)), Batch("other", np.zeros(1), np.zeros(1))):
+        view.add(one)
+    view.add(broken := Batch("joints", np.zeros(1), np.zeros(1), {"current": np.zeros((7, 9))}))
+    view.show("motion", 0.0, 1.0)
+    assert [time for time, _ in page.seen] == [1.0, 2.0]
+    assert [row[2:] for _, row in page.seen] == [[1.0, 2.0], [3.0, 4.0]]
+    assert np.isnan([row[:2] for _, row in page.seen]).all()
+    assert terminal.seen[0] is batch
+    assert terminal.seen[3:] == [broken, "motion"]
+    with page_view(load_robot("ur5e"), [], shown=False, beside=terminal) as shown:
+        assert shown is terminal
 
 
 def test_the_drawn_arm_is_that_of_the_model():

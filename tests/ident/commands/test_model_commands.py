@@ -74,10 +74,12 @@ def test_presliding_is_found_and_used_unless_told_not_to(monkeypatch, capsys, fo
 
 
 def test_identify_fails_where_a_limit_is_not_kept_and_writes_everything(monkeypatch, capsys, folder):
-    arguments = ("identify", "run.h5", "--validate", "val.h5", "--max-error", "1e-6", "-o", "failed")
+    limited = ("identify", "run.h5", "--validate", "val.h5", "--max-error", "1e-6", "-o", "failed")
+    arguments = (*limited, "--history", "arm.db")
     status, out, _ = run(monkeypatch, capsys, folder, *arguments)
     assert status == 1
     assert "Acceptance FAILED: 0 of 1 limits kept." in out
+    assert dynid.History(folder / "arm.db").arms == ("up6",)
     assert "held-out error of the physically consistent model is" in out
     stored = json.loads((folder / "failed" / "result.json").read_text())
     assert stored["acceptance"]["passed"] is False

@@ -107,7 +107,9 @@ def test_the_command_adds_shows_and_refuses(monkeypatch, capsys, tmp_path):
     assert told["trends"][0]["significant"]
     Path("other.json").write_text(json.dumps(content(recording(serial="8"))))
     assert run("add", "other.json", "--history", "arm.db")[0] == 0
+    assert "up6 8" in run("--arm", "up6 8", "arm.db")[1]
     said = {
+        (): "Missing command",
         ("arm.db",): "holds 2 arms",
         ("arm.db", "--arm", "up6 9"): "no arm 'up6 9'",
         ("none.db",): "no such file",
