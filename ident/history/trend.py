@@ -23,8 +23,8 @@ MOST_POINTS = 200
 """More results are joined, neighbours in time, to as many groups: the time of an estimate grows with the cube."""
 
 WARMING = ((2.0, 0), (10.0, 20), (20.0, 40))
-"""Least spans of the temperature [K], and least results, from which a series is corrected by a polynomial of one degree
-more: a line, a parabola, a cubic one. Friction falls exponentially, and what a correction leaves over follows seasons."""
+"""Least spans of the temperature [K], and least results, from which a series is corrected by a line, a parabola, and a
+cubic polynomial: friction falls exponentially, and what a correction leaves over follows the seasons."""
 
 MOST_COLLINEAR = 1e4
 """Condition number of time and temperature, columns normalised: beyond it wear and warming are not distinguishable."""
@@ -188,7 +188,7 @@ def _warming(temperature: FloatArray) -> tuple[FloatArray, float]:
     """Columns of the temperature (N, 0 to 3), and its mean [°C]."""
     degree, mean = 0, float(temperature.mean())
     if np.isfinite(mean):
-        degree = sum(np.ptp(temperature) >= span and len(temperature) >= least for span, least in WARMING)
+        degree = sum(bool(np.ptp(temperature) >= span) and len(temperature) >= least for span, least in WARMING)
     return _heat_columns(temperature, mean, degree), mean
 
 
