@@ -95,7 +95,6 @@ class Trend:
         per_kelvin_half: half of its interval.
         mean_temperature: to which values are corrected [°C]; None likewise.
         scatter: σ between results, beside that of their identification.
-        correlated: probability that results near in time are alike.
         steps: in time.
         corrected: (N,) values at the mean temperature.
         line: (N,) the estimate at the results' times, at the mean temperature.
@@ -109,7 +108,6 @@ class Trend:
     per_kelvin_half: float | None
     mean_temperature: float | None
     scatter: float
-    correlated: float
     steps: tuple[Step, ...]
     corrected: FloatArray
     line: FloatArray
@@ -161,7 +159,7 @@ def estimate_trend(series: Series, step_level: float) -> Trend | None:
     ]
     own_heat = _heat_columns(series.temperature, mean, heat.shape[1])
     passed = np.array([[series.time[k] >= step.after for step in found] for k in range(len(series))], dtype=np.float64)
-    shape = np.column_stack([np.ones(len(series)), _relative(series.time, series), own_heat * 0.0, passed])
+    shape = np.column_stack([np.ones(len(series)), _relative(series.time, series), np.zeros_like(own_heat), passed])
     per_kelvin = fit.estimate(fit.unit(2)) if heat.shape[1] else (None, None)
     return Trend(
         start=float(fit.mean[0]),
@@ -172,7 +170,6 @@ def estimate_trend(series: Series, step_level: float) -> Trend | None:
         per_kelvin_half=per_kelvin[1],
         mean_temperature=mean if heat.shape[1] else None,
         scatter=fit.scatter,
-        correlated=fit.correlated,
         steps=tuple(sorted(found, key=lambda step: step.after)),
         corrected=series.value - own_heat @ fit.mean[2 : 2 + heat.shape[1]],
         line=shape @ fit.mean,
@@ -248,14 +245,12 @@ class _Fit:
         mean, covariance: (p,), (p, p) of the coefficients.
         freedom: degrees of it.
         scatter: mean of τ.
-        correlated: probability of θ > 0.
     """
 
     mean: FloatArray
     covariance: FloatArray
     freedom: int
     scatter: float
-    correlated: float
 
     @property
     def size(self) -> int:
@@ -292,7 +287,6 @@ class _Noise:
         for length in CORRELATION_TIMES:
             alike = np.exp(-apart / length) if length > 0 else np.eye(len(points))
             weighted = alike / np.sqrt(np.outer(self.variance, self.variance))
-            # White noise is diagonal as it is; equal times make it otherwise for θ > 0 alone.
             self._axes.append(np.linalg.eigh(weighted) if length > 0 else (1.0 / self.variance, np.eye(len(points))))
 
     def fit(self, columns: FloatArray) -> _Fit:
@@ -330,5 +324,4 @@ class _Noise:
             covariance / np.outer(scale, scale),
             freedom,
             float(weight @ np.tile(np.sqrt(grid), len(self._axes))),
-            float(weight[len(grid) :].sum()),
         )

@@ -28,7 +28,7 @@ from daq.robot.loader import load_robot
 from studies.recording.lossless import GRACE, RATE, ROBOT, SHELL_LOOP, cpu_seconds
 
 sys.path.append(str(Path(__file__).parents[2] / "tests" / "support"))
-from chromium import chromium, chromium_path
+from chromium import TIME_LIMIT, chromium, chromium_path
 
 HOST = "127.0.0.62"
 HANDSHAKE = (
@@ -52,7 +52,7 @@ def read_all(address: str, counts: list[int]) -> None:
     count = 0
     with (
         suppress(ConnectionClosed, OSError),
-        connect(address.replace("http", "ws").replace("/?", "/socket?")) as client,
+        connect(address.replace("http", "ws").replace("/?", "/socket?"), open_timeout=TIME_LIMIT) as client,
     ):
         while True:
             client.recv()

@@ -15,7 +15,7 @@ from ident.views.history_tables import notes, sentences, span_text, step_table, 
 
 def test_the_true_wear_of_200_results_lies_in_its_interval():
     hits = 0
-    for seed in range(20):
+    for seed in range(1000, 1020):
         history = arm_history("a", worn_arm(seed, 200, {"Fs1": 0.12}))
         (one,) = history.parameters
         assert one.significant
@@ -95,7 +95,7 @@ def test_odd_series_have_a_finite_trend_or_none():
     many = worn_arm(2, 700, {"Fs1": 0.1})
     trend = arm_history("a", many).parameters[0].trend
     assert len(trend.line) == len(trend.corrected) == 700
-    assert abs(trend.change - 0.1) < trend.change_half < 0.03
+    assert abs(trend.change - 0.1) < 2.0 * trend.change_half < 0.03
 
 
 def test_spans_in_words():
