@@ -113,7 +113,7 @@ def test_the_page_draws_pauses_zooms_and_keeps_its_alarms(page, tmp_path):
     program = chromium_path()
     if program is None:
         pytest.skip("no Chromium on this machine: apt-get install chromium fonts-dejavu-core")
-    drawn = "new Promise((done) => { const look = () => Number(document.documentElement.dataset.drawn) > 0"
+    drawn = "new Promise((done) => { const look = () => Number(document.documentElement.dataset.end) > 4.9"
     wait = (
         drawn
         + " && document.querySelectorAll('#alarms li').length === 2 ? done(true) : setTimeout(look, 5); look(); })"
