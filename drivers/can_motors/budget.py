@@ -26,34 +26,37 @@ def motor_budget(settings: DriverSettings, family: str) -> Budget:
     """
     parsed = parse_settings(settings.connection, settings.joints, family)
     keys, codecs = parsed.keys, parsed.codecs()
-    sent = [] if keys.read_only else [frame for codec in codecs for frame in codec.goal(0.0)]
-    answers = len(sent) if codecs[0].answers_goals else 0
-    if keys.read_only or parsed.between or not codecs[0].answers_goals:
-        polls = [frame for codec in codecs for frame in codec.poll(read_only=keys.read_only)]
-        polls += codecs[0].slow_poll()
-        sent, answers = sent + polls, answers + len(polls)
-    extended = any(identifier & EXTENDED for identifier, _ in sent)
-    if codecs[0].fd:
-        speed_up = keys.data_bitrate / keys.bitrate
+    codec, speed_up = codecs[0], keys.data_bitrate / keys.bitrate
 
-        def fd(meaning: str, count: int, size: int) -> FrameGroup:
-            return FrameGroup(meaning, count, size, math.ceil(fd_frame_bits(size, speed_up)))
+    def groups(meaning: str, frames: Sequence[CanFrame], answers: int) -> list[FrameGroup]:
+        sizes = Counter((bool(identifier & REMOTE), len(data)) for identifier, data in frames)
+        extended = any(identifier & EXTENDED for identifier, _ in frames)
+        if codec.fd:
+            sizes[False, FD_ANSWER] += answers
+            return [
+                FrameGroup(meaning, count, size, math.ceil(fd_frame_bits(size, speed_up)))
+                for (_, size), count in sizes.items()
+            ]
+        sent = [
+            can_frames(meaning, count, 0 if remote else size, extended=extended)
+            for (remote, size), count in sizes.items()
+        ]
+        return [*sent, can_frames(f"answers to {meaning}", answers, FRAME_BYTES, extended=extended)]
 
-        sizes = Counter(len(data) for _, data in sent)
-        cycle = [*(fd("commands", count, size) for size, count in sizes.items()), fd("answers", answers, FD_ANSWER)]
-    else:
-        cycle = [*_groups(sent), can_frames("answers", answers, FRAME_BYTES, extended=extended)]
-    return Budget(keys.bitrate, keys.rate, tuple(cycle), worst=WORST)
-
-
-def _groups(sent: Sequence[CanFrame]) -> list[FrameGroup]:
-    groups = []
-    for meaning, remote in (("commands", False), ("requests", True)):
-        chosen = [frame for frame in sent if bool(frame[0] & REMOTE) == remote]
-        if chosen:
-            size = 0 if remote else len(chosen[0][1])
-            groups.append(can_frames(meaning, len(chosen), size, extended=bool(chosen[0][0] & EXTENDED)))
-    return groups
+    goals: list[FrameGroup] = []
+    readings: list[FrameGroup] = []
+    if not keys.read_only:
+        sent = [frame for one in codecs for frame in one.goal(0.0)]
+        goals = groups("goals", sent, len(sent) if codec.answers_goals else 0)
+    if keys.read_only or parsed.between or not codec.answers_goals:
+        polls = [frame for one in codecs for frame in one.poll(read_only=keys.read_only)]
+        polls += codec.slow_poll()
+        readings = groups("readings", polls, len(polls))
+    # Readings have the second half of a period: where they take longer than goals, the bus is idle before them.
+    idle = sum(group.bits for group in readings) - sum(group.bits for group in goals)
+    if goals and readings and idle > 0:
+        goals.append(FrameGroup("pause before readings", 1, 0, idle))
+    return Budget(keys.bitrate, keys.rate, (*goals, *readings), worst=WORST)
 
 
 def _budget_of(family: str) -> Callable[[DriverSettings], Budget]:
