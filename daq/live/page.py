@@ -30,6 +30,7 @@ from daq.session.course import View
 from drivers.core.child_process import started_without_interrupt
 from drivers.core.errors import UsageError
 from drivers.core.text import json_text
+from drivers.core.units import joint_unit
 from drivers.streams import UNITS, Batch, StreamLayout
 
 CAPACITY = 8192
@@ -105,12 +106,17 @@ def browser_page(
     require_browser()
     names = tuple(channels)
     known = {**dict.fromkeys(("measured", "predicted", "residual", "band"), "N·m"), **UNITS, **(units or {})}
+    slides = {joint.name: joint.sliding for joint in robot_file.robot.joints}
     about = {
         "kind": "about",
         "title": title or robot_file.robot.name,
         "joints": list(robot_file.robot.joint_names),
         "channels": [
-            {"quantity": quantity, "joint": joint, "unit": known.get(quantity, "").replace("*", "·")}
+            {
+                "quantity": quantity,
+                "joint": joint,
+                "unit": joint_unit(known.get(quantity, "").replace("*", "·"), sliding=slides.get(joint, False)),
+            }
             for quantity, _, joint in (name.partition("/") for name in names)
         ],
         "arm": skeleton(robot_file),
