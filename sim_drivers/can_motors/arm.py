@@ -32,6 +32,7 @@ class MotorPlant:
         motors: in the joints' order.
         position: (n,) at which it stands at first [rad].
         now: the clock's time [s].
+        step: of the simulation [s].
 
     Attributes:
         arm: the bodies.
@@ -39,9 +40,11 @@ class MotorPlant:
         stalls: times when the arm's time fell behind the clock.
     """
 
-    def __init__(self, file: RobotFile, motors: Sequence[CanMotor], position: FloatArray, now: float) -> None:
+    def __init__(
+        self, file: RobotFile, motors: Sequence[CanMotor], position: FloatArray, now: float, step: float = STEP
+    ) -> None:
         truth = true_servos(file.robot, file.where)
-        self.arm = ServoArm(file, position.copy(), step=STEP)
+        self.arm = ServoArm(file, position.copy(), step=step)
         self.sagging = False
         self.stalls = 0
         supply = file.robot.truth.supply
