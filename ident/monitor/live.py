@@ -227,6 +227,8 @@ class LiveMonitor:
         if load is not None:
             frozen = "" if moving else ", frozen while the arm rests"
             said.append(f"load {load.mass:.2f} ± {load.margin:.2f} kg, from {load.seconds:.0f} s in motion{frozen}")
+        intervals = newest.intervals
+        said += self.monitor.thresholds.beyond(self._model.joint_names, intervals.velocity, intervals.celsius)
         count = len(self.monitor.contacts)
         said.append(f"{count} contact{'s' * (count != 1)}; no safety function")
         latest = self.monitor.contacts[-SHOWN_CONTACTS:]

@@ -31,6 +31,8 @@ FEWEST_CONSTANTS = 20.0
 """Time constants of the observer that a way of motion must have been observed for; else it has the largest spread."""
 BLOCK = 10.0
 """Length of a block of the extreme values, in time constants of the observer."""
+FASTER, WARMER = 1.2, 5.0
+"""Ratio of speeds, and difference of temperatures [K], beyond which thresholds say little."""
 STD_EVERY = 200
 """Samples between two evaluations of the model's σ."""
 REST, SLOW, FAST = 0, 1, 2
@@ -88,7 +90,6 @@ class Thresholds:
         celsius: (2, n) lowest and highest temperature that was observed [°C]; None where none was recorded.
         momentum_noise, torque_noise: (n,) of the observer [N·m·s, N·m].
         torque_limit: (n,) largest |torque of the drives| that was observed, for comparison [N·m or N].
-        constant: (n,) σ of the residual over all, for comparison [N·m or N].
         sources: recordings.
     """
 
@@ -106,7 +107,6 @@ class Thresholds:
     momentum_noise: FloatArray
     torque_noise: FloatArray
     torque_limit: FloatArray
-    constant: FloatArray
     sources: tuple[str, ...]
 
     def observer(self) -> Observer:
@@ -118,6 +118,28 @@ class Thresholds:
     def limit(self) -> FloatArray:
         """(3, n) residual at which an alarm begins in each way of motion [N·m or N]."""
         return np.asarray(self.level[:, None] * self.spread)
+
+    def beyond(self, names: Sequence[str], velocity: FloatArray, celsius: FloatArray | None) -> tuple[str, ...]:
+        """What of a motion the thresholds were not learnt on, in words: speeds and temperatures.
+
+        Args:
+            names: (n,) of the joints.
+            velocity: (N, n) [rad/s or m/s].
+            celsius: (N, n) [°C]; None where no temperature is measured.
+        """
+        said = []
+        speed = np.abs(velocity).max(axis=0, initial=0.0)
+        for name, value, learnt in zip(names, speed.tolist(), self.fastest.tolist(), strict=True):
+            if value > FASTER * learnt:
+                said.append(f"{name} is faster ({value:.2g}) than where thresholds were learnt ({learnt:.2g})")
+        if celsius is not None and self.celsius is not None and len(celsius):
+            away = np.maximum(self.celsius[0] - celsius.min(axis=0), celsius.max(axis=0) - self.celsius[1])
+            said += [
+                f"{name} is {value:.0f} K outside the temperatures that thresholds were learnt at"
+                for name, value in zip(names, away.tolist(), strict=True)
+                if value > WARMER
+            ]
+        return tuple(said)
 
     def spread_of(self, way: IndexArray, std: FloatArray) -> FloatArray:
         """σ (N, n) of the residual without contact [N·m or N], by way of motion (N, n) and the model's σ (N, n)."""
@@ -205,7 +227,6 @@ def learn(
         momentum_noise=momentum_noise,
         torque_noise=torque_noise,
         torque_limit=np.max([np.abs(run.measured).max(axis=0) for run in everything], axis=0),
-        constant=np.sqrt(np.mean(np.square(size), axis=0)),
         sources=tuple(name for name, _ in runs),
     )
 

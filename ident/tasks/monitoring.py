@@ -75,6 +75,7 @@ class MonitoredRun:
         delay: expected until a force of twice that size is noticed [s].
         load: on the tool since the last contact began; None where the arm hardly moved since.
         thresholds: what contacts were judged by.
+        beyond: what of the motion the thresholds were not learnt on, in words.
         detectors: against labelled contacts; empty where none were given.
 
     Example:
@@ -98,6 +99,7 @@ class MonitoredRun:
     delay: float
     load: LoadEstimate | None
     thresholds: Thresholds
+    beyond: tuple[str, ...] = ()
     detectors: tuple[Detector, ...] = ()
 
     @cached_property
@@ -165,7 +167,7 @@ class MonitoredRun:
     @property
     def explanation(self) -> list[str]:
         """Where the thresholds come from, a sentence each."""
-        return explanation(self.thresholds, self.delay)
+        return [*explanation(self.thresholds, self.delay), *self.beyond]
 
     def to_dict(self) -> dict[str, Any]:
         """What `dynid monitor --json` prints."""
@@ -188,6 +190,7 @@ class MonitoredRun:
                 for one in self.smallest
             },
             "expected_delay": self.delay,
+            "beyond": self.beyond,
             "load": None if self.load is None else {"mass": self.load.mass, "margin": self.load.margin},
             "detectors": {
                 one.name: {"chosen": asdict(one.chosen), "roc": [asdict(point) for point in one.points]}
@@ -246,6 +249,7 @@ def monitor(options: MonitorOptions) -> MonitoredRun:
         delay=expected_delay(thresholds, watched.lag),
         load=watched.load,
         thresholds=thresholds,
+        beyond=thresholds.beyond(model.joint_names, residuals.intervals.velocity, residuals.intervals.celsius),
         detectors=_detectors(residuals, thresholds, labelled),
     )
 

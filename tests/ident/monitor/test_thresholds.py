@@ -43,7 +43,6 @@ THRESHOLDS = Thresholds(
     momentum_noise=np.zeros(6),
     torque_noise=np.ones(6),
     torque_limit=np.ones(6),
-    constant=np.ones(6),
     sources=(),
 )
 BLOCK = 0.2
@@ -79,6 +78,15 @@ def test_a_joint_is_near_rest_for_a_while_after_it_was() -> None:
         one, state = ways.of(row[None], state)
         stepped.append(int(one[0, 0]))
     assert stepped == way[:, 0].tolist()
+
+
+def test_what_was_not_learnt_is_named() -> None:
+    names, still, warm = ("a", "b", "c", "d", "e", "f"), np.zeros((2, 6)), np.full((2, 6), 30.0)
+    learnt = replace(THRESHOLDS, celsius=np.array([[20.0] * 6, [28.0] * 6]))
+    assert learnt.beyond(names, still, warm) == ()
+    assert "b is faster (2) than" in learnt.beyond(names, still + [0, 2.0, 0, 0, 0, 0], None)[0]
+    assert "c is 8 K outside" in learnt.beyond(names, still, warm + [0, 0, 6.0, 0, 0, 0])[0]
+    assert "d is 6 K outside" in learnt.beyond(names, still, warm - [0, 0, 0, 16.0, 0, 0])[0]
 
 
 def test_forces_and_wrenches() -> None:
