@@ -85,6 +85,13 @@ def joined(parts: list[Intervals]) -> Intervals:
     return Intervals(**rows, celsius=np.concatenate(celsius) if len(celsius) == len(parts) else None)
 
 
+def rows_of(intervals: Intervals, rows: slice) -> Intervals:
+    """Some consecutive intervals."""
+    names = ("time", "position", "velocity", "acceleration", "measured", "external", "restarted")
+    celsius = None if intervals.celsius is None else intervals.celsius[rows]
+    return Intervals(**{name: getattr(intervals, name)[rows] for name in names}, celsius=celsius)
+
+
 class IntervalTorque:
     """Turns samples into intervals, as many as come, in any division into batches: the result is the same.
 

@@ -16,7 +16,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.link_jacobian import LinkJacobians
 from ident.monitor.choices import BANDWIDTH, Kind
 from ident.monitor.contact_forces import Wrench, tool_wrench
-from ident.monitor.interval_torque import Intervals, IntervalTorque, JointSamples
+from ident.monitor.interval_torque import Intervals, IntervalTorque, JointSamples, rows_of
 from ident.monitor.load_estimate import LoadEstimate, LoadEstimator
 from ident.monitor.thresholds import SETTLING, STD_EVERY, Thresholds, learn
 from ident.result.model import Model
@@ -128,11 +128,17 @@ class Monitor:
         alarm = np.zeros(len(intervals), dtype=bool)
         if len(intervals):
             ratio = np.abs(external) / threshold
+            begun = 0
             for row, restarted in enumerate(intervals.restarted.tolist()):
                 self._after_restart = 0 if restarted else self._after_restart + 1
+                before = len(self.contacts)
                 alarm[row] = self._judged(float(intervals.time[row]), external[row], threshold[row], ratio[row])
+                if len(self.contacts) > before and self._load is not None:
+                    self._load.add(rows_of(intervals, slice(begun, row)), way[begun:row])
+                    self._load.restart()  # what was grasped is another load from now on
+                    begun = row
             if self._load is not None:
-                self._load.add(intervals, way)
+                self._load.add(rows_of(intervals, slice(begun, None)), way[begun:])
         result = Residuals(intervals, external, threshold, spread, way, alarm)
         self._last = result if len(intervals) else self._last
         return result
@@ -169,8 +175,6 @@ class Monitor:
             )
             if not lasting:
                 self.contacts.append(now)
-                if self._load is not None:
-                    self._load.restart()  # what was grasped is another load from now on
             elif largest > self.contacts[-1].ratio:
                 self.contacts[-1] = replace(now, time=self.contacts[-1].time)
             self._below = time

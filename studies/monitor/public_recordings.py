@@ -21,11 +21,10 @@ import numpy as np
 from drivers.core.errors import DataError
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
-from ident.monitor.interval_torque import JointSamples
 from ident.monitor.monitor import Monitor, earned_thresholds, joint_samples
 from ident.result.model import Model
 from studies.models.consistency import public
-from studies.monitor.contacts import WITHIN, delays, pushed
+from studies.monitor.contacts import WITHIN, delays, pushed, rows
 
 ARMS = {"ur10": 50.0, "panda": 100.0, "tx40": 200.0}
 """Bandwidth of the observer [1/s]: a short recording has more independent residuals of a faster one."""
@@ -47,7 +46,7 @@ def main() -> None:
         model = Model(summarise(found, [recording], []))
         samples = joint_samples(model, recording)
         cut = int(np.searchsorted(samples.time, samples.time[0] + LEARNT * (samples.time[-1] - samples.time[0])))
-        known, rest = _rows(samples, slice(0, cut)), _rows(samples, slice(cut, None))
+        known, rest = rows(samples, slice(0, cut)), rows(samples, slice(cut, None))
         try:
             thresholds = earned_thresholds(model, [(name, known)], kind="direct", bandwidth=bandwidth)
         except DataError as error:
@@ -69,11 +68,6 @@ def main() -> None:
             f"{1e3 * np.median(double):.0f} |",
             flush=True,
         )
-
-
-def _rows(samples: JointSamples, rows: slice) -> JointSamples:
-    celsius = None if samples.celsius is None else samples.celsius[rows]
-    return JointSamples(samples.time[rows], samples.position[rows], samples.torque[rows], celsius)
 
 
 if __name__ == "__main__":

@@ -160,8 +160,10 @@ def test_a_load_is_estimated_with_its_interval(noisy: tuple[JointSamples, Thresh
     motion = random_fourier_motion(build_model(file), 5.0, seed=1, candidates=1)
     torque = dynamics.torque(*motion.evaluate(quiet.time)).T
     torque += np.random.default_rng(2).normal(scale=0.3, size=torque.shape)
+    torque[:800] = quiet.torque[:800]  # before it was picked up
     watched = Monitor(model, thresholds)
     watched.add(JointSamples(quiet.time, quiet.position, torque))
+    assert len(watched.contacts) == 1
     load = watched.load
     assert load is not None
     assert abs(load.mass - 2.0) < max(2.0 * load.margin, 0.04)
