@@ -262,17 +262,17 @@ class _Fit:
 
     def estimate(self, row: FloatArray) -> tuple[float, float]:
         """A linear combination, and half of its 95 % interval."""
-        from scipy.stats import t
+        from scipy.special import stdtrit  # Student's t; scipy.stats is slow to import
 
         deviation = float(np.sqrt(row @ self.covariance @ row))
-        return float(row @ self.mean), float(t.ppf(0.975, self.freedom)) * deviation
+        return float(row @ self.mean), float(stdtrit(self.freedom, 0.975)) * deviation
 
     def p_value(self, row: FloatArray) -> float:
         """Probability of so large a combination where it is 0."""
-        from scipy.stats import t
+        from scipy.special import stdtr
 
         deviation = float(np.sqrt(row @ self.covariance @ row))
-        return float(2.0 * t.sf(abs(float(row @ self.mean)) / max(deviation, 1e-300), self.freedom))
+        return float(2.0 * stdtr(self.freedom, -abs(float(row @ self.mean)) / max(deviation, 1e-300)))
 
 
 class _Noise:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -20,7 +21,6 @@ from ident.result.graded import UsedRecording
 from ident.result.result_file import result_json
 from ident.result.schema import RecordingUse
 
-ROBOT = load_robot("up6")
 PATH = Path("model/result.json")
 
 
@@ -31,8 +31,13 @@ def recording(started: str = "2026-05-01T10:00:00+00:00", serial: str = "7", sha
     return RecordingUse(**shared.model_dump(), window=(0.0, 1.0), samples=1, rate_hz=1.0, events=[]).model_dump()
 
 
+@functools.cache
+def stored_text() -> str:
+    return result_json(true_result(load_robot("up6")))
+
+
 def content(*recordings: dict, std: float | None = 0.1, wear: float = 0.0) -> dict:
-    stored = json.loads(result_json(true_result(ROBOT)))
+    stored = json.loads(stored_text())
     for parameter in stored["base_parameters"]:
         parameter["std"] = std
         parameter["value"] *= 1.0 + wear
@@ -88,7 +93,7 @@ def test_the_command_adds_shows_and_refuses(monkeypatch, capsys, tmp_path):
         names.append(f"r{month}.json")
         stored = content(recording(f"2026-0{month}-01T00:00:00", sha256=str(month)), wear=0.02 * month)
         for parameter in stored["base_parameters"]:
-            parameter["std"] = 0.001 * abs(parameter["value"])
+            parameter["std"] = 0.001 * abs(parameter["value"]) if parameter["kind"] != "inertial" else None
             parameter["value"] *= 1 + 0.001 * rng.normal()
         Path(names[-1]).write_text(json.dumps(stored))
     run = lambda *arguments: command_line.run(monkeypatch, capsys, "history", *arguments)  # noqa: E731
@@ -100,7 +105,7 @@ def test_the_command_adds_shows_and_refuses(monkeypatch, capsys, tmp_path):
     assert "friction rose by" in out
     assert "</html>" in Path("arm.html").read_text()
     assert len(Path("arm.csv").read_text().splitlines()) == 1 + 8 * len(
-        [one for one in content()["base_parameters"] if one["value"]]
+        [one for one in content()["base_parameters"] if one["kind"] != "inertial"]
     )
     told = json.loads(run("show", "arm.db", "--json")[1])
     assert told["arm"] == "up6 7"
