@@ -34,7 +34,8 @@ def main() -> None:
     benchmark = run_benchmark(
         chosen_datasets([name]), entries, folder, progress=lambda step: print(step, file=sys.stderr)
     )
-    print(markdown(benchmark.losses) if len(benchmark.losses) else "dynid loses nowhere.")
+    nothing = "dynid loses nowhere." if benchmark.judges_ours else "dynid is not among the entries."
+    print(markdown(benchmark.losses) if len(benchmark.losses) else nothing)
     print()
     print(markdown(benchmark.tables[0]))
     print("\n".join(("", *benchmark.failures)))
