@@ -25,6 +25,8 @@ TOGETHER = 5
 """Samples that are averaged before they are evaluated."""
 PINOCCHIO_PLACES = tuple(INERTIAL.index(symbol) for symbol in PINOCCHIO_ORDER)
 """Where Pinocchio's parameters of a body stand among ours."""
+CORRELATION = 0.25
+"""[s] for which a residual repeats itself: ripple and errors of the model last longer than the filter."""
 FEWEST_SECONDS = 0.5
 """Time in motion [s] from which on a load is given."""
 
@@ -65,16 +67,16 @@ class LoadEstimator:
         self._data = self._arm.createData()
         period = TOGETHER * thresholds.period
         self._filter = observer("direct", period, model.dof * (len(INERTIAL) + 1), thresholds.bandwidth)
-        # Filtered samples within a time constant repeat each other.
-        self._independent = min(1.0, thresholds.bandwidth * period / 2.0)
+        self._independent = min(1.0, period / CORRELATION)
         self._rows: list[FloatArray] = []
-        self._broken = True
         self.restart()
 
     def restart(self) -> None:
         """Forget all; the next sample is the first."""
         deviations = np.array([PRIOR.get(name, PRIOR_INERTIA) for name in INERTIAL])
         self._information = np.diag(deviations**-2)
+        # What the filter remembers is of the load before.
+        self._rows, self._broken = [], True
         self._moment = np.zeros(len(INERTIAL))
         self._moving = 0
 
