@@ -12,8 +12,6 @@ from drivers.can_motors.settings import CanMotor
 from drivers.core.arrays import FloatArray
 from sim_drivers.plant.servo import ServoArm, true_servos
 
-STEP = 0.001
-"""[s]: each step is implicit, so that a spring of 60 N·m/rad damps as if by 0.03 N·m·s/rad; in 2 ms by twice that."""
 NOMINAL_VOLTAGE = 24.0
 """[V] of a supply that the truth does not name."""
 SAGGING = 0.5
@@ -32,7 +30,6 @@ class MotorPlant:
         motors: in the joints' order.
         position: (n,) at which it stands at first [rad].
         now: the clock's time [s].
-        step: of the simulation [s].
 
     Attributes:
         arm: the bodies.
@@ -40,11 +37,9 @@ class MotorPlant:
         stalls: times when the arm's time fell behind the clock.
     """
 
-    def __init__(
-        self, file: RobotFile, motors: Sequence[CanMotor], position: FloatArray, now: float, step: float = STEP
-    ) -> None:
+    def __init__(self, file: RobotFile, motors: Sequence[CanMotor], position: FloatArray, now: float) -> None:
         truth = true_servos(file.robot, file.where)
-        self.arm = ServoArm(file, position.copy(), step=step)
+        self.arm = ServoArm(file, position.copy())
         self.sagging = False
         self.stalls = 0
         supply = file.robot.truth.supply
@@ -57,7 +52,7 @@ class MotorPlant:
         self._coming: list[deque[tuple[float, float, float, float]]] = [deque() for _ in motors]
         self._goal = position.copy()
         self._kp, self._kd = np.zeros((2, len(position)))
-        self._time = now
+        self._time = self._now = now
         low, high = np.array([joint.position for joint in file.robot.joints]).T
         self._stops = low - BEHIND_LIMIT, high + BEHIND_LIMIT
         self.arm.effort = np.zeros(len(position))
@@ -82,6 +77,7 @@ class MotorPlant:
 
     def advance(self, now: float) -> None:
         """Simulate until a time [s]."""
+        self._now = now
         if now - self._time > LONGEST_ADVANCE:
             self._time = now - LONGEST_ADVANCE
             self.stalls += 1
@@ -91,7 +87,8 @@ class MotorPlant:
             for index, coming in enumerate(self._coming):
                 while coming and coming[0][0] <= self._time:
                     _, self._goal[index], self._kp[index], self._kd[index] = coming.popleft()
-            self.arm.set_gains(self._kp.copy(), self._kd.copy())
+            # A step is implicit: its spring acts as at the end, which damps as if by kp·step/2.
+            self.arm.set_gains(self._kp.copy(), np.maximum(self._kd - 0.5 * step * self._kp, 0.0))
             self.arm.effort = self._effort()
             self.arm.advance(self._goal)
             self.arm.keep_within(*self._stops)
@@ -99,8 +96,9 @@ class MotorPlant:
     def measured(self, index: int) -> dict[str, float]:
         """What a motor's own sensors hold: its position, velocity, torque, temperatures and supply."""
         motor, ratio = self._motors[index], self._motors[index].ratio
-        q, v = float(self.arm.position[index]), float(self.arm.velocity[index])
-        # A whole step of the arm is up to 2 ms behind the clock's time; a motor's sensors are not.
+        v = float(self.arm.velocity[index])
+        # The arm is up to a whole step behind the clock's time; a motor's sensors are not.
+        q = float(self.arm.position[index]) + v * (self._now - self._time)
         most = self._effort()[index] * self._limit[index]
         torque = float(np.clip(self._kp[index] * (self._goal[index] - q), -most, most) - self._kd[index] * v)
         return {

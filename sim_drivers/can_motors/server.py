@@ -23,7 +23,7 @@ from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.text import percent_text
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
 from sim_drivers.can.bus_server import BusServer, send_error_frame
-from sim_drivers.can_motors.arm import STEP, MotorPlant
+from sim_drivers.can_motors.arm import MotorPlant
 from sim_drivers.can_motors.motors import SIMULATED, SimulatedMotor
 from sim_drivers.faults import (
     BlockJoint,
@@ -63,7 +63,6 @@ class CanMotorServer(BusServer):
         position: (n,) at which it stands at first [rad]; the middle of the ranges where None.
         clock: the host's.
         held: whether it is held there, as a program before left it; else it is limp.
-        step: of the plant's simulation [s].
 
     Attributes:
         settings: as given.
@@ -83,12 +82,11 @@ class CanMotorServer(BusServer):
         clock: Clock = SYSTEM_CLOCK,
         *,
         held: bool = False,
-        step: float = STEP,
     ) -> None:
         super().__init__("CAN motors", file.robot.joint_names, settings.keys, clock)
         self.settings = settings
         start = np.array([0.5 * sum(joint.position) for joint in file.robot.joints]) if position is None else position
-        self.plant = MotorPlant(file, settings.motors, start, clock.now(), step)
+        self.plant = MotorPlant(file, settings.motors, start, clock.now())
         kind = SIMULATED[settings.family]
         self.motors: list[SimulatedMotor] = [
             kind(motor, index, self.plant) for index, motor in enumerate(settings.motors)

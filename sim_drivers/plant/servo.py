@@ -62,7 +62,6 @@ class ServoArm:
         file: its truth has a servo for every joint.
         position: (n,) at which it stands at first [rad or m].
         celsius: of windings and housings at first; the truth's ambient one where None.
-        step: of `advance` [s]; the module's where None.
 
     Attributes:
         step: of `advance` [s].
@@ -73,9 +72,7 @@ class ServoArm:
         effort: (n,) largest share of the full duty cycle, 0 where a servo is limp.
     """
 
-    def __init__(
-        self, file: RobotFile, position: FloatArray, celsius: float | None = None, step: float | None = None
-    ) -> None:
+    def __init__(self, file: RobotFile, position: FloatArray, celsius: float | None = None) -> None:
         robot = file.robot
         servos = true_servos(robot, file.where)
         truths = [robot.truth.joints[name] for name in robot.joint_names]
@@ -110,7 +107,7 @@ class ServoArm:
         inertial = truth_vector(file, model)[: 10 * len(model.joints)]
         armature[self._loose] = 0.0
         self._arm = rigid_arm(model, inertial, armature)
-        self.step = step or (STEP_WITH_PLAY if len(self._loose) else STEP)
+        self.step = STEP_WITH_PLAY if len(self._loose) else STEP
         self._dof = count
         self._bodies = np.concatenate([position, position[self._loose]])
         self._rates = np.zeros(len(self._bodies))

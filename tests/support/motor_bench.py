@@ -67,8 +67,6 @@ JOINTS = ("swing", "bend")
 WIRES = ("damiao", "robstride", "cubemars", "moteus", "odrive")
 START = np.array([-np.pi / 2, 0.0])
 """[rad] where the arm hangs, limp."""
-COARSE = 0.002
-"""[s]: a step of the plant that costs half as much, where its damping does not matter."""
 CHANNELS = itertools.count()
 
 
@@ -130,10 +128,10 @@ class MotorBench:
 
 
 @contextmanager
-def motors(clock: SimulatedClock, wire: str = "damiao", step: float = COARSE, **more: object) -> Iterator[MotorBench]:
-    """The arm, served, with steps of the plant [s]; `more` are keys of its connection."""
+def motors(clock: SimulatedClock, wire: str = "damiao", **more: object) -> Iterator[MotorBench]:
+    """The arm, served; `more` are keys of its connection."""
     file, keys = robot_file(), keys_of(wire, **more)
-    server = CanMotorServer(file, parse_settings(keys, file.robot.joint_names, wire), START, clock, step=step)
+    server = CanMotorServer(file, parse_settings(keys, file.robot.joint_names, wire), START, clock)
     with server:
         yield MotorBench(server, wire, keys, clock)
     assert server.failure is None

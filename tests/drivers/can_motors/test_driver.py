@@ -14,7 +14,6 @@ from daq.recording.reader import read_recording
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
-from sim_drivers.can_motors.arm import STEP
 from sim_drivers.faults import Fault, parse_fault
 
 GOAL = START + [0.8, -0.6]
@@ -97,7 +96,7 @@ def test_from_the_bus_to_a_model(clock: SimulatedClock, tmp_path):
     """A recorded motion gives the simulated arm's moments, so its weights, and its friction."""
     draw = 0.3 * np.random.default_rng(1).uniform(-1.0, 1.0, (2, 2, 3)) / [1.0, 1.5, 2.0]
     series = FourierSeries.from_position_amplitudes(3.0, np.array([-1.3, 0.2]), *draw)
-    with motors(clock, "moteus", step=STEP) as bench:
+    with motors(clock, "moteus") as bench:
         report = bench.play(tmp_path / "run.h5", RestToRest(series, 1, 0.5))
     assert (report.stopped_by, report.lost["joints"]) == (None, 0)
     found = identify([read_recording(tmp_path / "run.h5")], [], IdentifyChoices())
@@ -106,7 +105,7 @@ def test_from_the_bus_to_a_model(clock: SimulatedClock, tmp_path):
     assert named["MX2"] == pytest.approx(0.5 * 0.1, rel=0.1)
     assert named["MXR1"] == pytest.approx(0.8 * 0.12 + 0.5 * 0.25, rel=0.05)
     # Read between two goals: by the answers to goals, viscous friction would come out 0.3 N·m·s/rad too small.
-    assert [named["Fs1"], named["Fs2"], named["Fv1"], named["Fv2"]] == pytest.approx([0.15, 0.15, 0.1, 0.1], abs=0.08)
+    assert [named["Fs1"], named["Fs2"], named["Fv1"], named["Fv2"]] == pytest.approx([0.15, 0.15, 0.1, 0.1], abs=0.05)
 
 
 def test_a_motion_that_was_refused_leaves_a_file_without_commands(clock: SimulatedClock, tmp_path):

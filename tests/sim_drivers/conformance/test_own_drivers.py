@@ -245,7 +245,7 @@ class CanMotors(DriverConformance):
             parsed = parse_motors(keys, arm_file.robot.joint_names, self.wire)
 
             def device() -> CanMotorServer:
-                servers.append(CanMotorServer(arm_file, parsed, motor_bench.START, clock, step=motor_bench.COARSE))
+                servers.append(CanMotorServer(arm_file, parsed, motor_bench.START, clock))
                 return servers[-1]
 
             def truth() -> dict[str, FloatArray]:
