@@ -44,6 +44,9 @@ LEAST_ZERO = float(np.deg2rad(3.0))
 EXPLAINED = 0.2
 """Relative error of the whole arm above which nothing is explained."""
 
+STEADY = 2.0
+"""Mean of a torque over its standard deviation; where all of an arm are steadier, these are no torques that grow."""
+
 LEAST_ERROR = 0.005
 """Relative error of a joint below which a better fit says nothing more."""
 
@@ -131,6 +134,9 @@ class Changes:
 
     def best(self) -> FittedChange | None:
         """The change that explains most, if it is clear, large, no friction's, and explains the recording."""
+        torque = self.refit.instants.torque[self.refit.used]
+        if np.all(np.abs(torque.mean(axis=1)) > STEADY * torque.std(axis=1)):
+            return None
         tried = [self._fit(change) for change in self._promising(list(self._changes(EDGES)))]
         rival = max((one.likelihood for one in tried if one.change.what == "friction"), default=0.0)
         likely = sorted((one for one in tried if _clear(one, rival)), key=lambda one: -one.likelihood)
