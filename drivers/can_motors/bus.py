@@ -26,8 +26,8 @@ ALIKE = 1e-3
 """How far a register may be from what was written, as a share: floating-point numbers of 32 bits."""
 
 
-MOST_AWAITED = 5
-"""Answers that may have been lost, and are awaited no more."""
+MOST_AWAITED = 100
+"""Answers that may come late, all at once, from a bus or a computer that stalled; more are lost."""
 RETURNED_FRAMES = 256
 """Frames of this program's own by which those are known that a bus returns to their sender."""
 FAULT = "fault"
