@@ -100,7 +100,7 @@ class LiveMonitor:
     def _warm_up(self) -> None:
         """Evaluate once what is made at its first use: a session must not wait for it."""
         still = np.zeros((2 * STD_EVERY, self._model.dof))
-        time = self.monitor.thresholds.period * np.arange(len(still))
+        time = self.monitor.thresholds.period * np.arange(len(still), dtype=np.float64)
         scratch = Monitor(self._model, self.monitor.thresholds)
         scratch.add(JointSamples(time, still, still, np.full_like(still, AMBIENT)))
         _ = scratch.wrench, scratch.load
