@@ -14,9 +14,8 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Contact
-from ident.servo.fit import measured_load
 from ident.servo.links import ServoLinks
-from ident.servo.motion import ServoMotion, lanes_of, motion_load
+from ident.servo.motion import ServoMotion, lanes_of, measured_load, motion_load
 from ident.servo.rollout import profile_goals
 from ident.servo.search import EVERY_ERROR, evaluate, robust_scale, search
 from ident.servo.terms import INDEX, TERMS, members, to_search

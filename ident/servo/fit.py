@@ -6,19 +6,11 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.contact import Contact, away, find_contact, in_contact
 from ident.servo.links import ServoLinks
-from ident.servo.motion import (
-    MotionLoad,
-    ServoMotion,
-    lanes_of,
-    motion_load,
-    motion_touch,
-    with_coupling,
-)
+from ident.servo.motion import PIECE, ServoMotion, lanes_with_touch
 from ident.servo.rollout import Lanes, repeated
 from ident.servo.search import (
     BLOCKED_LITTLE,
@@ -34,6 +26,7 @@ from ident.servo.terms import (
     GROUPS,
     INDEX,
     TERMS,
+    from_search,
     members,
     start_values,
     to_search,
@@ -46,6 +39,10 @@ PIECES = 160
 
 FINAL_PIECES = 200
 
+WANTED_PIECES, LONGEST_PIECE = 60, 12.0
+"""Of long recordings, the pieces of the final fit are longer [s], as long as there are so many: a model is judged by
+whole motions, and a piece begins at the measured position, which hides where friction would have stopped the joint."""
+
 STARTING_PIECES = 40
 """Pieces at most in the first searches from several limits of acceleration."""
 
@@ -57,20 +54,23 @@ GAIN = 1.3
 few pieces, and there clearly."""
 
 LEAST_GAIN = 0.01
-"""Share of the cost of held-out pieces that a term must save."""
+"""Share of the cost of held-out pieces that a profile must save."""
+
+LATE_GAIN, OFFSET_GAIN = 0.05, 0.25
+"""The same of a limit or a dead band, and of a bias or a zero: an offset makes up for some of what any joint's friction
+lacks, at other torques and for these motions only."""
+
+OFFSETS = ("bias", "zero")
 
 ACCELERATIONS = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
 """[rad/s²] Starts of a profile's limit."""
 
-LITTLE, FADING = 0.02, 0.02
+LITTLE, FADING = 0.02, 0.1
 """Starts of load_breakaway and of the Stribeck velocity [rad/s]."""
 
 LATE = ("load_breakaway", "stribeck_velocity")
 """Terms that are held in the first fit: a joint that breaks away from a large friction within a small velocity jumps,
 and no search comes back from there."""
-
-SMOOTHED = 0.14
-"""[s] span of the local polynomial through measured positions that gives accelerations for coupling."""
 
 FIRST_GROUP = "profile"
 """The optional term that is settled with those that every joint has."""
@@ -183,16 +183,18 @@ def fit_servo(
     final = _pieces(state.kept, FINAL_PIECES)
     progress("final fit")
     values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
+    longer = _longer_pieces(state, final, motions, links, tool[0])
+    values = search(longer, values, free, _scale(longer, values, least), centre, 20, BLOCKED_LITTLE)
     values, free, pruned = _pruned(final, values, free, least, gains)
     if pruned:
-        values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
+        values = search(longer, values, free, _scale(longer, values, least), centre, 20, BLOCKED_LITTLE)
     seen = intervals(final, values, free, least)[2][:, INDEX["stiffness"]]
     loose = free[:, INDEX["stiffness"]] & ~seen
     if loose.any():
         values, free, held, more = _tied(values, free, held, centre, ~loose, moving, given)
         assumed |= more
         progress("final fit of joints whose torques nothing ties to N·m")
-        values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
+        values = search(longer, values, free, _scale(longer, values, least), centre, 20, BLOCKED_LITTLE)
     low, high, seen, _, covariance = intervals(final, values, free, least)
     pieces = len(np.unique(final.piece))
     if contact is not None:
@@ -237,8 +239,8 @@ def _settle_terms(
     """
     centre, held, weighted, moving = joints
     chosen, judged = parts
-    progress("does friction follow load and speed?")
-    _settle_friction(state, chosen, judged, centre, least)
+    progress("are the servos alike?")
+    _like_the_others(state, chosen, judged, centre, moving & ~held.any(axis=1), least)
     progress("does the arm touch something?")
     state.contact = find_contact(state.lanes, state.values, *tool, least)
     chosen, judged = _left(state)
@@ -252,11 +254,15 @@ def _settle_terms(
         if not len(able):
             continue
         progress(f"is there a {group}?")
+        share = OFFSET_GAIN if group in OFFSETS else LATE_GAIN
+        # as many steps without the term: what a longer search saves is not the term's
+        scale = _scale(chosen, state.values, least)
+        state.values = search(chosen, state.values, state.free, scale, centre, 12, BLOCKED_LITTLE)
         trial = _tried(chosen, state.values, state.free, centre, able.tolist(), group, least)
-        saved = _savings(judged, state.values, trial[0], able.tolist(), least, BLOCKED_LITTLE)
+        saved = _savings(judged, state.values, trial[0], able.tolist(), least, BLOCKED_LITTLE, share)
         _taken(state, centre, trial, list(saved))
-        for joint, share in saved.items():
-            state.gains[joint][group] = share
+        for joint, saving in saved.items():
+            state.gains[joint][group] = saving
         if group == "zero" and saved:
             state.lanes = lanes_with_touch(motions, links, state.values[:, INDEX["zero"]], tool[0])
             chosen, judged = _left(state)
@@ -265,17 +271,28 @@ def _settle_terms(
         _left(state)
 
 
-def _settle_friction(state: _State, chosen: Lanes, judged: Lanes, centre: FloatArray, least: float) -> None:
-    """Take the groups of `FRICTION` away from joints that do not ask for them, in place."""
-    for group in FRICTION:
-        able = np.flatnonzero(state.free[:, members(group)].any(axis=1)).tolist()
-        values, free = state.values.copy(), state.free.copy()
-        without_group(values, free, able, group)
-        values = search(chosen, values, free, _scale(chosen, values, least), centre, 12, BLOCKED_LITTLE)
-        saved = _savings(judged, values, state.values, able, least, BLOCKED_LITTLE)
-        for joint, share in saved.items():
-            state.gains[joint][group] = share
-        _taken(state, centre, (values, free, centre), [joint for joint in able if joint not in saved])
+def _like_the_others(
+    state: _State, chosen: Lanes, judged: Lanes, centre: FloatArray, able: BoolArray, least: float
+) -> None:
+    """Begin again with what the other joints have, and keep it where other pieces are nearer, in place.
+
+    Servos of one arm are mostly of one kind, and a search may have ended in a minimum that is none of theirs.
+    """
+    rows = np.flatnonzero(able)
+    if len(rows) <= LIKE:
+        return
+    torques = [INDEX[name] for name in TORQUES]
+    kind, scaled = state.values[rows].copy(), state.values.copy()
+    kind[:, torques] /= kind[:, [INDEX["stiffness"]]]
+    common = from_search(np.median(to_search(kind), axis=0))
+    stiffness = float(np.exp(np.median(np.log(state.values[rows, INDEX["stiffness"]]))))
+    common[torques] *= stiffness
+    scaled[rows] = np.where(state.free[rows], common, scaled[rows])
+    for shape in (EVERY_ERROR, BLOCKED_LITTLE):
+        scaled = search(chosen, scaled, state.free, _scale(chosen, scaled, least), centre, 15, shape)
+    state.values = search(chosen, state.values, state.free, _scale(chosen, state.values, least), centre, 15, shape)
+    saved = _savings(judged, state.values, scaled, rows.tolist(), least, BLOCKED_LITTLE)
+    _taken(state, centre, (scaled, state.free, centre), list(saved))
 
 
 def _taken(
@@ -295,24 +312,14 @@ def _left(state: _State) -> tuple[Lanes, Lanes]:
     return _split(state.kept, PIECES)
 
 
-def lanes_with_touch(motions: Sequence[ServoMotion], links: ServoLinks, zero: FloatArray, link: int) -> Lanes:
-    """Pieces of measured motions, with what a link may touch."""
-    loads = [measured_load(links, motion, zero) for motion in motions]
-    touches = [motion_touch(links, link, motion, motion.time, motion.position) for motion in motions]
-    return lanes_of(motions, loads, touches=touches)
-
-
-def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray) -> MotionLoad:
-    """The links along a measured motion: gravity and inertia, and the torques between the joints."""
-    load = motion_load(links, motion, motion.time, motion.position, zero)
-    period = float(np.median(np.diff(motion.time)))
-    window = max(5, round(SMOOTHED / period) | 1)
-    if motion.position.shape[1] < 2 or window >= len(motion.time):
-        return load
-    velocity, acceleration = (
-        savgol_filter(motion.position, window, 3, deriv=order, delta=period, axis=0) for order in (1, 2)
-    )
-    return with_coupling(links, motion, load, motion.time, (motion.position + zero, velocity, acceleration))
+def _longer_pieces(state: _State, final: Lanes, motions: Sequence[ServoMotion], links: ServoLinks, link: int) -> Lanes:
+    """Longer pieces where the recordings are long, without what the contact bends; `final` where they are not."""
+    piece = min(sum(float(motion.time[-1]) for motion in motions) / WANTED_PIECES, LONGEST_PIECE)
+    if piece <= PIECE:
+        return final
+    state.lanes = lanes_with_touch(motions, links, state.values[:, INDEX["zero"]], link, piece)
+    _left(state)
+    return state.kept
 
 
 def _start(motions: Sequence[ServoMotion], links: ServoLinks) -> FloatArray:
@@ -343,8 +350,8 @@ def _start(motions: Sequence[ServoMotion], links: ServoLinks) -> FloatArray:
         values[joint, INDEX["coulomb"]] = np.clip(friction, 1e-4, 0.2)
     common = float(np.nanmedian(stiffness)) if np.isfinite(stiffness).any() else float(values[0, INDEX["stiffness"]])
     common = float(np.clip(common, 1e-2, 1e5))
-    stiffness = np.where(np.isfinite(stiffness), np.clip(stiffness, common / 5, common * 5), common)
-    values[:, INDEX["stiffness"]] = stiffness
+    # Servos of one arm are mostly of one kind, and friction disturbs a single joint's ratio of sag to gravity.
+    values[:, INDEX["stiffness"]] = stiffness = np.full(joints, common)
     values[:, INDEX["damping"]] *= stiffness
     values[:, INDEX["coulomb"]] *= stiffness
     # A servo's loop is overdamped: half of its lag would be its inertia at critical damping.
@@ -485,7 +492,13 @@ def _first_fit(
 
 
 def _savings(
-    judged: Lanes, before: FloatArray, after: FloatArray, able: Sequence[int], least: float, shape: float
+    judged: Lanes,
+    before: FloatArray,
+    after: FloatArray,
+    able: Sequence[int],
+    least: float,
+    shape: float,
+    share: float = LEAST_GAIN,
 ) -> dict[int, float]:
     """Joints whose cost on held-out pieces falls clearly, and by what share."""
     residual = evaluate(judged, before)[0]
@@ -501,7 +514,7 @@ def _savings(
             float(changes[changes > 0].sum()) > -GAIN * float(changes[changes < 0].sum())
             for changes in (difference, clear)
         )
-        if helps and total > LEAST_GAIN * float(old[joint].sum()):
+        if helps and total > share * float(old[joint].sum()):
             saved[joint] = total / float(old[joint].sum())
     return saved
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.signal import savgol_filter
 
 from daq.recording.commanded_motion import TARGET, CommandedMotion
 from drivers.core.arrays import FloatArray
@@ -34,6 +35,10 @@ SHORTEST = 3.0
 
 THINNED = 4
 """Inertia and the slope of gravity are evaluated at every fourth sample: they change slowly."""
+
+
+SMOOTHED = 0.14
+"""[s] span of the local polynomial through measured positions that gives accelerations for coupling."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,3 +272,25 @@ def lanes_of(
         measured,
         Touch(reference, height, lever) if touches else None,
     )
+
+
+def lanes_with_touch(
+    motions: Sequence[ServoMotion], links: ServoLinks, zero: FloatArray, link: int, piece: float = PIECE
+) -> Lanes:
+    """Pieces [s] of measured motions, with what a link may touch."""
+    loads = [measured_load(links, motion, zero) for motion in motions]
+    touches = [motion_touch(links, link, motion, motion.time, motion.position) for motion in motions]
+    return lanes_of(motions, loads, piece, touches)
+
+
+def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray) -> MotionLoad:
+    """The links along a measured motion: gravity and inertia, and the torques between the joints."""
+    load = motion_load(links, motion, motion.time, motion.position, zero)
+    period = float(np.median(np.diff(motion.time)))
+    window = max(5, round(SMOOTHED / period) | 1)
+    if motion.position.shape[1] < 2 or window >= len(motion.time):
+        return load
+    velocity, acceleration = (
+        savgol_filter(motion.position, window, 3, deriv=order, delta=period, axis=0) for order in (1, 2)
+    )
+    return with_coupling(links, motion, load, motion.time, (motion.position + zero, velocity, acceleration))

@@ -11,9 +11,9 @@ import dynid
 from daq.robot.loader import load_robot
 from ident.servo.arm_rollout import touched_paths
 from ident.servo.contact import Contact, find_contact, in_contact, lowest_points, tool_point
-from ident.servo.fit import lanes_with_touch
 from ident.servo.identify import read_motions
 from ident.servo.links import servo_links
+from ident.servo.motion import lanes_with_touch
 from ident.servo.terms import INDEX, start_values
 
 STEP = 1.5e-3
