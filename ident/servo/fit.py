@@ -56,11 +56,9 @@ few pieces, and there clearly."""
 LEAST_GAIN = 0.01
 """Share of the cost of held-out pieces that a profile must save."""
 
-LATE_GAIN, OFFSET_GAIN = 0.05, 0.25
-"""The same of a limit or a dead band, and of a bias or a zero: an offset makes up for some of what any joint's friction
-lacks, at other torques and for these motions only."""
-
-OFFSETS = ("bias", "zero")
+LATE_GAIN, ZERO_GAIN = 0.05, 0.25
+"""The same of a limit or a dead band, and of a zero: an offset makes up for some of what any joint's friction lacks, at
+other torques and for these motions only."""
 
 ACCELERATIONS = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
 """[rad/s²] Starts of a profile's limit."""
@@ -254,7 +252,7 @@ def _settle_terms(
         if not len(able):
             continue
         progress(f"is there a {group}?")
-        share = OFFSET_GAIN if group in OFFSETS else LATE_GAIN
+        share = ZERO_GAIN if group == "zero" else LATE_GAIN
         # as many steps without the term: what a longer search saves is not the term's
         scale = _scale(chosen, state.values, least)
         state.values = search(chosen, state.values, state.free, scale, centre, 12, BLOCKED_LITTLE)

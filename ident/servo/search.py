@@ -28,7 +28,12 @@ FEWEST_PIECES = 1.2
 
 CONFIDENCE = 0.95
 
+BIAS = 3e-4
+"""[rad or m] σ of the prior of a bias: a digital loop holds to a few steps of its encoder, say 3 mrad, and of about 100
+samples of a roll-out one is independent. A wider one lets a joint's torques grow until a bias stands for gravity."""
+
 _SPREAD = np.array([term.spread for term in TERMS])
+_PRIOR = np.array([BIAS if term.name == "bias" else term.spread for term in TERMS])
 
 
 def evaluate(lanes: Lanes, values: FloatArray, free: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
@@ -108,8 +113,8 @@ def search(
         for joint in np.flatnonzero(~done).tolist():
             own = np.flatnonzero(free[joint])
             curvature, gradient = normal_equations(residual, tangents, lanes, joint, scale[joint], columns, own, shape)
-            curvature += np.diag(1.0 / _SPREAD[own] ** 2)
-            gradient += (point[joint, own] - centre[joint, own]) / _SPREAD[own] ** 2
+            curvature += np.diag(1.0 / _PRIOR[own] ** 2)
+            gradient += (point[joint, own] - centre[joint, own]) / _PRIOR[own] ** 2
             damped = curvature + damping[joint] * np.diag(np.diag(curvature))
             move = -np.linalg.lstsq(damped, gradient, rcond=None)[0]
             step[joint, own] = np.clip(move, -0.7 * _SPREAD[own], 0.7 * _SPREAD[own])
@@ -160,7 +165,7 @@ def normal_equations(
 
 
 def _prior(point: FloatArray, centre: FloatArray, free: BoolArray) -> FloatArray:
-    return np.asarray(np.sum(np.where(free, ((point - centre) / _SPREAD) ** 2, 0.0), axis=1), dtype=np.float64)
+    return np.asarray(np.sum(np.where(free, ((point - centre) / _PRIOR) ** 2, 0.0), axis=1), dtype=np.float64)
 
 
 def intervals(

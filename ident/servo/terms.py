@@ -55,9 +55,7 @@ TERMS = (
     ServoTerm("damping", "N·m·s/rad", "against velocity", 0.8, 0.0, True, 2.0, "", Range(1e-9, 1e6)),
     ServoTerm("armature", "kg·m²", "motor inertia at the joint", 0.02, 0.0, True, 1.0, "", Range(1e-9, 1e4)),
     ServoTerm("coulomb", "N·m", "Coulomb friction", 0.2, 0.0, True, 2.0, "", Range(1e-9, 1e6)),
-    ServoTerm(
-        "bias", "rad", "of the held position against the command", 0.0, 0.0, False, 0.05, "bias", Range(-1.0, 1.0)
-    ),
+    ServoTerm("bias", "rad", "of the held position against the command", 0.0, 0.0, False, 0.05, "", Range(-1.0, 1.0)),
     ServoTerm("delay", "s", "from a command to its effect", 0.01, 0.0, False, 0.03, "", Range(-0.1, 1.0)),
     ServoTerm(
         "acceleration_limit", "rad/s²", "of the servo's profile", 40.0, 1e7, True, 3.0, "profile", Range(1e-3, 1e8)
