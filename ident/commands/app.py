@@ -4,27 +4,9 @@ from __future__ import annotations
 
 import typer
 
-from ident.commands import (
-    bench,
-    check,
-    compare,
-    diff,
-    excite,
-    export,
-    fleet,
-    friction,
-    history,
-    identify,
-    info,
-    lint,
-    merge,
-    monitor,
-    payload,
-    predict,
-    robot,
-    sweep,
-    validate,
-)
+from ident.commands.identification import bench, compare, fleet, friction, identify, merge, payload, validate
+from ident.commands.preparation import check, excite, info, lint, robot, sweep
+from ident.commands.use import diff, export, history, monitor, predict
 
 app = typer.Typer()
 for command in (
@@ -44,7 +26,6 @@ for command in (
     fleet,
     history,
     merge,
-    monitor,
     payload,
     friction,
     export,

@@ -37,9 +37,9 @@ def validate_model(
     """
     from daq.commands.console import progress_line
     from drivers.core.errors import UsageError
-    from ident.commands.gravity import validate_gravity_command
+    from ident.commands.identification.gravity import validate_gravity_command
+    from ident.commands.identification.servo import refuse_model_file, validate_servo_command
     from ident.commands.options import limits_option
-    from ident.commands.servo import refuse_model_file, validate_servo_command
     from ident.result.model import result_path
     from ident.result.result_file import GRAVITY, SERVO, kind_of
     from ident.tasks.validation import validate

@@ -8,7 +8,7 @@ import typer
 
 from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
-from ident.commands.excite_purposes import ExciteCommandOptions
+from ident.commands.preparation.excite_purposes import ExciteCommandOptions
 
 app = CommandApp("Record")
 
@@ -34,7 +34,7 @@ def excite(
     from daq.motion.trajectory_file import with_files
     from daq.output_files import check_outputs, written_together
     from daq.robot.loader import load_robot
-    from ident.commands.excite_purposes import purpose_of
+    from ident.commands.preparation.excite_purposes import purpose_of
     from ident.result.model import result_path
     from ident.tasks.arguments import paths_of
 

@@ -40,11 +40,10 @@ def identify_recordings(
     from daq.commands.console import progress_line
     from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
     from daq.robot.loader import load_robot
-    from ident.commands.gravity import identify_gravity_command, print_gravity
-    from ident.commands.history import add_to_history
+    from ident.commands.identification.gravity import identify_gravity_command, print_gravity
+    from ident.commands.identification.servo import identify_servo_command, is_servo, print_servo, refuse_model_file
     from ident.commands.options import limits_option
     from ident.commands.printing.result import print_result
-    from ident.commands.servo import identify_servo_command, is_servo, print_servo, refuse_model_file
     from ident.history.database import check_history
     from ident.result.friction_experiment import friction_path
     from ident.tasks.arguments import paths_of
@@ -71,23 +70,31 @@ def identify_recordings(
         limited = any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse))
         if gravity:
             found = identify_gravity_command(options, folder, progress, limited=limited, overwrite=force)
-            add_to_history(folder, history)
+            _add_to_history(folder, history)
             print_gravity(found, folder, verbose=verbose, as_json=as_json)
             return
         if is_servo(options.method):
             servo = identify_servo_command(
                 options, folder, progress, model_file=model_file, limited=limited, overwrite=force
             )
-            add_to_history(folder, history)
+            _add_to_history(folder, history)
             print_servo(servo, folder, verbose=verbose, as_json=as_json)
             return
         result = identify(**{**vars(options), "accept": limits, "progress": progress})
         progress("report")
         result.save(folder, overwrite=force)
-        add_to_history(folder, history)
+        _add_to_history(folder, history)
     if as_json:
         print((folder / RESULT_FILE).read_text(encoding="utf-8"), end="")
     else:
         print_result(result.result, folder / REPORT_FILE, verbose=verbose)
     if result.acceptance is not None and not result.acceptance.passed:
         raise typer.Exit(1)
+
+
+def _add_to_history(folder: Path, database: Path | None) -> None:
+    """Add the result in a folder; nothing where no history is named."""
+    from ident.tasks.history import History
+
+    if database is not None:
+        History(database).add(folder)

@@ -20,8 +20,8 @@ def export(*, options: ExportOptions, force: bool = FORCE, as_json: bool = JSON)
 
     from daq.commands.console import print_json, progress_line
     from daq.output_files import check_outputs, written_together
-    from ident.commands.gravity import export_gravity_command
-    from ident.commands.servo import export_servo_command, refuse_servo_formats
+    from ident.commands.identification.gravity import export_gravity_command
+    from ident.commands.identification.servo import export_servo_command, refuse_servo_formats
     from ident.export.c_code.names import source_paths
     from ident.result.load_model import load_model
     from ident.result.model import result_path

@@ -29,14 +29,6 @@ MOST_SENTENCES = 5
 MOST_ROWS = 8
 
 
-def add_to_history(folder: Path, database: Path | None) -> None:
-    """Add the result in a folder that `identify` wrote; nothing where no history is named."""
-    from ident.tasks.history import History
-
-    if database is not None:
-        History(database).add(folder)
-
-
 @history_app.callback()
 def history() -> None:
     """Follow an arm's parameters over many results: wear, steps, temperature.

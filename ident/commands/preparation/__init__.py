@@ -1,0 +1,1 @@
+"""Before an identification: robot files, motions, a look at recordings."""
