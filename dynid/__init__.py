@@ -47,9 +47,9 @@ if TYPE_CHECKING:
     from drivers.core.errors import WorkError as WorkError
     from ident.fleet.fleet import Fleet as Fleet
     from ident.fleet.fleet import identify_fleet as identify_fleet
-    from ident.result.gravity_model import GravityModel as GravityModel
-    from ident.result.load_model import load_model as load_model
-    from ident.result.model import Model as Model
+    from ident.result.models.gravity_model import GravityModel as GravityModel
+    from ident.result.models.load_model import load_model as load_model
+    from ident.result.models.model import Model as Model
     from ident.result.tables import Table as Table
     from ident.tasks.arm import base_parameters as base_parameters
     from ident.tasks.comparison import MethodComparison as MethodComparison
@@ -106,9 +106,9 @@ _HOMES = {
         "UsageError",
         "WorkError",
     ),
-    "ident.result.gravity_model": ("GravityModel",),
-    "ident.result.load_model": ("load_model",),
-    "ident.result.model": ("Model",),
+    "ident.result.models.gravity_model": ("GravityModel",),
+    "ident.result.models.load_model": ("load_model",),
+    "ident.result.models.model": ("Model",),
     "ident.result.tables": ("Table",),
     "ident.tasks.arm": ("base_parameters",),
     "ident.tasks.comparison": ("MethodComparison", "compare"),

@@ -17,7 +17,7 @@ from ident.export.mjcf import mjcf
 from ident.export.pinocchio_arm import pinocchio_arm
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import truth_vector
 from ident.simulation.forward_arm import ForwardArm
 from ident.simulation.time_stepping import integrate

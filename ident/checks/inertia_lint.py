@@ -19,6 +19,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
 from ident.linear_algebra.vectors import rotation_of
 from ident.model.dynamic_model import DynamicModel, build_model
+from ident.model.dynamics.rigid_arm import RigidArm, rigid_arm
 from ident.model.kinematics.urdf import urdf_inertias
 from ident.model.kinematics.urdf_shapes import (
     UnusableShapeError,
@@ -28,7 +29,6 @@ from ident.model.kinematics.urdf_shapes import (
     placed_shape,
 )
 from ident.model.parameters import link_parameters
-from ident.model.rigid_arm import RigidArm, rigid_arm
 
 TRIANGLE = 1.01
 """Largest principal moment over the sum of the others from which on no body has them; published digits are rounded."""

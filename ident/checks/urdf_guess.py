@@ -15,8 +15,8 @@ from ident.estimators.feasible.prior import LinkPriors, link_priors, uniform_bal
 from ident.estimators.feasible.pseudo_inertia import body_of
 from ident.excite.motion_check import ArmMotionCheck
 from ident.model.dynamic_model import DynamicModel, build_model
+from ident.model.dynamics.rigid_arm import RigidArm, rigid_arm
 from ident.model.kinematics.urdf import urdf_inertias
-from ident.model.rigid_arm import RigidArm, rigid_arm
 
 POSES = 300
 """Random poses that are looked at."""

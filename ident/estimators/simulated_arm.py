@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from drivers.core.errors import IdentificationError, ModelError
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import found_consistent
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.regression.estimate import estimate_of
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observability import whole_arm

@@ -16,7 +16,7 @@ from drivers.core.text import percent_text
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from ident.result.model import result_path
+from ident.result.models.model import result_path
 from ident.result.result_file import read_result
 from ident.result.schema import Result
 from ident.signals.cutoffs import filtered_rate

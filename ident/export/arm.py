@@ -14,7 +14,7 @@ from drivers.core.errors import ModelError
 from ident.estimators.feasible.pseudo_inertia import Body, body_of
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.parameters import LINK_SIZE
 
 

@@ -34,7 +34,7 @@ from ident.identify.body_checks import body_checks, with_opposite_torques
 from ident.identify.cutoff_search import cutoff_checks
 from ident.identify.identification import Identification
 from ident.identify.residual_bursts import burst_checks
-from ident.model.inverse_dynamics import weights_in_offsets
+from ident.model.dynamics.inverse_dynamics import weights_in_offsets
 from ident.model.regressor import RegressorKernel
 from ident.regression.estimate import estimate_of
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT

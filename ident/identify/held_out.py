@@ -16,7 +16,7 @@ from ident.assessment.validation import Fit, fit_errors, overfitting_checks
 from ident.identify.data_split import labelled
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.regression.comparison import TorqueSeries, compare_torques, only_predicted
 from ident.result.delivered import DELIVERED_WORDS, Delivered, HeldOutErrors, delivered_parameters
 from ident.result.schema import Result

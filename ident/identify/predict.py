@@ -12,7 +12,7 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.units import ZERO_CELSIUS
 from ident.identify.revalidate import stored_choices
-from ident.result.model import Model, TorquePart
+from ident.result.models.model import Model, TorquePart
 from ident.signals.joint_signals import JointSignals, joint_positions, joint_temperature, read_joint_signals
 from ident.signals.pipeline import prepare
 from ident.signals.prepared import Prepared, Segment

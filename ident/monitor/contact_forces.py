@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import DynamicModel
-from ident.model.link_jacobian import LinkJacobians, link_end
+from ident.model.dynamics.link_jacobian import LinkJacobians, link_end
 from ident.monitor.thresholds import FAST, REST, SLOW, Thresholds
 
 SURELY = 1.645

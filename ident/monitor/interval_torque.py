@@ -20,11 +20,11 @@ from drivers.core.arrays import BoolArray, FloatArray
 from drivers.core.errors import DataError
 from drivers.core.units import ZERO_CELSIUS
 from ident.identify.revalidate import stored_choices
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.joint_columns import combined
 from ident.model.presliding import dahl_states, presliding_motions
-from ident.result.gravity_model import refuse_gravity_alone
-from ident.result.model import Model
+from ident.result.models.gravity_model import refuse_gravity_alone
+from ident.result.models.model import Model
 
 LONGEST_STEP = 2.5
 """Periods between two samples from which on there is a gap, and the observer starts again."""

@@ -16,7 +16,7 @@ from ident.monitor.interval_torque import JointSamples
 from ident.monitor.monitor import Contact, Monitor, Residuals
 from ident.monitor.thresholds import STD_EVERY, Thresholds
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.signals.joint_signals import TEMPERATURE, live_signals
 
 TOGETHER = 0.01

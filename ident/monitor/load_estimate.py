@@ -15,7 +15,7 @@ from ident.monitor.interval_torque import Intervals
 from ident.monitor.observers import observer
 from ident.monitor.thresholds import REST, Thresholds
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.result.model import Model
+from ident.result.models.model import Model
 
 PRIOR = {"M": 50.0, "MX": 10.0, "MY": 10.0, "MZ": 10.0}
 """σ before any sample [kg, kg·m]; of the inertias `PRIOR_INERTIA`."""

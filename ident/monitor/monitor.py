@@ -13,13 +13,13 @@ from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from drivers.core.errors import DataError
 from drivers.core.units import ZERO_CELSIUS
 from ident.model.dynamic_model import build_model
-from ident.model.link_jacobian import LinkJacobians
+from ident.model.dynamics.link_jacobian import LinkJacobians
 from ident.monitor.choices import BANDWIDTH, Kind
 from ident.monitor.contact_forces import Wrench, tool_wrench
 from ident.monitor.interval_torque import Intervals, IntervalTorque, JointSamples, rows_of
 from ident.monitor.load_estimate import LoadEstimate, LoadEstimator
 from ident.monitor.thresholds import SETTLING, STD_EVERY, Thresholds, learn
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.signals.joint_signals import read_joint_signals
 from ident.signals.resampling import measure_irregularity
 

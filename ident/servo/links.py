@@ -10,7 +10,7 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray, IntArray
 from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import DynamicModel, build_model
-from ident.model.energy import EnergyKernel
+from ident.model.dynamics.energy import EnergyKernel
 from ident.model.kinematics.urdf import urdf_inertias
 from ident.model.parameters import INERTIAL, LINK_SIZE, link_parameters
 from ident.model.regressor import model_torque

@@ -19,7 +19,7 @@ from ident.export.mujoco_reading import loaded, mujoco_installed
 from ident.export.xml_text import comment_text, number, numbers
 from ident.friction.terms import NO_TERMS
 from ident.model.base_parameters import base_parameters
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.servo.actuator_law import FileFormat, actuator_law
 from ident.servo.contact import Contact
 from ident.servo.links import ServoLinks

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.signals.prepared import Segment
 from ident.simulation.forward_arm import ForwardArm
 from ident.simulation.time_stepping import integrate

@@ -1,6 +1,6 @@
 """What a simulation needs of an arm at one instant: inertia matrix, bias torque, viscous and dry friction.
 
-At the n joints with a motor, as `ident.model.inverse_dynamics` has it:
+At the n joints with a motor, as `ident.model.dynamics.inverse_dynamics` has it:
 
     M(q)·q̈ + b(q, q̇) + V·q̇ + Dᵀ·λ = τ        λᵢ = fᵢ·sign(Dᵢ·q̇), anything between −fᵢ and fᵢ where Dᵢ·q̇ = 0
 
@@ -20,10 +20,10 @@ from drivers.core.units import joint_unit
 from ident.friction.table import SLOPE_SPEED, TERM
 from ident.friction.terms import FrictionConditions
 from ident.model.dynamic_model import DynamicModel
-from ident.model.inverse_dynamics import InverseDynamics, with_masses
+from ident.model.dynamics.inverse_dynamics import InverseDynamics, with_masses
+from ident.model.dynamics.rigid_arm import RigidArm, rigid_arm
 from ident.model.joint_columns import JointColumn, column_signal, combined
 from ident.model.parameters import INERTIAL
-from ident.model.rigid_arm import RigidArm, rigid_arm
 
 
 @dataclass(frozen=True, eq=False)

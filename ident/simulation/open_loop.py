@@ -14,7 +14,7 @@ from pydantic import Field
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.signals.prepared import Segment
 from ident.simulation.forward_arm import ForwardArm
 from ident.simulation.time_stepping import integrate

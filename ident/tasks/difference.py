@@ -13,7 +13,7 @@ from drivers.core.text import in_percent
 from ident.assessment.validation import Fit
 from ident.regression.estimate import Estimate
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest, chi_square_test
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.result.schema import Result
 from ident.result.stored_model import stored_estimate, stored_model
 from ident.result.tables import Cell, Table, table_of_rows

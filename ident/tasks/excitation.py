@@ -34,7 +34,7 @@ from ident.excite.search.search import SearchChoices, SearchResult
 from ident.excite.servo_motion import ServoExcitation, servo_excitation
 from ident.excite.servo_segments import KINDS, PERIOD
 from ident.excite.velocity_sweep import JointSweep, velocity_sweep
-from ident.result.model import result_path
+from ident.result.models.model import result_path
 from ident.result.tables import Table, table_of_rows
 from ident.servo.result import read_servo_result
 from ident.tasks.options import ExciteOptions, GravityMotionOptions, ServoMotionOptions, SweepOptions

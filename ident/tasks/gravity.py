@@ -18,8 +18,8 @@ from drivers.core.reading_process import Progress
 from ident.experiments.gravity.experiment import GravityExperiment, analyse_gravity, revalidated
 from ident.report.gravity_page import gravity_page, poses_figure
 from ident.result.gravity import GravityResult, read_gravity_result
-from ident.result.gravity_model import GravityModel
-from ident.result.model import result_path
+from ident.result.models.gravity_model import GravityModel
+from ident.result.models.model import result_path
 from ident.tasks.arguments import Runs, recordings_of
 from ident.tasks.options import silent
 from ident.tasks.saved_result import GradedResult

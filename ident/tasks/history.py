@@ -20,7 +20,7 @@ from ident.history.arm import ArmHistory, arm_history
 from ident.history.database import add_entries, read_entries
 from ident.history.entry import HistoryEntry, parse_time, read_entry
 from ident.report.history_page import history_page
-from ident.result.model import result_path
+from ident.result.models.model import result_path
 from ident.result.result_file import read_content
 from ident.result.tables import Table
 from ident.tasks.saved_result import SavedResult

@@ -25,7 +25,7 @@ from ident.report import RecordedRuns, ReportData, recorded_runs, render_report
 from ident.report.figures.torque_figure import torque_figure
 from ident.result.delivered import Delivered
 from ident.result.friction_experiment import read_friction_experiment
-from ident.result.model import Model, result_path
+from ident.result.models.model import Model, result_path
 from ident.result.result_file import read_result, result_json
 from ident.result.schema import Result
 from ident.result.stored_model import stored_model

@@ -33,7 +33,7 @@ from ident.monitor.load_estimate import LoadEstimate
 from ident.monitor.monitor import Contact, Monitor, Residuals, earned_thresholds, joint_samples, sample_period
 from ident.monitor.thresholds import Thresholds
 from ident.report.monitor_page import write_monitor_page
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.result.tables import Table, table_of_rows
 from ident.tasks.arguments import recording_of, recordings_of
 from ident.tasks.options import DetectionOptions, MonitorOptions

@@ -25,9 +25,9 @@ from drivers.streams import UNITS
 from ident.identify.predict import PARTS, RecordingPrediction, predict_recording
 from ident.report.prediction_page import prediction_figure, write_prediction_page
 from ident.result.delivered import Parameters
-from ident.result.gravity_model import refuse_gravity_alone
-from ident.result.load_model import load_model
-from ident.result.model import Model
+from ident.result.models.gravity_model import refuse_gravity_alone
+from ident.result.models.load_model import load_model
+from ident.result.models.model import Model
 from ident.result.stored_model import stored_model
 from ident.result.tables import Table, table_of_rows
 from ident.tasks.arguments import recording_of

@@ -23,7 +23,7 @@ from drivers.streams import UNITS
 from ident.export.mujoco_reading import mujoco_installed
 from ident.ranges import UNIT_SPREAD
 from ident.report.servo_page import rollout_figure, servo_page
-from ident.result.model import result_path
+from ident.result.models.model import result_path
 from ident.result.result_file import file_sha256
 from ident.servo import isaaclab, mjcf, usd
 from ident.servo.actuator_law import ServoReplay, law_paths, left_out, nearest_file

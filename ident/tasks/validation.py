@@ -14,8 +14,8 @@ from ident.identify.acceptance import acceptance_figures
 from ident.identify.held_out import delivered_model, model_checks, model_verdict
 from ident.identify.revalidate import revalidate
 from ident.result.delivered import Delivered, HeldOutErrors
-from ident.result.gravity_model import refuse_gravity_alone
-from ident.result.model import Model, result_path
+from ident.result.models.gravity_model import refuse_gravity_alone
+from ident.result.models.model import Model, result_path
 from ident.result.result_file import read_result
 from ident.result.schema import Result
 from ident.result.tables import Table

@@ -23,7 +23,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from drivers.core.ranges import Range
 from ident.model.dynamic_model import DynamicModel
-from ident.model.link_jacobian import LinkJacobians, link_end, link_index
+from ident.model.dynamics.link_jacobian import LinkJacobians, link_end, link_index
 
 USAGE = (
     "push LINK FX FY FZ [at X Y Z] for SECONDS | wall X Y Z NX NY NZ [STIFFNESS [DAMPING]] | pick MASS [at X Y Z] | "

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.model.rigid_arm import RigidArm
+from ident.model.dynamics.rigid_arm import RigidArm
 from sim_drivers.plant.friction import FrictionParameters
 
 DAMPING_RATIO = 1.0

@@ -20,7 +20,7 @@ from daq.robot.schema import TruthJoint
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
-from ident.model.rigid_arm import RigidArm, rigid_arm
+from ident.model.dynamics.rigid_arm import RigidArm, rigid_arm
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.plant.contact import Contacts

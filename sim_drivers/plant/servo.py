@@ -21,7 +21,7 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot, TruthJoint, TruthServo, TruthSupply
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
-from ident.model.rigid_arm import rigid_arm
+from ident.model.dynamics.rigid_arm import rigid_arm
 from ident.model.true_parameters import true_model, truth_vector
 from ident.simulation.dry_friction import dry_friction
 from sim_drivers.plant.thermal import JointHeat

@@ -35,7 +35,7 @@ from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.base_parameters import random_states
-from ident.result.model import Model
+from ident.result.models.model import Model
 from studies.checks.random_mistakes import slide
 from studies.models.consistency import public
 

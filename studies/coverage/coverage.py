@@ -33,7 +33,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.result.model import Model
+from ident.result.models.model import Model
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.synthetic.random_points import random_points_motion
 

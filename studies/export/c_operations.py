@@ -15,7 +15,7 @@ from ident.export.c_code.expressions import Graph
 from ident.export.c_code.functions import Function, arm_functions
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 
 
 def counts(model: DynamicModel, base: BaseParameters) -> dict[str, str]:

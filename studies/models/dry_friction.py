@@ -21,9 +21,9 @@ from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import truth_vector
-from ident.result.simulated_motion import simulated_motion
+from ident.result.models.simulated_motion import simulated_motion
 from ident.simulation import time_stepping
 from ident.simulation.dry_friction import dry_friction
 

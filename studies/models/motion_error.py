@@ -12,7 +12,7 @@ import dynid
 from ident.identify.revalidate import stored_choices
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import truth_vector
 from ident.signals.joint_signals import read_joint_signals
 from ident.signals.pipeline import prepare

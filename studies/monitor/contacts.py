@@ -23,14 +23,14 @@ import numpy as np
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import build_model
-from ident.model.link_jacobian import LinkJacobians, link_end
+from ident.model.dynamics.link_jacobian import LinkJacobians, link_end
 from ident.monitor.choices import Kind
 from ident.monitor.contact_forces import SURELY, force_noticed
 from ident.monitor.interval_torque import IntervalTorque, JointSamples
 from ident.monitor.labelled_contacts import LabelledContact, found_at, operating_point, roc
 from ident.monitor.monitor import Monitor, earned_thresholds, joint_samples
 from ident.monitor.thresholds import Thresholds
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.tasks.identification import identify
 from ident.tasks.monitoring import forces_noticed
 from sim_drivers.plant.plant import Plant

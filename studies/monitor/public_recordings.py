@@ -22,7 +22,7 @@ from drivers.core.errors import DataError
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.monitor.monitor import Monitor, earned_thresholds, joint_samples
-from ident.result.model import Model
+from ident.result.models.model import Model
 from studies.models.consistency import public
 from studies.monitor.contacts import WITHIN, delays, pushed, rows
 

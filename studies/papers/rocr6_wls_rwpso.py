@@ -34,7 +34,7 @@ from ident.identify.identification import Identification, IdentifyChoices, Model
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from ident.signals.options import Differentiation, PreprocessChoices

@@ -35,7 +35,7 @@ from ident.excite.search.search import SearchChoices, SearchResult
 from ident.linear_algebra.triangular import GramAccumulator
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.regressor import regressor
 from ident.model.true_parameters import truth_vector
 from ident.simulation.forward_arm import ForwardArm

@@ -9,7 +9,7 @@ from drivers.core.arrays import FloatArray
 from ident.export.arm import ExportedArm
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.parameters import link_parameters
 
 

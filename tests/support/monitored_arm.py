@@ -10,7 +10,7 @@ from true_results import true_result
 from daq.robot.loader import RobotFile, load_robot
 from ident.model.dynamic_model import build_model
 from ident.monitor.interval_torque import JointSamples
-from ident.result.model import Model
+from ident.result.models.model import Model
 from sim_drivers.synthetic.measurement import random_fourier_motion
 
 PERIOD = 0.002

@@ -9,7 +9,7 @@ import numpy as np
 from drivers.core.errors import DataError
 from ident.benchmark.entry import TorquePredictor, Training
 from ident.model.parameters import link_parameters
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.tasks.identification import IdentificationResult, identify
 
 KEPT = (0.5, 1.0, 2.0)

@@ -61,8 +61,8 @@ def export_gravity_command(options: ExportOptions, *, force: bool, as_json: bool
 
     from daq.commands.console import print_json
     from ident.result.gravity import read_gravity_result
-    from ident.result.gravity_model import GravityModel
-    from ident.result.model import result_path
+    from ident.result.models.gravity_model import GravityModel
+    from ident.result.models.model import result_path
 
     path = options.model
     if options.c is None or options.given("urdf", "mjcf", "ros2_inertial"):

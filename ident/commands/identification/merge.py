@@ -30,7 +30,7 @@ def merge_models(
     from daq.commands.console import progress_line
     from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
     from ident.commands.printing.result import print_result
-    from ident.result.model import result_path
+    from ident.result.models.model import result_path
     from ident.tasks.arguments import paths_of
     from ident.tasks.validation import merge
 

@@ -40,7 +40,7 @@ def validate_model(
     from ident.commands.identification.gravity import validate_gravity_command
     from ident.commands.identification.servo import refuse_model_file, validate_servo_command
     from ident.commands.options import limits_option
-    from ident.result.model import result_path
+    from ident.result.models.model import result_path
     from ident.result.result_file import GRAVITY, SERVO, kind_of
     from ident.tasks.validation import validate
 

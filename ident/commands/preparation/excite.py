@@ -35,7 +35,7 @@ def excite(
     from daq.output_files import check_outputs, written_together
     from daq.robot.loader import load_robot
     from ident.commands.preparation.excite_purposes import purpose_of
-    from ident.result.model import result_path
+    from ident.result.models.model import result_path
     from ident.tasks.arguments import paths_of
 
     purpose = purpose_of(options)

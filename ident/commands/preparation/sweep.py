@@ -33,7 +33,7 @@ def sweep_velocities(
     from daq.output_files import check_outputs, written_together
     from daq.robot.loader import load_robot
     from drivers.core.units import common_unit
-    from ident.result.model import result_path
+    from ident.result.models.model import result_path
     from ident.tasks.excitation import design_sweep
 
     prior_file = None if options.prior is None else result_path(options.prior)

@@ -23,8 +23,8 @@ def export(*, options: ExportOptions, force: bool = FORCE, as_json: bool = JSON)
     from ident.commands.identification.gravity import export_gravity_command
     from ident.commands.identification.servo import export_servo_command, refuse_servo_formats
     from ident.export.c_code.names import source_paths
-    from ident.result.load_model import load_model
-    from ident.result.model import result_path
+    from ident.result.models.load_model import load_model
+    from ident.result.models.model import result_path
     from ident.result.result_file import GRAVITY, SERVO, kind_of
     from ident.verdict.verdict import judge, together
 

@@ -175,7 +175,7 @@ def _replay(
     """Watch a recording."""
     from daq.commands.console import print_json, progress_line
     from daq.output_files import check_outputs
-    from ident.result.model import result_path
+    from ident.result.models.model import result_path
     from ident.tasks.arguments import paths_of
     from ident.tasks.monitoring import monitor
 

@@ -31,7 +31,7 @@ def predict_torque(
     from daq.output_files import check_outputs
     from drivers.core.errors import UsageError
     from ident.commands.identification.servo import predict_servo_command
-    from ident.result.model import result_path
+    from ident.result.models.model import result_path
     from ident.result.result_file import GRAVITY, SERVO, kind_of
     from ident.tasks.arguments import paths_of
     from ident.tasks.prediction import predict

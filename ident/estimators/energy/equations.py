@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
 from ident.linear_algebra.triangular import QrAccumulator
-from ident.model.energy import EnergyKernel
+from ident.model.dynamics.energy import EnergyKernel
 from ident.regression.comparison import independent_share, lag_one, residual_autocorrelation
 from ident.regression.jackknife import (
     CorrectedCovariance,

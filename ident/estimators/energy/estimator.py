@@ -11,7 +11,7 @@ from ident.estimators.energy.windows import EnergyWindows, describe_windows
 from ident.estimators.estimator import Estimation, Estimator, Setup
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.energy import energy_base_parameters
+from ident.model.dynamics.energy import energy_base_parameters
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun
 from ident.regression.least_squares import LeastSquares, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction, stack_reductions

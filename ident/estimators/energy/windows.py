@@ -25,7 +25,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
 from ident.estimators.energy.equations import EnergyRows
 from ident.model.dynamic_model import DynamicModel
-from ident.model.energy import STATES_AT_ONCE, EnergyKernel, motor_velocity
+from ident.model.dynamics.energy import STATES_AT_ONCE, EnergyKernel, motor_velocity
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
 from ident.signals.prepared import Segment
 

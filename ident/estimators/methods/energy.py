@@ -13,7 +13,7 @@ from ident.estimators.energy.estimator import EnergyEstimator
 from ident.estimators.energy.windows import EnergyWindows, exchange_for, mean_duration, moving_spans
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
-from ident.model.energy import EnergyKernel
+from ident.model.dynamics.energy import EnergyKernel
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from ident.estimators.simulated_arm import SIMULATION_SETTLED, check_whole_arm, 
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.regressor import regressor
 from ident.regression.comparison import TorqueSeries
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun

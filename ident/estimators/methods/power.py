@@ -19,7 +19,7 @@ from ident.estimators.energy.estimator import EnergyEstimator
 from ident.estimators.energy.windows import friction_motion, motor_power
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, NoOptions
-from ident.model.energy import STATES_AT_ONCE, EnergyKernel
+from ident.model.dynamics.energy import STATES_AT_ONCE, EnergyKernel
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
 from ident.signals.prepared import Segment
 from ident.signals.segments import central_difference

@@ -19,7 +19,7 @@ from ident.export.c_code.joint_terms import friction, joint_parameter_column, jo
 from ident.export.c_code.recursion import LinkMotion, link_motions, link_wrench, tree_inertia, tree_torques, unit_wrench
 from ident.export.c_code.vectors import Vector, add, constant_vector, cross, dot, scale
 from ident.model.base_parameters import random_states
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.kinematics.transmission import LinearTransmission
 from ident.model.parameters import INERTIAL

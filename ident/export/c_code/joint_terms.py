@@ -12,7 +12,7 @@ from ident.export.c_code.expressions import Expression, Graph, cosine, decay, hy
 from ident.export.c_code.frames import combination
 from ident.friction.table import TERM, Maths, Operands
 from ident.model.dynamic_model import DynamicModel
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.joint_columns import JointColumn, joint_column
 
 EXPRESSIONS = Maths(sign, power, decay, cosine, sine)

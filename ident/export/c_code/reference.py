@@ -12,7 +12,7 @@ from ident.export.c_code.expressions import Graph
 from ident.export.c_code.functions import PAYLOAD, Function
 from ident.export.c_code.statements import Real
 from ident.model.base_parameters import random_states
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.parameters import INERTIAL, link_parameters
 from ident.model.regressor import regressor
 

@@ -15,7 +15,7 @@ from ident.export.c_code.reference import check_expressions, reference
 from ident.export.c_code.source import GENERATION, Description, Parameter, header, source
 from ident.export.c_code.statements import Dialect, Real
 from ident.export.export import Export
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 
 
 def write_c(

@@ -34,7 +34,7 @@ from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.energy import EnergyKernel
+from ident.model.dynamics.energy import EnergyKernel
 from ident.model.true_parameters import truth_vector
 from ident.regression.comparison import compare_torques
 from ident.regression.jackknife import FilteredRun

@@ -13,7 +13,7 @@ from daq.robot.loader import parse_robot
 from drivers.core.errors import DataError, IdentificationError, ModelError, ResultFileError, UsageError
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import truth_vector
 from sim_drivers.synthetic.measurement import simulate_recording
 

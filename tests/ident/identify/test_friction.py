@@ -24,7 +24,7 @@ from ident.model.true_parameters import true_model, truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import FilteredRun
 from ident.regression.systematic_errors import with_systematic_errors
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.result.result_file import result_json
 from ident.result.schema import Result
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording

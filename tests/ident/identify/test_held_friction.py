@@ -12,7 +12,7 @@ from friction_experiment_arm import arm, experiment
 from daq.recording.recording import Recording
 from drivers.core.errors import DataError, UsageError
 from ident.model.true_parameters import true_model
-from ident.result.load_model import load_model
+from ident.result.models.load_model import load_model
 from ident.tasks.identification import identify
 from ident.tasks.validation import validate
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording

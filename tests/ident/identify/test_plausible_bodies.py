@@ -23,9 +23,9 @@ from ident.identify.identification import Identification, IdentifyChoices, Model
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.base_parameters import random_states
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import truth_vector
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.signals.pipeline import PreprocessChoices
 
 OF_BODIES = {

@@ -16,9 +16,9 @@ from ident.export.c_code.functions import arm_functions
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import true_model
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.result.result_file import result_json
 from ident.result.schema import Result
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording

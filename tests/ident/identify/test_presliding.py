@@ -19,7 +19,7 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.presliding import dry_friction
 from ident.model.true_parameters import truth_vector
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.result.result_file import result_json
 from ident.result.schema import Result
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording

@@ -11,7 +11,7 @@ from arm_kinds import ARM_KINDS
 from daq.robot.loader import load_robot
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.energy import EnergyKernel, energy_base_parameters, motor_velocity
+from ident.model.dynamics.energy import EnergyKernel, energy_base_parameters, motor_velocity
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import regressor
 

@@ -13,8 +13,8 @@ from ident.friction.table import SHAPED, root_coefficients, temperature_coeffici
 from ident.friction.terms import FrictionConditions, friction_terms, no_terms
 from ident.model.base_parameters import base_parameters, random_states, random_temperature
 from ident.model.dynamic_model import build_model
-from ident.model.energy import EnergyKernel
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.energy import EnergyKernel
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.joint_columns import column_signal, column_slope, joint_column
 from ident.model.pinocchio_model import pinocchio_regressor
 from ident.model.regressor import LoadTorqueKernel, RegressorKernel, evaluate_in_chunks, model_torque, regressor

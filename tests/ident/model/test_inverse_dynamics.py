@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from loop_arms import spatial_arm, spherical_arm
 
-from ident.model import inverse_dynamics
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics import inverse_dynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.regressor import model_torque
 
 

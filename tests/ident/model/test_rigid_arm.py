@@ -12,9 +12,9 @@ from loop_arms import four_bar_arm
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.schema import JointLimits
 from ident.model.dynamic_model import DynamicModel, build_model
+from ident.model.dynamics.rigid_arm import RigidArm, rigid_arm
 from ident.model.kinematics.joints import Joint
 from ident.model.kinematics.transmission import direct_transmission
-from ident.model.rigid_arm import RigidArm, rigid_arm
 from ident.model.true_parameters import truth_vector
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from monitored_arm import PERIOD, exact_samples, known_model
 from scipy.linalg import expm
 
-from ident.model.link_jacobian import LinkJacobians
+from ident.model.dynamics.link_jacobian import LinkJacobians
 from ident.model.true_parameters import truth_vector
 from ident.monitor.choices import Kind
 from ident.monitor.interval_torque import Intervals, IntervalTorque, JointSamples, joined

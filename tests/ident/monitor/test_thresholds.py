@@ -13,8 +13,8 @@ from daq.robot.loader import load_robot
 from drivers.core.errors import DataError, UsageError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from ident.model.dynamic_model import build_model
-from ident.model.inverse_dynamics import InverseDynamics
-from ident.model.link_jacobian import LinkJacobians
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.link_jacobian import LinkJacobians
 from ident.model.load import load_effect
 from ident.model.true_parameters import truth_vector
 from ident.monitor.contact_forces import force_noticed, tool_wrench

@@ -10,7 +10,7 @@ import pytest
 from ident.friction.terms import no_terms
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
-from ident.result.exported_model import without_further_friction
+from ident.result.models.exported_model import without_further_friction
 
 
 def test_coulomb_and_viscous_friction_come_near_the_curve_of_the_further_terms(three_joint):

@@ -19,7 +19,7 @@ from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.result.result_file import file_sha256, read_result, result_json
 from ident.result.schema import Result
 from ident.result.units import UNITS

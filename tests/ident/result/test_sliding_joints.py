@@ -12,9 +12,9 @@ from random_arms import random_arm
 import dynid
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import truth_vector
-from ident.result.model import Model
+from ident.result.models.model import Model
 
 WEIGHT = 9.81 * 34.0
 STILL = [0.0, 0.0]

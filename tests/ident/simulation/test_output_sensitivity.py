@@ -10,7 +10,7 @@ import pytest
 from ident.estimators.methods.output_error import OutputRows
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import truth_vector
 from ident.simulation.tracking import tracked
 

@@ -9,7 +9,7 @@ from true_results import true_result
 import dynid
 from daq.robot.loader import load_robot
 from drivers.core.errors import ModelError
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.result.stored_model import stored_model
 from ident.signals.prepared import Segment
 from ident.simulation.tracking import LONGEST, NATURAL_FREQUENCY, tracking_error

@@ -14,7 +14,7 @@ from daq.robot.loader import load_robot
 from drivers.core.errors import InputError, RobotFileError, UsageError
 from ident.excite.motion_check import ArmMotionCheck
 from ident.model.dynamic_model import build_model
-from ident.model.rigid_arm import rigid_arm
+from ident.model.dynamics.rigid_arm import rigid_arm
 from ident.model.true_parameters import truth_vector
 from ident.tasks.new_robot import new_robot_file
 from sim_drivers.plant.plant import Plant

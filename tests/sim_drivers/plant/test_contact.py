@@ -8,7 +8,7 @@ import pytest
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
 from ident.model.dynamic_model import build_model
-from ident.model.link_jacobian import LinkJacobians, link_end
+from ident.model.dynamics.link_jacobian import LinkJacobians, link_end
 from sim_drivers.plant.contact import Grasp, Push, Wall, parse_contact
 from sim_drivers.plant.plant import Plant
 

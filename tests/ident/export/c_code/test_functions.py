@@ -16,7 +16,7 @@ from ident.export.c_code.functions import arm_functions, left_out
 from ident.export.c_code.reference import check_expressions, deviation, reference
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import truth_vector
 
 COUPLED_PARALLELOGRAM = load_robot("sr400").text.replace("j6: {j6: 1, j5: 1}", "j6: {j6: 1.5, j5: 0.7, j4: -0.2}")

@@ -23,13 +23,13 @@ from ident.friction.table import FRICTION_KINDS, POSITION_KINDS, REFERENCE_TEMPE
 from ident.friction.terms import NO_TERMS, FrictionConditions
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.joint_columns import column_signal, joint_column
 from ident.model.parameters import StandardParameter
 from ident.model.regressor import LoadTorqueKernel
 from ident.result.delivered import Parameters
 from ident.result.estimate import AGAIN
-from ident.result.model_parameters import ModelParameters
+from ident.result.models.model_parameters import ModelParameters
 from ident.result.schema import Result
 from ident.result.stored_model import StoredModel
 

@@ -20,9 +20,9 @@ from ident.friction.table import FRICTION_KINDS
 from ident.model.presliding import dry_friction
 from ident.model.regressor import SAMPLES_AT_ONCE
 from ident.result.arrays import outward, samples
-from ident.result.exported_model import ExportedModel
-from ident.result.model_parameters import REGRESSOR_ROUNDING
-from ident.result.simulated_motion import DEFAULT_STEP, Controller, SimulatedMotion, simulated_motion
+from ident.result.models.exported_model import ExportedModel
+from ident.result.models.model_parameters import REGRESSOR_ROUNDING
+from ident.result.models.simulated_motion import DEFAULT_STEP, Controller, SimulatedMotion, simulated_motion
 
 TorquePart = Literal["inertial", "coriolis", "gravity", "friction"]
 """Parts that a torque is the sum of."""

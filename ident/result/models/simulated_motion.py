@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, ModelError, UsageError
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.result.arrays import samples
 from ident.simulation.forward_arm import ForwardArm
 from ident.simulation.time_stepping import Drive, integrate

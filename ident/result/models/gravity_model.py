@@ -14,12 +14,12 @@ from daq.robot.loader import parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError, ResultFileError
 from ident.export.export import Export
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.gravity_base import gravity_base, gravity_columns, gravity_rows, resting_model
-from ident.model.inverse_dynamics import InverseDynamics
 from ident.result.arrays import outward, samples
 from ident.result.estimate import AGAIN
 from ident.result.gravity import GravityResult
-from ident.result.model import Model
+from ident.result.models.model import Model
 from ident.result.stored_model import StoredModel
 from ident.result.tables import Table
 

@@ -8,8 +8,8 @@ from typing import get_args
 from drivers.core.errors import UsageError
 from ident.result.delivered import Parameters
 from ident.result.gravity import read_gravity_result
-from ident.result.gravity_model import GravityModel
-from ident.result.model import Model, result_path
+from ident.result.models.gravity_model import GravityModel
+from ident.result.models.model import Model, result_path
 from ident.result.result_file import GRAVITY, kind_of, read_result
 
 

@@ -16,7 +16,7 @@ from ident.estimators.feasible.consistent import ConsistentParameters, consisten
 from ident.friction.table import REFERENCE_TEMPERATURE
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.own_columns import own_column
 from ident.model.regressor import regressor
 from ident.regression.estimate import Estimate

@@ -1,0 +1,1 @@
+"""Dynamics of an arm with given parameters: torques, inertia, energies, Jacobians."""

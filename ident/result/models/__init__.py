@@ -1,0 +1,1 @@
+"""The models that results hand out: torques, gravity, simulation, exports."""
