@@ -12,6 +12,7 @@ from daq.importers.assembly import ImportedSamples, rows
 from daq.importers.choices import ImportChoices, TimeUnit
 from daq.importers.table import Note, printable
 from daq.importers.units import REVOLUTE
+from daq.recording.counter_stamps import counter_range, unwrapped
 from daq.recording.quality.stale_samples import stale_samples
 from daq.recording.recording import MOTOR_SIGNALS
 from daq.recording.repairs import (
@@ -21,8 +22,6 @@ from daq.recording.repairs import (
     OPPOSITE_TORQUE,
     SORT,
     UNWRAP,
-    counter_range,
-    unwrapped,
 )
 from daq.recording.unit_plausibility import near
 from drivers.core.arrays import FloatArray

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from daq.recording.repairs import counter_range
+from daq.recording.counter_stamps import counter_range
 from daq.recording.unit_plausibility import DEGREES, displacement_ratios, near, other_unit
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray

@@ -57,7 +57,7 @@ def jump_checks(jumps: Sequence[PositionJump], first: float, of: str = "") -> li
 def column_checks(recording: Recording, of: str = "") -> list[Check]:
     """Motor signals that are the motion or each other, and positions that are the velocity."""
     stream = recording.streams.get(JOINTS_STREAM)
-    if stream is None or "position" not in stream.channels:
+    if stream is None or "position" not in stream.channels or len(stream.time) < 2:
         return []
     joints = stream.channels["position"].columns
     values = {

@@ -178,8 +178,8 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
         left = "these samples are left out" if stale.stuck[stale.left_out].any() else "too long to leave them out"
         text = f"{of}the position stands still of {'; '.join(shown[:MOST_SHOWN])}{more}: {left}; check the encoder"
         checks.append(raised("encoder-stuck", text, sorted({encoder.joint for encoder in stale.encoders})))
-    first = float(recording.streams[JOINTS_STREAM].time[0])
-    return checks + jump_checks(stale.jumps, first, of)
+    time = recording.streams[JOINTS_STREAM].time
+    return checks + (jump_checks(stale.jumps, float(time[0]), of) if len(time) else [])
 
 
 def unit_checks(recording: Recording, of: str = "") -> list[Check]:

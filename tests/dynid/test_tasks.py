@@ -143,7 +143,7 @@ RENAMED = {
 
 OF_FILES = {"out", "json", "help", "force", "verbose", "page", "comment", "up_and_down", "csv"}
 OTHER_FUNCTIONS = {
-    "identify": {"gravity": dynid.identify_gravity, "model_file": dynid.identify_servo},
+    "identify": {"gravity": dynid.identify_gravity, "model_file": dynid.identify_servo, "history": dynid.History.add},
     "validate": {"model_file": dynid.ServoModel.validate},
     "excite": dict.fromkeys(("for", "poses"), dynid.design_gravity_motion)
     | dict.fromkeys(("after", "wanted", "length"), dynid.design_servo_motion),

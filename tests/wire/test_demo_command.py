@@ -24,7 +24,7 @@ search = SearchChoices(starts=None, time=1e-3, workers=1)
 designed = functools.cache(lambda: design(*arguments, search))
 design, recorded, arguments, taken = demo.design, demo._recorded, [], []
 
-def quick(robot, prior, choices, search):
+def quick(robot, prior, choices, search, progress):
     arguments[:] = arguments or [robot, prior, choices]
     return designed()
 
