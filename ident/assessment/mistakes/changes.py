@@ -30,9 +30,9 @@ EDGES = tuple(place / 8 for place in range(1, 8))
 FINER = tuple(place / 64 for place in range(-7, 8))
 """Parts of the recording after which something may have changed, and the same about the best of them."""
 
-LIKELIHOOD, OF_LOAD = 80.0, 150.0
+LIKELIHOOD, OF_LOAD = 100.0, 150.0
 """What the doubled log-likelihood ratio must exceed, in independent equations. On sound recordings (UR10, Panda, TX40,
-20 random arms) a gain reaches 68, and a zero of 1° 79 (Panda); a gain that grows by 20 % makes 150 and more."""
+15 random arms) a gain reaches 68, and a zero of 1° 79 (Panda); a gain that grows by 20 % makes 150 and more."""
 
 RIVAL = 1.5
 """Factor by which it must exceed that of friction, which changes as gears warm up."""
