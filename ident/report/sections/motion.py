@@ -14,7 +14,7 @@ from ident.report.recorded_runs import MotionSegment, TemperatureSeries
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import Result
 
-PAGE_POINTS = 10_000
+PAGE_POINTS = 8_000
 MOST_POINTS = 2000
 PANEL, TEMPERATURE_PANEL = 110, 200
 
