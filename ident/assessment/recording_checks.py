@@ -158,6 +158,7 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
     stale, checks = stale_rows(recording), []
     if stale is None:
         return []
+    first = float(recording.streams[JOINTS_STREAM].time[0])
     repeats = stale.repeated | stale.held
     if repeats.any():
         counts = ((stale.repeated, "rows repeat the one before"), (stale.held, "repeat only its positions"))
@@ -168,7 +169,6 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
         )
         checks.append(raised("rows-repeated", text))
     if stale.encoders:
-        first = recording.streams[JOINTS_STREAM].time[0]
         shown = [
             f"{encoder.joint} from {encoder.start - first:.2f} to {encoder.stop - first:.2f} s while its "
             f"{MOVING[encoder.evidence]}"
@@ -178,8 +178,7 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
         left = "these samples are left out" if stale.stuck[stale.left_out].any() else "too long to leave them out"
         text = f"{of}the position stands still of {'; '.join(shown[:MOST_SHOWN])}{more}: {left}; check the encoder"
         checks.append(raised("encoder-stuck", text, sorted({encoder.joint for encoder in stale.encoders})))
-    time = recording.streams[JOINTS_STREAM].time
-    return checks + (jump_checks(stale.jumps, float(time[0]), of) if len(time) else [])
+    return checks + jump_checks(stale.jumps, first, of)
 
 
 def unit_checks(recording: Recording, of: str = "") -> list[Check]:

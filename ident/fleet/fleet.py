@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
@@ -58,11 +57,15 @@ class Fleet:
     def results(self) -> Table:
         """A row per result: held-out error over all samples, grade for torque prediction, worst joint, CPU time."""
         headings = [("name", ""), ("arm", ""), ("error", "%"), ("grade", ""), ("worst_joint", ""), ("cpu_time", "s")]
-        done = [outcome for outcome in self.outcomes if not outcome.failure]
         rows: list[tuple[Cell, ...]] = [
-            (one.name, one.arm, in_percent(one.error), one.grade, one.worst_joint, one.seconds) for one in done
+            (one.name, one.arm, in_percent(one.error), one.grade, one.worst_joint, one.seconds) for one in self.done
         ]
         return table_of_rows(f"Results in {self.folder}", headings, rows)
+
+    @property
+    def done(self) -> tuple[JobOutcome, ...]:
+        """Jobs with a result."""
+        return tuple(outcome for outcome in self.outcomes if not outcome.failure)
 
     @property
     def failures(self) -> tuple[JobOutcome, ...]:
@@ -72,7 +75,7 @@ class Fleet:
     @property
     def summary(self) -> str:
         """How many there are of each grade, and how many failed, in a line."""
-        grades = [outcome.grade for outcome in self.outcomes if not outcome.failure]
+        grades = [outcome.grade for outcome in self.done]
         counts = [f"{grades.count(grade)} {grade}" for grade in GRADES if grade in grades]
         failed = [f"{len(self.failures)} failed"] if self.failures else []
         waiting = [f"{self.total - len(self.outcomes)} to do"] if len(self.outcomes) < self.total else []
@@ -85,12 +88,11 @@ class Fleet:
 
     def page(self, *, running: bool) -> str:
         """The overview with a link to each report; while it is `running` it loads itself again."""
-        done = [outcome for outcome in self.outcomes if not outcome.failure]
         tiles = [
-            Tile("Results", f"{len(done)} of {self.total}", f"{len(self.failures)} failed"),
-            *(Tile(grade.title(), str(sum(one.grade == grade for one in done))) for grade in GRADES),
+            Tile("Results", f"{len(self.done)} of {self.total}", f"{len(self.failures)} failed"),
+            *(Tile(grade.title(), str(sum(one.grade == grade for one in self.done))) for grade in GRADES),
         ]
-        content: dict[str, Any] = {"fleet": self, "done": done, "tiles": tiles, "report": REPORT_FILE}
+        content: dict[str, Any] = {"fleet": self, "tiles": tiles, "report": REPORT_FILE}
         refresh = int(REFRESH) if running else 0
         return page_templates().get_template("fleet_page.html.j2").render(**content, refresh=refresh)
 
@@ -143,8 +145,7 @@ def identify_fleet(
     if not isinstance(count, int) or isinstance(count, bool) or count < 1:
         raise UsageError(f"{workers!r} workers can do nothing", where="--workers", hint="1 or more")
     goes_on = _is_of_a_fleet(folder / FLEET_RESULT)
-    names_of_files = (FLEET_RESULT, REPORT_FILE)
-    check_output_folder(folder, names_of_files, [path_of(file)], overwrite=overwrite or goes_on)
+    check_output_folder(folder, (FLEET_RESULT, REPORT_FILE), [path_of(file)], overwrite=overwrite or goes_on)
     jobs = read_fleet(path_of(file))
     folder.mkdir(parents=True, exist_ok=True)
     known = {job.name: outcome for job in jobs if (outcome := finished(job, folder)) is not None}
@@ -165,8 +166,8 @@ def identify_fleet(
             fleet().write(running=True)
     ended = fleet()
     ended.write()
-    if history is not None and (done := _done(ended.outcomes)):
-        History(history).add(*(folder / outcome.name for outcome in done))
+    if history is not None and ended.done:
+        History(history).add(*(folder / outcome.name for outcome in ended.done))
     return ended
 
 
@@ -177,7 +178,3 @@ def _is_of_a_fleet(file: Path) -> bool:
     except (OSError, ValueError):
         return False
     return isinstance(content, dict) and set(content) == {"total", "jobs"}
-
-
-def _done(all_of_them: Sequence[JobOutcome]) -> list[JobOutcome]:
-    return [outcome for outcome in all_of_them if not outcome.failure]

@@ -156,7 +156,7 @@ def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[s
 def stale_rows(recording: Recording) -> StaleSamples | None:
     """The stale samples of a recording's joint stream; None where it holds no positions."""
     stream = recording.streams.get(JOINTS_STREAM)
-    if stream is None or "position" not in stream.channels:
+    if stream is None or "position" not in stream.channels or not len(stream.time):
         return None
     joints, measured = stream.channels["position"].columns, {}
     commanded = command_stream(recording)
