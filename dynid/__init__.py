@@ -150,7 +150,7 @@ def _refuse_hidden_packages() -> None:
         place = None if spec is None else spec.origin
         if place is not None and os.path.dirname(os.path.dirname(os.path.abspath(place))) != home:
             raise ImportError(
-                f"dynid's own package '{name}' is hidden by {os.path.abspath(place)}: rename that folder, "
+                f"dynid's own package '{name}' is hidden by {os.path.abspath(place)}: rename it, "
                 "or run your script from another one"
             )
 

@@ -367,7 +367,7 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
     path = path_of(path)
     if not isinstance(recording, Recording):
         hint = "dynid.Recording.from_dataframe and from_dict make one"
-        raise UsageError(f"{given_kind(recording)} is no recording", hint=hint)
+        raise UsageError(f"{given_kind(recording)} is not a recording", hint=hint)
     layouts = [
         StreamLayout(
             name=stream.name,

@@ -10,7 +10,7 @@ from typing import Any
 from daq.recording.reader import read_recording
 from daq.recording.recording import Recording
 from drivers.core.errors import UsageError
-from drivers.core.files import path_of
+from drivers.core.files import given_kind, path_of
 from ident.verdict.acceptance import AcceptanceLimits, declared, read_limits
 
 Run = Recording | str | PathLike[str]
@@ -35,16 +35,15 @@ def recording_of(run: Run) -> Recording:
         path = Path(run)
         if path.suffix.lower() in IMPORTED and path.exists():
             hint = f'dynid import {path} --robot ROBOT -o {path.stem}.h5, or dynid.import_recording("{path}", robot)'
-            raise UsageError("is no recording, but can become one", where=str(path), hint=hint)
+            raise UsageError("is not a recording, but can become one", where=str(path), hint=hint)
         return read_recording(path)
-    kind = type(run).__name__
-    if hasattr(run, "iloc") or kind == "DataFrame":
+    if hasattr(run, "iloc"):
         door = "dynid.Recording.from_dataframe(robot, frame)"
     elif isinstance(run, Mapping):
         door = "dynid.Recording.from_dict(robot, arrays)"
     else:
         door = "dynid.Recording.from_arrays(robot, time=…, position=…, torque=… or current=…)"
-    raise UsageError(f"a {kind} is no recording: which robot it is of, and its units, are not known", hint=door)
+    raise UsageError(f"{given_kind(run)} is not a recording: it says neither which robot it is of, nor its units", hint=door)
 
 
 def recordings_of(runs: Runs) -> list[Recording]:

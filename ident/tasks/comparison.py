@@ -218,7 +218,7 @@ class MethodComparison(SavedResult):
         return [(model.label, [run.rmse for run in model.runs]) for model in self.models if model.runs]
 
     def __repr__(self) -> str:
-        models = ", ".join(model.label for model in self.models)
+        models = "; ".join(model.label for model in self.models)
         return f"<dynid.MethodComparison on {self.robot}: {models}>"
 
     def __str__(self) -> str:

@@ -143,7 +143,7 @@ def test_a_tensor_with_a_gradient_says_what_torch_says(result):
 )
 def test_what_is_no_recording_is_told_its_door(given, door):
     for task in (dynid.identify, dynid.info):
-        with pytest.raises(dynid.UsageError, match=f"is no recording.*Recording.{door}"):
+        with pytest.raises(dynid.UsageError, match=f"is not a recording.*Recording.{door}"):
             task(given())
 
 
@@ -338,7 +338,7 @@ def test_what_is_saved_needs_a_path(run, result, tmp_path):
     for call, words in (
         (lambda: dynid.import_recording(frame(), "ur5e"), "a DataFrame is no path .*from_dataframe"),
         (lambda: dynid.merge(None), "None is no list of results"),
-        (lambda: dynid.write_recording(tmp_path / "x.h5", None), "None is no recording"),
+        (lambda: dynid.write_recording(tmp_path / "x.h5", None), "None is not a recording"),
         (lambda: dynid.identify(run, gravity=True), r"has no argument 'gravity': dynid.identify_gravity\(runs\)"),
         (lambda: dynid.identify(), r"identify\(\): missing a required argument: 'runs'"),
     ):
