@@ -31,6 +31,11 @@ STATES_PER_PARAMETER = 6
 RANK_TOLERANCE = 1e-7
 """Singular values of the column-normalised matrix below this share of the largest count as zero."""
 
+ROUNDED_GEOMETRY = 1e-5
+"""Up to this share, singular values may come from a URDF's rounded angles and lengths."""
+LEAST_GAP = 10.0
+"""Between the last singular value that counts and the next."""
+
 COEFFICIENT_TOLERANCE = 1e-9
 """Regrouping coefficients below this are rounding."""
 
@@ -172,17 +177,11 @@ def base_parameters_of(model: DynamicModel, gram_root: FloatArray, still: Sequen
     scaled = gram_root[:, active] / scale[active]
     singular = np.linalg.svd(scaled, compute_uv=False)
     relative = singular / singular[0]
-    rank = int(np.count_nonzero(relative > RANK_TOLERANCE))
+    rank, margin = _rank(relative, model.name)
     rest = float(relative[rank]) if rank < len(relative) else 0.0
-    margin = float(relative[rank - 1]) / rest if rest > 0 else float("inf")
-    if margin < 10:
-        raise IdentificationError(
-            f"the number of base parameters cannot be decided: singular values {relative[rank - 1]:.1e} and {rest:.1e} "
-            "lie on both sides of the threshold",
-            where=model.name,
-            hint="check the geometry for lengths or angles that are nearly, but not quite, zero",
-        )
-    kept = _greedy_columns(scaled, [parameters[i] for i in active], rank, model, still)
+    # In the middle of the gap, as far as it lies above the threshold: a URDF's rounded angles leave columns of 1e-7.
+    tolerance = max(RANK_TOLERANCE, float(np.sqrt(relative[rank - 1] * rest)))
+    kept = _greedy_columns(scaled, [parameters[i] for i in active], rank, tolerance, model, still)
     columns = sorted(int(active[i]) for i in kept)
     order = [int(np.flatnonzero(active == column)[0]) for column in columns]
     coefficients, *_ = np.linalg.lstsq(scaled[:, order], scaled, rcond=None)
@@ -208,6 +207,31 @@ def base_parameters_of(model: DynamicModel, gram_root: FloatArray, still: Sequen
     )
 
 
+def _rank(relative: FloatArray, where: str) -> tuple[int, float]:
+    """Number of base parameters that singular values, relative to the first, show; the gap behind the last of them.
+
+    A URDF's rounded angles (1.5708, 5e-5) leave some of 1e-6 to 1e-9, which no recording can show. Where the threshold
+    meets such ones, the widest gap a little above it decides.
+
+    Raises:
+        IdentificationError: there is no gap.
+    """
+    following = np.append(relative[1:], 0.0)
+    gaps = np.divide(relative, following, out=np.full(relative.size, np.inf), where=following > 0.0)
+    rank = int(np.count_nonzero(relative > RANK_TOLERANCE))
+    if gaps[rank - 1] >= LEAST_GAP:
+        return rank, float(gaps[rank - 1])
+    above = np.where((following > RANK_TOLERANCE) & (following < ROUNDED_GEOMETRY), gaps, 0.0)
+    if above.max() < LEAST_GAP:
+        raise IdentificationError(
+            f"the number of base parameters cannot be decided: singular values {relative[rank - 1]:.1e} and "
+            f"{following[rank - 1]:.1e} lie on both sides of the threshold",
+            where=where,
+            hint="check the geometry for lengths or angles that are nearly, but not quite, zero",
+        )
+    return int(above.argmax()) + 1, float(above.max())
+
+
 def _random_factor(model: DynamicModel) -> FloatArray:
     """Triangular factor (p, p) of the standard regressor at random states."""
     kernel = RegressorKernel(model)
@@ -230,7 +254,12 @@ def _preference(parameter: StandardParameter, preferred: Sequence[int]) -> tuple
 
 
 def _greedy_columns(
-    scaled: FloatArray, parameters: list[StandardParameter], rank: int, model: DynamicModel, still: Sequence[int]
+    scaled: FloatArray,
+    parameters: list[StandardParameter],
+    rank: int,
+    tolerance: float,
+    model: DynamicModel,
+    still: Sequence[int],
 ) -> list[int]:
     """Indices of `rank` independent columns, the preferred ones first."""
     # The rods of a closed loop are regrouped on the links between base and tool, as SR400 Table 1 does.
@@ -238,7 +267,7 @@ def _greedy_columns(
     chain = main_chain(model.joints, model.active) if closed else range(len(model.joints))
     preferred = [column for column in chain if column not in still]
     order = sorted(range(len(parameters)), key=lambda i: _preference(parameters[i], preferred))
-    kept = independent_columns(scaled, order, RANK_TOLERANCE)
+    kept = independent_columns(scaled, order, tolerance)
     if len(kept) != rank:
         raise IdentificationError(
             f"{len(kept)} independent columns were found where the singular values show {rank}",

@@ -43,7 +43,9 @@ def recording_of(run: Run) -> Recording:
         door = "dynid.Recording.from_dict(robot, arrays)"
     else:
         door = "dynid.Recording.from_arrays(robot, time=…, position=…, torque=… or current=…)"
-    raise UsageError(f"{given_kind(run)} is not a recording: it says neither which robot it is of, nor its units", hint=door)
+    raise UsageError(
+        f"{given_kind(run)} is not a recording: it says neither which robot it is of, nor its units", hint=door
+    )
 
 
 def recordings_of(runs: Runs) -> list[Recording]:

@@ -15,6 +15,11 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.excite.constraints.capsules import Capsule
 
+COAL_NEIGHBOURS = 255
+"""Coal keeps the number of a vertex's neighbours in a byte (convex.hxx, `fillNeighbors`)."""
+FEWER_VERTICES = 200
+"""Of a hull in whose place another one is taken: none of them can have more neighbours than Coal takes."""
+
 
 @dataclass(frozen=True)
 class Hull:
@@ -39,16 +44,41 @@ class Hull:
 
 
 def hull_of_points(link: int, points: FloatArray) -> Hull | None:
-    """The convex hull of points (V, 3) [m]; None where they lie in a plane, which has no inside."""
+    """The convex hull of points (V, 3) [m]; None where they lie in a plane, which has no inside.
+
+    Where more triangles meet in a vertex than Coal takes (the cap of a finely drawn cylinder), a hull of fewer vertices
+    around it.
+    """
     from scipy.spatial import ConvexHull, QhullError
 
     try:
         hull = ConvexHull(points)
+        if np.bincount(hull.simplices.ravel()).max() > COAL_NEIGHBOURS:
+            hull = ConvexHull(_fewer_around(points[hull.vertices]))
     except (QhullError, ValueError):  # fewer than four points, or flat
         return None
     number = {int(vertex): index for index, vertex in enumerate(hull.vertices)}
     triangles = tuple((number[a], number[b], number[c]) for a, b, c in hull.simplices.tolist())
-    return Hull(link, points[hull.vertices], triangles)
+    return Hull(link, hull.points[hull.vertices], triangles)
+
+
+def _fewer_around(points: FloatArray) -> FloatArray:
+    """`FEWER_VERTICES` points (V, 3) [m] whose convex hull holds all the points given: some of these, moved outward."""
+    from scipy.spatial import ConvexHull
+
+    # Spread as if the body were as thick as it is wide, so that both sides of a thin disc are among them.
+    spread = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[0]
+    chosen = [0]
+    distance = np.full(len(points), np.inf)
+    while len(chosen) < FEWER_VERTICES:
+        distance = np.minimum(distance, np.linalg.norm(spread - spread[chosen[-1]], axis=1))
+        chosen.append(int(distance.argmax()))
+    kept = points[chosen]
+    middle = kept.mean(axis=0)
+    planes = ConvexHull(kept).equations
+    inside = planes[:, :3] @ middle + planes[:, 3]  # negative: below the plane
+    beyond = (planes[:, :3] @ (points - middle).T / -inside[:, None]).max()
+    return np.asarray(middle + (kept - middle) * (beyond + 1e-12))
 
 
 def hull_of_capsule(capsule: Capsule) -> Hull:

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from loop_arms import four_bar_arm
+from scipy.spatial import ConvexHull
 
 from daq.motion.trajectories import PointToPoint
 from daq.robot.loader import parse_robot
@@ -19,7 +20,7 @@ from ident.excite.constraints.capsules import Capsule
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry
 from ident.excite.constraints.constraints import unchecked_pairs
 from ident.excite.constraints.hull_distance import DISTANCE_TOLERANCE, HullDistances
-from ident.excite.constraints.hulls import Hull, hull_of_capsule, hull_of_points
+from ident.excite.constraints.hulls import Hull, coal_shape, hull_of_capsule, hull_of_points
 from ident.excite.constraints.self_collision import SelfCollision, link_pairs
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.path import JointPath
@@ -104,6 +105,20 @@ def test_flat_points_have_no_hull():
     hull = hull_of_points(0, inside)
     assert hull is not None
     assert len(hull.points) == 8
+
+
+@pytest.mark.parametrize("shape", ["disc", "cone"])
+def test_a_shape_too_finely_drawn_for_coal_gets_a_hull_around_it(shape):
+    angle = np.linspace(0.0, 2.0 * np.pi, 700, endpoint=False)
+    rim = np.column_stack([0.3 * np.cos(angle), 0.2 * np.sin(angle), np.zeros(angle.size)])
+    over = rim + [0.0, 0.0, 1e-3] if shape == "disc" else np.array([[0.0, 0.0, 0.5]])
+    points = np.vstack([rim, over])
+    hull = hull_of_points(0, points)
+    assert hull is not None
+    coal_shape(hull)  # raised from inside Coal before
+    planes = ConvexHull(hull.points).equations
+    assert (planes[:, :3] @ points.T + planes[:, 3:]).max() < 1e-12
+    assert hull.reach < 1.002 * np.linalg.norm(points, axis=1).max()
 
 
 def random_hulls(model, seed):

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from daq.robot.loader import load_robot
 from ident.model.base_parameters import base_parameters, random_states
@@ -94,3 +97,19 @@ def test_first_three_joints_of_rocr6_have_fifteen():
         offset=off,
     )
     assert base_parameters(three).count == 15
+
+
+@pytest.mark.parametrize("size", [1e-6, 5e-5, 3e-4])
+def test_the_rounded_angles_of_a_urdf_do_not_end_in_an_error(ur_like, size):
+    exact = build_model(ur_like)
+    turns = Rotation.from_rotvec(size * np.random.default_rng(3).standard_normal((len(exact.joints), 3))).as_matrix()
+    joints = tuple(
+        replace(joint, rotation=turn @ joint.rotation) for joint, turn in zip(exact.joints, turns, strict=True)
+    )
+    model = replace(exact, joints=joints)
+    base = base_parameters(model)
+    parameters = np.random.default_rng(4).standard_normal(len(model.parameters))
+    full = regressor(model, *random_states(model, 100))
+    torque = np.einsum("npN,p->nN", full, parameters)
+    carried = np.einsum("nbN,b->nN", full[:, base.columns], base.projection @ parameters)
+    assert np.allclose(carried, torque, rtol=0, atol=1e-5 * np.max(np.abs(torque)))
