@@ -70,7 +70,7 @@ def _root(
     Every command has --help with an example. First steps: dynid demo.
     """
     if version:
-        print("\n".join(_versions() if verbose else _versions()[:1]))
+        print("\n".join([*_versions(), _compiled()] if verbose else _versions()[:1]))
         raise typer.Exit
     if context.invoked_subcommand is None:
         print(context.get_help())
@@ -97,6 +97,13 @@ def _versions() -> list[str]:
         except PackageNotFoundError:
             lines.append(f"{name} not installed")
     return lines
+
+
+def _compiled() -> str:
+    """Where the compiled kernels are, or why there are none."""
+    from ident.compiled.library import kernels
+
+    return f"compiled kernels: {kernels().said}"
 
 
 def report_error(error: DynidError, as_json: bool) -> None:

@@ -29,6 +29,7 @@ from drivers.core.arrays import FloatArray
 from ident.friction.table import LOAD_KINDS
 from ident.friction.terms import NO_STATES, NO_TERMS, FrictionConditions, States
 from ident.linear_algebra.triangular import QrAccumulator
+from ident.model.compiled_rows import LinkRows, Share, compiled_rows
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.kinematics.joints import ancestors
@@ -44,10 +45,6 @@ PINOCCHIO_BELOW = 500
 
 _INERTIA_COUNT = 6  # XX XY XZ YY YZ ZZ
 _MASS_INDEX = 9
-
-
-Share = float | tuple[int, int]
-"""Factor of a joint's axis in a motor's: a number, or its entry (motor, joint) of R⁻ᵀGᵀ if it varies."""
 
 _PRODUCTS = (("xx", 0, 0), ("yy", 1, 1), ("zz", 2, 2), ("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
 """Products of the angular velocity's components, by name."""
@@ -81,23 +78,6 @@ class JointRows:
 
     rows: slice
     columns: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class LinkRows:
-    """Where the packed rows of one link's inertial parameters are.
-
-    Attributes:
-        kinds: which of the ten parameters are selected, in the rows' order.
-        joints: of the tree, those that the link hangs on, the base's first, the link's own last; empty where nothing is
-            selected.
-        targets: for each motor that moves the link, the first of its `len(kinds)` packed rows, and the combination
-            (index in `joints`, factor) of axes that makes up the motor's.
-    """
-
-    kinds: tuple[int, ...]
-    joints: tuple[int, ...]
-    targets: tuple[tuple[int, tuple[tuple[int, Share], ...]], ...]
 
 
 @dataclass(frozen=True)
@@ -213,7 +193,8 @@ class RegressorKernel:
             )
             for link, block in enumerate(self._blocks)
         )
-        self._recursion = Recursion(model.joints, self._chains, model.gravity, chunk)
+        self._recursion, self._recursed = Recursion(model.joints, self._chains, model.gravity, chunk), True
+        self._compiled = compiled_rows(model.joints, model.gravity, self.link_rows)
         self._rotating = np.empty((3, _INERTIA_COUNT, chunk))
         self._pushing = np.empty((3, 4, chunk))
         self._products = np.empty((len(_PRODUCTS) + 2, chunk))
@@ -227,6 +208,9 @@ class RegressorKernel:
     @property
     def frames(self) -> list[FrameMotion]:
         """Every link's motion as of the last `evaluate`; arrays (3, chunk), the first m samples of which are filled."""
+        if not self._recursed:
+            self._recursion.run(self.tree.position, self.tree.velocity, self.tree.acceleration)
+            self._recursed = True
         return self._recursion.frames
 
     def evaluate(
@@ -254,12 +238,15 @@ class RegressorKernel:
         count = position.shape[1]
         model = self.model
         self.tree = model.tree_motion(position, velocity, acceleration)
-        self._recursion.run(self.tree.position, self.tree.velocity, self.tree.acceleration)
+        self._recursed = False
         if self.tree.follow.ndim == 3:
             self.shares = model.transmission.to_motors(self.tree.follow)
-        for block in self._blocks:
-            if block.targets:
-                self._fill_link(block, count, out)
+        if self._compiled is not None and out.strides[1] == out.itemsize:
+            self._compiled.write(self.tree, self.shares, out)
+        else:
+            for block in self._blocks:
+                if block.targets:
+                    self._fill_link(block, count, out)
         load = None if self._load is None else self._load.torque(position)
         conditions = FrictionConditions(load, temperature, presliding, position)
         for entry in self.joint_parameter_rows:
@@ -267,7 +254,7 @@ class RegressorKernel:
             out[entry.row] = signal if entry.factor == 1.0 else entry.factor * signal
 
     def _fill_link(self, block: _LinkBlock, count: int, out: FloatArray) -> None:
-        motion = self._recursion.frames[block.link]
+        motion = self.frames[block.link]
         rotating, pushing = self._rotating[..., :count], self._pushing[..., :count]
         self._body_rows(motion, block, count)
         inertias, moments = len(block.inertia), len(block.moments)

@@ -44,6 +44,9 @@ class ForwardArm:
         offset: (n,) constant torque, part of the bias [N·m].
         directions: (m, n) D, the joint motions that dry friction acts on.
         dry: (m,) f, Coulomb friction in each of them [N·m].
+        model: the arm.
+        inertial: (10·links,) standard parameters of its links with these dynamics.
+        rotors: (n, n) inertia of the motors at the joints [kg·m²].
         joint_names: (n,).
         sliding: (n,) whether a joint slides, with N and m in place of N·m and rad.
     """
@@ -95,8 +98,8 @@ class ForwardArm:
                 self._smooth.append(_Term(along, at_joints, motion))
         self.directions, self.dry = np.array(directions).reshape(-1, self.dof), np.array(dry)
         _check_dissipative(model, self.directions, self.dry)
-        self._rotors = inverse.rotor_inertia + inverse.armature
-        self._arms = _rigid_arms(model, inverse)
+        self.model, self.rotors = model, inverse.rotor_inertia + inverse.armature
+        self.inertial, self._arms = _rigid_arms(model, inverse)
 
     @property
     def accelerated(self) -> tuple[str, ...]:
@@ -105,7 +108,7 @@ class ForwardArm:
 
     def inertia(self, position: FloatArray) -> FloatArray:
         """M (n, n) [kg·m²] at a position (n,), motor inertia included, also that which no measured torque carries."""
-        total = self._rotors.copy()
+        total = self.rotors.copy()
         for arm, sign in self._arms:
             total += sign * arm.inertia(position)
         return total
@@ -150,27 +153,37 @@ class ForwardArm:
 
     def bias(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """B (n,) [N·m]: gravity, Coriolis and centrifugal torque, offsets and torque ripple."""
-        total = self.offset.copy()
-        for term in self._ripple:
-            at_place = FrictionConditions(position=(term.motion @ position)[None, None])
-            total += term.at_joints * float(self._signal(term, np.zeros(1), at_place)[0])
+        total = self.steady(position)
         for arm, sign in self._arms:
             total += sign * arm.bias(position, velocity)
         return total
 
+    def steady(self, position: FloatArray) -> FloatArray:
+        """Offsets and torque ripple (n,) [N·m]."""
+        total = self.offset.copy()
+        for term in self._ripple:
+            at_place = FrictionConditions(position=(term.motion @ position)[None, None])
+            total += term.at_joints * float(self._signal(term, np.zeros(1), at_place)[0])
+        return total
 
-def _rigid_arms(model: DynamicModel, inverse: InverseDynamics) -> list[tuple[RigidArm, float]]:
-    """The links, without motors, at the joints; and the point masses that are taken off again, where there are any."""
+    @property
+    def changing_friction(self) -> bool:
+        """Whether anything but linear viscous friction that brakes, Coulomb friction and offsets is there."""
+        return bool(self._smooth or self._further_dry or self._ripple or self._accelerating.any())
+
+
+def _rigid_arms(model: DynamicModel, inverse: InverseDynamics) -> tuple[FloatArray, list[tuple[RigidArm, float]]]:
+    """Parameters (10·links,), and as arms without motors: the links, and point masses to be taken off, if any."""
     # Torque and motion of the joints, not of coupled motors.
     model = replace(model, transmission=replace(model.transmission, coupling=np.eye(model.dof)))
     inertial, extra = with_masses(inverse.model, inverse.base, inverse.parameters)
     arms = [(rigid_arm(model, inertial, np.zeros(model.dof)), 1.0)]
+    points = np.zeros_like(inertial)
     if extra:
-        points = np.zeros_like(inertial)
         for link, mass in extra.items():
             points[len(INERTIAL) * link + INERTIAL.index("M")] = mass
         arms.append((rigid_arm(model, points, np.zeros(model.dof)), -1.0))
-    return arms
+    return inertial - points, arms
 
 
 def _check_dissipative(model: DynamicModel, directions: FloatArray, dry: FloatArray) -> None:

@@ -26,6 +26,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, ModelError
 from drivers.core.units import joint_unit
+from ident.simulation.compiled_stepping import compiled_stepping
 from ident.simulation.dry_friction import dry_friction
 from ident.simulation.forward_arm import ForwardArm
 
@@ -131,10 +132,13 @@ def integrate(
     time = np.linspace(0.0, duration, steps + 1)
     positions, velocities, torques = (np.empty((steps + 1, count)) for _ in range(3))
     positions[0], velocities[0] = position, velocity
-    stepping = _Stepping(arm, step)
-    for index in range(steps):
-        now = float(time[index])
+    stepping = _Stepping(arm, step, (positions, velocities, torques))
+    for index, now in enumerate(time[:-1].tolist()):
         torques[index] = drive(now, positions[index].copy(), velocities[index].copy())
+        if stepping.compiled is not None:
+            if stepping.compiled.done(index):
+                continue
+            stepping.compiled = None  # from here on as without it, which says what is wrong
         try:
             positions[index + 1], velocities[index + 1] = stepping.next(
                 positions[index], velocities[index], torques[index]
@@ -153,9 +157,13 @@ def integrate(
 
 
 class _Stepping:
-    """Steps of one arm; remembers what the next step starts its iteration from."""
+    """Steps of one arm; remembers what the next step starts its iteration from.
 
-    def __init__(self, arm: ForwardArm, step: float) -> None:
+    Attributes:
+        compiled: the same along given arrays; None without a library.
+    """
+
+    def __init__(self, arm: ForwardArm, step: float, motion: tuple[FloatArray, FloatArray, FloatArray]) -> None:
         from scipy.linalg.lapack import dgesv, dpotrf  # half a second that a recording need not wait
 
         self._factor, self._solve = dpotrf, dgesv
@@ -163,6 +171,8 @@ class _Stepping:
         self._identity = np.eye(arm.dof)
         self._dry = np.zeros(len(arm.dry))
         self._change = np.zeros(arm.dof)
+        bounds = PRECISION, DIVERGED, ROUNDS
+        self.compiled = compiled_stepping(arm, step, motion, (self._dry, self._change), bounds)
 
     def next(self, position: FloatArray, velocity: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Position and velocity (n,) after a step."""
@@ -193,7 +203,7 @@ class _Stepping:
             if coming <= PRECISION * max(1.0, _largest(after)):
                 break
         self._dry[sliding] = dry
-        self._change = after - velocity
+        self._change[:] = after - velocity
         return middle + 0.5 * step * after, after
 
 

@@ -80,7 +80,7 @@ def test_common_options_come_before_the_panels(monkeypatch, capsys):
 def test_version_with_verbose_names_what_a_bug_report_needs(monkeypatch, capsys):
     status, out, _ = run(monkeypatch, capsys, "--version", "--verbose")
     assert status == 0
-    assert {"dynid", "Python", "numpy", "pin"} <= {line.split()[0] for line in out.splitlines()}
+    assert {"dynid", "Python", "numpy", "pin", "compiled"} <= {line.split()[0] for line in out.splitlines()}
 
 
 def test_an_error_names_dynid_once(monkeypatch, capsys):

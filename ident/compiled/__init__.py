@@ -1,0 +1,1 @@
+"""What NumPy and Pinocchio are too slow for, in C: built once per computer, and not needed."""
