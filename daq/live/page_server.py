@@ -127,11 +127,14 @@ class LivePage:
 
     async def show_rows(self) -> None:
         """Show what is new, period by period."""
+        loop = asyncio.get_running_loop()
+        due = loop.time()
         while True:
             rows, self._read = self._rows.read(self._read)
             if len(rows):
                 self.show(self._envelope.add(rows, GROUPS))
-            await asyncio.sleep(PERIOD)
+            due = max(due + PERIOD, loop.time())  # what the last one took does not delay the next
+            await asyncio.sleep(due - loop.time())
 
 
 async def _send(client: WebSocket, waiting: asyncio.Queue[bytes | str]) -> None:

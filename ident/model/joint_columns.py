@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import FloatArray, IndexArray
 from drivers.core.errors import ModelError
 from ident.friction.table import Operands, Term, signal_of, slope_of, term_of
 from ident.friction.terms import FrictionConditions
@@ -54,6 +54,60 @@ def joint_column(model: DynamicModel, parameter: StandardParameter) -> JointColu
     shares = transmission.joint_to_motor[:, motor]
     sign = 1.0 if parameter.symbol == "Iac" else -1.0
     return JointColumn(quantity_of(parameter), ((motor, 1.0),), _entries(sign * shares))
+
+
+@dataclass(frozen=True)
+class AlikeColumns:
+    """Friction columns of one kind and shape, each of a motor on its own joint: their signals are one array.
+
+    Attributes:
+        column: the first of them.
+        motions: of each.
+        joints: (k,) whose motion each follows, and the row that it acts on.
+        values: (k, 1) of their parameters.
+    """
+
+    column: JointColumn
+    motions: tuple[tuple[tuple[int, float], ...], ...]
+    joints: IndexArray
+    values: FloatArray
+
+    def torques(self, model: DynamicModel, velocity: FloatArray, conditions: FrictionConditions) -> FloatArray:
+        """What they add (k, m) to the motors' torques, for joint velocities (n, m)."""
+        rate = velocity[self.joints]
+        direction = None
+        if term_of(self.column.quantity).dry:
+            direction = model.coulomb_direction(rate)
+            for row, motion in enumerate(self.motions):
+                if (state := conditions.presliding.get(motion)) is not None:
+                    direction[row] = state
+        signal = signal_of(self.column.quantity)(Operands(rate, direction, self.column.shape))
+        return np.asarray(self.values * signal)
+
+
+def alike(
+    columns: Sequence[tuple[JointColumn, float]],
+) -> tuple[list[AlikeColumns], list[tuple[JointColumn, float]]]:
+    """Friction columns with their values: those that can be evaluated together, and the others."""
+    groups: dict[tuple[str, float], list[tuple[JointColumn, float]]] = {}
+    others = []
+    for column, value in columns:
+        if column.quantity == "motor_inertia":
+            continue
+        own = len(column.rows) == 1 and column.motion == column.rows == ((column.rows[0][0], 1.0),)
+        if own and not term_of(column.quantity).needs:
+            groups.setdefault((column.quantity, column.shape), []).append((column, value))
+        else:
+            others.append((column, value))
+    return [
+        AlikeColumns(
+            group[0][0],
+            tuple(column.motion for column, _ in group),
+            np.array([column.rows[0][0] for column, _ in group]),
+            np.array([[value] for _, value in group]),
+        )
+        for group in groups.values()
+    ], others
 
 
 def combined(motion: Sequence[tuple[int, float]], signal: FloatArray) -> FloatArray:

@@ -11,8 +11,6 @@ from ident.model.dynamic_model import DynamicModel
 from ident.model.dynamics.link_jacobian import LinkJacobians, link_end
 from ident.monitor.thresholds import FAST, REST, SLOW, Thresholds
 
-SURELY = 1.645
-"""Spreads that a torque must lie above its threshold to be noticed in 95 % of the moments."""
 RESPONSE = 1000
 """Samples in which every observer has settled."""
 NOTICEABLE = 0.02
@@ -23,7 +21,7 @@ WELL_CONDITIONED = 1e6
 
 @dataclass(frozen=True)
 class SmallestForce:
-    """The smallest force on the far end of a link that is noticed in 95 % of the moments.
+    """The smallest force on the far end of a link that is noticed, lasting `CONTACT`, in 95 % of the cases.
 
     Attributes:
         link: by the joint that moves it.
@@ -43,8 +41,7 @@ def smallest_forces(
 ) -> tuple[SmallestForce, ...]:
     """The smallest forces on every link at poses (K, n) [rad or m]."""
     places = LinkJacobians(model)
-    needed_torque = thresholds.limit + SURELY * thresholds.spread
-    moving, resting = np.max(needed_torque[[SLOW, FAST]], axis=0), needed_torque[REST]
+    moving, resting = np.max(thresholds.noticed[[SLOW, FAST]], axis=0), thresholds.noticed[REST]
     found = np.empty((2, len(model.joints), len(poses), 3))
     for number, pose in enumerate(poses):
         places.move(pose)

@@ -116,6 +116,7 @@ class IntervalTorque:
         self._weightless = InverseDynamics(weightless, self._dynamics.base, self._dynamics.parameters)
         choices = stored_choices(model.result)
         self._delays = np.array(choices.joint_delays or (choices.delay,) * model.dof)
+        self._delayed = [(delay, np.flatnonzero(self._delays == delay)) for delay in set(self._delays.tolist()) - {0.0}]
         self.lag = max(period, float(self._delays.max()))
         self._motions = presliding_motions(self._dynamics.model)
         self._rows: JointSamples | None = None
@@ -157,19 +158,23 @@ class IntervalTorque:
         none = np.zeros((0, self._model.dof))
         return Intervals(np.zeros(0), none, none, none, none, none, None, np.zeros(0, dtype=bool))
 
+    def _steps(self, time: FloatArray) -> FloatArray:
+        """(N,) [s] from the sample before to each of these; a period to the first sample of all."""
+        steps = np.empty_like(time)
+        if len(time):
+            steps[0] = self._period if self._rows is None else time[0] - self._rows.time[-1]
+            np.subtract(time[1:], time[:-1], out=steps[1:])
+        return steps
+
     def _without_repeated(self, samples: JointSamples) -> JointSamples:
-        before = samples.time[0] - self._period if self._rows is None else self._rows.time[-1]
-        steps = np.diff(samples.time, prepend=before)
+        steps = self._steps(samples.time)
         # A clock that was set back is a gap, not a repetition.
         kept = (steps >= SHORTEST_STEP * self._period) | (steps < -LONGEST_STEP * self._period)
         return samples if kept.all() else _rows(samples, np.flatnonzero(kept))
 
     def _unbroken(self, time: FloatArray) -> int:
         """How many samples follow the ones before without a gap; at least one where there are none before."""
-        if not len(time):
-            return 0
-        before = time[0] - self._period if self._rows is None else self._rows.time[-1]
-        steps = np.diff(time, prepend=before)
+        steps = self._steps(time)
         broken = np.flatnonzero((steps > LONGEST_STEP * self._period) | (steps < 0.0))
         return int(broken[0]) if len(broken) else len(time)
 
@@ -191,17 +196,14 @@ class IntervalTorque:
         """Of the samples from `start` to before `stop`."""
         at = slice(start, stop)
         time, position = rows.time, rows.position
-        steps = np.diff(time[start - 1 : stop + 1])[:, None]
-        rates = np.diff(position[start - 1 : stop + 1], axis=0) / steps
+        steps = (time[start : stop + 1] - time[start - 1 : stop])[:, None]
+        rates = (position[start : stop + 1] - position[start - 1 : stop]) / steps
         width = 0.5 * (steps[1:] + steps[:-1])
         velocity = (position[start + 1 : stop + 1] - position[start - 1 : stop - 1]) / (2.0 * width)
-        acceleration = np.diff(rates, axis=0) / width
-        measured = np.column_stack(
-            [
-                np.interp(time[at] + delay, time, column) if delay else column[at]
-                for delay, column in zip(self._delays.tolist(), rows.torque.T, strict=True)
-            ]
-        )
+        acceleration = (rates[1:] - rates[:-1]) / width
+        measured = rows.torque[at].copy()
+        for delay, joints in self._delayed:
+            measured[:, joints] = _interpolated(time[at] + delay, time, rows.torque[:, joints])
         celsius = None if rows.celsius is None else rows.celsius[at]
         q, dq = np.ascontiguousarray(position[at].T), np.ascontiguousarray(velocity.T)
         needed = self._friction(q, dq, celsius, width[:, 0])
@@ -239,6 +241,13 @@ class IntervalTorque:
             states[motion], self._dry[motion] = state, float(state[-1])
         kelvin = None if celsius is None else celsius.T + ZERO_CELSIUS
         return self._dynamics.friction(rate, position, kelvin, states) + self._dynamics.weight[:, None]
+
+
+def _interpolated(when: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
+    """Values (N, n), known at times (M,), at other times (N,) between these [s]."""
+    before = np.clip(np.searchsorted(time, when, side="right") - 1, 0, len(time) - 2)
+    share = ((when - time[before]) / (time[before + 1] - time[before]))[:, None]
+    return np.asarray(values[before] + share * (values[before + 1] - values[before]))
 
 
 def _rows(samples: JointSamples, rows: slice | np.ndarray[tuple[int], np.dtype[np.intp]]) -> JointSamples:

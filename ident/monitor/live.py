@@ -64,7 +64,8 @@ class LiveMonitor:
         self.failure = ""
         self._model, self._stops = model, stops
         self._robot = model.stored.robot_file.robot
-        self._channels: dict[str, dict[str, tuple[str, ...]]] = {}
+        self._channels: dict[str, tuple[str, ...]] = {}
+        self._thermometers: dict[str, tuple[list[int], list[int]]] = {}
         self._celsius = np.full(model.dof, np.nan)
         self._heated = np.array(model.dynamics.model.needs("temperature"))
         self._needs_temperature = bool(self._heated.any())
@@ -82,9 +83,15 @@ class LiveMonitor:
             UsageError: there are no positions and torques of the joints, or they come at another rate than those that
                 the thresholds were learnt from.
         """
-        self._channels = {
-            layout.name: {channel.quantity: channel.columns for channel in layout.channels} for layout in layouts
-        }
+        names = self._model.joint_names
+        for layout in layouts:
+            channels = {channel.quantity: channel.columns for channel in layout.channels}
+            if layout.name == JOINTS_STREAM:
+                self._channels = channels
+            heated = [joint for joint in channels.get(TEMPERATURE, ()) if joint in names]
+            if heated:
+                places = [channels[TEMPERATURE].index(joint) for joint in heated]
+                self._thermometers[layout.name] = [names.index(joint) for joint in heated], places
         rate = next((layout.rate for layout in layouts if layout.name == JOINTS_STREAM), None)
         if rate is None:
             raise UsageError("this connection has no stream of joints to watch")
@@ -107,11 +114,10 @@ class LiveMonitor:
 
     def add(self, batch: Batch) -> None:
         """Note a batch; where it cannot be watched, `failure` says why."""
-        columns = self._channels.get(batch.stream, {}).get(TEMPERATURE, ())
-        if TEMPERATURE in batch.values and len(batch.time):
-            for joint, value in zip(columns, batch.values[TEMPERATURE][-1].tolist(), strict=True):
-                if joint in self._model.joint_names and np.isfinite(value):
-                    self._celsius[self._model.joint_names.index(joint)] = value
+        if batch.stream in self._thermometers and len(batch.time):
+            joints, columns = self._thermometers[batch.stream]
+            celsius = batch.values[TEMPERATURE][-1, columns]
+            self._celsius[joints] = np.where(np.isfinite(celsius), celsius, self._celsius[joints])
         if batch.stream != JOINTS_STREAM or not len(batch.time) or self.failure:
             return
         self._heard = float(batch.time[-1])
@@ -148,7 +154,7 @@ class LiveMonitor:
         Raises:
             UsageError: there are no positions and torques of the joints.
         """
-        columns = self._channels[JOINTS_STREAM]
+        columns = self._channels
         maps = {}
         for quantity, names in columns.items():
             count = len(names)

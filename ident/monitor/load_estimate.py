@@ -21,7 +21,7 @@ PRIOR = {"M": 50.0, "MX": 10.0, "MY": 10.0, "MZ": 10.0}
 """σ before any sample [kg, kg·m]; of the inertias `PRIOR_INERTIA`."""
 PRIOR_INERTIA = 0.5
 """[kg·m²]"""
-TOGETHER = 5
+TOGETHER = 10
 """Samples that are averaged before they are evaluated."""
 PINOCCHIO_PLACES = tuple(INERTIAL.index(symbol) for symbol in PINOCCHIO_ORDER)
 """Where Pinocchio's parameters of a body stand among ours."""

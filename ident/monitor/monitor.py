@@ -124,10 +124,15 @@ class Monitor:
         external = self._observer.apply(intervals.external, intervals.restarted)
         way, self._since = self.thresholds.ways.of(intervals.velocity, self._since)
         spread = self.thresholds.spread_of(way, self._model_std(intervals))
-        threshold = self.thresholds.level[way] * spread
+        threshold = self.thresholds.of(way, spread, intervals.celsius)
         alarm = np.zeros(len(intervals), dtype=bool)
-        if len(intervals):
-            ratio = np.abs(external) / threshold
+        ratio = np.abs(external) / threshold
+        lasting = bool(self.contacts) and np.isnan(self.contacts[-1].end)
+        if not lasting and not np.any(ratio > 1.0) and not intervals.restarted.any():
+            self._after_restart += len(intervals)
+            if self._load is not None:
+                self._load.add(intervals, way)
+        elif len(intervals):
             begun = 0
             for row, restarted in enumerate(intervals.restarted.tolist()):
                 self._after_restart = 0 if restarted else self._after_restart + 1
@@ -148,13 +153,11 @@ class Monitor:
         count = len(intervals)
         due = np.flatnonzero((self._count + np.arange(count)) % STD_EVERY == 0)
         self._count += count
-        if not count:
-            return np.zeros((0, self.model.dof))
+        if not len(due):
+            return np.broadcast_to(self._std, (count, self.model.dof))
         heat = None if intervals.celsius is None else intervals.celsius[due]
-        held = self._std[None]
-        if len(due):
-            rows = self.model.torque_std(intervals.position[due], intervals.velocity[due], None, heat)
-            held = np.vstack([held, rows])
+        rows = self.model.torque_std(intervals.position[due], intervals.velocity[due], None, heat)
+        held = np.vstack([self._std, rows])
         self._std = held[-1]
         return np.asarray(held[np.searchsorted(due, np.arange(count), side="right")])
 
@@ -272,16 +275,27 @@ def earned_thresholds(
         heat = None if intervals.celsius is None else intervals.celsius[at]
         if len(intervals):
             stds.append(model.torque_std(intervals.position[at], intervals.velocity[at], None, heat))
-    limits = model.stored.robot_file.robot.joints
-    low, high = (np.array(bound) for bound in zip(*(joint.position for joint in limits), strict=True))
+    joints = model.stored.robot_file.robot.joints
+    low, high = (np.array(bound) for bound in zip(*(joint.position for joint in joints), strict=True))
     poses = np.random.default_rng(0).uniform(np.maximum(low, -10.0), np.minimum(high, 10.0), (INERTIA_POSES, model.dof))
     return learn(
         runs,
         stds,
-        np.array([joint.velocity for joint in limits]),
+        np.array([joint.velocity for joint in joints]),
         kind=kind,
         bandwidth=bandwidth,
         period=own,
         per_hour=per_hour,
         inertia=np.mean(np.diagonal(model.mass_matrix(poses), axis1=1, axis2=2), axis=0),
+        friction=_friction(model, [intervals for _, intervals in runs if len(intervals)]),
     )
+
+
+def _friction(model: Model, runs: Sequence[Intervals]) -> FloatArray:
+    """(n,) [N·m or N] of the joints at the fastest speeds of recordings; 0 where the model has temperature terms."""
+    if not runs:
+        return np.zeros(model.dof)
+    fastest = np.max([np.abs(run.velocity).max(axis=0) for run in runs], axis=0)
+    heat = None if runs[0].celsius is None else runs[0].celsius[:1].repeat(2, axis=0)
+    forward, backward = model.friction(np.array([fastest, -fastest]), runs[0].position[:1].repeat(2, axis=0), heat)
+    return np.where(model.dynamics.model.needs("temperature"), 0.0, 0.5 * np.abs(forward - backward))

@@ -33,6 +33,13 @@ BLOCK = 10.0
 """Length of a block of the extreme values, in time constants of the observer."""
 FASTER, WARMER = 1.2, 5.0
 """Ratio of speeds, and difference of temperatures [K], beyond which thresholds say little."""
+FRICTION_PER_KELVIN = 0.01
+"""Share of a joint's friction by which its threshold grows per kelvin beyond the temperatures that were observed."""
+CONTACT = 0.2
+"""Length [s] of the contacts that smallest forces are stated for."""
+SURELY = 1.645
+"""Spreads above its threshold by which a torque is noticed in 95 % of the moments, where windows are too few."""
+FEWEST_WINDOWS = 20
 STD_EVERY = 200
 """Samples between two evaluations of the model's σ."""
 REST, SLOW, FAST = 0, 1, 2
@@ -88,6 +95,10 @@ class Thresholds:
         model_std: (n,) mean of the model's σ in the recordings [N·m or N]; where it is larger, so is the threshold.
         fastest: (n,) speed that was observed [rad/s or m/s].
         celsius: (2, n) lowest and highest temperature that was observed [°C]; None where none was recorded.
+        drift: (n,) by which thresholds grow per kelvin beyond these [N·m/K or N/K]; 0 where the model's friction
+            depends on the temperature, and its σ with it.
+        surely: (3, n) spreads above the level at which a torque of `CONTACT` is noticed in 95 % of the cases; below 0
+            where the residual's own changes help.
         momentum_noise, torque_noise: (n,) of the observer [N·m·s, N·m].
         torque_limit: (n,) largest |torque of the drives| that was observed, for comparison [N·m or N].
         sources: recordings.
@@ -104,6 +115,8 @@ class Thresholds:
     model_std: FloatArray
     fastest: FloatArray
     celsius: FloatArray | None
+    drift: FloatArray
+    surely: FloatArray
     momentum_noise: FloatArray
     torque_noise: FloatArray
     torque_limit: FloatArray
@@ -118,6 +131,19 @@ class Thresholds:
     def limit(self) -> FloatArray:
         """(3, n) residual at which an alarm begins in each way of motion [N·m or N]."""
         return np.asarray(self.level[:, None] * self.spread)
+
+    @property
+    def noticed(self) -> FloatArray:
+        """(3, n) external torque that is noticed in 95 % of contacts of `CONTACT`, in each way of motion [N·m or N]."""
+        return np.asarray((self.level[:, None] + self.surely) * self.spread)
+
+    def of(self, way: IndexArray, spread: FloatArray, celsius: FloatArray | None) -> FloatArray:
+        """Thresholds (N, n) [N·m or N], by way of motion, `spread_of` and temperatures (N, n) [°C]."""
+        threshold = self.level[way] * spread
+        if celsius is not None and self.celsius is not None:
+            # fmax: of a joint whose temperature is not known, nothing is added
+            threshold += self.drift * np.fmax(np.fmax(self.celsius[0] - celsius, celsius - self.celsius[1]), 0.0)
+        return threshold
 
     def beyond(self, names: Sequence[str], velocity: FloatArray, celsius: FloatArray | None) -> tuple[str, ...]:
         """What of a motion the thresholds were not learnt on, in words: speeds and temperatures.
@@ -136,7 +162,8 @@ class Thresholds:
             away = np.maximum(self.celsius[0] - celsius.min(axis=0), celsius.max(axis=0) - self.celsius[1])
             said += [
                 f"{name} is {value:.0f} K outside the temperatures that thresholds were learnt at"
-                for name, value in zip(names, away.tolist(), strict=True)
+                + (f": its threshold is {value * more:.2g} higher" if more else "")
+                for name, value, more in zip(names, away.tolist(), self.drift.tolist(), strict=True)
                 if value > WARMER
             ]
         return tuple(said)
@@ -157,6 +184,7 @@ def learn(
     period: float,
     per_hour: float,
     inertia: FloatArray,
+    friction: FloatArray,
 ) -> Thresholds:
     """Thresholds from recordings without contact.
 
@@ -169,6 +197,7 @@ def learn(
         period: of the samples [s].
         per_hour: false alarms [1/h].
         inertia: (n,) typical joint inertias, for the noise of the momentum [kg·m²].
+        friction: (n,) of the joints, as far as the model does not know how it depends on temperature [N·m or N].
 
     Raises:
         DataError: the recordings are too short for the rate.
@@ -192,10 +221,11 @@ def learn(
         )
         way, _ = ways.of(run.velocity, np.full(joints, np.inf))
         settled = _settled(run.restarted, settle)
-        residuals.append(np.abs(filtered[settled]))
+        residuals.append(filtered[settled])
         classes.append(way[settled])
         counts.append(int(np.count_nonzero(settled)))
-    size, way = np.concatenate(residuals), np.concatenate(classes)
+    residual, way = np.concatenate(residuals), np.concatenate(classes)
+    size = np.abs(residual)
     spread = _spreads(size, way, round(FEWEST_CONSTANTS / (bandwidth * period)))
     ratio = size / np.take_along_axis(spread, way, axis=0)
     block = max(1, round(BLOCK / (bandwidth * period)))
@@ -224,6 +254,8 @@ def learn(
         )
         if celsius
         else None,
+        drift=FRICTION_PER_KELVIN * friction,
+        surely=_surely(residual / np.take_along_axis(spread, way, axis=0), way, round(CONTACT / period) - settle),
         momentum_noise=momentum_noise,
         torque_noise=torque_noise,
         torque_limit=np.max([np.abs(run.measured).max(axis=0) for run in everything], axis=0),
@@ -243,6 +275,26 @@ def _spreads(size: FloatArray, way: IndexArray, fewest: int) -> FloatArray:
         largest = known.max() if len(known) else np.quantile(size[:, joint], QUANTILE) / NORMAL_QUANTILE
         spread[np.isnan(spread[:, joint]), joint] = max(largest, np.finfo(float).tiny)
     return spread
+
+
+def _surely(ratio: FloatArray, way: IndexArray, length: int) -> FloatArray:
+    """`Thresholds.surely` (3, n), from ratios (N, n) of residual and spread.
+
+    A contact is noticed once the residual helps: of windows of so many samples within one way of motion, the largest
+    ratio of either sign is what 95 % of them reach.
+    """
+    surely = np.full((len(WAYS), ratio.shape[1]), SURELY)
+    count = len(ratio) // max(length, 1)
+    if length < 1 or not count:
+        return surely
+    ratios, ways = (values[: count * length].reshape(count, length, -1) for values in (ratio, way))
+    largest, least, same = ratios.max(axis=1), ratios.min(axis=1), np.all(ways == ways[:, :1], axis=1)
+    for kind, joint in np.ndindex(surely.shape):
+        whole = same[:, joint] & (ways[:, 0, joint] == kind)
+        if np.count_nonzero(whole) >= FEWEST_WINDOWS:
+            reached = np.concatenate([largest[whole, joint], -least[whole, joint]])
+            surely[kind, joint] = -np.quantile(reached, 0.05)
+    return surely
 
 
 def _second_difference(values: FloatArray) -> FloatArray:

@@ -25,7 +25,7 @@ from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import build_model
 from ident.model.dynamics.link_jacobian import LinkJacobians, link_end
 from ident.monitor.choices import Kind
-from ident.monitor.contact_forces import SURELY, force_noticed
+from ident.monitor.contact_forces import force_noticed
 from ident.monitor.interval_torque import IntervalTorque, JointSamples
 from ident.monitor.labelled_contacts import LabelledContact, found_at, operating_point, roc
 from ident.monitor.monitor import Monitor, earned_thresholds, joint_samples
@@ -84,7 +84,7 @@ def pushed(
         first = int(np.searchsorted(samples.time, samples.time[0] + start))
         places.move(samples.position[first])
         lever = places.jacobian(link, link_end(arm, link, tool))[:3]
-        needed = (thresholds.level[ways[first]] + SURELY) * thresholds.spread[ways[first], np.arange(arm.dof)]
+        needed = thresholds.noticed[ways[first], np.arange(arm.dof)]
         size = force_noticed(np.abs(lever), needed)[axis]
         if not np.isfinite(size):
             continue

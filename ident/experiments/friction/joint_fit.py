@@ -178,7 +178,7 @@ class _JointFit:
             candidate
             for kind in CANDIDATE_KINDS
             if kind in kinds and (kind in heat or kind not in TEMPERATURE_KINDS)
-            for candidate in term_candidates(kind, greatest, loads=self.loads, temperature=True)
+            for candidate in term_candidates(kind, greatest, loads=self.loads, warmed=np.inf)
         )
         further = [self._data.columns(candidates, self._load)] if candidates else []
         stacked = np.concatenate([solved.columns, *further, self._data.torque[:, None]], axis=1)

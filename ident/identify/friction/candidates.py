@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.friction.table import OPTIONS, POSITION_KINDS, TERM
+from ident.friction.table import LEAST_CURVATURE_SPAN, LEAST_TEMPERATURE_SPAN, OPTIONS, POSITION_KINDS, TERM
 from ident.friction.terms import FrictionConditions
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, combined, joint_column
@@ -118,30 +118,37 @@ def squared_error(gram: FloatArray, parameters: FloatArray) -> float:
     return max(float(values @ gram @ values), 0.0)
 
 
-def candidates_of(model: DynamicModel, speeds: FloatArray, *, temperature: bool) -> tuple[tuple[Candidate, ...], ...]:
+def candidates_of(model: DynamicModel, speeds: FloatArray, warmed: float = 0.0) -> tuple[tuple[Candidate, ...], ...]:
     """All candidates of each motor, of motors with these greatest speeds (n,); loads where the model has a load torque.
 
     Args:
         model: whose friction is asked for.
         speeds: (n,) [rad/s or m/s].
-        temperature: whether the data hold temperatures of all joints.
+        warmed: by how much the temperature of every joint differs in the data, at least [K]; 0 where one is unknown.
     """
     loads = model.terms.load_torque is not None
     return tuple(
         tuple(
             candidate
             for kind in CANDIDATE_KINDS
-            for candidate in term_candidates(kind, speed, loads=loads, temperature=temperature)
+            for candidate in term_candidates(kind, speed, loads=loads, warmed=warmed)
         )
         for speed in speeds.tolist()
     )
 
 
-def term_candidates(kind: str, speed: float, *, loads: bool, temperature: bool) -> tuple[Candidate, ...]:
-    """The candidates of one kind, one per shape on its grid, of a motor with this greatest speed [rad/s or m/s]."""
+def term_candidates(kind: str, speed: float, *, loads: bool = False, warmed: float = 0.0) -> tuple[Candidate, ...]:
+    """The candidates of one kind, one per shape on its grid, of a motor with this greatest speed [rad/s or m/s].
+
+    None of the temperature where it hardly differed: the data fit such terms, which are wrong at any other temperature.
+    """
     term = TERM[kind]
-    if (term.needs == "load" and not loads) or (term.needs == "temperature" and not temperature):
+    if term.needs == "load" and not loads:
         return ()
+    if term.needs == "temperature":
+        least = LEAST_CURVATURE_SPAN if kind == "temperature_curvature" else LEAST_TEMPERATURE_SPAN
+        if not warmed >= least:
+            return ()
     if term.shape is None:
         return (Candidate(kind),)
     return tuple(Candidate(kind, speed * share if term.shape.relative else share) for share in term.shape.grid)
@@ -149,9 +156,7 @@ def term_candidates(kind: str, speed: float, *, loads: bool, temperature: bool) 
 
 def position_candidates(dof: int) -> tuple[tuple[Candidate, ...], ...]:
     """Candidates that depend on the position, of each of n motors."""
-    own = tuple(
-        candidate for kind in POSITION_KINDS for candidate in term_candidates(kind, 1.0, loads=False, temperature=False)
-    )
+    own = tuple(candidate for kind in POSITION_KINDS for candidate in term_candidates(kind, 1.0))
     return (own,) * dof
 
 

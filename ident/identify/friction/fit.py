@@ -314,9 +314,10 @@ class _Fit:
         """
         samples = distinct_samples(series)
         folds = folds or [_folds(indices, samples.count) for indices in samples.indices]
-        heat = [segment.temperature for run in self._runs for segment in run.segments]
-        known = all(values is not None and bool(np.all(np.isfinite(values))) for values in heat)
-        candidates = candidates or candidates_of(model, greatest_speeds(model, self._runs), temperature=known)
+        segments = [segment for run in self._runs for segment in run.segments]
+        heat = [segment.temperature for segment in segments if segment.temperature is not None]
+        warmed = float(np.ptp(np.concatenate(heat, axis=1), axis=1).min()) if len(heat) == len(segments) else 0.0
+        candidates = candidates or candidates_of(model, greatest_speeds(model, self._runs), warmed)
         return FrictionSearch(
             self._rows.candidate_grams(model, solved.base, folds, candidates),
             solved.solution.active,

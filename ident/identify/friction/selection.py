@@ -92,7 +92,7 @@ class FrictionSearch:
         shape = TERM[option.kinds[0]].shape
         if shape is None:
             found = tuple(place for of_kind in places for place in of_kind)
-            return [_Addition(found)] if found else []
+            return [_Addition(found)] if all(places) else []
         if option.shape is not None:
             alike = [[place for place in of_kind if of[place].shape == option.shape] for of_kind in places]
             return [_Addition(together) for together in zip(*alike, strict=True)]

@@ -24,7 +24,7 @@ from drivers.core.arrays import FloatArray
 from ident.friction.terms import NO_STATES, FrictionConditions, States
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joint_columns import JointColumn, column_signal, joint_column
+from ident.model.joint_columns import JointColumn, alike, column_signal, joint_column
 from ident.model.parameters import INERTIAL, LINK_SIZE
 from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import LoadTorqueKernel, model_torque
@@ -87,6 +87,7 @@ class InverseDynamics:
             for column, value in zip(base.columns, parameters, strict=True)
             if columns[column].kind != "inertial"
         ]
+        self._alike, self._others = alike(self.joint_columns)
         self.rotor_inertia = self._summed_rotors()
         self.weight, self.confounded = self._regrouped_weight(standard)
         self._load = LoadTorqueKernel(model) if model.needs_load_torque else None
@@ -169,11 +170,12 @@ class InverseDynamics:
         """
         conditions = replace(self.conditions(position, temperature), presliding=presliding)
         motors = np.zeros_like(velocity)
-        for column, value in self.joint_columns:
-            if column.quantity != "motor_inertia":
-                signal = column_signal(self.model, column, velocity, velocity, conditions)
-                for motor, factor in column.rows:
-                    motors[motor] += factor * value * signal
+        for group in self._alike:
+            motors[group.joints] += group.torques(self.model, velocity, conditions)
+        for column, value in self._others:
+            signal = column_signal(self.model, column, velocity, velocity, conditions)
+            for motor, factor in column.rows:
+                motors[motor] += factor * value * signal
         return self._to_joints(motors) - self.weight[:, None]
 
     def inertia(self, position: FloatArray) -> FloatArray:

@@ -12,6 +12,7 @@ from friction_experiment_arm import TWO_JOINTS
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import DataError, ModelError, UsageError
 from ident.friction.choice import check_friction, chosen_friction
+from ident.identify.friction.candidates import candidates_of
 from ident.identify.friction.curvature import with_curvature
 from ident.identify.friction.shapes import with_free_shapes
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
@@ -63,6 +64,7 @@ def recorded(robot_file: RobotFile, seed: int, warm: bool = True):
     return simulate_recording(robot_file, motion, DURATION, seed, celsius=heat)
 
 
+CURVED = "temperature_curvature"
 FULL = {"exponent": "estimated", "stribeck": True, "load": "quadratic", "temperature": "linear"}
 
 
@@ -127,6 +129,16 @@ def test_error_bars_hold_what_is_not_linear_in_the_shapes_and_what_a_delay_does_
     late = with_systematic_errors(corrected, free.kernel, runs, free.reduction, weights, free.active, [0, 1], 0.01)
     _, later = free.split(late)
     assert all(later[name] > std for name, std in shape_std.items())
+
+
+def test_terms_of_the_temperature_are_no_candidates_where_it_hardly_differs():
+    model = true_model(arm())
+    kinds = [
+        {one.quantity for one in candidates_of(model, np.ones(2), warmed)[0] if one.quantity.startswith("temperature")}
+        for warmed in (0.0, np.nan, 4.9, 5.0, 15.0)
+    ]
+    assert kinds[:3] == [set(), set(), set()]
+    assert kinds[3:] == [{"temperature", "temperature_slope"}, {"temperature", "temperature_slope", CURVED}]
 
 
 def test_runs_at_different_temperatures_are_no_friction_that_changes_between_runs():

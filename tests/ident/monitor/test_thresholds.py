@@ -40,6 +40,8 @@ THRESHOLDS = Thresholds(
     model_std=np.zeros(6),
     fastest=np.ones(6),
     celsius=None,
+    drift=np.zeros(6),
+    surely=np.zeros((3, 6)),
     momentum_noise=np.zeros(6),
     torque_noise=np.ones(6),
     torque_limit=np.ones(6),
@@ -89,6 +91,20 @@ def test_what_was_not_learnt_is_named() -> None:
     assert "d is 6 K outside" in learnt.beyond(names, still, warm - [0, 0, 0, 16.0, 0, 0])[0]
 
 
+def test_thresholds_grow_with_the_distance_from_known_temperatures() -> None:
+    learnt = replace(THRESHOLDS, celsius=np.array([[20.0] * 6, [28.0] * 6]), drift=np.arange(6.0))
+    way, spread = np.zeros((4, 6), dtype=np.intp), np.ones((4, 6))
+    heat = np.array([24.0, 30.0, 15.0, np.nan])[:, None] + np.zeros(6)
+    added = np.outer([0.0, 2.0, 5.0, 0.0], np.arange(6.0))
+    assert learnt.of(way, spread, heat) == pytest.approx(1.0 + added)
+    assert np.all(learnt.of(way, spread, None) == 1.0)
+    assert np.all(THRESHOLDS.of(way, spread, heat) == 1.0)
+    warm = np.full((1, 6), 24.0) + 10.0 * (np.arange(6) == 2)
+    assert "c is 6 K outside the temperatures that thresholds were learnt at: its threshold is 12 higher" in (
+        learnt.beyond(tuple("abcdef"), spread, warm)
+    )
+
+
 def test_forces_and_wrenches() -> None:
     lever = np.array([[0.5, 0.0], [0.001, 0.0], [0.1, 1.0]])
     assert force_noticed(lever, np.array([10.0, 5.0])).tolist() == [20.0, np.inf, 5.0]
@@ -135,6 +151,20 @@ def test_no_alarm_without_contact_and_one_for_a_push(noisy: tuple[JointSamples, 
     assert 0.0 < contact.time - quiet.time[1000] < 0.03
     assert contact.end - quiet.time[1200] < 0.05
     assert contact.torque > contact.threshold > 0.0
+
+
+def test_the_torque_that_is_noticed_is_so_in_95_percent_of_the_cases(noisy: tuple[JointSamples, Thresholds]) -> None:
+    model, _ = known_model("ur5e")
+    quiet, thresholds = noisy
+    assert thresholds.surely.min() < 0.0  # within 0.2 s, noise helps
+    residuals = Monitor(model, thresholds, load=False).add(quiet)
+    joints = np.arange(6)
+    found = []
+    for start in range(100, len(residuals.external) - 100, 50):
+        at = slice(start + 30, start + 100)  # what is left of a contact of 0.2 s once the observer has settled
+        torque = residuals.external[at] + thresholds.noticed[residuals.way[start], joints]
+        found.append(np.any(torque > residuals.threshold[at], axis=0))
+    assert 0.9 < np.mean(found) <= 1.0
 
 
 @pytest.mark.parametrize("robot", ["ur5e", "sr400"])
