@@ -12,7 +12,7 @@ from sampled_arm import sampled
 
 from daq.robot.loader import load_robot
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 EXAMPLE = Path(__file__).parents[2] / "studies" / "papers" / "sr400_table4.py"
 

@@ -13,7 +13,7 @@ from ident.identify.identification import Identification, IdentifyChoices, Model
 from ident.identify.identify import identify
 from ident.signals.pipeline import PreprocessChoices
 
-pytestmark = [pytest.mark.realdata, pytest.mark.usefixtures("estimates_alone")]
+pytestmark = [pytest.mark.realdata, pytest.mark.usefixtures("estimates_alone", "stated_friction")]
 
 ROBOT = Path(__file__).parents[2] / "examples" / "tx40.yaml"
 MOVING = 7.45

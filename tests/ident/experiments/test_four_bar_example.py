@@ -12,7 +12,7 @@ from daq.robot.loader import load_robot
 from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 
 @pytest.fixture(scope="module")

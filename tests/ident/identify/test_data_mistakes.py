@@ -1,8 +1,12 @@
-"""Deliberate mistakes in the data: each is named, none is taken for another; sound data raise no such check."""
+"""Deliberate mistakes in the data: each is named, none is taken for another; sound data raise no such check.
+
+Each mistake on one of two arms; all on all arms, public recordings too: `studies/checks/data_mistakes.py`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from types import SimpleNamespace
 from typing import cast
 
@@ -26,7 +30,6 @@ from studies.synthetic.data_mistakes import (
 
 pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction")
 
-ARMS = ("ur5e", "rocr6")
 DATA_CHECKS = {"encoder-stuck", "rows-repeated", "filled-with-zeros", "residual-bursts", "positions-jitter"}
 MODEL_CHECKS = {
     "gravity-opposite",
@@ -44,10 +47,10 @@ MODEL_CHECKS = {
 Mistake = Callable[[Recording], Recording]
 
 
-@pytest.fixture(scope="module", params=ARMS)
-def sound(request: pytest.FixtureRequest) -> Recording:
+@cache
+def sound(arm: str) -> Recording:
     """A motion of 12 s at 200 Hz with its velocity."""
-    return with_velocity(dynid.simulate(request.param, duration=12.0, seed=1, rate=200.0))
+    return with_velocity(dynid.simulate(arm, duration=12.0, seed=1, rate=200.0))
 
 
 def checks(result: dynid.IdentificationResult) -> set[str]:
@@ -55,37 +58,38 @@ def checks(result: dynid.IdentificationResult) -> set[str]:
 
 
 @pytest.mark.usefixtures("with_friction_search")
-def test_sound_data_raise_none(sound: Recording) -> None:
-    assert not checks(dynid.identify(sound)) & (DATA_CHECKS | MODEL_CHECKS)
+@pytest.mark.parametrize("arm", ["ur5e", "rocr6"])
+def test_sound_data_raise_none(arm: str) -> None:
+    assert not checks(dynid.identify(sound(arm))) & (DATA_CHECKS | MODEL_CHECKS)
 
 
 @pytest.mark.parametrize(
-    ("name", "mistake", "largest"),
+    ("name", "arm", "mistake", "largest"),
     [
-        ("encoder-stuck", lambda run: stuck_encoder(run, 1, 3.0, 1.0), 0.04),
-        ("rows-repeated", lambda run: repeated_rows(run, 0.13, 1), 0.04),
-        ("rows-repeated", lambda run: repeated_rows(run, 0.3, 1, ("position",)), 0.04),
-        ("positions-jitter", lambda run: jittering_position(run, 0.015, 1), 0.06),
+        ("encoder-stuck", "rocr6", lambda run: stuck_encoder(run, 1, 3.0, 1.0), 0.04),
+        ("rows-repeated", "ur5e", lambda run: repeated_rows(run, 0.13, 1), 0.04),
+        ("rows-repeated", "rocr6", lambda run: repeated_rows(run, 0.3, 1, ("position",)), 0.04),
+        ("positions-jitter", "ur5e", lambda run: jittering_position(run, 0.015, 1), 0.06),
     ],
     ids=["encoder", "rows", "positions", "jitter"],
 )
 def test_a_mistake_that_can_be_repaired_is_named_and_repaired(
-    sound: Recording, name: str, mistake: Mistake, largest: float
+    name: str, arm: str, mistake: Mistake, largest: float
 ) -> None:
-    result = dynid.identify(mistake(sound))
+    result = dynid.identify(mistake(sound(arm)))
     assert checks(result) & DATA_CHECKS == {name}
     assert not checks(result) & MODEL_CHECKS
     assert result.validation is not None
     assert result.validation.relative_error < largest
     if name == "encoder-stuck":
         (check,) = (check for check in result.verdict.checks if check.name == name)
-        joint = sound.streams["joints"].channels["position"].columns[1]
+        joint = sound(arm).streams["joints"].channels["position"].columns[1]
         assert check.joints == (joint,)
         assert f"{joint} from 3.00 to 4.00 s while its velocity goes on" in check.text
 
 
-def test_contacts_are_named_by_their_times(sound: Recording) -> None:
-    result = dynid.identify(contact(sound, 0.1, 1.0, 2))
+def test_contacts_are_named_by_their_times() -> None:
+    result = dynid.identify(contact(sound("ur5e"), 0.1, 1.0, 2))
     (check,) = (check for check in result.verdict.checks if check.name in DATA_CHECKS)
     assert check.name == "residual-bursts"
     assert "--method irls" in check.text
@@ -106,7 +110,7 @@ def test_what_is_interpolated_where_several_rows_are_missing_is_no_burst() -> No
     assert np.array_equal(part.used, ~near)
 
 
-def test_drop_outs_that_were_filled_with_zeros_are_named(sound: Recording) -> None:
-    result = dynid.identify(filled_with_zeros(sound, 0.5, 1))
+def test_drop_outs_that_were_filled_with_zeros_are_named() -> None:
+    result = dynid.identify(filled_with_zeros(sound("rocr6"), 0.5, 1))
     assert checks(result) & (DATA_CHECKS | MODEL_CHECKS) == {"filled-with-zeros"}
     assert "poor" in result.verdict.headline.lower()

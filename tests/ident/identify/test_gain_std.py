@@ -12,7 +12,7 @@ from ident.model.dynamic_model import build_model
 from ident.regression.systematic_errors import gain_covariances, gain_deviations
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from sim_drivers.synthetic.measurement import CANDIDATES
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 
 @pytest.mark.slow

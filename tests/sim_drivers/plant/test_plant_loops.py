@@ -21,7 +21,7 @@ from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.plant import Plant, PlantSettings
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 
 @pytest.fixture(scope="module")
