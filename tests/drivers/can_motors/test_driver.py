@@ -181,7 +181,7 @@ def test_a_dead_computer_leaves_a_holding_or_a_limp_arm(clock: SimulatedClock, w
                 driver.command(here + share * np.array([0.3, 0.0]))
                 clock.sleep(0.01)
             driver._cycle.stop()  # of a killed program nothing more comes
-            clock.sleep(6.0)
+            clock.sleep(2.0 if when_lost == "hold" else 6.0)
             arm = bench.server.plant.arm
             assert np.max(np.abs(arm.velocity)) < 0.05, (wire, when_lost)
             resting = here + [0.3, 0.0] if when_lost == "hold" else START

@@ -20,7 +20,7 @@ from sim_drivers.plant.plant import Plant, PlantSettings
 from sim_drivers.synthetic.measurement import random_fourier_motion
 from studies.synthetic.controlled_run import record_plant
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 POOR = PreprocessChoices(position_cutoff=60.0, torque_cutoff=30.0)
 """Far above the motion's band: W is full of noise."""

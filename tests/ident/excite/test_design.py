@@ -25,8 +25,8 @@ QUICK = SearchChoices(seed=1, starts=1, workers=1)
 UP6 = load_robot("up6")
 KINDS = ("fourier", "fourier-quintic", "sines", "points")
 EVERY_ARM = {(name, kind) for name, kind in zip(ARM_KINDS, KINDS * len(ARM_KINDS), strict=False)}
-EVERY_KIND = {(name, kind) for name in ("up6", "panda", "sr400", "so101") for kind in KINDS}
-"""Arms with and without inertias, a closed loop and a servo arm."""
+EVERY_KIND = {("sr400", kind) for kind in KINDS}
+"""An arm with a closed loop; `studies/excitation/excite_robots.py` designs for all arms, and for longer."""
 CRITERIA = (
     "condition",
     "plain-condition",
@@ -66,7 +66,7 @@ def with_joint(robot_file, number, **changes):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_keeps_every_limit_from_rest_to_rest(kind):
-    found = designed(kind=kind, harmonics=2, **({"points": 6} if kind == "points" else {}))
+    found = designed(kind=kind, harmonics=2, **({"points": 4} if kind == "points" else {}))
     assert found.use.max() <= 1.0
     assert len(found.use) == len(found.limits)
     check_limits(found.motion, UP6.robot.joints, kind)
@@ -143,7 +143,7 @@ def test_an_earlier_motion_is_refined():
 
 
 def test_an_earlier_motion_of_another_kind_is_refused():
-    earlier = designed(kind="points", harmonics=2, points=6)
+    earlier = designed(kind="points", harmonics=2, points=4)
     with pytest.raises(UsageError):
         design(UP6, find_prior(UP6), DesignChoices(), QUICK, earlier=earlier.motion)
 
@@ -226,8 +226,7 @@ def test_every_robot_has_a_feasible_motion_of_every_kind_however_short_the_time(
     assert found.cost < np.inf
 
 
-@pytest.mark.parametrize("kind", ["fourier", "points"])
-def test_a_narrow_room_leaves_a_small_motion(kind):
+def test_a_narrow_room_leaves_a_small_motion():
     """A low ceiling and a floor: random motions leave the room, so they are shrunk towards a pose within it.
 
     How each kind shrinks is the next test's.
@@ -236,10 +235,10 @@ def test_a_narrow_room_leaves_a_small_motion(kind):
     workspace = robot_file.robot.workspace.model_copy(update={"height": (0.05, 0.9)})
     robot = robot_file.robot.model_copy(update={"workspace": workspace})
     narrow = robot_file.model_copy(update={"robot": robot})
-    problem = build_problem(narrow, find_prior(narrow), DesignChoices(kind=kind))
+    problem = build_problem(narrow, find_prior(narrow), DesignChoices())
     begin = random_start(problem, [0, 0])
     assert problem.use(begin).max() > problem.allowed
-    found = made(narrow, SearchChoices(starts=None, time=1e-3, workers=1), kind=kind)
+    found = made(narrow, SearchChoices(starts=None, time=1e-3, workers=1))
     assert found.use.max() <= 1.0
 
 

@@ -24,7 +24,7 @@ from ident.model.true_parameters import truth_vector
 from ident.signals.options import PreprocessChoices
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 DEFAULT = PreprocessChoices()
 POOR = PreprocessChoices(position_cutoff=60.0, torque_cutoff=30.0)
