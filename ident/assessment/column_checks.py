@@ -23,6 +23,15 @@ UNITS = (1.0, DEGREES, 1.0 / DEGREES, 1e3, 1e-3)
 AGREE = 0.02
 """Departure from 1 of the change of one column over the integral of another, up to which this is its derivative."""
 
+STEADY = 4.0
+"""Mean of a column over its standard deviation; torques that are all steadier do not follow the motion."""
+
+FEW_MOVE = 3
+"""Joints at least that move where torques are called too steady: a lift alone holds its weight all the time."""
+
+MOVES = 0.1
+"""Range of positions [rad or m] from which on a joint counts as moving there."""
+
 MOST_SHOWN = 4
 """Jumps that a sentence lists."""
 
@@ -74,6 +83,14 @@ def column_checks(recording: Recording, of: str = "") -> list[Check]:
                 names = [joints[joint] for joint in same]
                 text = f"{of}the {signal} of {', '.join(names)} is the {name}: see which column was taken for it"
                 checks.append(raised("motion-as-torque", text, names))
+        moving = np.ptp(values["position"], axis=0) > MOVES if "position" in values else np.zeros(0, dtype=bool)
+        level, change = np.abs(values[signal].mean(axis=0)), values[signal].std(axis=0)
+        if np.sum(moving) >= FEW_MOVE and np.all(level > STEADY * change) and np.any(change > 0.0):
+            text = (
+                f"{of}the {signal} of all joints hardly changes while they move: see which column was taken for it, "
+                "as a temperature or a voltage"
+            )
+            checks.append(raised("steady-torque", text))
         for one, other in combinations(range(len(joints)), 2):
             first, second = values[signal][:, one], values[signal][:, other]
             if np.array_equal(first, second) and np.ptp(first):

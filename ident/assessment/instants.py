@@ -79,6 +79,14 @@ class Instants:
             friction=None,
         )
 
+    def less(self, joint: int, other: int, factor: float) -> Instants:
+        """The same with another joint's motion, times a factor, taken off a joint's."""
+        changed = {}
+        for name in ("position", "velocity", "acceleration"):
+            changed[name] = getattr(self, name).copy()
+            changed[name][joint] -= factor * changed[name][other]
+        return replace(self, **changed, friction=None)
+
     def shifted(self, joint: int, angle: float) -> Instants:
         """The same with a joint's zero elsewhere [rad or m]."""
         position = self.position.copy()

@@ -15,6 +15,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import scipy.linalg
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
@@ -54,7 +55,15 @@ UNKNOWN_DIRECTION = (0.48, 0.6, -0.64)
 LARGEST_STEP = 0.5
 """[rad] by which gravity's direction turns in one iteration."""
 
-Kind = Literal["gain", "length", "zero", "gravity"]
+TINY = float(np.finfo(float).tiny)
+SHIFTS = ("length", "scale", "zero")
+"""Kinds of unknowns that change the model's positions."""
+
+TELLING = 0.3
+TOLD_APART = 10.0
+"""Lengths are estimated together as far as each shows a change by this share with so many σ beside the others."""
+
+Kind = Literal["gain", "length", "scale", "lengths", "zero", "gravity"]
 
 
 @dataclass(frozen=True)
@@ -62,8 +71,8 @@ class Unknown:
     """A number of the robot file, or gravity's direction.
 
     Attributes:
-        kind: of it.
-        joint: number in the tree for a length, among the motors for a gain or a zero, -1 for gravity.
+        kind: of it; `scale` is a factor common to all lengths, `lengths` are all that the data show, together.
+        joint: number in the tree for a length, among the motors for a gain or a zero, -1 for gravity and all lengths.
         axis: of the parent's frame along which the joint's origin shifts; None but for a length.
     """
 
@@ -78,13 +87,14 @@ class Deviation:
 
     Attributes:
         unknown: which.
-        value: model torque over recorded torque minus 1, shift [m], angle [rad or m], or the angle [rad] between
-            gravity's direction and the file's.
+        value: model torque over recorded torque minus 1, shift [m], factor on all lengths minus 1, angle [rad or m], or
+            the angle [rad] between gravity's direction and the file's.
         std: its standard deviation, the equations being independent.
         likelihood: doubled log-likelihood ratio against the file's value, likewise.
         parameters: (b,) base parameters that go with it.
         model: with it; the columns of `parameters` are its base parameters `columns`.
         columns: (b,) standard columns.
+        parts: of several lengths, each with its shift [m] and the standard deviation.
     """
 
     unknown: Unknown
@@ -94,6 +104,7 @@ class Deviation:
     parameters: FloatArray
     model: DynamicModel
     columns: tuple[int, ...]
+    parts: tuple[tuple[Unknown, float, float], ...] = ()
 
 
 class Refit:
@@ -135,6 +146,7 @@ class Refit:
     def unknowns(self) -> list[Unknown]:
         """Everything that may be wrong."""
         found = [Unknown("length", joint, axis) for joint, axis in shifted_origins(self.model)]
+        found += [Unknown("scale")] if len(found) > 1 else []
         found += [Unknown("gain", joint) for joint in self.used]
         moving = [joint for joint in range(self.model.dof) if joint not in self.experiment.locked]
         if not self.model.transmission.closed:
@@ -145,7 +157,7 @@ class Refit:
         """Every unknown that the data show, linearised once at the file's value."""
         if len(self.used) < 2:
             return []
-        shifts = [unknown for unknown in self.unknowns() if unknown.kind in ("length", "zero")]
+        shifts = [unknown for unknown in self.unknowns() if unknown.kind in SHIFTS]
         slopes = [self.slope(unknown, 0.0, self._file) for unknown in shifts]
         blocks = self._blocks(self.regressor, self.active, np.array(slopes).reshape(-1, *self.instants.torque.shape))
         width = len(self.active)
@@ -177,6 +189,64 @@ class Refit:
             return self._gravity(unknown, relinearisations, None if start is None else np.asarray(start))
         return self._shift(unknown, relinearisations, 0.0 if start is None else float(start))
 
+    def lengths(self) -> Deviation | None:
+        """All lengths that the data show, together; None where these are fewer than two.
+
+        Its value is the largest shift over its standard deviation.
+        """
+        origins = shifted_origins(self.model)
+        if len(self.used) < 2 or len(origins) < 2:
+            return None
+        sizes = np.array([abs(self.model.joints[joint].translation[axis]) for joint, axis in origins])
+        chosen: list[int] = []
+        values, model, regressor, parameters = np.zeros(len(origins)), self.model, self.regressor, self._file
+        solved = None
+        for _ in range(RELINEARISATIONS):
+            slopes = np.array([self._length_slope(model, origin, parameters) for origin in origins])
+            chosen = chosen or self._told_apart(slopes, sizes)
+            solved = self._solved(regressor, self.active, slopes[chosen])
+            if len(chosen) < 2 or solved.unknown is None or solved.covariance is None:
+                return None
+            most = LARGEST_STEP * sizes[chosen]
+            step = np.clip(solved.unknown, -most, most)
+            values[chosen] += step
+            model = self.model
+            for (joint, axis), value in zip(origins, values, strict=True):
+                model = shifted(model, joint, axis, float(value))
+            parameters = self._all(solved.parameters)
+            if np.all(np.abs(step) < SETTLED_STEP * np.sqrt(np.diag(solved.covariance))):
+                break
+            regressor = self.instants.filtered_regressor(RegressorKernel(model, self.columns))
+        if solved is None or solved.covariance is None:
+            return None
+        stds = np.sqrt(np.diag(solved.covariance))
+        parts = tuple(
+            (Unknown("length", *origins[n]), float(values[n]), float(std)) for n, std in zip(chosen, stds, strict=True)
+        )
+        largest = float(max(abs(shift) / std for _, shift, std in parts))
+        return Deviation(
+            Unknown("lengths"), largest, 1.0, self._likelihood(solved), parameters, model, self.columns, parts
+        )
+
+    def _length_slope(self, model: DynamicModel, origin: tuple[int, int], parameters: FloatArray) -> FloatArray:
+        """(n, N) derivative of a model's torque by a length."""
+        few = self.instants
+        motion = (few.position, few.velocity, few.acceleration, few.temperature)
+        ahead, behind = (
+            model_torque(shifted(model, *origin, step), self.columns, parameters, *motion)
+            for step in (SHIFT_STEP, -SHIFT_STEP)
+        )
+        return np.asarray((ahead - behind) / (2.0 * SHIFT_STEP))
+
+    def _told_apart(self, slopes: FloatArray, sizes: FloatArray) -> list[int]:
+        """Lengths of slopes (k, n, N) whose changes by `TELLING` the parameters and each other leave visible."""
+        blocks = self._blocks(self.regressor, self.active, slopes)
+        width = len(self.active)
+        parts = [np.sqrt(self.rows[n] / max(self._file_fit.sums[n], TINY)) * one for n, one in blocks.items()]
+        rest = triangular(np.vstack(parts))[width:-1, width:-1] * TELLING * sizes
+        _, factor, order = scipy.linalg.qr(rest, pivoting=True, mode="economic")
+        return sorted(int(n) for n, size in zip(order, np.abs(np.diag(factor)), strict=False) if size > TOLD_APART)
+
     def opposite_gravity(self) -> Deviation:
         """Gravity exactly opposite to the file's, a sign and no number to be estimated."""
         model = replace(self.model, gravity=-self.model.gravity)
@@ -187,9 +257,11 @@ class Refit:
         return Deviation(Unknown("gravity"), float(np.pi), 0.0, likelihood, parameters, model, self.columns)
 
     def shifted(self, unknown: Unknown, value: float) -> tuple[DynamicModel, Instants]:
-        """Model and instants with a length or a zero changed."""
+        """Model and instants with a length, all of them or a zero changed."""
         if unknown.kind == "zero":
             return self.model, self.instants.shifted(unknown.joint, value)
+        if unknown.kind == "scale":
+            return scaled(self.model, 1.0 + value), self.instants
         if unknown.axis is None:
             raise ValueError(f"{unknown} is no length")
         return shifted(self.model, unknown.joint, unknown.axis, value), self.instants
@@ -222,7 +294,7 @@ class Refit:
         return self._deviation(unknown, value, solved.covariance[0, 0], solved)
 
     def slope(self, unknown: Unknown, value: float, parameters: FloatArray) -> FloatArray:
-        """(n, N) derivative of the model's torque by a length or a zero at a value."""
+        """(n, N) derivative of the model's torque by a length, their factor or a zero at a value."""
         torques = []
         for step in (SHIFT_STEP, -SHIFT_STEP):
             model, moved = self.shifted(unknown, value + step)
@@ -283,7 +355,7 @@ class Refit:
 
     def _deviation(self, unknown: Unknown, value: float, variance: float, solved: _Solved) -> Deviation:
         model = self.model
-        if unknown.kind == "length":
+        if unknown.kind in ("length", "scale"):
             model, _ = self.shifted(unknown, value)
         parameters = solved.parameters if unknown.kind == "gravity" else self._all(solved.parameters)
         likelihood = self._likelihood(solved)
@@ -292,7 +364,7 @@ class Refit:
     def _likelihood(self, solved: _Solved) -> float:
         """Doubled log-likelihood ratio against the file's values."""
         used = self.rows > 0
-        left = np.maximum(solved.sums[used], np.finfo(float).tiny)
+        left = np.maximum(solved.sums[used], TINY)
         return float(np.sum(self.rows[used] * np.log(self._file_fit.sums[used] / left)))
 
     def _all(self, active: FloatArray) -> FloatArray:
@@ -339,6 +411,11 @@ def shifted(model: DynamicModel, joint: int, axis: int, step: float) -> DynamicM
     joints = list(model.joints)
     joints[joint] = replace(joints[joint], translation=translation)
     return replace(model, joints=tuple(joints))
+
+
+def scaled(model: DynamicModel, factor: float) -> DynamicModel:
+    """The arm with all lengths between its joints multiplied by a factor."""
+    return replace(model, joints=tuple(replace(one, translation=factor * one.translation) for one in model.joints))
 
 
 def in_unknown_gravity(model: DynamicModel) -> DynamicModel:

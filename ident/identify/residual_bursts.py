@@ -39,6 +39,9 @@ GAP = 2.5
 LEAST_ERROR = 0.005
 """Relative error of fit and validation below which bursts do not matter: without noise, rounding comes in bursts."""
 
+MOST_ERROR = 0.15
+"""Relative error beyond the suspect windows, without them in the fit, up to which bursts are what is wrong."""
+
 ROBUST = ("irls", "iirls")
 """Methods that weigh bursts down by themselves."""
 
@@ -64,6 +67,7 @@ def burst_checks(identification: Identification) -> list[Check]:
     parameters = _without_bursts(identification, kernel, suspects[0])
     if parameters is None:
         return []
+    squares, power = 0.0, 0.0
     shown, larger, several = [], 0.0, len({run.signals.label for runs, _ in halves for run in runs}) > 1
     for (runs, _), suspect in zip(halves, suspects, strict=True):
         series = [
@@ -73,13 +77,17 @@ def burst_checks(identification: Identification) -> list[Check]:
                 kernel.model, kernel.columns, parameters, run.prepared.segments, run.prepared.parallel_filter
             )
         ]
+        for part, bursts in zip(series, suspect or [[] for _ in series], strict=True):
+            kept = part.counted & ~np.any([one.within(part.time) for one in bursts] or [np.zeros(1, bool)], axis=0)
+            squares += float(np.sum(np.where(kept, part.residual**2, 0.0)))
+            power += float(np.sum(np.where(kept, part.measured**2, 0.0)))
         found = windows(_away_from_gaps(runs, series), torques, suspect or None)
         place = iter(bursts_beyond(found, CONFIRMED, LARGER) or [[] for _ in series])
         for run in runs:
             first = float(run.signals.time[0])
             shown += _texts(run.prepared, first, place, run.signals.label if several else "")
         larger = max([larger, *(float(one.larger[one.deviation > CONFIRMED].max(initial=0.0)) for one in found)])
-    if not shown:
+    if not shown or squares > MOST_ERROR**2 * power:
         return []
     more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
     robust = "" if identification.choices.estimator.name in ROBUST else ", or compare --method irls"

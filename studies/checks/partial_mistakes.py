@@ -370,8 +370,8 @@ def cases(robot_file: RobotFile) -> Cases:
 
 def said(case: Callable[[], tuple[Recording, RobotFile]]) -> str:
     """The grade for torque prediction, the held-out error, and what is raised."""
-    run, believed = case()
     try:
+        run, believed = case()
         result = dynid.identify(replace(run, robot_text=believed.text), friction="coulomb-viscous")
     except DynidError as error:
         return f"refused: {error}"

@@ -56,7 +56,8 @@ SCALE = ("implausible-load", "implausible-mass", "torque-beyond-limits", "torque
 BLAMING = (
     *SCALE[:-1], "gravity-opposite", "gravity-direction", "torques-opposite", "positions-opposite", "torque-sign",
     "position-sign", "joint-sign", "torques-exchanged", "positions-exchanged", "joints-exchanged", "sign-or-column",
-    "unsigned-signal", "unsigned-torque", "inconsistent-gain", "inconsistent-length", "joint-zero", "encoder-stuck",
+    "unsigned-signal", "unsigned-torque", "inconsistent-gain", "wrong-gain", "inconsistent-length", "other-size",
+    "joint-zero", "motors-coupled", "steady-torque", "encoder-stuck",
     "rows-repeated", "filled-with-zeros", "residual-bursts", "positions-jitter", "many-outliers", "wrong-time-axis",
     "clocks-drift", "position-unit",
 )  # fmt: skip
@@ -64,7 +65,7 @@ BLAMING = (
 
 CLAUSES = {
     "joint-zero": "added to the position of {joint}", "gravity-direction": "gravity along",
-    "inconsistent-gain": "the drive gain of {joint} ",
+    "inconsistent-gain": "the drive gain of {joint} ", "wrong-gain": "the drive gain of {joint} ",
 }  # fmt: skip
 """What their sentences say of others that explain the data equally well."""
 
@@ -301,7 +302,7 @@ def all_mistakes(count: int, sliding: Sequence[bool], generator: np.random.Gener
         Mistake("gravity tilted by 90°", ("gravity-direction",), (), turn=turned(90.0, 1)),
         Mistake("gravity × −1", ("gravity-opposite",), (), turn=-np.eye(3)),
         Mistake("gain × 1.2", ("inconsistent-gain",), (one,), torque_times(1.0 + 0.2 * gain)),
-        Mistake("gain left at 1 (× 0.1)", ("inconsistent-gain",), (one,), torque_times(1.0 - 0.9 * gain)),
+        Mistake("gain left at 1 (× 0.1)", ("wrong-gain", "inconsistent-gain"), (one,), torque_times(1.0 - 0.9 * gain)),
         Mistake("all gains left at 1 (× 0.1)", SCALE, (), torque_times(0.1)),
         Mistake("all torques × 10", SCALE, (), torque_times(10.0)),
         Mistake("current in mA (× 1000)", SCALE, (), torque_times(1000.0)),

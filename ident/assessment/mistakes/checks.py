@@ -11,6 +11,7 @@ from ident.assessment.instants import instants
 from ident.assessment.mistakes.changes import Changes, change_check
 from ident.assessment.mistakes.competition import Competition, explanations
 from ident.assessment.mistakes.hypotheses import Mistake
+from ident.assessment.mistakes.switches import switch_check
 from ident.assessment.mistakes.unsigned import unsigned_torques
 from ident.assessment.model_errors import (
     candidates,
@@ -75,6 +76,13 @@ def mistake_checks(
         static = competition.with_deviation(deviations[0]) if deviations and reported(deviations[0]) else None
         if static is None or changed.level < static[0].level:
             return [change_check(model, changed, changes.times)]
+    if whole and not well:
+        recorded = [_as_recorded(run) for run in whole]
+        switched = switch_check(
+            model, Competition(model, experiment, base, solution.active, instants(kernel, recorded))
+        )
+        if switched and not (deviations and reported(deviations[0]) and competition.explained_by(deviations[0])):
+            return switched
     if not well or (deviations and reported(deviations[0])):
         deviations = most_likely(refit, runs, independent, [*tried, *quarter_turns(refit)])
     if deviations and not well and not competition.explained_by(deviations[0]):
@@ -113,6 +121,16 @@ def _check(model: DynamicModel, found: Sequence[Mistake], turns: Sequence[Deviat
     first = found[0]
     joints = {joint for one in found for joint in one.joints} | {one.unknown.joint for one in turns}
     names = [model.joint_names[joint] for joint in sorted(joints)]
+    if (
+        first.coupling
+        and len({one.joints if one.coupling else None for one in found}) <= len(joints) == len(names) == 2
+    ):
+        text = (
+            f"the motors of {' and '.join(names)} seem to be coupled, one of them turning with the other joint, too "
+            "(by a factor of 1 or -1): with this the data are explained, and not as recorded; "
+            f"{_REMEDIES[first.name]}, or see whether positions and torques are the joints'"
+        )
+        return raised(first.name, text, names)
     if len(found) == 1 and not turns:
         text = f"{_clause(model, first)}: the data are explained with this and not as recorded; {_REMEDIES[first.name]}"
         return raised(first.name, text, names)
@@ -146,6 +164,7 @@ EQUAL = 0.1
 
 _IN_COLUMNS = {"torque": "the torques", "position": "the positions", "both": "positions and torques"}
 _CLAUSES = {
+    "motors-coupled": "the motors of {joints} are coupled",
     "gravity-opposite": "gravity has the opposite sign",
     "torques-opposite": "all torques have the opposite sign",
     "positions-opposite": "all positions have the opposite sign",
@@ -166,4 +185,5 @@ _REMEDIES = {
     "torques-exchanged": "check the order of the torque or current columns",
     "positions-exchanged": "check the order of the position columns",
     "joints-exchanged": "check the order of the columns, and of the joints in the robot file",
+    "motors-coupled": "state it under `model.coupling` of the robot file",
 }

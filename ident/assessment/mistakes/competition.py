@@ -16,8 +16,9 @@ from drivers.core.arrays import FloatArray
 from ident.assessment.instants import BLOCKS, Columns, Instants
 from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, moving_joints
 from ident.assessment.mistakes.equations import Equations, HypothesisFit, equations
-from ident.assessment.mistakes.hypotheses import Mistake, as_recorded, mistakes, opposite_gravity
+from ident.assessment.mistakes.hypotheses import Mistake, as_recorded, couplings, mistakes, opposite_gravity
 from ident.assessment.refit import Deviation, in_unknown_gravity
+from ident.friction.table import RUBBING_KINDS
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel
@@ -35,6 +36,9 @@ WELL_EXPLAINED = 0.15
 
 EXPLAINED = 0.2
 """Relative error of the whole arm above which no hypothesis counts as an explanation: something else is wrong."""
+
+COUPLED = 0.1
+"""The same of coupled motors: there are many couplings, which also fit a part of what is not one."""
 
 JOINT_EXPLAINED = 0.5
 """The same of each joint that a hypothesis is about, where it is about one or two. Of several, one may only rub."""
@@ -77,21 +81,46 @@ class Competition:
         self._kernel = RegressorKernel(model, base.columns)
         self._opposite = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
         self._inertia = inertia_conditions(model, experiment, base)[:, self.active]
-        self._equations: dict[tuple[Columns, bool], tuple[Equations, FloatArray]] = {}
+        self._equations: dict[tuple[object, ...], tuple[Equations, FloatArray]] = {}
         self.recorded = as_recorded(model.dof)
 
     def system(self, mistake: Mistake) -> tuple[Equations, FloatArray]:
         """Equations with a mistake's positions and gravity, and their conditions (c, a)."""
-        key = mistake.positions, mistake.signal == "gravity"
+        coupled = (mistake.joints, mistake.coupling, mistake.signal) if mistake.coupling else None
+        key = mistake.positions, mistake.signal == "gravity", coupled
         if key not in self._equations:
             moved = self.instants.with_positions(mistake.positions)
+            if mistake.coupling and mistake.signal == "both":
+                moved = moved.less(mistake.joints[0], mistake.joints[1], mistake.coupling)
             regressor = moved.regressor(self._opposite if mistake.signal == "gravity" else self._kernel)
             friction = friction_conditions(self.model, self.base, moved, regressor)[:, self.active]
             conditions = np.vstack([self._inertia, friction])
             conditions = conditions[np.any(conditions != 0.0, axis=1)]
-            system = equations(regressor[:, self.active], moved, self.experiment.torques)
+            rows = regressor[:, self.active]
+            if mistake.coupling:
+                rows = self._of_motors(mistake, rows)
+                conditions = np.pad(conditions, ((0, 0), (0, rows.shape[1] - conditions.shape[1])))
+            system = equations(rows, moved, self.experiment.torques)
             self._equations[key] = system, conditions
         return self._equations[key]
+
+    def _of_motors(self, mistake: Mistake, rows: FloatArray) -> FloatArray:
+        """Columns of the coupled motors' equations, Γ_motor = R⁻ᵀ·Γ_joint, from those of the joints (n, a, N).
+
+        The first motor's inertia and friction come as further columns: they follow the motor, not the joint.
+        """
+        (one, other), factor = mistake.joints, mistake.coupling
+        turning = self.instants if mistake.signal == "both" else self.instants.less(one, other, -factor)
+        of_motor = [
+            column
+            for column in self.active
+            if self.base.joints[column] == self.model.active[one]
+            and self.base.kinds[column] in (*RUBBING_KINDS, "motor_inertia")
+        ]
+        further = np.zeros((len(rows), len(of_motor), rows.shape[2]))
+        further[one] = turning.regressor(self._kernel)[one, of_motor]
+        rows[other] -= factor * rows[one]
+        return np.concatenate([rows, further], axis=1)
 
     def regressor(self, positions: Columns) -> FloatArray:
         """(n, a, N) of the active columns with these positions."""
@@ -207,7 +236,9 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
         tried.append(opposite_gravity(competition.model.dof))
     found = competition.best(tried)
     if not found or not competition.explains(found[0], recorded):
-        return []
+        found = competition.best(couplings(competition.model.dof, competition.joints))
+        if not found or competition.error(found[0]) > COUPLED or not competition.explains(found[0], recorded):
+            return []
     lowest = found[0].fit.level
     other = competition.with_deviation(deviations[0]) if deviations else None
     if other is not None and other[0].level < lowest + RIVAL:

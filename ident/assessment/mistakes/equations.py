@@ -93,6 +93,17 @@ class Equations:
         relative = _relative(gram, score, power, parameters)
         return np.where(rows > 0, np.log(relative + LEAST_ERROR**2), 0.0)
 
+    def of(self, blocks: Sequence[int], columns: Columns) -> Equations:
+        """Some blocks, with the torques taken so that each joint's is in its own place."""
+        factor, order = np.array(columns.factor), list(columns.order)
+        score = self.score[blocks][:, :, order] * factor[:, None]
+        return Equations(self.gram[blocks], score, self.power[blocks][:, :, order] * factor**2, self.rows[blocks])
+
+    def beside(self, other: Equations) -> Equations:
+        """These blocks and those of others."""
+        pairs = ((getattr(self, name), getattr(other, name)) for name in ("gram", "score", "power", "rows"))
+        return Equations(*(np.concatenate(pair) for pair in pairs))
+
     def _of(self, columns: Columns, blocks: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         factor, joints = np.array(columns.factor), np.arange(self.rows.shape[1])
         score = self.score[blocks][:, joints, list(columns.order)].sum(axis=0) * factor[:, None]

@@ -11,6 +11,8 @@ from ident.assessment.instants import Columns
 
 Signal = Literal["torque", "position", "both", "gravity"]
 
+FARTHEST = 2
+"""Joints between whose motors a coupling is sought, at most so far from each other; in wrists they are neighbours."""
 
 MOST_JOINTS = 7
 """Joints up to which every pattern of the torques' signs is tried; of more joints two wrong signs at most."""
@@ -25,6 +27,8 @@ class Mistake:
         signal: whose columns are wrong.
         joints: whose columns are wrong.
         torques, positions: to take instead.
+        coupling: factor with which the second joint's motion turns the first one's motor; 0 of all other mistakes.
+            Torques are the motors', and positions, too, where they are wrong as well.
     """
 
     name: str
@@ -32,6 +36,7 @@ class Mistake:
     joints: tuple[int, ...]
     torques: Columns
     positions: Columns
+    coupling: float = 0.0
 
 
 def as_recorded(count: int) -> Mistake:
@@ -70,6 +75,22 @@ def mistakes(count: int, joints: Sequence[int]) -> list[Mistake]:
         for signal in ("torque", "position"):
             found.append(_mistake(f"{signal}s-opposite", signal, everyone, _opposite(count, everyone), kept))
     return found
+
+
+def couplings(count: int, joints: Sequence[int]) -> list[Mistake]:
+    """Motors that turn with another joint, which the robot file does not say."""
+    kept = _kept(count)
+    return [
+        Mistake("motors-coupled", signal, (one, other), kept, kept, factor)
+        for one in joints
+        for other in joints
+        if 0 < abs(one - other) <= FARTHEST
+        for factor in (1.0, -1.0)
+        for signal in _OF_MOTORS
+    ]
+
+
+_OF_MOTORS: tuple[Signal, ...] = ("torque", "both")
 
 
 def _other_orders(joints: Sequence[int]) -> list[tuple[int, ...]]:

@@ -109,6 +109,17 @@ class Bench:
             text = text.replace(old, new)
         return parse_robot(text, where="said", folder=None)
 
+    def of_another_size(self, factor: float) -> Names:
+        """An arm with a further length, identified with all lengths of its file multiplied by a factor."""
+        rows = (("alpha: pi/2, d: 0, r: 0", 0.3, 0.0), ("alpha: 0, d: 0.4, r: 0.1", 0.4, 0.1))
+        files = []
+        for scale in (1.0, factor):
+            words = {row: f"{row.split(', d')[0]}, d: {scale * d}, r: {scale * r}" for row, d, r in rows}
+            files.append(self.said(words))
+        arm, believed = files
+        motion = random_fourier_motion(build_model(arm), PERIOD, 1, candidates=3)
+        return self.found(simulate_recording(arm, motion, 20.0, 1), robot_file=believed)
+
     def names(self, recording: Recording) -> Names:
         """Checks of a recording alone."""
         return frozenset(check.name for check in recording_checks(recording))
@@ -322,6 +333,11 @@ def exchanged(values: np.ndarray) -> np.ndarray:
     return values[:, [0, 2, 1]] * np.array([1.0, -0.5, -2.0])
 
 
+def coupled(values: np.ndarray) -> np.ndarray:
+    """Currents of motors, of which the second turns with joint 1, too: Γ1 − Γ2 in the place of Γ1."""
+    return values - values[:, [1]] * np.array([-0.8, 0.0, 0.0])
+
+
 def noisy(values: np.ndarray) -> np.ndarray:
     """A current with much noise."""
     return values + 40.0 * np.random.default_rng(1).standard_normal(values.shape)
@@ -502,6 +518,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.names(taken_for(with_velocity(b.recorded()), "current", "velocity", 180.0 / np.pi)),
         lambda b: b.names(with_velocity(b.recorded())),
     ),
+    "steady-torque": (
+        lambda b: b.names(changed(b.recorded(), lambda i: 30.0 + np.arange(len(i))[:, None] * [1e-3, 2e-3, 1e-3])),
+        lambda b: b.names(b.recorded()),
+    ),
     "same-column": (
         lambda b: b.names(changed(b.recorded(), lambda i: i[:, [0, 1, 0]])),
         lambda b: b.names(b.recorded()),
@@ -618,6 +638,9 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.clean(),
     ),
     "inconsistent-gain": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, 1, 1.6])), lambda b: b.clean()),
+    "wrong-gain": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, 1, 20])), lambda b: b.clean()),
+    "other-size": (lambda b: b.of_another_size(1.25), lambda b: b.clean()),
+    "motors-coupled": (lambda b: b.found(changed(b.recorded(), coupled)), lambda b: b.clean()),
     "inconsistent-length": (
         lambda b: b.found(robot_file=b.said({"alpha: 0, d: 0.4, r: 0.1": "alpha: 0, d: 0.45, r: 0.1"})),
         lambda b: b.clean(),
