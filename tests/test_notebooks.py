@@ -99,7 +99,7 @@ def test_a_servo_arm_for_mujoco(monkeypatch, tmp_path, capsys):
     monkeypatch.chdir(tmp_path)
     robot = load_robot("so101")
     model_class = dynid.ServoModel
-    monkeypatch.setattr(dynid, "identify_servo", lambda run, validation: model_class(true_servo_result(robot, 0.02)))
+    monkeypatch.setattr(dynid, "identify_servo", lambda run, validation: model_class(true_servo_result(robot)))
     names = run_cells("servo_to_mujoco", {"duration=60.0": "duration=4.0", "duration=20.0": "duration=4.0"})
     assert (tmp_path / "so101.xml").exists()
     assert len(names["played"].position)

@@ -43,7 +43,7 @@ def read_result(path: Path) -> Result:
         raise ResultFileError(
             "is a servo model, which has no torques",
             where=str(path),
-            hint="dynid validate and dynid export --mjcf take it, and in Python dynid.load_servo_model",
+            hint="dynid validate, dynid diff and dynid export --mjcf take it, and in Python dynid.load_servo_model",
         )
     if content.get("kind") == GRAVITY:
         raise ResultFileError(

@@ -15,7 +15,7 @@ from drivers.core.arrays import FloatArray
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Contact
 from ident.servo.links import ServoLinks
-from ident.servo.motion import ServoMotion, lanes_of, measured_load, motion_load
+from ident.servo.motion import ServoMotion, lanes_of, measured_load
 from ident.servo.rollout import profile_goals
 from ident.servo.search import EVERY_ERROR, evaluate, robust_scale, search
 from ident.servo.terms import INDEX, TERMS, members, to_search
@@ -211,13 +211,9 @@ def some_motions(motions: Sequence[ServoMotion]) -> list[ServoMotion]:
     return chosen
 
 
-def shaped_commands(links: ServoLinks, motion: ServoMotion, values: FloatArray) -> FloatArray:
-    """Commands (history + K, n) as the servos' profiles and biases shape them, before their delay."""
-    zero = np.zeros(len(values))
-    lanes = lanes_of([motion], [motion_load(links, motion, motion.time, motion.position, zero)], None)
-    goals = profile_goals(lanes, np.zeros(len(values)), values[:, INDEX["acceleration_limit"]])
-    # A goal is that at the end of its step.
-    return np.concatenate([motion.command[: motion.history + 1], goals])[: len(motion.command)]
+def shaped_commands(motion: ServoMotion, values: FloatArray) -> FloatArray:
+    """Commands (history + K, n) as the servos' profiles shape them, before their delay."""
+    return profile_goals(motion.command, motion.step, values[:, INDEX["acceleration_limit"]])
 
 
 def law_paths(
@@ -257,7 +253,7 @@ def nearest_file(
     commanded = chosen
     if form.shaped:
         bias = values[:, INDEX["bias"]]
-        commanded = [replace(motion, command=shaped_commands(links, motion, values) - bias) for motion in chosen]
+        commanded = [replace(motion, command=shaped_commands(motion, values) - bias) for motion in chosen]
     words = left_out(values, form.missing)
     identified_error = error = _mean_error(commanded, play(text, commanded))
     if words:

@@ -136,8 +136,8 @@ def _averaged(values: FloatArray, span: int) -> FloatArray:
 
 
 def command_paths(motions: Sequence[ServoMotion]) -> list[FloatArray]:
-    """Commands (N, n) at the samples of each motion."""
-    return [_delayed(motion, 0.0, 0.0) for motion in motions]
+    """Commands (N, n) at the samples of each motion, with those that are sent just then."""
+    return [_delayed(motion, -motion.step, 0.0) for motion in motions]
 
 
 def delay_and_lag(motions: Sequence[ServoMotion]) -> tuple[float, float]:

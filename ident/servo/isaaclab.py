@@ -48,7 +48,7 @@ class CommandProfile:
         wanted = braking * (1.0 * (ahead > 0) - 1.0 * (ahead < 0))
         self.speed = -_least(-_least(wanted, self.speed + limit * step), limit * step - self.speed)
         self.goal = self.goal + step * self.speed
-        return self.goal - bias
+        return self.goal - 0.5 * step * self.speed - bias
 
 
 def _least(a, b):

@@ -230,8 +230,9 @@ def _replayed(model: Any, links: ServoLinks, motion: ServoMotion, command: Float
     step = float(model.opt.timestep)
     count = int(np.ceil(motion.time[-1] / step)) + 1
     times = np.arange(count) * step
-    grid = np.arange(len(command)) * motion.step
-    controls = np.stack([np.interp(times, grid, column) for column in command.T], axis=1)
+    # A command of the grid is the mean of the step before; a control holds for the step that follows.
+    middles = (np.arange(len(command)) - 0.5) * motion.step
+    controls = np.stack([np.interp(times + 0.5 * step, middles, column) for column in command.T], axis=1)
     path = np.empty((count, len(order)))
     data.ctrl[actuators] = controls[0]
     mujoco.mj_forward(model, data)

@@ -51,7 +51,8 @@ class ServoMotion:
         step: of the grid [s].
         time: (N,) of the measured samples, from the first [s].
         position: (N, n) measured [rad or m].
-        command: (history + K, n) on the grid, from `history` steps before the first sample [rad or m].
+        command: (history + K, n) that was in force on the mean of the step before each time of the grid, from
+            `history` steps before the first sample on [rad or m].
         history: number of steps.
     """
 
@@ -114,14 +115,27 @@ def servo_motions(recorded: CommandedMotion, label: str) -> list[ServoMotion]:
         history = int(np.ceil(HISTORY / step))
         count = int(np.ceil((own[-1] - own[0]) / step)) + 2
         times = own[0] + (np.arange(-history, count)) * step
-        values = recorded.commands[TARGET]
-        command = np.stack([np.interp(times, stamps, values[:, joint]) for joint in range(values.shape[1])], axis=1)
+        command = _in_force(stamps, recorded.commands[TARGET], times, step)
         motions.append(
             ServoMotion(label, float(own[0]), step, own - own[0], recorded.position[first:end].copy(), command, history)
         )
     if not motions:
         raise DataError(f"has no {SHORTEST:g} s without a gap", where=label)
     return motions
+
+
+def _in_force(stamps: FloatArray, values: FloatArray, times: FloatArray, step: float) -> FloatArray:
+    """Means (K, n) of commands over the step [s] before each time; a command holds until the next one is sent.
+
+    A profile follows stairs later than the straight line between them, by more than the half period of their mean.
+    """
+    edges = np.concatenate([[min(stamps[0], times[0] - step)], stamps, [max(stamps[-1], times[-1])]])
+    sums = np.cumsum(np.vstack([values[:1], values]) * np.diff(edges)[:, None], axis=0)
+    whole = np.vstack([np.zeros_like(sums[:1]), sums])
+    until, since = (
+        np.stack([np.interp(ends, edges, column) for column in whole.T], axis=1) for ends in (times, times - step)
+    )
+    return np.asarray((until - since) / step, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,10 @@ from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.terms import INDEX, TERMS
 
 STEEPNESS_SPAN = 0.03
-"""The same of the logarithm of an acceleration limit."""
+"""Half of the difference that gives derivatives by the logarithm of an acceleration limit."""
+
+DELAY_SPAN = 1.5
+"""The same by a delay, in steps."""
 
 UNLIMITED = 1e6
 """[rad/s²] From this acceleration on, a profile is its target."""
@@ -357,57 +360,47 @@ def _goals(
 ) -> tuple[FloatArray, dict[int, FloatArray]]:
     """Goals (K, L) of the servos' profiles after each step, and their derivatives by the rows that are asked for.
 
-    A profile that switches between its limits has no smooth derivative by them: differences over a finite span stand
-    for it.
+    A profile starts at once, however small a part of a command has come: goals are delayed, not commands. A profile
+    that switches between its limits has no smooth derivative by them: differences over a finite span stand for it.
     """
-    shifted = [(delay, steepest)]
-    if "acceleration_limit" in rows:
-        shifted += [(delay, steepest * np.exp(STEEPNESS_SPAN)), (delay, steepest * np.exp(-STEEPNESS_SPAN))]
-    times = len(shifted)
-    delays, limits = (np.concatenate([pair[part] for pair in shifted]) for part in range(2))
-    paths = _profile(np.tile(lanes.command, (1, times)), lanes.history, len(lanes.load), lanes.step, delays, limits)
-    parts = np.split(paths, times, axis=1)
+    limit, factor = "acceleration_limit", np.exp(STEEPNESS_SPAN)
+    limits = [steepest, *([steepest * factor, steepest / factor] if limit in rows else [])]
+    wide = profile_goals(np.tile(lanes.command, (1, len(limits))), lanes.step, np.concatenate(limits))
+    lateness = delay / lanes.step
+    whole = np.floor(lateness)
+    newer = lanes.history - whole.astype(np.intp)
+    places = np.clip(newer + np.arange(len(lanes.load) + 1)[:, None], 0, len(lanes.command) - 1)
+    lane, late, delayed = np.arange(len(delay)), lateness - whole, []
+    for own in np.split(wide, len(limits), axis=1):
+        reached = own[places, lane]
+        older = reached[:-1] - reached[1:]
+        delayed.append((reached[1:] + late * older, older))
     derivatives = {}
     if "delay" in rows:
-        # A later command is followed later, and otherwise alike.
-        derivatives[rows["delay"]] = -np.gradient(parts[0], lanes.step, axis=0)
-    if "acceleration_limit" in rows:
-        derivatives[rows["acceleration_limit"]] = (parts[-2] - parts[-1]) / (2 * STEEPNESS_SPAN)
-    return parts[0], derivatives
+        derivatives[rows["delay"]] = delayed[0][1] / lanes.step
+    if limit in rows:
+        derivatives[rows[limit]] = (delayed[1][0] - delayed[2][0]) / (2 * STEEPNESS_SPAN)
+    return delayed[0][0], derivatives
 
 
-def profile_goals(lanes: Lanes, delay: FloatArray, steepest: FloatArray) -> FloatArray:
-    """Goals (K, L) of the servos' profiles after each step, for delays [s] and accelerations [rad/s²] (L,)."""
-    return _profile(lanes.command, lanes.history, len(lanes.load), lanes.step, delay, steepest)
+def profile_goals(command: FloatArray, step: float, steepest: FloatArray) -> FloatArray:
+    """Goals (K, L) of the servos' profiles at each time of commands (K, L): as fast there as accelerations (L,) allow.
 
-
-def _profile(
-    command: FloatArray, history: int, count: int, step: float, delay: FloatArray, steepest: FloatArray
-) -> FloatArray:
-    """Goals (K, L): as fast to the delayed commands as the acceleration allows, braking so as to stop there."""
-    lateness = delay / step
-    whole = np.floor(lateness)
-    late = lateness - whole
-    newer = history - whole.astype(np.intp)
-    lane, last = np.arange(command.shape[1]), len(command) - 1
-    unlimited = bool(np.all(steepest >= UNLIMITED))
+    They brake so as to stop at the command, and are at rest at the first.
+    """
+    if np.all(steepest >= UNLIMITED):
+        return command
     half, most = 0.5 * step * steepest, step * steepest
-    goals = np.empty((count, command.shape[1]))
-    goal = command[np.clip(newer, 0, last), lane]
-    pace = np.zeros(command.shape[1])
-    rows = np.clip(newer + np.arange(count + 1)[:, None], 0, last)
-    told = command[rows, lane]
-    targets: FloatArray = told[1:] + late * (told[:-1] - told[1:])
-    if unlimited:
-        return targets
+    goals = np.empty_like(command)
+    goals[0] = goal = command[0]
+    pace = np.zeros_like(goal)
     twice, square = 2.0 * steepest, half * half
-    for index in range(count):
-        target = targets[index]
-        ahead = target - goal
+    for index in range(1, len(command)):
+        ahead = command[index] - goal
         distance = np.abs(ahead)
         # never past the target in one step
         braking = np.minimum(np.sqrt(twice * distance + square) - half, distance / step)
         pace = np.minimum(np.maximum(np.copysign(braking, ahead), pace - most), pace + most)
         goal = goal + step * pace
-        goals[index] = goal
+        goals[index] = goal - 0.5 * step * pace  # a sum of velocities after their steps is half a step ahead
     return goals

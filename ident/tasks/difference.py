@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from os import PathLike
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,13 +14,20 @@ from drivers.core.text import in_percent
 from ident.assessment.validation import Fit
 from ident.regression.estimate import Estimate
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest, chi_square_test
-from ident.result.models.model import Model
+from ident.result.models.model import Model, result_path
+from ident.result.result_file import SERVO, kind_of
 from ident.result.schema import Result
 from ident.result.stored_model import stored_estimate, stored_model
 from ident.result.tables import Cell, Table, table_of_rows
+from ident.servo.difference import error_differences, parameter_differences, parameters_agree, refuse_other_arm
+from ident.servo.result import ServoResult, read_servo_result
 from ident.tasks.identification import IdentificationResult
+from ident.tasks.saved_result import GradedResult
 from ident.tasks.validation import result_of
 from ident.verdict.check import PURPOSE_WORDS
+
+if TYPE_CHECKING:
+    from ident.tasks.servo import ServoModel
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,7 @@ class ModelDifference:
         test: of all parameters together, with both covariances: chi-square, its degrees of freedom, and the probability
             of a larger one if the arm is the same; None where a covariance is not stored.
         shared: recordings that both were identified from, by file name; their errors are then not independent.
+        what: the parameters, in words.
     """
 
     parameters: Table
@@ -43,6 +52,7 @@ class ModelDifference:
     checks: Table
     test: SignificanceTest | None
     shared: tuple[str, ...]
+    what: str = "base parameters"
 
     @property
     def agree(self) -> bool | None:
@@ -55,7 +65,7 @@ class ModelDifference:
         scores = self.parameters["z"]
         beyond = int(np.sum(np.abs(scores) > WITHIN_95_PERCENT))
         known = int(np.sum(np.isfinite(scores)))
-        text = f"{beyond} of {known} base parameters differ by more than {WITHIN_95_PERCENT:g} σ"
+        text = f"{beyond} of {known} {self.what} differ by more than {WITHIN_95_PERCENT:g} σ"
         if self.test is None:
             text += "; together they cannot be tested, since a covariance is missing."
         else:
@@ -83,17 +93,17 @@ class ModelDifference:
 
 
 def diff(
-    first: IdentificationResult | Model | str | PathLike[str],
-    second: IdentificationResult | Model | str | PathLike[str],
+    first: IdentificationResult | Model | ServoModel | str | PathLike[str],
+    second: IdentificationResult | Model | ServoModel | str | PathLike[str],
 ) -> ModelDifference:
-    """Compare two models of one arm: parameters with z-scores, held-out errors, checks.
+    """Compare two models of one arm, or two servo models: parameters with z-scores, held-out errors, checks.
 
     Args:
         first: a result, a model, or the folder or file of one.
         second: the same of the other.
 
     Raises:
-        UsageError: other robots, joints or base parameters.
+        UsageError: other robots, joints or base parameters; a servo model and one of torques.
         ResultFileError: no result, or its parts do not belong together.
 
     Example:
@@ -103,7 +113,12 @@ def diff(
         >>> difference.agree, abs(difference.parameters.row("Fv1")["z"]) < 5
         (True, True)
     """
-    one, other = result_of(first), result_of(second)
+    servos = [_servo_result(given) for given in (first, second)]
+    if servos[0] is not None and servos[1] is not None:
+        return _servo_difference(servos[0], servos[1])
+    if any(servos):
+        raise UsageError("a servo model cannot be compared with a model of torques")
+    one, other = result_of(first), result_of(second)  # type: ignore[arg-type]
     _check_comparable(one, other)
     return ModelDifference(
         parameters=_parameters(one, other),
@@ -112,6 +127,34 @@ def diff(
         checks=_checks(one, other),
         test=_test(one, other),
         shared=_shared(one, other),
+    )
+
+
+def _servo_result(given: object) -> ServoResult | None:
+    """The result of a servo model, read where a path is given; None of anything else."""
+    if isinstance(given, GradedResult):
+        return given.result if given.result.kind == SERVO else None
+    if isinstance(given, (str, PathLike)) and kind_of(path := result_path(given)) == SERVO:
+        return read_servo_result(path)
+    return None
+
+
+def _servo_difference(one: ServoResult, other: ServoResult) -> ModelDifference:
+    refuse_other_arm(one, other)
+    grades = [["simulation", one.verdict.grade, other.verdict.grade]]
+    checks = [result.verdict.checks for result in (one, other)]
+    raised = [
+        [check, *("raised" if check in own else None for own in checks)]
+        for check in dict.fromkeys(checks[0] + checks[1])
+    ]
+    return ModelDifference(
+        parameters=parameter_differences(one, other),
+        errors=error_differences(one, other),
+        purposes=table_of_rows("Verdict", [(name, "") for name in ("purpose", "first", "second")], grades),
+        checks=table_of_rows("Checks", [(name, "") for name in ("check", "first", "second")], raised),
+        test=parameters_agree(one, other),
+        shared=_shared(one, other),
+        what="servo parameters",
     )
 
 
@@ -221,6 +264,6 @@ def _scaled_covariance(estimate: Estimate) -> FloatArray:
     return np.asarray(ratio * (inverse @ inverse.T))
 
 
-def _shared(one: Result, other: Result) -> tuple[str, ...]:
+def _shared(one: Result | ServoResult, other: Result | ServoResult) -> tuple[str, ...]:
     used = {use.sha256 for use in other.recordings if use.role == "identification"}
     return tuple(use.file for use in one.recordings if use.role == "identification" and use.sha256 in used)

@@ -182,25 +182,24 @@ def _goals(servos: list[TruthServo], arrived: FloatArray, command: FloatArray, c
         # A command that a later one overtakes has no effect.
         order = np.argsort(arrived[:, joint], kind="stable")
         newest = np.maximum.accumulate(order)
-        latest = np.searchsorted(arrived[order, joint], np.arange(1, count + 1) * step, side="right") - 1
+        latest = np.searchsorted(arrived[order, joint], (np.arange(count) + 0.5) * step, side="right") - 1
         chosen = np.where(latest < 0, 0, newest[np.maximum(latest, 0)])
         for index, target in enumerate(command[chosen, joint].tolist()):
             distance = abs(target - goal)
             speed = min((2 * servo.acceleration * distance + most**2 / 4) ** 0.5 - most / 2, distance / step)
             pace = min(max(speed if target > goal else -speed, pace - most), pace + most)
             goal += step * pace
-            goals[index, joint] = goal
+            goals[index, joint] = goal - 0.5 * step * pace  # the sum is half a step ahead of the profile
     return goals
 
 
-def true_values(file: RobotFile, period: float) -> dict[str, dict[str, float]]:
+def true_values(file: RobotFile) -> dict[str, dict[str, float]]:
     """True parameters of `ident.servo.terms` per joint, in a cold arm at the supply's voltage without load.
 
     Backlash, steps of the loop's encoder and jitter have no such parameter: of jitter, the mean delay is in `delay`.
 
     Args:
         file: its truth has a servo for every joint.
-        period: of the commands [s]; a held command lags the straight line between two by half of it.
     """
     truth, supply = file.robot.truth, file.robot.truth.supply
     values = {}
@@ -216,7 +215,7 @@ def true_values(file: RobotFile, period: float) -> dict[str, dict[str, float]]:
             "armature": joint.motor_inertia,
             "coulomb": joint.coulomb,
             "bias": servo.bias,
-            "delay": servo.delay + servo.jitter / 2 + period / 2,
+            "delay": servo.delay + servo.jitter / 2,
             "acceleration_limit": servo.acceleration,
             "load_friction": servo.load_friction,
             "breakaway": joint.stribeck,

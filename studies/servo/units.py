@@ -50,7 +50,7 @@ def main() -> None:
         shares: dict[str, list[bool]] = {name: [] for name in COUNTED}
         own: list[bool] = []
         for unit in range(UNITS + 1):
-            truth = true_values(file if unit == 0 else another_unit(file, SPREAD, unit), 0.02)
+            truth = true_values(file if unit == 0 else another_unit(file, SPREAD, unit))
             for joint, name in told:
                 box = boxes[joint][name]
                 inside = box.low <= truth[joint][name] <= box.high

@@ -15,16 +15,15 @@ from ident.servo.terms import INDEX, TERMS
 from sim_drivers.synthetic.servo import true_values
 
 
-def true_servo_result(file: RobotFile, period: float, sigma: float = 0.05) -> ServoResult:
+def true_servo_result(file: RobotFile, sigma: float = 0.05) -> ServoResult:
     """The result that a perfect identification would give.
 
     Args:
         file: its truth has a servo for every joint.
-        period: of the commands [s].
         sigma: standard deviation of every logarithm, and of other terms in their unit times 0.01.
     """
     joints, searched, covariance = [], [], []
-    for joint, terms in true_values(file, period).items():
+    for joint, terms in true_values(file).items():
         parameters = {}
         for name, value in terms.items():
             term = TERMS[INDEX[name]]

@@ -41,7 +41,7 @@ def file() -> RobotFile:
 
 def known(file: RobotFile, sigma: float, wide: dict[str, float] | None = None) -> ServoResult:
     """A model whose parameters have all the same σ, but those of some joints."""
-    result = true_servo_result(file, 0.02, sigma)
+    result = true_servo_result(file, sigma)
     covariance = [
         (np.array(matrix) * (wide or {}).get(joint, 1.0) ** 2).tolist()
         for joint, matrix in zip(result.joints, result.covariance, strict=True)

@@ -59,7 +59,7 @@ def test_a_result_gives_its_arm_its_time_and_its_parameters():
 
 def test_servo_models_have_values_and_those_of_no_recording_need_a_time():
     file = load_robot("so101")
-    stored = json.loads(result_json(true_servo_result(file, 0.02)))
+    stored = json.loads(result_json(true_servo_result(file)))
     with pytest.raises(ResultFileError, match="names no recording"):
         read_entry(stored, PATH)
     entry = read_entry(stored, PATH, datetime(2026, 5, 1, tzinfo=UTC))

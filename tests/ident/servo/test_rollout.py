@@ -7,12 +7,14 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ident.servo.rollout import Lanes, Touch, profile_goals, roll_out
+from daq.recording.commanded_motion import CommandedMotion
+from ident.servo.motion import servo_motions
+from ident.servo.rollout import Lanes, Touch, _goals, profile_goals, roll_out
 from ident.servo.search import evaluate
 from ident.servo.terms import GROUPS, INDEX, TERMS, from_search, members, start_values, to_search, with_group
 
-SMOOTH = [term.name for term in TERMS if term.name not in ("delay", "acceleration_limit")]
-"""Their derivatives are exact; those of delay and profile stand for a finite span."""
+SMOOTH = [term.name for term in TERMS if term.name != "acceleration_limit"]
+"""Their derivatives are exact; that of the profile stands for a finite span."""
 
 
 def lanes(steps: int = 300, seed: int = 0, load: float = 0.37) -> Lanes:
@@ -85,12 +87,35 @@ def test_a_profile_keeps_its_acceleration_and_stops_at_its_target():
     moved = lanes(steps=400)
     command = np.where(np.arange(len(moved.command))[:, None] < moved.history + 20, 0.0, 1.0) * np.ones(3)
     limits = np.array([5.0, 20.0, 80.0])
-    goals = profile_goals(Lanes(**{**vars(moved), "command": command}), np.zeros(3), limits)
+    goals = profile_goals(command, moved.step, limits)
     acceleration = np.diff(goals, 2, axis=0) / moved.step**2
     assert np.all(np.abs(acceleration).max(axis=0) <= limits * (1 + 1e-6))
     assert goals[-1] == pytest.approx(np.ones(3), abs=1e-6)
     # a step may pass it by what one step of braking covers
     assert np.all(goals <= 1.0 + limits * moved.step**2)
+
+
+def test_a_later_command_is_followed_later_and_otherwise_alike():
+    values = start_values(3)
+    values[:, INDEX["acceleration_limit"]] = 40.0
+    moved = lanes(steps=400)
+    late, later = values.copy(), values.copy()
+    late[:, INDEX["delay"]], later[:, INDEX["delay"]] = 0.0, 2.5 * moved.step
+    goals = [_goals(moved, own[:, INDEX["delay"]], own[:, INDEX["acceleration_limit"]], {})[0] for own in (late, later)]
+    steps = np.arange(400.0)
+    shifted = np.stack([np.interp(steps[10:] - 2.5, steps, column) for column in goals[0].T], axis=1)
+    np.testing.assert_allclose(goals[1][10:], shifted, atol=1e-12)
+
+
+def test_a_command_holds_from_its_stamp_until_the_next():
+    stamps = np.arange(200) * 0.02 + 0.003
+    command = np.cumsum(np.random.default_rng(1).standard_normal((200, 1)), axis=0)
+    given = CommandedMotion(("a",), stamps, np.zeros((200, 1)), stamps, {"target_position": command})
+    motion = servo_motions(given, "run")[0]
+    ends = motion.grid[1:] + motion.begin
+    inside = (ends[:, None] - motion.step * np.linspace(0.999, 0.001, 50)).ravel()
+    means = given.held(inside).reshape(len(ends), 50).mean(axis=1)
+    np.testing.assert_allclose(motion.command[motion.history + 1 :, 0], means, atol=0.05)
 
 
 def test_a_surface_holds_what_pushes_on_it_and_nothing_else():

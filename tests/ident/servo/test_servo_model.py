@@ -144,7 +144,7 @@ def test_what_an_mjcf_holds_moves_in_mujoco_as_in_the_roll_out(model):
     values[:, [INDEX[name] for name in ("load_friction", "breakaway", "load_breakaway", "dead_band")]] = 0.0
     motion = model.identification.motions[0].between(0, 500)
     path = roll_out_arm([motion], model._links, values)[0]
-    shaped = dataclasses.replace(motion, position=path, command=shaped_commands(model._links, motion, values))
+    shaped = dataclasses.replace(motion, position=path, command=shaped_commands(motion, values))
     played = played_paths(servo_mjcf(model._robot, model._links, values), model._links, [shaped])
     assert rollout_errors([shaped], played).mean() < 2e-3
 

@@ -25,7 +25,6 @@ from ident.servo.actuator_law import FAITHFUL, actuator_law
 from ident.servo.identify import read_motions
 from ident.servo.isaaclab import PHYSICS_STEP, read_isaaclab
 from ident.servo.links import servo_links
-from ident.servo.motion import lanes_of, motion_load
 from ident.servo.rollout import profile_goals
 from ident.servo.terms import INDEX
 from ident.servo.usd import read_usd, usd_installed
@@ -54,7 +53,7 @@ def run(file) -> Recording:
 
 @pytest.fixture(scope="module")
 def model(file) -> dynid.ServoModel:
-    return dynid.ServoModel(true_servo_result(file, PERIOD))
+    return dynid.ServoModel(true_servo_result(file))
 
 
 @dataclass
@@ -159,7 +158,7 @@ def test_an_isaac_lab_configuration_compiles_and_holds_the_law_in_its_own_fields
     assert sorted(grouped) == sorted(names) == sorted(defined.IMPLICIT_ACTUATORS["servos"].joint_names_expr)
     truth = file.robot.truth.joints
     for group in defined.ACTUATORS.values():
-        assert group.min_delay == group.max_delay == round(0.02 / PHYSICS_STEP)
+        assert group.min_delay == group.max_delay == round(0.01 / PHYSICS_STEP)
         for name in group.joint_names_expr:
             assert group.stiffness[name] == truth[name].servo.stiffness
             assert group.effort_limit[name] == truth[name].servo.torque_limit
@@ -179,14 +178,10 @@ def test_the_file_shapes_commands_as_the_roll_out_does_and_draws_arms(model, run
     model.export_isaaclab(path)
     defined = configuration(path.read_text(encoding="utf-8"), monkeypatch)
     motion = read_motions(run, model._robot)[0]
-    zero, count = np.zeros(6), 300
-    lanes = lanes_of(
-        [motion], [motion_load(servo_links(model._robot), motion, motion.time, motion.position, zero)], None
-    )
     limit = np.array([defined.ACCELERATION_LIMIT[name] for name in defined.JOINTS])
-    goals = profile_goals(lanes, zero, limit)[:count]
-    profile = defined.CommandProfile(motion.command[motion.history])
-    shaped = [profile(row, 0.0, limit) for row in motion.command[motion.history + 1 :][:count]]
+    goals = profile_goals(motion.command[:400], motion.step, limit)[1:]
+    profile = defined.CommandProfile(motion.command[0])
+    shaped = [profile(row, 0.0, limit) for row in motion.command[1:400]]
     np.testing.assert_allclose(shaped, goals, atol=1e-12)
     arms = defined.drawn(4000, seed=1)["elbow_flex"]
     logarithms = np.log([arms["stiffness"], arms["armature"]])
@@ -255,9 +250,9 @@ def test_files_are_read_again_as_the_law_that_was_written(model, tmp_path):
 def test_a_servo_that_a_drive_can_hold_is_replayed_within_the_gate(file, tmp_path):
     plain = TruthServo(stiffness=12.0, delay=0.01, torque_limit=2.94)
     simple = with_servos(file, **plain.model_dump())
-    time = np.arange(0.0, 3.1, PERIOD)
+    time = np.arange(0.0, 3.1, PERIOD / 4)  # stairs of 20 ms show how each simulator takes a jump
     run = record_servo(simple, time, servo_commands(simple, time, 3), 0)
-    model = dynid.ServoModel(true_servo_result(simple, PERIOD))
+    model = dynid.ServoModel(true_servo_result(simple))
     for replayed in (model.export_isaaclab(tmp_path / "cfg.py", run), model.export_mjcf(tmp_path / "arm.xml", run)):
         assert replayed is None or replayed.faithful, str(replayed)
         assert replayed is None or replayed.error < 5e-3
