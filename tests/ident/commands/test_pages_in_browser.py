@@ -47,11 +47,11 @@ WINDOW, PHONE = 1400, 400
 MOST_PRINTED_PAGES = 4
 
 
-def recorded(seed: int, samples: slice | FloatArray = slice(None)) -> Recording:
+def recorded(seed: int, samples: slice | FloatArray = slice(None), rate: float = 62.5) -> Recording:
     """A simulated recording with temperatures."""
     robot_file = load_robot(ARM)
     motion = random_fourier_motion(build_model(robot_file), 8.0, seed=seed, candidates=2)
-    stream = simulate_recording(robot_file, motion, 12.0, seed=seed, rate=125.0).streams["joints"]
+    stream = simulate_recording(robot_file, motion, 12.0, seed=seed, rate=rate).streams["joints"]
     time = stream.time[samples]
     return Recording.from_arrays(
         robot_file,
@@ -86,7 +86,7 @@ def excitation_page(folder: Path) -> Path:
 
 def recording_page(folder: Path) -> Path:
     kept = np.delete(np.arange(1500), [*range(300, 420), 900, 901])
-    recording = recorded(3, kept)
+    recording = recorded(3, kept, rate=125.0)
     write_info_page(folder / "info", recording_info(recording, recording.robot()), "run.h5")
     return folder / "info" / INFO_PAGE
 
@@ -218,7 +218,7 @@ def check_layout(page: BrowserPage) -> None:
 SETTLED = """(async () => {
   for (const plot of document.querySelectorAll(".plot")) {
     const late = () => plot.offsetParent && Math.abs(plot._fullLayout.width - plot.clientWidth) > 1;
-    while (late()) await new Promise(requestAnimationFrame);
+    while (late()) await new Promise((done) => setTimeout(done, 20));
     await Promise.all(plot._promises || []);
   }
 })()"""
