@@ -90,8 +90,13 @@ def part_of_arm(model: DynamicModel) -> bool:
 
 def arm_length(model: DynamicModel) -> float:
     """Longest distance [m] from the base to a joint along the links, at position zero."""
+    return max(joint_distances(model), default=0.0)
+
+
+def joint_distances(model: DynamicModel) -> list[float]:
+    """Distances [m] from the base to every joint along the links, at position zero."""
     lengths: list[float] = []
     for joint in model.joints:
         before = 0.0 if joint.parent == BASE_INDEX else lengths[joint.parent]
         lengths.append(before + float(np.linalg.norm(joint.translation)))
-    return max(lengths, default=0.0)
+    return lengths

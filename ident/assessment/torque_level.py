@@ -6,12 +6,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
-from ident.assessment.arm_mass import LENGTHS_PER_REACH, arm_length, mass_of_length, part_of_arm
+from ident.assessment.arm_mass import LENGTHS_PER_REACH, arm_length, joint_distances, mass_of_length, part_of_arm
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
+from ident.model.kinematics.urdf import urdf_inertias
 from ident.model.regressor import RegressorKernel, dense_regressor
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
@@ -26,6 +28,11 @@ forgotten gear ratios one of 50 and more."""
 FAR_BELOW = 0.01
 """The same of the joint that is used most. An excited arm carries itself: the public recordings reach 0.43 to 0.66 of
 a limit, so that a gear ratio of 50 left out gives about 0.01."""
+
+CARRIED = 0.05
+"""Peak torque over gravity's of the URDF's masses at full length, above which the masses are carried. Of
+example-robot-data: a finger 0.6, a hand 0.8, arms of talos and kinova 1.2 and 1.0, two vertical axes 0.07; a gear ratio
+of 50 left out gives 0.02."""
 
 STANDARD_GRAVITY = 9.81
 DENSEST_ARM = 500.0
@@ -60,16 +67,17 @@ NOTHING = 1e-9
 GRAVITY_INSTANTS = 500
 
 
-def torque_level_checks(robot: Robot, model: DynamicModel, torque: FloatArray) -> list[Check]:
-    """Compare recorded joint torques with the robot file's limits and with the size of the arm.
+def torque_level_checks(robot_file: RobotFile, model: DynamicModel, torque: FloatArray) -> list[Check]:
+    """Compare recorded joint torques with the robot file's limits, with its URDF's masses and with the arm's size.
 
     Args:
-        robot: its joints' limits, where it has any.
+        robot_file: its joints' limits and its URDF, where it has any.
         model: of the arm.
         torque: (N, n) at the joints, as recorded [N·m or N].
     """
     if not len(torque):
         return []
+    robot = robot_file.robot
     peak = np.quantile(np.abs(torque), PEAK, axis=0)
     limits = np.array([np.nan if joint.torque is None else joint.torque for joint in robot.joints])
     share = peak / limits
@@ -85,13 +93,29 @@ def torque_level_checks(robot: Robot, model: DynamicModel, torque: FloatArray) -
         )
         return [raised("torque-beyond-limits", text, [names[j] for j in beyond])]
     known = share[np.isfinite(share)]
-    if len(known) and np.max(known) < FAR_BELOW:
+    if len(known) and np.max(known) < FAR_BELOW and not _carries_stated_masses(robot_file, model, peak):
         text = (
             f"torques reach at most {percent_text(float(np.max(known)), 2)} of the limits, too little to carry an "
             "arm: check the unit of the current, and whether the drive gains are on the joint side, gear ratio included"
         )
         return [raised("torque-far-below-limits", text)]
     return _load_checks(names, model, peak)
+
+
+def _carries_stated_masses(robot_file: RobotFile, model: DynamicModel, peak: FloatArray) -> bool:
+    """Whether peak torques are those of the URDF's masses: then its torque limits are placeholders (1000 N·m)."""
+    robot = robot_file.robot
+    if not robot_file.urdf_text:
+        return False
+    bodies = urdf_inertias(robot_file.urdf_text, model.link_names, robot.model.locked, robot.name)
+    distances = joint_distances(model)
+    first = min(distances)
+    moments = [
+        body[0] * (distance - first + float(np.linalg.norm(body[1])))
+        for body, distance in zip(bodies, distances, strict=True)
+        if body is not None
+    ]
+    return float(np.max(peak)) > CARRIED * STANDARD_GRAVITY * sum(moments) > 0.0
 
 
 def _load_checks(names: Sequence[str], model: DynamicModel, peak: FloatArray) -> list[Check]:

@@ -125,7 +125,7 @@ def recording_info(
     if not signed:
         checks += _without_torque_checks(recording, commanded)
     if motion is not None and motion.measured is not None:
-        checks += torque_level_checks(robot_file.robot, motion.model, motion.measured.torque)
+        checks += torque_level_checks(robot_file, motion.model, motion.measured.torque)
     verdict = judge(checks, None)
     return RecordingInfo(
         recording, robot_file.robot, streams, columns, excitation, delay, sufficiency, times, verdict, motion

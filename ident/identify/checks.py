@@ -85,7 +85,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     unsound = any(check.severity == "serious" for check in checks)
     mistakes = [] if unsound else _mistake_checks(identification)
     torque = np.concatenate([run.signals.torque for run in identification.runs])
-    levels = torque_level_checks(identification.robot_file.robot, identification.model, torque)
+    levels = torque_level_checks(identification.robot_file, identification.model, torque)
     # A torque beyond its limit that is another joint's is explained.
     exchanged = any(
         "exchanged" in one.name or (one.name == "sign-or-column" and "exchanged" in one.text) for one in mistakes

@@ -172,7 +172,7 @@ def test_torques_of_another_unit(data_dir: Path, name: str, factor: float) -> No
         check.name
         for scale in (1.0, factor)
         for check in (
-            *torque_level_checks(robot_of, sound.model, scale * torque),
+            *torque_level_checks(sound.robot_file, sound.model, scale * torque),
             *weight_checks(
                 robot_of, sound.model, sound.base, scale * parameters.base, position, scale * parameters.apparent_mass
             ),

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
 from random_arms import random_arm
 
-from daq.robot.loader import RobotFile
+from daq.robot.loader import RobotFile, parse_robot
 from ident.assessment.instants import BLOCKS, Columns, Instants, instants
 from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.mistakes.competition import Competition, explanations
@@ -18,7 +19,7 @@ from ident.assessment.mistakes.hypotheses import as_recorded, mistakes
 from ident.assessment.mistakes.unsigned import unsigned_torques
 from ident.assessment.model_errors import simplest_first
 from ident.assessment.refit import Refit, Unknown, tangents
-from ident.assessment.torque_level import _small_beside, weight_checks
+from ident.assessment.torque_level import _small_beside, torque_level_checks, weight_checks
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters, random_states
@@ -36,8 +37,6 @@ BOTH = Columns((0, 1, 2), (1.0, 1.0, 1.0))
 
 @cache
 def found_of(robot_file_text: str) -> Identification:
-    from daq.robot.loader import parse_robot
-
     robot_file = parse_robot(robot_file_text, where="mistakes", folder=None)
     motion = random_fourier_motion(build_model(robot_file), 10.0, 1, candidates=3)
     return identify([simulate_recording(robot_file, motion, 20.0, 1)], [], IdentifyChoices(search_delay=False))
@@ -222,6 +221,21 @@ def test_gravity_is_compared_with_the_torque_limits(found):
     assert said(0.1, 10.0) == ["implausible-load"]
     assert said(1e4, 1e-3) == ["torque-far-below-limits"]
     assert said(1e4, 1e3) == []
+
+
+@pytest.mark.parametrize(("held", "names"), [(1.0, []), (0.02, ["torque-far-below-limits"])])
+def test_torque_limits_that_are_placeholders_do_not_make_a_light_arm_wrong(held, names):
+    """A URDF's effort of 1000 N·m; a gear ratio of 50 left out is found nevertheless."""
+    urdf = """<robot name="finger"><link name="base"/><link name="rod"><inertial>
+      <origin xyz="0 0 0.1"/><mass value="0.2"/>
+      <inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="hinge" type="revolute"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/>
+      <limit lower="-3" upper="3" velocity="5" effort="1000"/></joint></robot>"""
+    hinge = "{name: hinge, position: [-3, 3], velocity: 5, torque: 1000}"
+    text = f"name: finger\nmodel: {{urdf: finger.urdf}}\njoints: [{hinge}]"
+    robot_file = parse_robot(text, where="finger", folder=Path("."), urdf_text=urdf)
+    torque = held * 0.2 * 9.81 * 0.1 * np.sin(np.linspace(-3.0, 3.0, 500))[:, None]
+    assert [check.name for check in torque_level_checks(robot_file, build_model(robot_file), torque)] == names
 
 
 def test_the_lighter_an_arm_seems_the_more_of_the_limits_gravity_may_take():
