@@ -13,16 +13,15 @@ from drivers.core.errors import DynidError, UsageError
 from drivers.streams import Batch, StreamLayout
 from ident.monitor.contact_forces import expected_delay
 from ident.monitor.interval_torque import JointSamples
+from ident.monitor.load_estimate import changed_load
 from ident.monitor.monitor import Contact, Monitor, Residuals
-from ident.monitor.thresholds import STD_EVERY, Thresholds
+from ident.monitor.thresholds import SAME_RATE, STD_EVERY, Thresholds
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.models.model import Model
 from ident.signals.joint_signals import TEMPERATURE, live_signals
 
 TOGETHER = 0.01
 """Samples of this time [s] are evaluated at once: one by one would take several times as long."""
-SAME_RATE = 0.05
-"""Relative difference of the connection's rate from that of the recordings which changes no threshold."""
 SHOWN_JOINTS, SHOWN_CONTACTS = 8, 4
 """Lines on the terminal."""
 AMBIENT = 25.0
@@ -233,6 +232,8 @@ class LiveMonitor:
         if load is not None:
             frozen = "" if moving else ", frozen while the arm rests"
             said.append(f"load {load.mass:.2f} ± {load.margin:.2f} kg, from {load.seconds:.0f} s in motion{frozen}")
+            if self.monitor.contacts and (carried := changed_load(load)):
+                said.append(carried)
         intervals = newest.intervals
         said += self.monitor.thresholds.beyond(self._model.joint_names, intervals.velocity, intervals.celsius)
         count = len(self.monitor.contacts)

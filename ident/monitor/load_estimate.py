@@ -27,6 +27,8 @@ PINOCCHIO_PLACES = tuple(INERTIAL.index(symbol) for symbol in PINOCCHIO_ORDER)
 """Where Pinocchio's parameters of a body stand among ours."""
 CORRELATION = 0.25
 """[s] for which a residual repeats itself: ripple and errors of the model last longer than the filter."""
+SURE_SECONDS, SURE_MARGINS = 2.0, 3.0
+"""Time in motion [s], and ratio of a load to its 95 % margin, from which on contacts are said to be a load."""
 FEWEST_SECONDS = 0.5
 """Time in motion [s] from which on a load is given."""
 
@@ -46,6 +48,17 @@ class LoadEstimate:
     margin: float
     centre: FloatArray | None
     seconds: float
+
+
+def changed_load(load: LoadEstimate | None) -> str:
+    """That contacts are the weight of another load on the tool, in words; empty where it is not significant."""
+    if load is None or load.seconds < SURE_SECONDS or abs(load.mass) < SURE_MARGINS * load.margin:
+        return ""
+    what = "a load" if load.mass > 0.0 else "the lack of a load"
+    return (
+        f"what is felt since the last contact fits {what} of {abs(load.mass):.2f} ± {load.margin:.2f} kg on the tool: "
+        "if that is so, it is no contact; identify the arm with this load"
+    )
 
 
 class LoadEstimator:

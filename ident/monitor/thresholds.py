@@ -33,6 +33,8 @@ BLOCK = 10.0
 """Length of a block of the extreme values, in time constants of the observer."""
 FASTER, WARMER = 1.2, 5.0
 """Ratio of speeds, and difference of temperatures [K], beyond which thresholds say little."""
+SAME_RATE = 0.05
+"""Relative difference of two rates of samples which changes no threshold."""
 FRICTION_PER_KELVIN = 0.01
 """Share of a joint's friction by which its threshold grows per kelvin beyond the temperatures that were observed."""
 CONTACT = 0.2

@@ -29,9 +29,9 @@ from ident.monitor.labelled_contacts import (
     read_contacts,
     roc,
 )
-from ident.monitor.load_estimate import LoadEstimate
+from ident.monitor.load_estimate import LoadEstimate, changed_load
 from ident.monitor.monitor import Contact, Monitor, Residuals, earned_thresholds, joint_samples, sample_period
-from ident.monitor.thresholds import Thresholds
+from ident.monitor.thresholds import SAME_RATE, Thresholds
 from ident.report.monitor_page import write_monitor_page
 from ident.result.models.model import Model
 from ident.result.tables import Table, table_of_rows
@@ -167,7 +167,8 @@ class MonitoredRun:
     @property
     def explanation(self) -> list[str]:
         """Where the thresholds come from, a sentence each."""
-        return [*explanation(self.thresholds, self.delay), *self.beyond]
+        said = [*explanation(self.thresholds, self.delay), *self.beyond]
+        return [*said, carried] if self.contacts and (carried := changed_load(self.load)) else said
 
     def to_dict(self) -> dict[str, Any]:
         """What `dynid monitor --json` prints."""
@@ -271,6 +272,7 @@ def learnt_thresholds(
     """
     quiet = recordings_of(options.quiet) if options.quiet else own_recordings(model, watched)
     samples: list[tuple[str, JointSamples]] = [(one.label, joint_samples(model, one)) for one in quiet]
+    samples = at_rate(samples, period or sample_period(samples[0][1]))
     thresholds = earned_thresholds(
         model,
         samples,
@@ -281,6 +283,23 @@ def learnt_thresholds(
     )
     positions = np.concatenate([one.position for _, one in samples])
     return thresholds, positions[:: max(1, len(positions) // POSES)]
+
+
+def at_rate(samples: list[tuple[str, JointSamples]], period: float) -> list[tuple[str, JointSamples]]:
+    """Those recordings whose samples come as often as the watched ones: an observer leaves another residual otherwise.
+
+    Raises:
+        DataError: there are none.
+    """
+    alike = [(name, one) for name, one in samples if abs(sample_period(one) / period - 1.0) < SAME_RATE]
+    if not alike:
+        name, other = samples[0]
+        raise DataError(
+            f"the recording to watch has {1.0 / period:.4g} Hz, those without contact have not ({name}: "
+            f"{1.0 / sample_period(other):.4g} Hz)",
+            hint="--quiet names a recording of ordinary motion at the same rate",
+        )
+    return alike
 
 
 def own_recordings(model: Model, watched: Recording | None = None) -> list[Recording]:

@@ -22,9 +22,10 @@ from ident.monitor.extremes import require_time, return_level
 from ident.monitor.interval_torque import JointSamples
 from ident.monitor.labelled_contacts import LabelledContact, found_at, operating_point, read_contacts, roc
 from ident.monitor.live import LiveMonitor
-from ident.monitor.load_estimate import LoadEstimator
+from ident.monitor.load_estimate import LoadEstimator, changed_load
 from ident.monitor.monitor import Monitor, another_arm, earned_thresholds
 from ident.monitor.thresholds import MotionWays, Thresholds
+from ident.tasks.monitoring import at_rate
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion
 
@@ -198,6 +199,11 @@ def test_a_load_is_estimated_with_its_interval(noisy: tuple[JointSamples, Thresh
     assert load is not None
     assert abs(load.mass - 2.0) < max(2.0 * load.margin, 0.04)
     assert load.centre == pytest.approx([0.02, 0.0, 0.1], abs=0.02)
+    assert "fits a load of 2.0" in changed_load(load)
+    assert "fits the lack of a load of 2.0" in changed_load(replace(load, mass=-load.mass))
+    assert (
+        changed_load(replace(load, margin=1.0)) == changed_load(replace(load, seconds=1.0)) == changed_load(None) == ""
+    )
 
 
 def test_live_batches_give_contacts_a_reason_to_stop_and_lines(noisy: tuple[JointSamples, Thresholds]) -> None:
@@ -240,6 +246,16 @@ def test_another_arm_is_told() -> None:
     assert another_arm(model, file) == ""
     assert "sits elsewhere" in another_arm(model, load_robot("ur10e"))
     assert "with joints" in another_arm(model, load_robot("sr400"))
+
+
+def test_recordings_at_another_rate_are_not_learnt_from(noisy: tuple[JointSamples, Thresholds]) -> None:
+    quiet, _ = noisy
+    slow = JointSamples(quiet.time[::4], quiet.position[::4], quiet.torque[::4])
+    both = [("slow", slow), ("quick", quiet)]
+    assert [name for name, _ in at_rate(both, 0.002)] == ["quick"]
+    assert [name for name, _ in at_rate(both, 0.0081)] == ["slow"]
+    with pytest.raises(DataError, match=r"has 250 Hz, those without contact have not \(slow: 125 Hz\)"):
+        at_rate(both, 0.004)
 
 
 def test_labels_and_operating_points(tmp_path: Path) -> None:
