@@ -177,8 +177,10 @@ class ServoReplay:
             f"{self.program} on {self.seconds:.0f} s of recorded commands: {1e3 * self.error:.3g} mrad (values as "
             f"identified: {1e3 * self.identified_error:.3g}); dynid {1e3 * self.model_error:.3g} mrad"
         )
-        if self.faithful or not self.left_out:
+        if self.faithful:
             return text
+        if not self.left_out:
+            return f"{text}. {self.file} has every term: the rest is how {self.program} takes a step of time"
         return f"{text}. {self.file} has no place for {', '.join(self.left_out)}"
 
 

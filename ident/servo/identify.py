@@ -304,7 +304,17 @@ def verdict(
         checks.append(_contact_words(contact, judged.contacts))
     if worse:
         checks.append(f"{', '.join(worse)}: no better than one delay and lag for all joints")
-    loose = [joint.joint for joint in joints if joint.parameters["stiffness"].origin == "assumed"]
+    limited = [
+        f"{joint.joint} at {limit.value:.3g} {limit.unit}"
+        for joint in joints
+        if (limit := joint.parameters.get("torque_limit")) is not None and limit.origin == "data"
+    ]
+    if limited:
+        checks.append(f"drives that saturate: {', '.join(limited)}; beyond it a joint follows its commands no longer")
+    resting = [joint.joint for joint in joints if joint.note]
+    if resting:
+        checks.append(f"{', '.join(resting)}: never commanded to move, so that all parameters are those of the others")
+    loose = [joint.joint for joint in joints if joint.parameters["stiffness"].origin == "assumed" and not joint.note]
     if loose:
         checks.append(
             f"{', '.join(loose)}: nothing ties the torques to N·m (no gravity, or too little motion); the stiffness is "

@@ -8,6 +8,7 @@ import typer
 
 from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
+from drivers.core.errors import UsageError
 from ident.tasks.options import CompareOptions
 
 app = CommandApp("Identify")
@@ -27,12 +28,15 @@ def compare_methods(
     Example: dynid compare run.h5 --methods ols,wls --validate val-1.h5 --validate val-2.h5 -o comparison
     """
     from daq.commands.console import progress_line
-    from daq.output_files import REPORT_FILE, check_output_folder
+    from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
     from daq.robot.loader import load_robot
     from ident.commands.printing.result import print_tables
     from ident.tasks.arguments import paths_of
     from ident.tasks.comparison import COMPARISON_FILE, compare
 
+    for path in paths_of(options.runs):
+        if (path / RESULT_FILE).is_file():
+            raise UsageError("is a model, not a recording", where=str(path), hint="two models: dynid diff FIRST SECOND")
     if out is not None:
         robot = options.robot
         inputs = [*paths_of(options.runs, options.validation), *(load_robot(robot).files if robot else ())]

@@ -11,7 +11,8 @@ from servo_result import true_servo_result
 
 import dynid
 from daq.robot.loader import load_robot
-from ident.servo.result import with_values
+from ident.servo.identify import verdict
+from ident.servo.result import ServoParameter, with_values
 from ident.servo.terms import INDEX
 
 
@@ -45,3 +46,18 @@ def test_the_command_takes_servo_models_of_one_arm_only(model, tmp_path, monkeyp
     status, _, error = command_line.run(monkeypatch, capsys, "diff", tmp_path / "a", tmp_path / "koch")
     assert status == 2
     assert "different robots" in error
+    status, _, error = command_line.run(monkeypatch, capsys, "compare", tmp_path / "a", tmp_path / "b")
+    assert status == 2
+    assert "dynid diff" in error
+
+
+def test_the_verdict_names_servos_that_saturate_and_joints_that_rest(model):
+    shown = model.result.fit
+    assert not verdict(model.result.joints, model.result.servo, shown, np.ones(6)).checks[:-1]
+    pan, *others = model.result.servo
+    limit = ServoParameter(value=2.94, unit="N·m", interval=(2.9, 3.0))
+    limited = pan.model_copy(update={"parameters": pan.parameters | {"torque_limit": limit}})
+    resting = others[-1].model_copy(update={"note": "does not move in these recordings"})
+    checks = verdict(model.result.joints, [limited, *others[:-1], resting], shown, np.ones(6)).checks
+    assert "saturate: shoulder_pan at 2.94 N·m" in checks[0]
+    assert "gripper: never commanded" in checks[1]

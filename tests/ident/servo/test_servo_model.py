@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import dynid
-from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Recording, Stream
 from ident.servo.actuator_law import shaped_commands
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Contact
@@ -203,36 +203,50 @@ def test_arms_that_the_data_allow_stay_within_the_intervals_and_differ(model):
     assert len({joint.parameters["damping"].value for arm in arms for joint in arm.servo}) == 3 * len(arms[0].servo)
 
 
-@pytest.mark.parametrize("mistake", ["clock", "order", "frozen", "frozen halfway", "degrees", "sign", "short"])
-def test_a_recording_whose_commands_and_positions_do_not_belong_together_is_refused(mistake, short_run):
-    run = short_run
-    channels = run.streams[JOINTS_STREAM].channels
-    position, command = channels["position"].values.copy(), channels["target_position"].values.copy()
-    match mistake:
-        case "clock":
-            command, words = np.roll(command, 25, axis=0), "clocks"
-        case "order":
-            command, words = command[:, [0, 2, 1, 3, 4, 5]], "commands of others"
-        case "frozen":
-            position[:, 2], words = position[0, 2], "position of elbow_flex never"
-        case "frozen halfway":
-            half = len(position) // 2
-            position[half:, 1], words = position[half, 1], "shoulder_lift does not change from 5.4"
-        case "degrees":
-            command, words = np.degrees(command), "degrees"
-        case "sign":
-            command[:, 1], words = -command[:, 1], "against"
-        case "short":
-            stream = run.streams[JOINTS_STREAM]
-            kept = {
-                name: dataclasses.replace(channel, values=channel.values[:100]) for name, channel in channels.items()
-            }
-            short = dataclasses.replace(stream, time=stream.time[:100], host_time=stream.host_time[:100], channels=kept)
-            with pytest.raises(dynid.DataError, match="needs 3 s"):
-                dynid.identify_servo(dataclasses.replace(run, streams={JOINTS_STREAM: short}))
-            return
-    with pytest.raises(dynid.DataError, match=words):
-        dynid.identify_servo(changed(run, position=position, target_position=command))
+def test_recordings_whose_commands_and_positions_do_not_belong_together_are_refused_in_a_line(
+    short_run, tmp_path, monkeypatch, capsys
+):
+    stream = short_run.streams[JOINTS_STREAM]
+    position, command = (stream.channels[name].values for name in ("position", "target_position"))
+    stuck, stopped, against = position.copy(), position.copy(), command.copy()
+    stuck[:, 2], stopped[300:, 1], against[:, 1] = position[0, 2], position[300, 1], -command[:, 1]
+    rest = stream.channels["target_position"], Stream(COMMANDS_STREAM, stream.time[:450], stream.time[:450], {})
+    cut = dataclasses.replace(rest[1], channels={"target_position": dataclasses.replace(rest[0], values=command[:450])})
+    bare = dataclasses.replace(stream, channels={"position": stream.channels["position"]})
+    mistakes = {
+        "late by 0.3 s": (changed(short_run, target_position=np.roll(command, 15, axis=0)), "two clocks are apart"),
+        "early by 0.3 s": (changed(short_run, target_position=np.roll(command, -15, axis=0)), "two clocks are apart"),
+        "order": (changed(short_run, target_position=command[:, [0, 2, 1, 3, 4, 5]]), "commands of others"),
+        "frozen": (changed(short_run, position=stuck), "position of elbow_flex never"),
+        "frozen halfway": (changed(short_run, position=stopped), "shoulder_lift does not change from"),
+        "degrees": (changed(short_run, target_position=np.degrees(command)), "degrees"),
+        "sign": (changed(short_run, target_position=against), "against"),
+        "shorter commands": (
+            dataclasses.replace(short_run, streams={JOINTS_STREAM: bare, COMMANDS_STREAM: cut}),
+            "commands end 2.98 s before",
+        ),
+        "short": (
+            changed(dataclasses.replace(short_run, streams={JOINTS_STREAM: _first(stream, 100)})),
+            "needs 3 s",
+        ),
+    }
+    for name, (run, words) in mistakes.items():
+        path = tmp_path / f"{name}.h5"
+        dynid.write_recording(path, run)
+        out = tmp_path / name
+        status, _, error = command_line.run(monkeypatch, capsys, "identify", path, "--method", "servo", "-o", out)
+        assert status == 2, name
+        assert words in error, (name, error)
+        assert error.count("\n") <= 1, (name, error)
+        assert not out.exists(), name
+
+
+def _first(stream: Stream, count: int) -> Stream:
+    """The first samples of a stream."""
+    kept = {
+        name: dataclasses.replace(channel, values=channel.values[:count]) for name, channel in stream.channels.items()
+    }
+    return dataclasses.replace(stream, time=stream.time[:count], host_time=stream.host_time[:count], channels=kept)
 
 
 def test_a_torque_method_names_the_servo_method_and_the_other_way_round(short_run, tmp_path, monkeypatch, capsys):
