@@ -213,6 +213,37 @@ class Holding(Protocol):
 
 
 @runtime_checkable
+class Guidable(Protocol):
+    """A driver whose arm can be led by hand: limp, or with torques that are commanded; `stop` ends it."""
+
+    def guiding_refusal(self, *, pushed: bool) -> str:
+        """Why it cannot, in words, `pushed` by torques; empty where it can."""
+
+    def guiding_cautions(self, *, pushed: bool) -> Sequence[str]:
+        """What to mind before it is, one line each; known once open.
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+
+    def release(self, torque: FloatArray | None) -> None:
+        """Let the arm go, with limits and time-outs as before a motion: with first torques (n,), or limp where None.
+
+        Raises:
+            DriverStateError: it is not running, or the arm is not ready.
+            ConnectionFailedError, ConnectionLostError: as `Driver.take_control`.
+        """
+
+    def push(self, torque: FloatArray) -> None:
+        """Command joint torques (n,) [N·m or N] of a released arm; they end by themselves where no new ones come.
+
+        Raises:
+            DriverStateError: it is not released.
+            ConnectionLostError: the connection broke.
+        """
+
+
+@runtime_checkable
 class Cautioning(Protocol):
     """A driver that knows what a person should mind before its arm is moved."""
 

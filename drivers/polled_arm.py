@@ -8,6 +8,8 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
+import numpy as np
+
 from drivers.base import DriverSettings, Level, Notice, State, drained, require_state
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
@@ -36,6 +38,12 @@ class Control(Protocol):
 
     def command(self, target: FloatArray) -> None:
         """Send a position (n,) [rad]."""
+
+    def release(self, torque: FloatArray | None) -> None:
+        """Let the arm go, so that it is led by hand, with first torques (n,) [N·m] or limp."""
+
+    def push(self, torque: FloatArray) -> None:
+        """Command joint torques (n,) [N·m] of a released arm."""
 
     def stop(self) -> str:
         """Let the arm hold or go limp; what is wrong, in words, or nothing."""
@@ -89,6 +97,18 @@ class PolledArm(ABC):
     def _channels(self) -> tuple[ChannelLayout, ...]:
         """The channels of the stream `joints`."""
 
+    def _gains(self) -> Mapping[str, FloatArray]:
+        """Quantity → (n,) of the loop that follows the commands, where the connection sets it."""
+        return {}
+
+    @abstractmethod
+    def guiding_refusal(self, *, pushed: bool) -> str:
+        """Why the arm cannot be led by hand (see `drivers.base.Guidable`)."""
+
+    @abstractmethod
+    def _stop_words(self) -> str:
+        """What the arm does when a motion ends or is stopped."""
+
     @abstractmethod
     def _stopped_words(self) -> str:
         """How a stop has left the arm."""
@@ -123,7 +143,8 @@ class PolledArm(ABC):
         if self._read_only:
             return (joints,)
         goal = ChannelLayout("target_position", self._joints, "", "goals that were sent, by this computer's clock")
-        return joints, StreamLayout("commands", (goal,), 0.0, essential=False)
+        gains = (ChannelLayout(name, self._joints, "", "as set in the motors") for name in self._gains())
+        return joints, StreamLayout("commands", (goal, *gains), 0.0, essential=False)
 
     def start(self) -> None:
         """Make samples flow.
@@ -199,6 +220,46 @@ class PolledArm(ABC):
                 check_first_step(target, self._running_cycle().latest, self._joints, self._sliding)
             self._control.command(target)
             self._commanded = True
+
+    def guiding_cautions(self, *, pushed: bool) -> Sequence[str]:
+        """What to mind before the arm is led by hand (see `drivers.base.Guidable`).
+
+        Raises:
+            DriverStateError: it is closed.
+        """
+        self._require_open("tell cautions")
+        carried = (
+            f"while you hold the key, the {self._device}s carry the arm's weight as the model has it: it drifts, and "
+            "falls where the model is wrong"
+            if pushed
+            else f"while you hold the key, the {self._device}s carry nothing: THE ARM FALLS unless you carry it"
+        )
+        return [carried, self._stop_words()]
+
+    def release(self, torque: FloatArray | None) -> None:
+        """Let the arm go, so that it is led by hand (see `drivers.base.Guidable`).
+
+        Raises:
+            DriverStateError: it is not running, or a motor is in fault or in another mode.
+            ConnectionFailedError: a motor does not answer, or does not keep what is written.
+            ConnectionLostError: the bus is gone.
+        """
+        with self._command_lock:
+            self._require_movable()
+            self._control.release(torque)
+
+    def push(self, torque: FloatArray) -> None:
+        """Command joint torques (n,) [N·m] of a released arm (see `drivers.base.Guidable`).
+
+        Raises:
+            DriverStateError: it is not released.
+            ValueError: not n finite numbers.
+        """
+        if torque.shape != (len(self._joints),) or not np.all(np.isfinite(torque)):
+            raise ValueError(f"{len(self._joints)} finite torques are needed, not {torque}")
+        with self._command_lock:
+            self._require_movable()
+            self._control.push(torque)
 
     def stop(self) -> None:
         """Let the arm hold or go limp where this driver moves it, then end the samples; never raises."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -28,6 +29,7 @@ class PolledRows(ABC):
         rate: [Hz].
         sent: commands, (when [s, host's monotonic clock], (n,) position [rad]), which `take` hands out and removes.
         clock: the host's.
+        gains: quantity → (n,) of the loop that follows the commands, handed out beside each of them.
 
     Attributes:
         latest: (n,) newest position [rad]; None before the first row.
@@ -37,8 +39,15 @@ class PolledRows(ABC):
         notices: what the devices reported, oldest first.
     """
 
-    def __init__(self, name: str, rate: float, sent: deque[tuple[float, FloatArray]], clock: Clock) -> None:
-        self._clock, self._period, self._sent = clock, 1.0 / rate, sent
+    def __init__(
+        self,
+        name: str,
+        rate: float,
+        sent: deque[tuple[float, FloatArray]],
+        clock: Clock,
+        gains: Mapping[str, FloatArray] = MappingProxyType({}),
+    ) -> None:
+        self._clock, self._period, self._sent, self._gains = clock, 1.0 / rate, sent, gains
         self._changed = clock.condition()
         self._ending = clock.event()
         self._thread = clock.thread(self._run, name)
@@ -87,7 +96,8 @@ class PolledRows(ABC):
         if commands := [self._sent.popleft() for _ in range(len(self._sent))]:
             stamps = np.array([moment for moment, _ in commands])
             goals = np.array([goal for _, goal in commands])
-            batches.append(Batch("commands", stamps, stamps.copy(), {"target_position": goals}))
+            gains = {name: np.tile(values, (len(goals), 1)) for name, values in self._gains.items()}
+            batches.append(Batch("commands", stamps, stamps.copy(), {"target_position": goals, **gains}))
         return batches
 
     def losses(self) -> str:

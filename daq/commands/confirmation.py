@@ -102,18 +102,26 @@ class Confirmation:
             if self.to_mind:
                 tell("mind of this arm's controller or drives:", self.to_mind, self._screen)
         if self._question is not None:
-            terminal, out = self._question
-            _forget_typed(terminal)
-            print("Move the arm? [y/N] ", end="", file=out, flush=True)
+            ask_on(self._question, "Move the arm? [y/N] ")
 
     def answer(self) -> bool | None:
-        """Yes for `y` or `yes`; no for anything else, the end of the input among it; None before."""
-        if self._question is None:
-            return True
-        terminal, _ = self._question
-        if not select.select([terminal], [], [], 0.0)[0]:
-            return None
-        return terminal.readline().strip().lower() in {"y", "yes"}
+        """As `answer_of`; yes where nobody is asked."""
+        return True if self._question is None else answer_of(self._question)
+
+
+def ask_on(terminal: tuple[TextIO, TextIO], question: str) -> None:
+    """Print a question on a terminal (input, output), after what was typed before it is forgotten."""
+    source, out = terminal
+    _forget_typed(source)
+    print(question, end="", file=out, flush=True)
+
+
+def answer_of(terminal: tuple[TextIO, TextIO]) -> bool | None:
+    """Yes for `y` or `yes`; no for anything else, the end of the input among it; None before."""
+    source, _ = terminal
+    if not select.select([source], [], [], 0.0)[0]:
+        return None
+    return source.readline().strip().lower() in {"y", "yes"}
 
 
 def _held(limits: Sequence[JointLimits]) -> list[str]:

@@ -19,9 +19,11 @@ from drivers.core.text import percent_text
 
 if TYPE_CHECKING:
     from daq.commands.confirmation import Confirmation
+    from daq.commands.hand_guiding import KeyAtTerminal
     from daq.motion.motion_check import MotionFigures
     from daq.motion.trajectories import Motion
     from daq.robot.loader import RobotFile
+    from daq.session.guiding import Guiding
     from daq.session.session import SessionReport
     from daq.session.watch import Watch
     from drivers.base import Driver
@@ -65,6 +67,8 @@ class RecordOptions(SessionOptions):
     """What `record` is told: a session, and its file."""
 
     out: Path = field(metadata=required("Recording to write (.h5).", short="-o"))
+    hand_guided: bool = option(False, "Let the arm go while you hold a key, and record how you lead it by hand.")
+    model: Path | None = option(None, "Model folder or result.json: its torques carry the arm that you lead.")
 
     def __post_init__(self) -> None:
         """Check every option, and that there is one thing to do.
@@ -72,8 +76,12 @@ class RecordOptions(SessionOptions):
         Raises:
             UsageError: names the options.
         """
-        if self.trajectory is None and self.duration is None:
-            raise UsageError("give either --trajectory or --duration")
+        if self.hand_guided and self.trajectory is not None:
+            raise UsageError("give either --trajectory or --hand-guided")
+        if self.model is not None and not self.hand_guided:
+            raise UsageError("--model is for --hand-guided", hint="a motion's torques are predicted with --prior")
+        if self.trajectory is None and self.duration is None and not self.hand_guided:
+            raise UsageError("give either --trajectory or --duration, or --hand-guided")
         super().__post_init__()
 
 
@@ -109,12 +117,14 @@ def record_command(
     no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
     as_json: bool = JSON,
 ) -> None:
-    """Play a trajectory and record it, or record whatever moves the arm.
+    """Play a trajectory and record it, or record whatever moves the arm, or lead it by hand.
 
     Before anything moves the whole motion is checked, what will move where is printed, and you are asked.
 
     Example: dynid record ur5e --trajectory traj.yaml --speed-scale 0.2 -o slow.h5
     """
+    from contextlib import nullcontext
+
     from daq.live.page import require_browser
     from daq.session.realtime import ask_for_realtime
     from drivers.core.clock import SYSTEM_CLOCK
@@ -122,13 +132,17 @@ def record_command(
     clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
     if browser:
         require_browser()
-    plan = planned(options, options.out, clock, overwrite=force, as_json=as_json)
+    plan = planned(options, options.out, clock, overwrite=force, as_json=as_json, guided=options.hand_guided)
     if realtime:
         ask_for_realtime()
     for warning in plan.warnings:
         print(f"dynid: warning: {warning}", file=sys.stderr)
     live = not (no_ui or as_json)
-    report = recorded(plan, options, options.out, clock, overwrite=force, live=live, browser=browser)
+    with _key(options, clock) if options.hand_guided else nullcontext() as hand:
+        guiding = None if hand is None else _guiding(plan, hand, options.model)
+        report = recorded(
+            plan, options, options.out, clock, overwrite=force, live=live, browser=browser, guiding=guiding
+        )
     if report.file is None:
         raise report.error or KeyboardInterrupt
     played = plan.played
@@ -137,7 +151,41 @@ def record_command(
     end_session(report, options.out)
 
 
-def planned(options: SessionOptions, out: Path | None, clock: Clock, *, overwrite: bool, as_json: bool) -> SessionPlan:
+def _key(options: RecordOptions, clock: Clock) -> KeyAtTerminal:
+    """The key that a person holds while they lead the arm.
+
+    Raises:
+        UsageError: nobody sits at a terminal.
+    """
+    from daq.commands.confirmation import terminal
+    from daq.commands.hand_guiding import KeyAtTerminal
+
+    place = terminal()
+    if place is None:
+        raise UsageError("--hand-guided needs a terminal: the arm is let go only while a key is held there")
+    return KeyAtTerminal(place, clock, asks=not options.yes)
+
+
+def _guiding(plan: SessionPlan, hand: KeyAtTerminal, model: Path | None) -> Guiding:
+    """How the arm is led; the model that carries it is read.
+
+    Raises:
+        DynidError: the model cannot be used.
+    """
+    from daq.session.guiding import Guiding, load_compensation
+
+    return Guiding(plan.robot_file.robot, hand, None if model is None else load_compensation(plan.robot_file, model))
+
+
+def planned(
+    options: SessionOptions,
+    out: Path | None,
+    clock: Clock,
+    *,
+    overwrite: bool,
+    as_json: bool,
+    guided: bool = False,
+) -> SessionPlan:
     """Refuse what cannot be recorded or must not move, and tell what will move where.
 
     Args:
@@ -146,6 +194,7 @@ def planned(options: SessionOptions, out: Path | None, clock: Clock, *, overwrit
         clock: the host's.
         overwrite: replace it where it exists.
         as_json: whether standard output is a program's.
+        guided: whether the arm is led by hand.
 
     Raises:
         DynidError: says why not.
@@ -166,9 +215,9 @@ def planned(options: SessionOptions, out: Path | None, clock: Clock, *, overwrit
     robot = robot_file.robot
     loaded = load_trajectory(trajectory, robot) if trajectory is not None else None
     motion = TimeScaled(loaded.motion, options.speed_scale) if loaded is not None else None
-    moves = motion is not None
+    moves = motion is not None or guided
     question = None if options.yes else terminal()
-    if moves and question is None and not options.yes:
+    if motion is not None and question is None and not options.yes:
         raise UsageError("the arm will move, and there is no terminal to ask on", hint="--yes moves it without asking")
     driver = load_driver(robot, options.wire, options.host, robot_file.folder, clock, robot_file.where, moves=moves)
     warnings = session_warnings(robot_file, options.wire, moves=moves)
@@ -209,6 +258,8 @@ def recorded(
     live: bool,
     browser: bool = False,
     watch: Watch | None = None,
+    guiding: Guiding | None = None,
+    retracts: bool = False,
 ) -> SessionReport:
     """Open the driver, make the file, and record until the end.
 
@@ -221,6 +272,8 @@ def recorded(
         live: whether the terminal shows the session.
         browser: whether a page does.
         watch: of contacts.
+        guiding: how the arm is led by hand.
+        retracts: whether the arm goes a short way back after a contact that ended its motion.
 
     Raises:
         DynidError: the connection fails, or the file cannot be made; later errors are in the report.
@@ -240,7 +293,8 @@ def recorded(
     from daq.session.unrecorded import Unrecorded
 
     robot, played = plan.robot_file.robot, plan.played
-    lock = only_mover(robot, options.wire, options.host) if played is not None else nullcontext()
+    moves = played is not None or guiding is not None
+    lock = only_mover(robot, options.wire, options.host) if moves else nullcontext()
     with lock, closing(plan.driver) as driver:  # only now is the bus touched
         driver.open()
         require_same_arm(plan.robot_file, driver)
@@ -251,6 +305,8 @@ def recorded(
             to_mind = _to_mind(plan.robot_file, driver, without_safety_status=options.without_safety_status)
             played.confirmation.to_mind = to_mind
             play = Play(played.motion, robot, played.confirmation, options.without_safety_status)
+        if guiding is not None:
+            to_mind = _to_mind_by_hand(driver, guiding)
         if out is None:
             recorder: Recorder = Unrecorded()
         else:
@@ -282,7 +338,9 @@ def recorded(
             live_view(shown=shown, limits=limits, recorder=recorder, clock=clock, watch=watch) as terminal_view,
             page_view(plan.robot_file, layouts, shown=browser, beside=terminal_view) as view,
         ):
-            return record(driver, recorder, supervisor, play, options.duration, view, clock, watch)
+            return record(
+                driver, recorder, supervisor, play, options.duration, view, clock, watch, guiding, retracts=retracts
+            )
 
 
 def _to_mind(robot_file: RobotFile, driver: Driver, *, without_safety_status: bool) -> list[str]:
@@ -297,6 +355,17 @@ def _to_mind(robot_file: RobotFile, driver: Driver, *, without_safety_status: bo
         print(f"dynid: warning: {unreported}", file=sys.stderr)
         return [unreported, *to_mind]
     return to_mind
+
+
+def _to_mind_by_hand(driver: Driver, guiding: Guiding) -> list[str]:
+    """What a person is told of an opened arm before it is let go; refused before a file is made."""
+    from daq.session.guiding import require_guidable
+    from daq.session.play import motion_rate
+
+    motion_rate(driver)
+    cautions = require_guidable(driver, guiding).guiding_cautions(pushed=guiding.compensation is not None)
+    guiding.hand.mind(cautions)
+    return list(cautions)
 
 
 def end_session(report: SessionReport, out: Path | None) -> None:

@@ -104,11 +104,19 @@ def load_motion_check(robot_file: RobotFile, prior: Path | None = None) -> Motio
         MotionRefusedError: none is installed, or several are.
         DynidError: a file cannot be used.
     """
-    entries = list(entry_points(group=MOTION_CHECK_GROUP))
+    make = only_entry(MOTION_CHECK_GROUP, "a motion is played only where exactly one check of motions is installed")
+    return cast("MakeMotionCheck", make)(robot_file, prior)
+
+
+def only_entry(group: str, needed: str) -> object:
+    """What is entered in a group of entry points, alone; `needed` says so in an error.
+
+    Raises:
+        MotionRefusedError: nothing is, or several things are.
+    """
+    entries = list(entry_points(group=group))
     if len(entries) != 1:
         found = ", ".join(sorted(entry.value for entry in entries)) or "none"
-        raise MotionRefusedError(
-            f"a motion is played only where exactly one check of motions is installed; found: {found}",
-            hint="install dynid again",
-        )
-    return cast("MakeMotionCheck", entries[0].load())(robot_file, prior)
+        raise MotionRefusedError(f"{needed}; found: {found}", hint="install dynid again")
+    made: object = entries[0].load()
+    return made

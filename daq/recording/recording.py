@@ -42,6 +42,8 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 1
 STOPPED = "stopped: "
 """How the event begins that says what stopped a session before its end."""
+HAND_GUIDED = "hand guiding begins"
+"""How the event begins from which on a hand led the arm: no torque after it is the arm's alone."""
 JOINTS_STREAM = "joints"
 COMMANDS_STREAM = "commands"
 """Stream of the commands where their stamps are not those of the joints."""

@@ -44,7 +44,8 @@ class Course:
     silence is an event already, `stuck` the channels that hang and are one; `host_ahead` is by stream the host's clock
     less the source's at its last sample [s]; `heard` is the host's time of the newest position, `rest` watches it and
     what the controller aims at; `untrusted` is why the clocks cannot be trusted, in words; `resumed` is when the arm
-    went on after a stall [s, host's clock].
+    went on after a stall [s, host's clock]; `touched` is whether a contact ended the
+    motion, `retracting` whether the arm goes back from it.
     """
 
     clock: Clock
@@ -52,6 +53,7 @@ class Course:
     samples: dict[str, int] = field(default_factory=dict)
     lost: dict[str, int] = field(default_factory=dict)
     position: FloatArray | None = None
+    torque: FloatArray | None = None
     heard: float = float("-inf")
     rest: StandstillWatch = field(default_factory=lambda: StandstillWatch(GAP, REST_TIME))
     gate: CommandGate | None = None
@@ -59,6 +61,8 @@ class Course:
     view: View | None = None
     watch: Watch | None = None
     moves: bool = False
+    touched: bool = False
+    retracting: bool = False
     interrupted: str | None = None
     breach_time: float = float("nan")
     silent: set[str] = field(default_factory=set)
@@ -78,6 +82,8 @@ class Course:
             self.host_ahead[batch.stream] = float(batch.host_time[-1] - batch.time[-1])
         if batch.stream == JOINTS_STREAM and len(batch.time):
             self.position = batch.values["position"][-1].copy()
+            if (torque := batch.values.get("torque")) is not None and torque.shape[1] == len(self.position):
+                self.torque = torque[-1].copy()
             self.heard = float(batch.host_time[-1])
             differ = self.rates.looked(self.clock.now()) or self.rates.add(float(batch.time[-1]), self.heard)
             self.untrusted = differ or self.untrusted

@@ -122,7 +122,12 @@ def wait_for_position(cycle: Callable[[], None], course: Course) -> None:
             raise ConnectionLostError(f"no joint position within {FIRST_SAMPLE_LIMIT:g} s")
 
 
-def _wait_for_rest(cycle: Callable[[], None], course: Course) -> None:
+def wait_for_rest(cycle: Callable[[], None], course: Course) -> None:
+    """Until the arm, and what its controller aims at, have been at rest for a while.
+
+    Raises:
+        MotionRefusedError: they are not, in time.
+    """
     limit = course.clock.now() + REST_LIMIT
     while not course.rest.at_rest and course.interrupted is None:
         cycle()
@@ -142,7 +147,7 @@ def permitted_approach(driver: Driver, cycle: Callable[[], None], course: Course
         DynidError: the driver's own.
     """
     check_limits(play.motion, play.robot.joints, "the trajectory")
-    _wait_for_rest(cycle, course)
+    wait_for_rest(cycle, course)
     shown = course.position
     if shown is None or course.interrupted is not None:
         return None
@@ -154,15 +159,15 @@ def permitted_approach(driver: Driver, cycle: Callable[[], None], course: Course
             return None
     if not answer:
         raise MotionRefusedError("not confirmed, so nothing was moved")
-    _wait_for_rest(cycle, course)
+    wait_for_rest(cycle, course)
     limit = course.clock.now() + COMPARING_LIMIT
     while not course.rates.compared and course.interrupted is None and course.clock.now() < limit:
         cycle()
     if course.untrusted:
         raise MotionRefusedError(course.untrusted)
     _require_unmoved(course, shown, "before the motion was confirmed")
-    _take_control(driver, cycle, course)
-    _wait_for_rest(cycle, course)
+    while_reading(driver.take_control, cycle, course)
+    wait_for_rest(cycle, course)
     if course.interrupted is not None:
         return None
     here = _require_unmoved(course, shown, "while control of it was taken")
@@ -181,21 +186,21 @@ def _require_unmoved(course: Course, shown: FloatArray, when: str) -> FloatArray
     return here
 
 
-def _take_control(driver: Driver, cycle: Callable[[], None], course: Course) -> None:
-    """Take control of the arm, which may last seconds, while samples are read; then wait for a newer position.
+def while_reading(action: Callable[[], None], cycle: Callable[[], None], course: Course) -> None:
+    """Let an action of a driver, which may last seconds, run while samples are read; then wait for a newer position.
 
     Raises:
-        DynidError: the driver's.
+        DynidError: the action's.
     """
     failures: list[DynidError] = []
 
-    def take() -> None:
+    def act() -> None:
         try:
-            driver.take_control()
+            action()
         except DynidError as error:
             failures.append(error)
 
-    thread = course.clock.thread(take, "taking control")
+    thread = course.clock.thread(act, "taking control")
     thread.start()
     while thread.is_alive() and course.interrupted is None:
         cycle()
@@ -209,10 +214,15 @@ def _take_control(driver: Driver, cycle: Callable[[], None], course: Course) -> 
 def prepare(
     driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: Course, path: MotionSequence
 ) -> Player:
-    """The player of a path, with the command gate between it and the driver."""
-    limits = GateLimits.of_joints(play.robot.joints)
+    """The player of a motion and the approach to it."""
     approach = float(path.starts[1])
     recorder.event(course.source_time(), "info", "player", f"approach to the start pose, {approach:.2f} s")
+    return gated_player(driver, supervisor, course, path, play.robot)
+
+
+def gated_player(driver: Driver, supervisor: Supervisor, course: Course, path: MotionSequence, robot: Robot) -> Player:
+    """The player of a path, with the command gate between it and the driver."""
+    limits = GateLimits.of_joints(robot.joints)
     main = driver.main if isinstance(driver, Sources) else driver
     held = main.holds() if isinstance(main, Holding) else True
     course.gate = CommandGate(driver.command, supervisor.commanded, limits, 1.0 / path.rate, course.clock)
@@ -233,7 +243,7 @@ def follow_motion(
     begun, delayed = False, 0.0
     while not player.done and course.interrupted is None:
         cycle()
-        _raise_failure(cycle, player)
+        raise_failure(cycle, player)
         if not begun and player.elapsed > path.starts[1] + 1e-9:
             begun = True
             recorder.event(course.source_time(), "info", "player", "motion begins")
@@ -248,10 +258,22 @@ def follow_motion(
             course.view.show(state, player.elapsed, player.duration)
     if course.interrupted is None:
         recorder.event(course.source_time(), "info", "player", "motion ends")
+    wait_for_arrival(cycle, recorder, course, player, path, robot)
+
+
+def wait_for_arrival(
+    cycle: Callable[[], None], recorder: Recorder, course: Course, player: Player, path: MotionSequence, robot: Robot
+) -> None:
+    """Until the arm rests at the end of a path; how far from it is noted where it is far.
+
+    Raises:
+        WorkError: it does not come to rest.
+        DynidError: what ended the player.
+    """
     course.rest, limit = StandstillWatch(GAP), course.clock.now() + ARRIVAL_LIMIT
     while not course.rest.at_rest and course.interrupted is None:
         cycle()
-        _raise_failure(cycle, player)
+        raise_failure(cycle, player)
         if course.clock.now() > limit:
             raise WorkError(f"the arm did not come to rest within {ARRIVAL_LIMIT:g} s of the motion's last command")
     if course.interrupted is None and course.position is not None:
@@ -262,7 +284,7 @@ def follow_motion(
             recorder.event(course.source_time(), "warning", "player", said)
 
 
-def _raise_failure(cycle: Callable[[], None], player: Player) -> None:
+def raise_failure(cycle: Callable[[], None], player: Player) -> None:
     """End the session where the player has ended; by what the driver says of the cause, if it does."""
     if player.failure is not None:
         cycle()

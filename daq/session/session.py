@@ -22,6 +22,7 @@ from daq.recording.recording import STOPPED
 from daq.robot.schema import Robot
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
 from daq.session.course import Course, View
+from daq.session.guiding import Guiding, lead_by_hand
 from daq.session.play import (
     Play,
     follow_motion,
@@ -31,6 +32,7 @@ from daq.session.play import (
     unreported_safety,
     wait_for_position,
 )
+from daq.session.retract import retract
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
 from daq.session.watch import Watch
@@ -131,7 +133,7 @@ def _make_driver(
         return declaration.make(replace(driver_settings(robot, keys, folder), clock=clock))
 
 
-def record(  # noqa: C901, PLR0912 — the steps, in their order
+def record(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     driver: Driver,
     recorder: Recorder,
     supervisor: Supervisor,
@@ -140,6 +142,9 @@ def record(  # noqa: C901, PLR0912 — the steps, in their order
     view: View | None = None,
     clock: Clock = SYSTEM_CLOCK,
     watch: Watch | None = None,
+    guiding: Guiding | None = None,
+    *,
+    retracts: bool = False,
 ) -> SessionReport:
     """Record until the motion is over, `duration` [s] has passed, or something stops it.
 
@@ -156,8 +161,11 @@ def record(  # noqa: C901, PLR0912 — the steps, in their order
         view: shows every batch and the progress of the session.
         clock: the host's; the driver's and the recorder's, too.
         watch: of contacts; what it notices becomes an event, and ends a motion where it says so.
+        guiding: how the arm is led by hand, in place of a motion.
+        retracts: whether the arm goes a short way back after a contact that ended its motion.
     """
     course = Course(clock, ClockLog(clock), view=view, watch=watch)
+    cycle = partial(_cycle, driver, recorder, supervisor, course)
     player: Player | None = None
     error: DynidError | None = None
     with _signals_noted(course), _undisturbed():
@@ -168,7 +176,6 @@ def record(  # noqa: C901, PLR0912 — the steps, in their order
                 rate = motion_rate(driver)
                 unreported_safety(driver, play.without_safety_status)
                 dry_run(rate, clock)
-                cycle = partial(_cycle, driver, recorder, supervisor, course)
                 wait_for_position(cycle, course)
                 approach = permitted_approach(driver, cycle, course, play)
                 if approach is not None:
@@ -178,8 +185,10 @@ def record(  # noqa: C901, PLR0912 — the steps, in their order
                     course.moves = True
                     player.start()
                     follow_motion(cycle, recorder, course, player, path, play.robot)
-            if player is None:
-                _follow(partial(_cycle, driver, recorder, supervisor, course), course, begun, duration)
+            if guiding is not None:
+                lead_by_hand(driver, cycle, course, recorder, guiding, duration)
+            elif player is None:
+                _follow(cycle, course, begun, duration)
         except KeyboardInterrupt:
             course.interrupted = INTERRUPTED
         except DynidError as caught:
@@ -189,24 +198,22 @@ def record(  # noqa: C901, PLR0912 — the steps, in their order
         finally:
             noticed, interrupted = course.source_time(), course.interrupted
             _stop(driver, player)
-        for breakdown in clock.breakdowns():
-            recorder.event(course.source_time(), "error", "session", str(breakdown))
-        for message in course.clocks.messages():
-            recorder.event(course.source_time(), "info", "clocks", message)
+        if retracts and course.touched and player is not None and play is not None:
+            retract(driver, cycle, course, supervisor, recorder, player, path, play.robot, _stop)
+        _note_clocks(recorder, course)
         stopped_by = str(error) if error is not None else interrupted
         if stopped_by is not None:
             when = course.breach_time if np.isfinite(course.breach_time) else noticed
             recorder.event(when, "error" if error else "warning", "session", f"{STOPPED}{stopped_by}")
         with suppress(DynidError):
             unhalted = _note(driver.notices(), recorder)  # an error now says that the arm could not be stopped in order
-            if player is not None and unhalted is None:
+            if course.moves and unhalted is None:
                 recorder.event(course.source_time(), "info", "driver", "arm halted")
-        heavy_loss = _heavy_loss(driver, course)
-        if heavy_loss:
+        if heavy_loss := _heavy_loss(driver, course):
             recorder.event(course.source_time(), "warning", "session", heavy_loss)
         # It would show an arm at rest, and be in the way of the next attempt.
-        unwanted = play is not None and player is None
-        unwanted = unwanted and (isinstance(error, MotionRefusedError) or stopped_by == INTERRUPTED)
+        refused = isinstance(error, MotionRefusedError) or stopped_by == INTERRUPTED
+        unwanted = (play is not None or guiding is not None) and not course.moves and refused
         try:
             if unwanted:
                 recorder.discard()
@@ -224,6 +231,13 @@ def record(  # noqa: C901, PLR0912 — the steps, in their order
         heavy_loss,
         None if unwanted else recorder.file,
     )
+
+
+def _note_clocks(recorder: Recorder, course: Course) -> None:
+    for breakdown in course.clock.breakdowns():
+        recorder.event(course.source_time(), "error", "session", str(breakdown))
+    for message in course.clocks.messages():
+        recorder.event(course.source_time(), "info", "clocks", message)
 
 
 def _heavy_loss(driver: Driver, course: Course) -> str:
@@ -318,8 +332,10 @@ def _heed(course: Course, recorder: Recorder) -> None:
     noticed = float("nan")
     for noticed, said in course.watch.events():
         recorder.event(noticed, "warning", "monitor", said)
-    if course.moves and (reason := course.watch.stop_reason()):
-        course.breach_time = noticed
+    # Going back, the contact that ended the motion lasts at first; only another one ends the way back.
+    anew = not course.retracting or np.isfinite(noticed)
+    if course.moves and anew and (reason := course.watch.stop_reason()):
+        course.breach_time, course.touched = noticed, True
         raise SafetyStopError(reason, hint="look at what the arm touched; nothing starts it again by itself")
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import can
 
@@ -14,7 +14,6 @@ from drivers.can.bus import RETURNED, Sender, close_bus, confirms_sending, open_
 from drivers.can.receiver import Receiver
 from drivers.can_motors.codec import Answer, CanFrame
 from drivers.can_motors.settings import CanMotor, CanMotorSettings
-from drivers.core.arrays import FloatArray
 from drivers.core.clock import STALL_LIMIT, SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 
@@ -30,6 +29,8 @@ MOST_AWAITED = 100
 """Answers that may come late, all at once, from a bus or a computer that stalled; more are lost."""
 RETURNED_FRAMES = 256
 """Frames of this program's own by which those are known that a bus returns to their sender."""
+Commands = Sequence[Sequence[CanFrame]]
+"""Frames to every motor."""
 FAULT = "fault"
 """Beside quantities, what a frame says."""
 
@@ -62,12 +63,14 @@ class Feedback:
         strange: frames that were no motor's.
         time: in the middle between sending and the last answer [s, host's monotonic clock].
         received: when the last answer came.
+        ages: index of a motor → how long before its answer it obeyed the command in force [s]; inf before the first.
     """
 
     states: Mapping[int, MotorState]
     strange: int
     time: float
     received: float
+    ages: Mapping[int, float] = field(default_factory=dict)
 
 
 class MotorBus:
@@ -90,6 +93,8 @@ class MotorBus:
         self._receiver: Receiver | None = None
         self._turn = 0
         self._surplus = [0 for _ in self._motors]
+        self._awaited = [False for _ in self._motors]
+        self._obeyed = [-math.inf for _ in self._motors]
         self._returned: deque[CanFrame] | None = None
         self._told: list[dict[str, float]] = [{} for _ in self._motors]
         self._state: list[tuple[int, bool | None]] = [(0, None) for _ in self._motors]
@@ -103,6 +108,8 @@ class MotorBus:
         self._told = [{} for _ in self._motors]
         self._state = [(0, None) for _ in self._motors]
         self._surplus = [0 for _ in self._motors]
+        self._awaited = [False for _ in self._motors]
+        self._obeyed = [-math.inf for _ in self._motors]
         keys, fd = self._settings.keys, self.codecs[0].fd
         options = {**keys.options}
         if confirms := confirms_sending(keys.interface, keys.options):
@@ -139,11 +146,11 @@ class MotorBus:
         sender, _ = self._opened()
         return sender.send_all(frames)
 
-    def cycle(self, goals: FloatArray | None = None, patience: float = PATIENCE) -> Feedback:
-        """Read all motors, sending them goals (n,) [rad of the motors] where they are given.
+    def cycle(self, commands: Commands | None = None, patience: float = PATIENCE) -> Feedback:
+        """Read all motors; by their answers to commands, where they are given and answered.
 
         Args:
-            goals: of the motors.
+            commands: to the motors.
             patience: longest wait [s].
 
         Raises:
@@ -152,24 +159,39 @@ class MotorBus:
         read_only = self._settings.keys.read_only
         frames: list[CanFrame] = []
         for index, codec in enumerate(self.codecs):
-            frames += codec.goal(float(goals[index])) if goals is not None else ()
-            frames += codec.poll(read_only=read_only) if goals is None or not codec.answers_goals else ()
+            frames += commands[index] if commands is not None else ()
+            frames += codec.poll(read_only=read_only) if commands is None or not codec.answers_goals else ()
         self._turn = (self._turn + 1) % len(self.codecs)
         frames += self.codecs[self._turn].slow_poll()
-        return self.exchange(frames, patience)
+        if commands is not None and not self.codecs[0].answers_goals:
+            self._obeyed = [self._clock.now() for _ in self._motors]
+        before = self._obeyed.copy()
+        feedback = self.exchange(frames, patience)
+        if commands is not None and self.codecs[0].answers_goals:  # each said where it was before it obeyed
+            self._obeyed = [
+                feedback.states[k].time if k in feedback.states else feedback.time for k in range(len(before))
+            ]
+        ages = {index: said.time - before[index] for index, said in feedback.states.items()}
+        return replace(feedback, ages=ages)
 
-    def send_goals(self, goals: FloatArray) -> None:
-        """Send all motors goals (n,) [rad of the motors], and read nothing.
+    def send_commands(self, commands: Commands) -> None:
+        """Send all motors commands, and read nothing.
 
         Raises:
             ConnectionLostError: the adapter is gone, or does not take them.
         """
         for index, codec in enumerate(self.codecs):
             self._surplus[index] -= codec.answers_goals
-        frames = [frame for codec, goal in zip(self.codecs, goals, strict=True) for frame in codec.goal(float(goal))]
+            self._awaited[index] = codec.answers_goals
+        frames = [frame for command in commands for frame in command]
         if self._returned is not None:
             self._returned += frames
-        self.send(frames)
+        sent = self.send(frames)
+        self._obeyed = [sent for _ in self._motors]  # until their answers say it better
+
+    def forget_surplus(self) -> None:
+        """Count answers anew: frames that nobody counted were answered, too."""
+        self._surplus = [0 for _ in self._motors]
 
     def exchange(self, frames: Sequence[CanFrame], patience: float, of: int | None = None) -> Feedback:
         """Send frames and hear what the motors say, waiting until all have told everything.
@@ -186,8 +208,8 @@ class MotorBus:
         with self._lock:
             heard: list[set[str]] = [set() for _ in self._motors]
             late: list[set[str]] = [set() for _ in self._motors]
-            for _, identifier, data in receiver.take():  # too late for its row, but not for a fault
-                self._hear(identifier, data, late)
+            for arrived, identifier, data in receiver.take():  # too late for its row, but not for a fault
+                self._hear(arrived, identifier, data, late)
             for asked in range(len(self._motors)) if of is None else (of,):
                 self._surplus[asked] = max(self._surplus[asked] - 1, -MOST_AWAITED)
             if self._returned is not None:
@@ -202,7 +224,7 @@ class MotorBus:
                 if left <= 0.0:
                     break
                 for arrived, identifier, data in receiver.take(left):
-                    index = self._hear(identifier, data, heard)
+                    index = self._hear(arrived, identifier, data, heard)
                     if index is None and not self._is_own((identifier, data)):
                         strange += 1
                     elif index is not None:
@@ -266,11 +288,14 @@ class MotorBus:
                 hint="is it in fault, or is its firmware too old for it?",
             )
 
-    def _hear(self, identifier: int, data: bytes, heard: list[set[str]]) -> int | None:
+    def _hear(self, arrived: float, identifier: int, data: bytes, heard: list[set[str]]) -> int | None:
         """The motor whose frame it is; None where it is none's."""
         index, answer = self._owner(identifier, data)
         if index is None or answer is None:
             return None
+        if self._awaited[index] and "position" in answer.values:
+            self._awaited[index], self._obeyed[index] = False, arrived  # to a command: the state before it was obeyed
+            return index
         if "position" in heard[index] and "position" in answer.values:
             return index
         heard[index] |= answer.values.keys() | ({FAULT} if answer.fault is not None else set())

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from drivers.can_motors.bus import PATIENCE, Feedback, MotorBus
+from drivers.can_motors.codec import CanFrame, MotorCodec
 from drivers.can_motors.settings import CanMotorSettings
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
@@ -20,6 +22,8 @@ STOP_LIMIT = 2.0
 """How long [s] an arm may take to come to rest."""
 STOP_SENDINGS = 3
 """So often a stop is sent: nobody confirms it."""
+OLD_TORQUE = 0.1
+"""[s] after which a torque is not sent again: who commanded it does so no more."""
 ENABLING = 0.5
 """How long [s] motors may take until they obey."""
 
@@ -35,6 +39,7 @@ class MotorControl:
     Attributes:
         active: whether the motors were made to obey, and not yet stopped.
         obeying: whether all showed that they do.
+        led: whether the arm is released, to be led by hand.
         goal: (n,) joint position that was commanded last [rad]; None before.
         commanded: when that was [s, host's monotonic clock].
         sent: goals when they were sent, since they were taken: (when [s, host's monotonic clock], (n,) [rad]).
@@ -44,11 +49,14 @@ class MotorControl:
     def __init__(self, bus: MotorBus, settings: CanMotorSettings, clock: Clock) -> None:
         self._bus, self._settings, self._clock = bus, settings, clock
         self._motors = settings.motors
-        self.active = self.obeying = False
+        self.active = self.obeying = self.led = False
         self.goal: FloatArray | None = None
         self.commanded = -np.inf
         self.sent: deque[tuple[float, FloatArray]] = deque()
         self.fresh: Callable[[], None] = _nothing
+        self._before: FloatArray | None = None
+        self._pushed: tuple[float, FloatArray] | None = None
+        self._led: list[MotorCodec] = []
 
     def take(self) -> None:
         """Write limits and time-outs, read them back, and let the motors hold where they are.
@@ -58,7 +66,36 @@ class MotorControl:
             ConnectionFailedError: a motor does not answer, or does not keep what is written.
             ConnectionLostError: the adapter is gone.
         """
-        for index, (motor, codec) in enumerate(zip(self._motors, self._bus.codecs, strict=True)):
+        self._prepare(self._bus.codecs)
+        self.goal, self._before = self._positions(self._all_states()), None
+        self.active = True  # from here on it may be that some obey
+        self._make_obey()
+
+    def release(self, torque: FloatArray | None) -> None:
+        """Write limits and time-outs, read them back, and let the motors give torques, or none; raises as `take`."""
+        watchdog = self._settings.keys.watchdog
+        # A torque must end with this computer, whatever the arm does where goals fail to come.
+        self._led = [type(codec)(replace(codec.motor, watchdog=watchdog)) for codec in self._bus.codecs]
+        self._prepare(self._led)
+        self.goal = self._positions(self._all_states())
+        self._pushed = None if torque is None else (self._clock.now(), torque)
+        self.active = self.led = True
+        if self._bus.codecs[0].takes_torque:
+            self._make_obey()
+
+    def push(self, torque: FloatArray) -> None:
+        """Take joint torques (n,) [N·m] of a released arm, which the next cycle sends.
+
+        Raises:
+            DriverStateError: it is not released.
+        """
+        if not self.led:
+            raise DriverStateError("the arm is not released: it takes no torques")
+        self._pushed = self._clock.now(), torque.copy()
+
+    def _prepare(self, codecs: Sequence[MotorCodec]) -> None:
+        """What the motors' registers are to hold, written and read back."""
+        for index, (motor, codec) in enumerate(zip(self._motors, codecs, strict=True)):
             state = self._bus.state(index)
             if state.fault:
                 words = ", ".join(motor.address.family.fault_words(state.fault))
@@ -66,10 +103,17 @@ class MotorControl:
                     f"{motor.name} is in fault: {words}",
                     hint="let it cool down, look at its supply and load; then dynid check --connect --reset-faults",
                 )
+            if state.enabled:  # held by a program before: a time-out would count from that one's last command
+                self._bus.send(codec.goal(state.values["position"]))
             for register, value in codec.preparation().items():
                 self._bus.write(index, register, value)
-        self.goal = self._positions(self._all_states())
-        self.active = True  # from here on it may be that some obey
+
+    def _make_obey(self) -> None:
+        """Switch the motors on, and see that they obey.
+
+        Raises:
+            DriverStateError: one does not.
+        """
         for codec in self._bus.codecs:
             self._bus.send(codec.enable())
         end = self._clock.now() + ENABLING
@@ -84,6 +128,7 @@ class MotorControl:
                     hint="power, calibration of the motor, and what its own tool says of it",
                 )
             self._clock.sleep(ENABLING / 25.0)
+        self._bus.forget_surplus()
         self.obeying = True
 
     def command(self, target: FloatArray) -> None:
@@ -109,7 +154,8 @@ class MotorControl:
         Raises:
             ConnectionLostError: the adapter is gone.
         """
-        self._bus.send_goals(self._noted_goals())
+        self._note(self._clock.now())
+        self._bus.send_commands(self._goal_frames())
 
     def cycle(self, patience: float = PATIENCE) -> Feedback:
         """Send the goal, and read the motors by their answers, waiting so long [s] at most.
@@ -117,16 +163,30 @@ class MotorControl:
         Raises:
             ConnectionLostError: the adapter is gone.
         """
-        return self._bus.cycle(self._noted_goals(), patience)
+        if self.led:
+            feedback = self._bus.cycle(self._torque_frames(), patience)
+            if len(feedback.states) == len(self._motors):
+                self.goal = self._positions(feedback)
+            return replace(feedback, ages={})
+        answered = self._bus.codecs[0].answers_goals
+        if not answered:
+            self._note(self._clock.now())
+        feedback = self._bus.cycle(self._goal_frames(), patience)
+        if answered:  # by where they were before they obeyed: to a reading, this goal is the next one's
+            self._note(feedback.time)
+        return feedback
 
     def stop(self) -> str:
         """Let the arm hold or go limp, as the connection says; what is wrong, in words, or nothing."""
-        self.active = self.obeying = False
+        led, self.active, self.obeying, self.led = self.led, False, False, False
         limp = self._settings.keys.on_stop == "limp"
         state = "limp" if limp else "held"
         try:
+            if led and not limp:
+                self._before = None
+                self._bus.send([frame for codec in self._bus.codecs for frame in codec.enable()])
             if not limp:
-                self._lead_little(self._bus.cycle(None if self.goal is None else self._motor_goals(self.goal)))
+                self._lead_little(self._bus.cycle(None if self.goal is None else self._goal_frames()))
             heard = self._until_rest(limp=limp)
             if not limp and self._settings.when_lost == "hold":
                 self._hold_for_good()
@@ -183,13 +243,13 @@ class MotorControl:
 
     def _hold_for_good(self) -> None:
         """No time-out: it would take the end of this program for its death."""
-        goals = self._motor_goals(self.goal) if self.goal is not None else None
+        goals = self._motor_goals(self.goal).tolist() if self.goal is not None else None
         for index, codec in enumerate(self._bus.codecs):
             for register, value in codec.release().items():
                 self._bus.write(index, register, value)
             if goals is not None:
                 for _ in range(STOP_SENDINGS):
-                    self._bus.send(codec.release_frames(float(goals[index])))
+                    self._bus.send(codec.release_frames(goals[index]))
 
     def _all_states(self) -> Feedback:
         """A reading of all motors.
@@ -209,11 +269,27 @@ class MotorControl:
             [m.to_joint("position", feedback.states[k].values["position"]) for k, m in enumerate(self._motors)]
         )
 
-    def _noted_goals(self) -> FloatArray:
-        """The goal in the motors' positions, noted as sent now."""
+    def _note(self, when: float) -> None:
+        """The goal as sent at a time [s]."""
         assert self.goal is not None
-        self.sent.append((self._clock.now(), self.goal))
-        return self._motor_goals(self.goal)
+        self.sent.append((when, self.goal))
+
+    def _goal_frames(self) -> list[Sequence[CanFrame]]:
+        """Frames that let every motor go to the goal, from the one before where it ramps."""
+        assert self.goal is not None
+        goals = self._motor_goals(self.goal)
+        before = goals if self._before is None else self._before
+        self._before = goals
+        ways = zip(self._bus.codecs, goals.tolist(), before.tolist(), strict=True)
+        return [codec.goal(goal, last) for codec, goal, last in ways]
+
+    def _torque_frames(self) -> list[Sequence[CanFrame]]:
+        """Frames by which every motor gives the torque that was commanded last, or none where that is old."""
+        pushed = self._pushed
+        if pushed is None or self._clock.now() - pushed[0] > OLD_TORQUE:
+            return [codec.released() for codec in self._led]
+        sides = zip(self._led, self._motors, pushed[1].tolist(), strict=True)
+        return [codec.torque(motor.direction * torque / motor.ratio) for codec, motor, torque in sides]
 
     def _motor_goals(self, goal: FloatArray) -> FloatArray:
         return np.array([motor.goal(float(position)) for motor, position in zip(self._motors, goal, strict=True)])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 from drivers.can_motors.bus import Feedback, MotorBus
 from drivers.can_motors.control import MotorControl
 from drivers.can_motors.settings import CanMotorSettings
 from drivers.core.clock import Clock
 from drivers.polled_rows import PolledRows
-from drivers.streams import ChannelLayout
+from drivers.streams import GOAL_AGE, ChannelLayout
 
 FOLLOWING = 3.0
 """Periods after a goal during which the next one is awaited, so that it is sent when it comes."""
@@ -21,12 +23,13 @@ MIDDLE = 0.5
 """Periods after a goal when the motors are read."""
 SOONEST = 0.5
 """Periods after a cycle before which no goal is sent."""
-UNITS = {"supply_voltage": "V", "drive_temperature": "degC"}
+UNITS = {"supply_voltage": "V", "drive_temperature": "degC", GOAL_AGE: "s"}
 MEANINGS = {
     "torque": "torque that the motor estimates from its current",
     "temperature": "of the motor's windings",
     "drive_temperature": "of the drive's power stage",
     "supply_voltage": "of the motor's supply",
+    GOAL_AGE: "for which the goal that made this torque had been in force",
 }
 
 
@@ -41,10 +44,10 @@ class MotorCycle(PolledRows):
     """
 
     def __init__(self, bus: MotorBus, control: MotorControl, settings: CanMotorSettings, clock: Clock) -> None:
-        super().__init__(f"motors {settings.where}", settings.keys.rate, control.sent, clock)
+        super().__init__(f"motors {settings.where}", settings.keys.rate, control.sent, clock, settings.gains())
         self._bus, self._control, self._settings = bus, control, settings
         self._motors = settings.motors
-        self._quantities = [name.quantity for name in feedback_channels(settings)]
+        self._quantities = [name.quantity for name in feedback_channels(settings) if name.quantity != GOAL_AGE]
         self._faults: dict[int, int] = {}
         self._strange = 0
         self._doubled: list[str] = []
@@ -65,7 +68,7 @@ class MotorCycle(PolledRows):
         self._begun = self._clock.now()
         with self._changed:
             self._wanted = False
-        if self._control.active and not self._settings.between:
+        if self._control.active and (self._control.led or not self._settings.between):
             feedback = self._control.cycle(SHARE * self._period)
         else:
             if self._control.active:
@@ -108,13 +111,19 @@ class MotorCycle(PolledRows):
             self._changed.notify_all()
 
     def _row(self, feedback: Feedback) -> dict[str, list[float]]:
-        return {
+        row = {
             quantity: [
                 motor.to_joint(quantity, feedback.states[index].values[quantity])
                 for index, motor in enumerate(self._motors)
             ]
             for quantity in self._quantities
         }
+        if self._settings.steps:
+            ages = feedback.ages if self._control.active else {}
+            row[GOAL_AGE] = [
+                age if (age := ages.get(index, math.nan)) < math.inf else math.nan for index in range(len(self._motors))
+            ]
+        return row
 
     def _note_fault(self, index: int, fault: int) -> None:
         motor, before = self._motors[index], self._faults.get(index, 0)
@@ -147,6 +156,7 @@ def feedback_channels(settings: CanMotorSettings) -> tuple[ChannelLayout, ...]:
     joints = tuple(motor.joint for motor in settings.motors)
     told = [codec.quantities(read_only=settings.keys.read_only) for codec in settings.codecs()]
     common = [quantity for quantity in told[0] if all(quantity in others for others in told)]
+    common += [GOAL_AGE] if settings.steps else []
     when = "time is the middle of the reading, by this computer's clock"
     return tuple(
         ChannelLayout(quantity, joints, UNITS.get(quantity, ""), f"{MEANINGS.get(quantity, quantity)}; {when}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from drivers.can_motors.bus import MotorBus
 from drivers.can_motors.control import MotorControl
 from drivers.can_motors.cycle import MotorCycle, feedback_channels
 from drivers.can_motors.settings import CODECS, CanMotor, parse_settings
+from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError
 from drivers.polled_arm import PolledArm
 from drivers.streams import ChannelLayout
@@ -89,6 +90,9 @@ class CanMotorDriver(PolledArm):
     def _channels(self) -> tuple[ChannelLayout, ...]:
         return feedback_channels(self._settings)
 
+    def _gains(self) -> Mapping[str, FloatArray]:
+        return self._settings.gains()
+
     def notices(self) -> Sequence[Notice]:
         """Notices since the last call: faults of motors, missing answers, errors of the bus."""
         return [*super().notices(), *self._bus.notices()]
@@ -137,6 +141,17 @@ class CanMotorDriver(PolledArm):
         if "torque_limit" not in codec.keeps:
             said.append(f"{self._settings.family} motors keep no torque limit of a program's: stiff goals press hard")
         return said
+
+    def guiding_refusal(self, *, pushed: bool) -> str:
+        """Why the arm cannot be led by hand: motors that take no torques, or keep one for ever."""
+        codec, family = CODECS[self._settings.family], self._settings.family
+        if not pushed:
+            return ""
+        if not codec.takes_torque:
+            return f"dynid commands no torques of {family} motors"
+        if not codec.times_out:
+            return f"{family} motors have no command time-out: of a dead computer's last torque they would not let go"
+        return ""
 
     def _stop_words(self) -> str:
         if self._settings.keys.on_stop == "limp":

@@ -76,10 +76,16 @@ def unpack_state(model: MotorModel, data: bytes) -> dict[str, float]:
 class MitCodec(MotorCodec):
     """Goals of MIT mode: a spring kp to the position, a damper kd to rest."""
 
-    def goal(self, position: float) -> Sequence[CanFrame]:
+    takes_torque = True
+
+    def goal(self, position: float, before: float | None = None) -> Sequence[CanFrame]:
         """A command, which the motor answers with its state."""
         motor = self.motor
         return ((motor.id, pack_goal(motor.model, (position, 0.0, motor.kp, motor.kd, 0.0))),)
+
+    def torque(self, torque: float) -> Sequence[CanFrame]:
+        """A command without spring and damper."""
+        return ((self.motor.id, pack_goal(self.motor.model, (0.0, 0.0, 0.0, 0.0, torque))),)
 
     def enable(self) -> Sequence[CanFrame]:
         """Into MIT mode."""

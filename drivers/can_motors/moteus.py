@@ -18,7 +18,8 @@ LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Bytes that a frame of CAN FD may have."""
 TURN = 2.0 * math.pi
 MODE, POSITION, TORQUE, MOTOR_TEMPERATURE, VOLTAGE, BOARD_TEMPERATURE, FAULT = 0, 1, 3, 0x0A, 0x0D, 0x0E, 0x0F
-GOAL, MOST_TORQUE, WATCHDOG = 0x20, 0x25, 0x27
+GOAL, SPEED, MOST_TORQUE, STOP, WATCHDOG, INTEGRATOR = 0x20, 0x21, 0x25, 0x26, 0x27, 0x2B
+FEED_FORWARD, STIFFNESS_SHARE, DAMPING_SHARE = 0x22, 0x23, 0x24
 STOPPED, FAULTY, POSITION_MODE, TIMEOUT_MODE = 0, 1, 10, 11
 ANSWER = 0x8000
 """Bit of an identifier that asks for an answer."""
@@ -72,6 +73,7 @@ class MoteusCodec(MotorCodec):
     fd = True
     keeps = ("torque_limit",)
     gains = False
+    takes_torque = ramps = True
     registers: ClassVar[Mapping[str, int]] = {"torque_limit": MOST_TORQUE, "timeout": WATCHDOG}
 
     def quantities(self, *, read_only: bool) -> tuple[str, ...]:
@@ -86,17 +88,29 @@ class MoteusCodec(MotorCodec):
         """A frame that only reads."""
         return (self._frame(_QUERY),)
 
-    def goal(self, position: float, *, watched: bool = True) -> Sequence[CanFrame]:
-        """Position mode, with largest torque and watchdog; answered as a reading."""
-        motor, nothing = self.motor, math.nan
-        watchdog = motor.watchdog if watched else None
+    def goal(self, position: float, before: float | None = None, *, watched: bool = True) -> Sequence[CanFrame]:
+        """Position mode, with largest torque and watchdog; answered as a reading.
+
+        From the goal before it goes at a constant speed, without its own limits of speed and acceleration, which would
+        bend the way (docs/guides/control-modes.md, jerk limited trajectories). It ends at the goal by the stop
+        position, which is deprecated, so that only a controller ramps whose watchdog ends it, too.
+        """
+        watchdog = self.motor.watchdog if watched else None
+        begin, speed, stop, limits = position, 0.0, math.nan, (math.nan, math.nan)
+        if watchdog is not None and before is not None and before != position:
+            begin, speed, stop, limits = before, (position - before) / self.motor.period, position, (-1.0, -1.0)
         command = (
-            *(position / TURN, 0.0, 0.0, 1.0, 1.0),
-            *(nothing if motor.torque_limit is None else motor.torque_limit, nothing),
-            nothing if watchdog is None else watchdog,
+            *(begin / TURN, speed / TURN, 0.0, 1.0, 1.0, self._most_torque, stop / TURN),
+            *(math.nan if watchdog is None else watchdog, *limits),
         )
-        mode = subframe(WRITE, INT8, MODE, (POSITION_MODE,))
-        return (self._frame(mode + subframe(WRITE, FLOAT, GOAL, command) + _QUERY),)
+        return (self._frame(_POSITION_MODE + subframe(WRITE, FLOAT, GOAL, command) + _QUERY),)
+
+    def torque(self, torque: float) -> Sequence[CanFrame]:
+        """Position mode without its loops, as the controller's documents do it; answered as a reading."""
+        watchdog = math.nan if self.motor.watchdog is None else self.motor.watchdog
+        command = (math.nan, 0.0, torque, 0.0, 0.0, self._most_torque, math.nan, watchdog)
+        loops = subframe(WRITE, FLOAT, GOAL, command) + subframe(WRITE, FLOAT, INTEGRATOR, (0.0,))
+        return (self._frame(_POSITION_MODE + loops + _QUERY),)
 
     def release_frames(self, position: float) -> Sequence[CanFrame]:
         """A goal without a watchdog."""
@@ -149,6 +163,10 @@ class MoteusCodec(MotorCodec):
         fault = {FAULTY: int(held[FAULT]) or FAULTY, TIMEOUT_MODE: TIMEOUT_MODE}.get(mode, 0)
         return Answer(told, fault, mode == POSITION_MODE)
 
+    @property
+    def _most_torque(self) -> float:
+        return math.nan if self.motor.torque_limit is None else self.motor.torque_limit
+
     def _frame(self, data: bytes) -> CanFrame:
         return EXTENDED | ANSWER | self.motor.host << 8 | self.motor.id, padded(data)
 
@@ -171,6 +189,7 @@ def _read_varuint(data: bytes, place: int) -> tuple[int, int]:
     raise ValueError("a number of more than 32 bits")
 
 
+_POSITION_MODE = subframe(WRITE, INT8, MODE, (POSITION_MODE,))
 _QUERY = (
     subframe(READ, INT8, MODE, count=1)
     + subframe(READ, FLOAT, POSITION, count=3)

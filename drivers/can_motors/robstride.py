@@ -27,6 +27,7 @@ class RobstrideCodec(MotorCodec):
     """RobStride RS motors; `MotorAddress.host` is this computer's id."""
 
     keeps = ("torque_limit",)
+    takes_torque = True
     registers: ClassVar[Mapping[str, int]] = {"mode": 0x7005, "torque_limit": 0x700B, "timeout": 0x7028}
 
     def quantities(self, *, read_only: bool) -> tuple[str, ...]:
@@ -39,12 +40,13 @@ class RobstrideCodec(MotorCodec):
             return tuple(self._frame(READ, struct.pack("<H6x", number)) for number in READABLE)
         return (self.write("torque_limit", self._torque_limit),)
 
-    def goal(self, position: float) -> Sequence[CanFrame]:
+    def goal(self, position: float, before: float | None = None) -> Sequence[CanFrame]:
         """A command, which the motor answers with its state."""
-        p, v, t, kp, kd = full_scale(self.motor.model)
-        bounds = ((position, -p, p), (0.0, -v, v), (self.motor.kp, 0.0, kp), (self.motor.kd, 0.0, kd))
-        data = struct.pack(">4H", *(to_counts(value, low, high, 16) for value, low, high in bounds))
-        return (self._frame(GOAL, data, to_counts(0.0, -t, t, 16)),)
+        return self._command(position, self.motor.kp, self.motor.kd, 0.0)
+
+    def torque(self, torque: float) -> Sequence[CanFrame]:
+        """A command without spring and damper."""
+        return self._command(0.0, 0.0, 0.0, torque)
 
     def enable(self) -> Sequence[CanFrame]:
         """Into operation."""
@@ -105,6 +107,12 @@ class RobstrideCodec(MotorCodec):
     def _torque_limit(self) -> float:
         limit, most = self.motor.torque_limit, full_scale(self.motor.model)[2]
         return most if limit is None else min(limit, most)
+
+    def _command(self, position: float, stiffness: float, damping: float, torque: float) -> Sequence[CanFrame]:
+        p, v, t, kp, kd = full_scale(self.motor.model)
+        bounds = ((position, -p, p), (0.0, -v, v), (stiffness, 0.0, kp), (damping, 0.0, kd))
+        data = struct.pack(">4H", *(to_counts(value, low, high, 16) for value, low, high in bounds))
+        return (self._frame(GOAL, data, to_counts(torque, -t, t, 16)),)
 
     def _frame(self, kind: int, data: bytes, middle: int | None = None) -> CanFrame:
         return frame_identifier(kind, self.motor.host if middle is None else middle, self.motor.id), data

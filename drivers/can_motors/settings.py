@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
+import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from drivers.can.settings import CanSettings
@@ -16,6 +17,7 @@ from drivers.can_motors.odrive import OdriveCodec
 from drivers.can_motors.robstride import RobstrideCodec
 from drivers.can_motors.tables import motor_family
 from drivers.connection_settings import ConnectionSettings, read_settings, refused
+from drivers.core.arrays import FloatArray
 
 CODECS: Mapping[str, type[MotorCodec]] = {
     "damiao": DamiaoCodec,
@@ -208,6 +210,20 @@ class CanMotorSettings:
         """
         return self.keys.sampling == "between" and CODECS[self.family].apart
 
+    @property
+    def steps(self) -> bool:
+        """Whether motors that are moved take each goal in one step, with a spring that this connection knows."""
+        codec = CODECS[self.family]
+        return codec.gains and not self.keys.read_only
+
+    def gains(self) -> dict[str, FloatArray]:
+        """`gain_p` and `gain_d` (n,) of the joints, where this connection sets them."""
+        if not self.steps:
+            return {}
+        ratios = np.array([motor.ratio for motor in self.motors]) ** 2
+        kp, kd = np.array([[motor.address.kp, motor.address.kd] for motor in self.motors]).T
+        return {"gain_p": kp * ratios, "gain_d": kd * ratios}
+
     def codecs(self) -> list[MotorCodec]:
         """One a motor, in the joints' order."""
         return [CODECS[self.family](motor.address) for motor in self.motors]
@@ -249,6 +265,7 @@ def parse_settings(connection: Mapping[str, object], joints: Sequence[str], fami
             watchdog,
             own.thermistor,
             keys.temperature_offset,
+            1.0 / keys.rate,
         )
         return CanMotor(joint, model, own.zero, own.direction, own.ratio, address)
 

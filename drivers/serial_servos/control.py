@@ -34,6 +34,7 @@ class ServoControl:
 
     Attributes:
         active: whether the servos were made to obey, and not yet stopped.
+        led: whether the arm is released, to be led by hand.
         goal: (n,) position that was commanded last [rad]; None before.
         sent: commands since they were taken: (when [s, host's monotonic clock], (n,) [rad]).
     """
@@ -42,7 +43,7 @@ class ServoControl:
         self._bus, self._settings, self._clock = bus, settings, clock
         self._motors = settings.motors
         self._turn = 0
-        self.active = False
+        self.active = self.led = False
         self.goal: FloatArray | None = None
         self.sent: deque[tuple[float, FloatArray]] = deque()
 
@@ -91,6 +92,28 @@ class ServoControl:
                 self._bus.write(motor, "bus_watchdog", max(1, _counts(entry, keys.watchdog)))
         self._note(self.goal)
 
+    def release(self, torque: FloatArray | None) -> None:
+        """Switch the torque of all servos off.
+
+        Raises:
+            DriverStateError: they are to give torques.
+            ConnectionFailedError: a servo does not answer, or does not keep what is written.
+            ConnectionLostError: the port is gone.
+        """
+        if torque is not None:
+            self.push(torque)
+        for motor in self._motors:
+            self._bus.write(motor, "torque_enable", 0)
+        self.active = self.led = True
+
+    def push(self, torque: FloatArray) -> None:
+        """Not possible.
+
+        Raises:
+            DriverStateError: always.
+        """
+        raise DriverStateError("these servos follow positions, and take no torques")
+
     def command(self, target: FloatArray) -> None:
         """Send goals (n,) [rad]; the nearest steps are what is noted as sent.
 
@@ -136,10 +159,13 @@ class ServoControl:
 
     def stop(self) -> str:
         """Let the arm hold or go limp, as the connection says; what is wrong, in words, or nothing."""
-        self.active = False
+        led, self.active, self.led = self.led, False, False
         limp = self._settings.keys.on_stop == "limp"
         state = "limp" if limp else "held"
         try:
+            if led and not limp:
+                self.take()
+                self.active = False
             if limp:
                 for _ in range(STOP_SENDINGS):
                     self._bus.write_all("torque_enable", {motor.id: 0 for motor in self._motors})
@@ -161,8 +187,9 @@ class ServoControl:
                 else:
                     self._clock.sleep(0.005)
             self._release_watchdog()
-        except (ConnectionFailedError, ConnectionLostError) as error:
-            return f"the servos could not be told to stop ({error.message}): each holds its last goal with torque on"
+        except (ConnectionFailedError, ConnectionLostError, DriverStateError) as error:
+            left = "limp where its torque is off" if led else "each holds its last goal with torque on"
+            return f"the servos could not be told to stop ({error.message}): {left}"
         if watch.at_rest:
             return ""
         if silent := [called(motor) for motor in self._motors if motor.id not in heard]:

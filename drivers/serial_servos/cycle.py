@@ -47,7 +47,7 @@ class ServoCycle(PolledRows):
             self._note_missing(missing, feedback)
         else:
             self._add(feedback.time, feedback.received, self._row(feedback))
-        if self._control.active:
+        if self._control.active and not self._control.led:
             self._look_closer()
 
     def _row(self, feedback: Feedback) -> dict[str, list[float]]:

@@ -107,6 +107,10 @@ class SerialServoDriver(PolledArm):
             )
         return said
 
+    def guiding_refusal(self, *, pushed: bool) -> str:
+        """Why the arm cannot be led by hand: not with torques."""
+        return "these servos follow positions, and take no torques" if pushed else ""
+
     def _stop_words(self) -> str:
         if self._settings.keys.on_stop == "limp":
             return "when the motion ends or is stopped, the torque is switched off: THE ARM FALLS (on_stop: limp)"

@@ -16,7 +16,7 @@ from daq.recording.quality.signal_quality import ColumnQuality, channel_quality
 from daq.recording.quality.stale_samples import fresh_recording, stale_rows
 from daq.recording.quality.stream_quality import StreamQuality, stream_quality
 from daq.recording.quality.unsigned_signal import unsigned_joints
-from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, MOTOR_SIGNALS, Recording
+from daq.recording.recording import COMMANDS_STREAM, HAND_GUIDED, JOINTS_STREAM, MOTOR_SIGNALS, Recording
 from daq.recording.repairs import DROP_REPEATS
 from daq.recording.unit_plausibility import displacement_ratios, other_unit
 from drivers.core.text import percent_text, percentage_text
@@ -121,6 +121,8 @@ def recording_checks(
     for event in recording.events:
         if event.source == IMPORT and event.level == "warning":
             checks.append(raised("import-warning", f"{of}import: {event.message}"))
+        if event.message.startswith(HAND_GUIDED):
+            checks.append(raised("hand-guided", f"{of}the arm was led by hand ({event.message})"))
     for name, quality in streams.items():
         if quality.lost and name != COMMANDS_STREAM:  # a command holds until the next one
             share = quality.lost / (quality.samples + quality.lost)

@@ -20,6 +20,7 @@ from drivers.core.errors import DataError
 from drivers.core.units import ZERO_CELSIUS
 from drivers.gains import DriveGain, joint_torque
 from ident.ranges import RECORDED_POSITION, RECORDED_TORQUE, RECORDED_VELOCITY
+from ident.signals.stepped_goals import with_even_goals
 
 SERVO_HINT = "identify a servo model from commands and encoder: --method servo"
 
@@ -148,7 +149,7 @@ def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
         DataError: a stream, quantity, joint or gain is missing, or values are not finite.
     """
     recording, stale = fresh_recording(recording)
-    stream, replaced = _without_outliers(_joints_stream(recording))
+    stream, replaced = _without_outliers(with_even_goals(recording, _joints_stream(recording)))
     position = _positions(stream, robot, recording.label)
     hint = "" if command_stream(recording) is None else SERVO_HINT
     torque, origin, gains_used = _joint_torque(stream, robot, recording.label, hint)

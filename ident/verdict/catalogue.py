@@ -42,6 +42,13 @@ _RECORDING = (
         "the recording was stopped before its end, or not closed properly",
         "Its end may be missing; `dynid recover` rescues what a crash left.",
     ),
+    CheckKind(
+        "hand-guided",
+        "serious",
+        ALL,
+        "a hand led the arm: its forces are in no torque",
+        "Identify from a motion that dynid plays; a recording of leading by hand shows where the arm was.",
+    ),
     _note("import-warning", "the import assumed or repaired something", "Read the sentence and import again."),
     _note(
         "samples-lost",

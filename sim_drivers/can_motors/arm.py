@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +22,23 @@ BEHIND_LIMIT = 0.05
 """[rad] from a joint's position limit to its end stop."""
 LONGEST_ADVANCE = 0.25
 """[s]: a stall of more is not made up for: the arm's time is halted meanwhile."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """What a motor is to do; of the motor.
+
+    Attributes:
+        goal: of its spring [rad].
+        speed: by which the goal moves on [rad/s].
+        stop: where that ends [rad]; nan for nowhere.
+        torque: beside spring and damper [N·m].
+    """
+
+    goal: float
+    speed: float = 0.0
+    stop: float = math.nan
+    torque: float = 0.0
 
 
 class MotorPlant:
@@ -49,8 +68,10 @@ class MotorPlant:
         self._truth = [(servo.stiffness, servo.gain_d) for servo in truth]
         self._limit = np.array([servo.torque_limit for servo in truth])
         self._most = self._limit.copy()
-        self._coming: list[deque[tuple[float, float, float, float]]] = [deque() for _ in motors]
+        self._coming: list[deque[tuple[float, Command, float, float]]] = [deque() for _ in motors]
         self._goal = position.copy()
+        self._speed, self._pushing = np.zeros((2, len(position)))
+        self._until = np.full(len(position), np.nan)
         self._kp, self._kd = np.zeros((2, len(position)))
         self._time = self._now = now
         low, high = np.array([joint.position for joint in file.robot.joints]).T
@@ -58,12 +79,25 @@ class MotorPlant:
         self.arm.effort = np.zeros(len(position))
         self.arm.set_gains(self._kp.copy(), self._kd.copy())
 
-    def told(self, index: int, now: float, goal: float, gains: tuple[float, float] | None) -> None:
-        """A motor has a goal [rad of the motor] with kp and kd, or with those of the truth; it takes effect later."""
+    def told(
+        self,
+        index: int,
+        now: float,
+        command: Command,
+        gains: tuple[float, float] | None,
+        shares: tuple[float, float] = (1.0, 1.0),
+    ) -> None:
+        """A motor has a command with kp and kd, or with shares of those of the truth; it takes effect later."""
         motor = self._motors[index]
-        stiffness, damping = self._truth[index] if gains is None else np.array(gains) * motor.ratio**2
-        position = motor.to_joint("position", goal)
-        self._coming[index].append((now + self._delay[index], position, float(stiffness), float(damping)))
+        own = self._truth[index] if gains is None else np.array(gains) * motor.ratio**2
+        stiffness, damping = own[0] * shares[0], own[1] * shares[1]
+        of_joint = Command(
+            motor.to_joint("position", command.goal),
+            motor.to_joint("velocity", command.speed),
+            motor.to_joint("position", command.stop),
+            motor.to_joint("torque", command.torque),
+        )
+        self._coming[index].append((now + self._delay[index], of_joint, float(stiffness), float(damping)))
 
     def limit(self, index: int, torque: float | None) -> None:
         """A motor keeps a torque limit [N·m of the motor]; its own where None."""
@@ -73,7 +107,7 @@ class MotorPlant:
     def let_go(self, index: int) -> None:
         """A motor drives no more."""
         self._coming[index].clear()
-        self._kp[index] = self._kd[index] = 0.0
+        self._kp[index] = self._kd[index] = self._pushing[index] = self._speed[index] = 0.0
 
     def advance(self, now: float) -> None:
         """Simulate until a time [s]."""
@@ -84,13 +118,22 @@ class MotorPlant:
         step = self.arm.step
         while self._time + step <= now:
             self._time += step
+            before, driving = self._goal.copy(), self._kp > 0.0
+            share = np.ones(len(before))  # of the step, in which the newest goal acts
             for index, coming in enumerate(self._coming):
                 while coming and coming[0][0] <= self._time:
-                    _, self._goal[index], self._kp[index], self._kd[index] = coming.popleft()
+                    since, command, self._kp[index], self._kd[index] = coming.popleft()
+                    self._goal[index] = command.goal + command.speed * (self._time - step - since)
+                    self._speed[index], self._until[index] = command.speed, command.stop
+                    self._pushing[index] = command.torque
+                    share[index] = min((self._time - since) / step, 1.0) if driving[index] else 1.0
+            self._move_goals(step)
+            acting = self._goal - 0.5 * step * self._speed
             # A step is implicit: its spring acts as at the end, which damps as if by kp·step/2.
             self.arm.set_gains(self._kp.copy(), np.maximum(self._kd - 0.5 * step * self._kp, 0.0))
             self.arm.effort = self._effort()
-            self.arm.advance(self._goal)
+            self.arm.push = self._kd * self._speed + self._pushing
+            self.arm.advance(before + share * (acting - before))
             self.arm.keep_within(*self._stops)
 
     def measured(self, index: int) -> dict[str, float]:
@@ -100,7 +143,9 @@ class MotorPlant:
         # The arm is up to a whole step behind the clock's time; a motor's sensors are not.
         q = float(self.arm.position[index]) + v * (self._now - self._time)
         most = self._effort()[index] * self._limit[index]
-        torque = float(np.clip(self._kp[index] * (self._goal[index] - q), -most, most) - self._kd[index] * v)
+        pushed = self._kd[index] * self._speed[index] + self._pushing[index]
+        goal = self._goal[index] + self._speed[index] * (self._now - self._time)
+        torque = float(np.clip(self._kp[index] * (goal - q) + pushed, -most, most) - self._kd[index] * v)
         return {
             "position": motor.goal(q),
             "velocity": motor.direction * ratio * v,
@@ -109,6 +154,13 @@ class MotorPlant:
             "drive_temperature": float(self.arm.heat.housing[index]),
             "supply_voltage": self._nominal * self.arm.supply * (SAGGING if self.sagging else 1.0),
         }
+
+    def _move_goals(self, step: float) -> None:
+        """Goals that move on, until they are where they stop."""
+        after = self._goal + self._speed * step
+        over = (after - self._until) * np.sign(self._speed) >= 0.0
+        self._goal = np.where(over, self._until, after)
+        self._speed[over] = 0.0
 
     def _effort(self) -> FloatArray:
         share: FloatArray = self._most / self._limit * (SAGGING if self.sagging else 1.0)

@@ -11,7 +11,7 @@ from drivers.can.bus import EXTENDED, REMOTE
 from drivers.can_motors import mit, moteus, odrive, robstride
 from drivers.can_motors.codec import CanFrame, from_counts, to_counts
 from drivers.can_motors.settings import CanMotor
-from sim_drivers.can_motors.arm import MotorPlant
+from sim_drivers.can_motors.arm import Command, MotorPlant
 
 POWER_UP = 0.4
 """[s] that a motor needs after its power came back."""
@@ -88,10 +88,23 @@ class SimulatedMotor(ABC):
         self.enabled = False
         self._plant.let_go(self.index)
 
-    def _follow(self, now: float, goal: float, gains: tuple[float, float] | None) -> None:
+    def _follow(
+        self,
+        now: float,
+        goal: float,
+        gains: tuple[float, float] | None,
+        speed: float = 0.0,
+        stop: float = math.nan,
+        torque: float = 0.0,
+        shares: tuple[float, float] = (1.0, 1.0),
+    ) -> None:
+        """Obey a command: a goal that moves on at a speed until a stop, with a torque of its own; all of the motor.
+
+        `gains` are kp and kd, of the truth where None; `shares` how much of them acts.
+        """
         self._commanded = now
         if self.enabled:
-            self._plant.told(self.index, now, goal, gains)
+            self._plant.told(self.index, now, Command(goal, speed, stop, torque), gains, shares)
 
     @property
     def _state(self) -> Mapping[str, float]:
@@ -119,8 +132,8 @@ class DamiaoMotor(SimulatedMotor):
         elif data == mit.CLEAR:
             self.fault = 0
         else:
-            goal, _, kp, kd, _ = mit.unpack_goal(address.model, data)
-            self._follow(now, goal, (kp, kd))
+            goal, speed, kp, kd, torque = mit.unpack_goal(address.model, data)
+            self._follow(now, goal, (kp, kd), torque=torque + kd * speed)
         return [self._told()]
 
     @property
@@ -163,8 +176,8 @@ class CubemarsMotor(SimulatedMotor):
         elif data == mit.DISABLE:
             self._let_go()
         else:
-            goal, _, kp, kd, _ = mit.unpack_goal(address.model, data)
-            self._follow(now, goal, (kp, kd))
+            goal, speed, kp, kd, torque = mit.unpack_goal(address.model, data)
+            self._follow(now, goal, (kp, kd), torque=torque + kd * speed)
         state = self._state
         packed = mit.pack_state(address.model, state["position"], state["velocity"], state["torque"])
         heat = min(max(round(state["temperature"] - address.temperature_offset), 0), 255)
@@ -195,10 +208,11 @@ class RobstrideMotor(SimulatedMotor):
             self.fault = 0 if data[0] == 1 else self.fault
             self._let_go()
         elif kind == robstride.GOAL:
-            p, _, _, kp, kd = mit.full_scale(address.model)
+            p, v, t, kp, kd = mit.full_scale(address.model)
             counts = struct.unpack(">4H", data)
             gains = from_counts(counts[2], 0.0, kp, 16), from_counts(counts[3], 0.0, kd, 16)
-            self._follow(now, from_counts(counts[0], -p, p, 16), gains)
+            torque = from_counts(middle, -t, t, 16) + gains[1] * from_counts(counts[1], -v, v, 16)
+            self._follow(now, from_counts(counts[0], -p, p, 16), gains, torque=torque)
         else:
             return []
         return [self._told(host)]
@@ -298,11 +312,23 @@ class MoteusMotor(SimulatedMotor):
         scale = {moteus.FLOAT: 1.0, moteus.INT16: 1e-4}.get(form, 1e-5)
         self._registers |= {number: value for number, value in written.items() if number != moteus.GOAL}
         if moteus.GOAL in written and self.enabled:
-            goal = written[moteus.GOAL] * scale * moteus.TURN
+            goal, speed, stop = (
+                written.get(number, default) * scale * moteus.TURN
+                for number, default in ((moteus.GOAL, 0.0), (moteus.SPEED, 0.0), (moteus.STOP, math.nan))
+            )
             goal = self._state["position"] if math.isnan(goal) else goal
             most = self._registers.get(moteus.MOST_TORQUE, math.nan)
             self._plant.limit(self.index, None if math.isnan(most) else most)
-            self._follow(now, goal, None)
+            pushed, stiff, damped = (
+                written.get(number, default)
+                for number, default in (
+                    (moteus.FEED_FORWARD, 0.0),
+                    (moteus.STIFFNESS_SHARE, 1.0),
+                    (moteus.DAMPING_SHARE, 1.0),
+                )
+            )
+            shares = stiff, min(stiff, damped)
+            self._follow(now, goal, None, 0.0 if math.isnan(speed) else speed, stop, pushed, shares)
 
     def _register(self, number: int, form: int) -> float:
         state = self._state

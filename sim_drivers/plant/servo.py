@@ -70,6 +70,7 @@ class ServoArm:
         heat: temperatures of windings and housings.
         supply: share of the nominal voltage.
         effort: (n,) largest share of the full duty cycle, 0 where a servo is limp.
+        push: (n,) what the drives are to add to their position loops [N·m or N].
     """
 
     def __init__(self, file: RobotFile, position: FloatArray, celsius: float | None = None) -> None:
@@ -113,6 +114,7 @@ class ServoArm:
         self._rates = np.zeros(len(self._bodies))
         self._guess = np.zeros(len(self._bodies))
         self.torque, self.current, self.effort = np.zeros(count), np.zeros(count), np.ones(count)
+        self.push = np.zeros(count)
         self.supply = self._supply.voltage / self._supply.nominal
         self.heat = JointHeat(robot.truth.thermal, count, HEATING_STEPS * self.step)
         if celsius is not None:
@@ -146,7 +148,7 @@ class ServoArm:
         seen = np.where(self._encoder > 0, _quantised(position, self._encoder), position)
         error = goal - seen - self._bias
         acting = np.abs(error) > self._dead_band
-        linear = self._stiffness * np.where(acting, error - np.sign(error) * self._dead_band, 0.0)
+        linear = self._stiffness * np.where(acting, error - np.sign(error) * self._dead_band, 0.0) + self.push
         duty = np.clip(linear / self._limit, -self.effort, self.effort)
         strength = self._strength * np.where(self._voltage, self.supply, 1.0)
         torque = strength * self._limit * duty

@@ -36,6 +36,7 @@ class LiveOptions(SessionOptions):
     record: Path | None = option(None, "Recording to write (.h5).")
     browser: bool = option(False, "Show external torque and arm live on a page of this computer.")
     stop_on_contact: bool = option(False, "End the motion of --trajectory when a contact is noticed.")
+    retract: bool = option(False, "After that stop, go back a short way, slowly, by the way the arm came; then hold.")
 
     def __post_init__(self) -> None:
         """Check every option, and that they go together.
@@ -49,6 +50,8 @@ class LiveOptions(SessionOptions):
                 "--stop-on-contact ends only a motion that dynid plays: what moves the arm otherwise is not stopped",
                 hint="give --trajectory, too",
             )
+        if self.retract and not self.stop_on_contact:
+            raise UsageError("--retract goes back after a contact that ended the motion", hint="give --stop-on-contact")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +142,13 @@ def _live(
         if page is not None:
             watch.page = page
             watch.alarm = lambda time, text, joint: page.alarm(Alarm(time, text, joint))
-        report = recorded(plan, options, options.record, clock, overwrite=force, live=shown, watch=watch)
+        report = recorded(
+            *(plan, options, options.record, clock),
+            overwrite=force,
+            live=shown,
+            watch=watch,
+            retracts=options.retract,
+        )
     found = watch.monitor.contacts
     load = watch.monitor.load
     if as_json:

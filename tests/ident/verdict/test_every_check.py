@@ -15,7 +15,7 @@ import pytest
 from exported_arms import exported_arm
 from lift import LIFT
 
-from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Channel, Event, Recording, Stream
+from daq.recording.recording import COMMANDS_STREAM, HAND_GUIDED, JOINTS_STREAM, Channel, Event, Recording, Stream
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import ModelError
 from ident.assessment.recording_checks import recording_checks
@@ -441,6 +441,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "range-hit": (
         lambda b: b.in_a_narrow_range(),
         lambda b: b.found(robot_file=b.said({"drives:\n": "known: {Fv1: {max: 9}}\ndrives:\n"})),
+    ),
+    "hand-guided": (
+        lambda b: b.names(replace(b.recorded(), events=(Event(0.0, "info", "session", f"{HAND_GUIDED}: limp"),))),
+        lambda b: b.names(replace(b.recorded(), events=(Event(0.0, "info", "player", "motion begins"),))),
     ),
     "import-warning": (
         lambda b: b.names(replace(b.recorded(), events=(Event(0.0, "warning", "import", "sort: 3 samples"),))),
