@@ -24,7 +24,7 @@ class CheckOptions(Options):
     connect: bool = option(False, "Open the connection and listen; nothing is enabled.")
     wire: str | None = option(None, "Connection to open; the first one if absent.")
     host: str | None = host_option()
-    reset_faults: bool = option(False, "Reset faults of CiA 402 drives; enables nothing.")
+    reset_faults: bool = option(False, "Reset faults of drives or CAN motors; enables nothing.")
     configure: bool = option(
         False, "Write mode, return delay and calibration into servos' EEPROM; torque goes off: hold the arm."
     )
