@@ -290,7 +290,7 @@ def recorded(
     from daq.session.play import Play
     from daq.session.session import record
     from daq.session.supervisor import Limits, Supervisor
-    from daq.session.unrecorded import Unrecorded
+    from daq.session.unrecorded import SampleKeeper, Unrecorded
 
     robot, played = plan.robot_file.robot, plan.played
     moves = played is not None or guiding is not None
@@ -308,7 +308,7 @@ def recorded(
         if guiding is not None:
             to_mind = _to_mind_by_hand(driver, guiding)
         if out is None:
-            recorder: Recorder = Unrecorded()
+            recorder: SampleKeeper = Unrecorded()
         else:
             recorder = Recorder(
                 out,

@@ -23,10 +23,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from daq.recording.recorder import Recorder
 from daq.recording.recording import JOINTS_STREAM
 from daq.session.realtime import give_realtime_back
 from daq.session.supervisor import Limits
+from daq.session.unrecorded import SampleKeeper
 from daq.session.watch import Watch
 from drivers.core.arrays import FloatArray
 from drivers.core.child_process import started_without_interrupt
@@ -100,7 +100,7 @@ class Publisher:
     """
 
     def __init__(
-        self, pipe: int, limits: Limits, recorder: Recorder, clock: Clock = SYSTEM_CLOCK, watch: Watch | None = None
+        self, pipe: int, limits: Limits, recorder: SampleKeeper, clock: Clock = SYSTEM_CLOCK, watch: Watch | None = None
     ) -> None:
         os.set_blocking(pipe, False)
         self._pipe = pipe
@@ -197,7 +197,7 @@ def live_view(
     *,
     shown: bool,
     limits: Limits,
-    recorder: Recorder,
+    recorder: SampleKeeper,
     clock: Clock = SYSTEM_CLOCK,
     watch: Watch | None = None,
 ) -> Iterator[Publisher | None]:

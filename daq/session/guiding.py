@@ -16,7 +16,6 @@ from typing import Protocol, cast
 import numpy as np
 
 from daq.motion.motion_check import only_entry
-from daq.recording.recorder import Recorder
 from daq.recording.recording import HAND_GUIDED
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
@@ -25,6 +24,7 @@ from daq.session.course import Course
 from daq.session.play import wait_for_position, wait_for_rest, while_reading
 from daq.session.sources import Sources
 from daq.session.supervisor import CURES
+from daq.session.unrecorded import SampleKeeper
 from drivers.base import Driver, Guidable
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import MotionRefusedError, SafetyStopError, UsageError
@@ -210,7 +210,7 @@ def lead_by_hand(
     driver: Driver,
     cycle: Callable[[], None],
     course: Course,
-    recorder: Recorder,
+    recorder: SampleKeeper,
     guiding: Guiding,
     duration: float | None,
 ) -> None:

@@ -11,13 +11,13 @@ import numpy as np
 from daq.motion.limits import check_limits
 from daq.motion.player import MotionSequence, Player
 from daq.motion.trajectories import Motion
-from daq.recording.recorder import Recorder
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.schema import Robot
 from daq.session.command_gate import COMMAND_RATE, CommandGate, GateLimits
 from daq.session.course import GAP, REST_TIME, Course
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
+from daq.session.unrecorded import SampleKeeper
 from drivers.base import Driver, Holding, ReportingSafety
 from drivers.clock_rates import COMPARING_LIMIT
 from drivers.core.arrays import FloatArray
@@ -212,7 +212,7 @@ def while_reading(action: Callable[[], None], cycle: Callable[[], None], course:
 
 
 def prepare(
-    driver: Driver, supervisor: Supervisor, recorder: Recorder, play: Play, course: Course, path: MotionSequence
+    driver: Driver, supervisor: Supervisor, recorder: SampleKeeper, play: Play, course: Course, path: MotionSequence
 ) -> Player:
     """The player of a motion and the approach to it."""
     approach = float(path.starts[1])
@@ -232,7 +232,12 @@ def gated_player(driver: Driver, supervisor: Supervisor, course: Course, path: M
 
 
 def follow_motion(
-    cycle: Callable[[], None], recorder: Recorder, course: Course, player: Player, path: MotionSequence, robot: Robot
+    cycle: Callable[[], None],
+    recorder: SampleKeeper,
+    course: Course,
+    player: Player,
+    path: MotionSequence,
+    robot: Robot,
 ) -> None:
     """Until the arm has arrived at the end of the motion.
 
@@ -262,7 +267,12 @@ def follow_motion(
 
 
 def wait_for_arrival(
-    cycle: Callable[[], None], recorder: Recorder, course: Course, player: Player, path: MotionSequence, robot: Robot
+    cycle: Callable[[], None],
+    recorder: SampleKeeper,
+    course: Course,
+    player: Player,
+    path: MotionSequence,
+    robot: Robot,
 ) -> None:
     """Until the arm rests at the end of a path; how far from it is noted where it is far.
 

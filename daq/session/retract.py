@@ -14,11 +14,11 @@ import numpy as np
 from daq.motion.limits import check_limits
 from daq.motion.player import MotionSequence, Player
 from daq.motion.trajectories import PointToPoint, slow_move
-from daq.recording.recorder import Recorder
 from daq.robot.schema import JointLimits, Robot
 from daq.session.course import GAP, REST_TIME, Course
 from daq.session.play import gated_player, raise_failure, wait_for_arrival, wait_for_rest, while_reading
 from daq.session.supervisor import TRACKING_ERROR, Supervisor
+from daq.session.unrecorded import SampleKeeper
 from drivers.base import Driver
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionLostError, DynidError, MotionRefusedError
@@ -65,7 +65,7 @@ def retract(
     cycle: Callable[[], None],
     course: Course,
     supervisor: Supervisor,
-    recorder: Recorder,
+    recorder: SampleKeeper,
     player: Player,
     path: MotionSequence,
     robot: Robot,

@@ -17,7 +17,6 @@ import numpy as np
 
 from daq.motion.player import MotionSequence, Player, Punctuality, dry_run
 from daq.recording.quality.clocks import ClockLog
-from daq.recording.recorder import Recorder
 from daq.recording.recording import STOPPED
 from daq.robot.schema import Robot
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
@@ -35,6 +34,7 @@ from daq.session.play import (
 from daq.session.retract import retract
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
+from daq.session.unrecorded import SampleKeeper
 from daq.session.watch import Watch
 from drivers.base import Attributing, Driver, Notice
 from drivers.core.clock import SYSTEM_CLOCK, Clock
@@ -135,7 +135,7 @@ def _make_driver(
 
 def record(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     driver: Driver,
-    recorder: Recorder,
+    recorder: SampleKeeper,
     supervisor: Supervisor,
     play: Play | None = None,
     duration: float | None = None,
@@ -233,7 +233,7 @@ def record(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     )
 
 
-def _note_clocks(recorder: Recorder, course: Course) -> None:
+def _note_clocks(recorder: SampleKeeper, course: Course) -> None:
     for breakdown in course.clock.breakdowns():
         recorder.event(course.source_time(), "error", "session", str(breakdown))
     for message in course.clocks.messages():
@@ -266,7 +266,7 @@ def _follow(cycle: Callable[[], None], course: Course, begun: float, duration: f
 
 
 def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
-    driver: Driver, recorder: Recorder, supervisor: Supervisor, course: Course, looked_twice: bool = False
+    driver: Driver, recorder: SampleKeeper, supervisor: Supervisor, course: Course, looked_twice: bool = False
 ) -> None:
     """One cycle: samples, notices, limits, ages, the disk."""
     before = course.clock.now()
@@ -321,7 +321,7 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
         supervisor.restart_ages(now)
 
 
-def _heed(course: Course, recorder: Recorder) -> None:
+def _heed(course: Course, recorder: SampleKeeper) -> None:
     """What a watch has noticed.
 
     Raises:
@@ -339,7 +339,7 @@ def _heed(course: Course, recorder: Recorder) -> None:
         raise SafetyStopError(reason, hint="look at what the arm touched; nothing starts it again by itself")
 
 
-def _note(notices: Sequence[Notice], recorder: Recorder) -> Notice | None:
+def _note(notices: Sequence[Notice], recorder: SampleKeeper) -> Notice | None:
     """Make notices events; the first error among them."""
     for notice in notices:
         recorder.event(notice.time, notice.level, "driver", notice.message)

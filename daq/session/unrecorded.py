@@ -1,23 +1,59 @@
-"""A session without a recording: samples are watched, and none is kept."""
+"""Who keeps the samples of a session: a recorder, or nobody, where they are only watched."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Protocol
 
-from daq.recording.recorder import Recorder
 from daq.recording.recording import Level
+from drivers.core.errors import DiskError
 from drivers.streams import Batch
 
 
-class Unrecorded(Recorder):
-    """Takes the place of a recorder, and keeps nothing."""
+class SampleKeeper(Protocol):
+    """Takes what a session hears and says; `daq.recording.recorder.Recorder` writes it.
+
+    Attributes:
+        file: that is being written.
+        overflow: samples that were dropped because the disk did not keep up.
+    """
+
+    file: Path
+    overflow: int
+
+    @property
+    def backlog(self) -> int:
+        """Bytes that wait for the disk."""
+
+    @property
+    def failure(self) -> DiskError | None:
+        """What ended the writing."""
+
+    def put(self, batch: Batch) -> None:
+        """Take a batch; never blocks."""
+
+    def event(self, time: float, level: Level, source: str, message: str) -> None:
+        """Take an event at a time of the joints' stream [s]."""
+
+    def close(self, *, complete: bool) -> None:
+        """Write the rest and close.
+
+        Raises:
+            DynidError: it could not be written.
+        """
+
+    def discard(self) -> None:
+        """Keep nothing of it."""
+
+
+class Unrecorded:
+    """Keeps nothing; a `SampleKeeper`."""
 
     def __init__(self) -> None:
-        self.path = self.file = Path(os.devnull)
-        self.overflow = 0
-        self._waiting = 0
-        self._failure = None
+        self.file = Path(os.devnull)
+        self.overflow = self.backlog = 0
+        self.failure: DiskError | None = None
 
     def put(self, batch: Batch) -> None:
         """Keep nothing."""

@@ -1,9 +1,9 @@
-"""What an arm of simulated CAN motors does in a motion when something fails, and what the recording says; simulated time.
+"""What an arm of simulated CAN motors does when something fails in a motion, and what the file says; simulated time.
 
     python -m studies.motors.fault_table [FAMILY …]
 
-A motion over 1.5 s, the fault half-way through. `on_stop: hold`; `when_lost: limp` where motors have a time-out. A killed
-program sends nothing more and stops nothing; what it had flushed is rescued by `dynid recover`. Half a CPU minute.
+The fault comes half-way through a short motion. `on_stop: hold`; `when_lost: limp` where motors have a time-out. A
+killed program sends nothing more and stops nothing; what it had flushed is rescued by `dynid recover`. A CPU minute.
 """
 
 from __future__ import annotations
@@ -57,26 +57,24 @@ def faulty(family: str, line: str) -> tuple[str, str]:
             did = state(bench)
         assert report.file is not None
         run = read_recording(report.file)
-        said = report.stopped_by or f"complete, {report.lost['joints']} of {len(run.streams['joints'].time)} rows lost"
-        return did, said.split(" (")[0] if report.stopped_by else said
+        rows = len(run.streams["joints"].time)
+        return did, report.error.message if report.error else f"complete, {report.lost['joints']} of {rows} rows lost"
 
 
 def killed(family: str) -> str:
     """What the arm does whose program was killed in a motion."""
-    with simulated_time() as clock:
-        with motors(clock, family, when_lost="limp" if CODECS[family].times_out else "hold") as bench:
-            with bench.opened() as driver:
-                driver.start()
-                driver.read(0.1)
-                driver.take_control()
-                here = START.copy()
-                for share in np.linspace(0.0, 1.0, 40):
-                    driver.command(here + share * (GOAL - START) / 2.0)
-                    clock.sleep(0.01)
-                assert driver._cycle is not None
-                driver._cycle.stop()
-                did = state(bench)
-                driver._cycle.failure = None
+    lost = "limp" if CODECS[family].times_out else "hold"
+    with simulated_time() as clock, motors(clock, family, when_lost=lost) as bench, bench.opened() as driver:
+        driver.start()
+        driver.read(0.1)
+        driver.take_control()
+        for share in np.linspace(0.0, 1.0, 40):
+            driver.command(START + share * (GOAL - START) / 2.0)
+            clock.sleep(0.01)
+        assert driver._cycle is not None
+        driver._cycle.stop()
+        did = state(bench)
+        driver._cycle.failure = None
     return did
 
 
