@@ -1,5 +1,6 @@
-/* The packed rows of the links' parameters in the regressor (ident/model/regressor.py, whose formulas these are),
- * LANES samples at a time. Motion in the axes of the base, then turned into each link's frame. */
+/* Of many samples, LANES at a time: the packed rows of the links' parameters in the regressor (ident/model/regressor.py,
+ * whose formulas these are), and the torques that given links need. Motion in the axes of the base, then turned into
+ * each link's frame. */
 #include <math.h>
 #include <string.h>
 
@@ -7,6 +8,7 @@
 
 #define LANES 4
 typedef double lanes __attribute__((vector_size(8 * LANES)));
+#define INLINE static inline __attribute__((always_inline))
 typedef long long whole __attribute__((vector_size(8 * LANES)));
 
 struct rows {
@@ -19,7 +21,7 @@ struct rows {
     const double *axis_factor;
 };
 
-static inline __attribute__((always_inline)) lanes taken(const double *row, int count)
+INLINE lanes taken(const double *row, int count)
 {
     lanes values = {0};
     if (count == LANES)
@@ -29,7 +31,7 @@ static inline __attribute__((always_inline)) lanes taken(const double *row, int 
     return values;
 }
 
-static inline __attribute__((always_inline)) void put(double *row, lanes values, int count)
+INLINE void put(double *row, lanes values, int count)
 {
     if (count == LANES)
         memcpy(row, &values, sizeof values);
@@ -39,7 +41,7 @@ static inline __attribute__((always_inline)) void put(double *row, lanes values,
 
 /* Sine and cosine: the angle less the nearest multiple of pi/2, in three parts, then the polynomials of the Cephes
  * library (S. L. Moshier, 1989), exact to an ulp or two; angles beyond 1e5 and what is no number by the C library. */
-static inline __attribute__((always_inline)) void turn_of(lanes angle, lanes *sine, lanes *cosine)
+INLINE void turn_of(lanes angle, lanes *sine, lanes *cosine)
 {
     const double magic = 6755399441055744.0; /* 1.5 * 2^52: adding it rounds, and leaves the whole number below */
     lanes shifted = angle * 0.63661977236758134308 + magic, quarters = shifted - magic;
@@ -60,14 +62,14 @@ static inline __attribute__((always_inline)) void turn_of(lanes angle, lanes *si
             (*sine)[lane] = sin(angle[lane]), (*cosine)[lane] = cos(angle[lane]);
 }
 
-static inline __attribute__((always_inline)) void cross(const lanes *a, const lanes *b, lanes *out)
+INLINE void cross(const lanes *a, const lanes *b, lanes *out)
 {
     lanes x = a[1] * b[2] - a[2] * b[1], y = a[2] * b[0] - a[0] * b[2], z = a[0] * b[1] - a[1] * b[0];
     out[0] = x, out[1] = y, out[2] = z;
 }
 
 /* R^T v */
-static inline __attribute__((always_inline)) void into(const lanes *rotation, const lanes *vector, lanes *out)
+INLINE void into(const lanes *rotation, const lanes *vector, lanes *out)
 {
     for (int i = 0; i < 3; i++)
         out[i] = rotation[i] * vector[0] + rotation[3 + i] * vector[1] + rotation[6 + i] * vector[2];
@@ -78,7 +80,7 @@ struct link {
     lanes origin[3], axis[3], angular[3], change[3], linear[3];
 };
 
-static inline __attribute__((always_inline)) void place(const struct tree *tree, int joint, struct link *links, lanes position, lanes rate,
+INLINE void place(const struct tree *tree, int joint, struct link *links, lanes position, lanes rate,
                          lanes acceleration)
 {
     struct link *own = links + joint;
@@ -134,7 +136,7 @@ static inline __attribute__((always_inline)) void place(const struct tree *tree,
     }
 }
 
-static inline __attribute__((always_inline)) void write_rows(const int *kinds, int count, const lanes *w, const lanes *v, const lanes *rate,
+INLINE void write_rows(const int *kinds, int count, const lanes *w, const lanes *v, const lanes *rate,
                               const lanes *change, const lanes *a, double *out, long stride, int samples)
 {
     lanes xx = rate[0] * rate[0], yy = rate[1] * rate[1], zz = rate[2] * rate[2];
@@ -159,7 +161,7 @@ static inline __attribute__((always_inline)) void write_rows(const int *kinds, i
     }
 }
 
-static inline __attribute__((always_inline)) void motor_axis(const struct tree *tree, const struct rows *rows, const int *entry, const struct link *links,
+INLINE void motor_axis(const struct tree *tree, const struct rows *rows, const int *entry, const struct link *links,
                               const double *shares, long from, int samples, lanes *w, lanes *v)
 {
     const struct link *link = links + entry[0];
@@ -217,6 +219,72 @@ void dynid_rows(const struct tree *tree, const struct rows *rows, int count, lon
             motor_axis(tree, rows, entry, links, shares + start, from, samples, w, v);
             write_rows(rows->kinds + first, kinds, w, v, angular, change, linear, out + stride * entry[1] + start, stride,
                        samples);
+        }
+    }
+}
+
+/* R v */
+INLINE void outof(const lanes *rotation, const lanes *vector, lanes *out)
+{
+    for (int i = 0; i < 3; i++)
+        out[i] = rotation[3 * i] * vector[0] + rotation[3 * i + 1] * vector[1] + rotation[3 * i + 2] * vector[2];
+}
+
+/* Force and moment about its frame's origin that a link with ten parameters needs, in the axes of the base. */
+INLINE void wrench(const struct link *link, const double *own, lanes *force, lanes *moment)
+{
+    lanes w[3], e[3], a[3], spin[3], f[3], n[3], turned[3];
+    into(link->rotation, link->angular, w);
+    into(link->rotation, link->change, e);
+    into(link->rotation, link->linear, a);
+    lanes h[3] = {own[6] + 0.0 * w[0], own[7] + 0.0 * w[0], own[8] + 0.0 * w[0]};
+    cross(w, h, f);
+    cross(w, f, f);
+    cross(e, h, turned);
+    for (int i = 0; i < 3; i++)
+        f[i] += own[9] * a[i] + turned[i];
+    const int place[9] = {0, 1, 2, 1, 3, 4, 2, 4, 5};
+    for (int i = 0; i < 3; i++) {
+        const int *row = place + 3 * i;
+        spin[i] = own[row[0]] * w[0] + own[row[1]] * w[1] + own[row[2]] * w[2];
+        n[i] = own[row[0]] * e[0] + own[row[1]] * e[1] + own[row[2]] * e[2];
+    }
+    cross(w, spin, spin);
+    cross(h, a, turned);
+    for (int i = 0; i < 3; i++)
+        n[i] += spin[i] + turned[i];
+    outof(link->rotation, f, force);
+    outof(link->rotation, n, moment);
+}
+
+/* Torques (n, count) of the tree's joints, all rows `from` doubles apart; inertial (n, 10) of the links. */
+void dynid_torques(const struct tree *tree, const double *inertial, int count, long from, const double *position,
+                   const double *rate, const double *acceleration, double *out)
+{
+    struct link links[tree->joints];
+    lanes force[tree->joints][3], moment[tree->joints][3];
+    for (int start = 0; start < count; start += LANES) {
+        int samples = count - start < LANES ? count - start : LANES;
+        for (int joint = 0; joint < tree->joints; joint++) {
+            long at = from * joint + start;
+            place(tree, joint, links, taken(position + at, samples), taken(rate + at, samples),
+                  taken(acceleration + at, samples));
+            wrench(links + joint, inertial + 10 * joint, force[joint], moment[joint]);
+        }
+        for (int joint = tree->joints - 1; joint >= 0; joint--) {
+            const lanes *axis = links[joint].axis, *along = tree->prismatic[joint] ? force[joint] : moment[joint];
+            put(out + from * joint + start, axis[0] * along[0] + axis[1] * along[1] + axis[2] * along[2], samples);
+            int parent = tree->parent[joint];
+            if (parent < 0)
+                continue;
+            lanes arm[3], turned[3];
+            for (int i = 0; i < 3; i++)
+                arm[i] = links[joint].origin[i] - links[parent].origin[i];
+            cross(arm, force[joint], turned);
+            for (int i = 0; i < 3; i++) {
+                force[parent][i] += force[joint][i];
+                moment[parent][i] += moment[joint][i] + turned[i];
+            }
         }
     }
 }

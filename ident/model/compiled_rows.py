@@ -1,9 +1,9 @@
-"""The regressor's rows of the links' parameters by the compiled kernel (ident/compiled/rows.c)."""
+"""The regressor's rows of the links' parameters, and torques of given links, compiled (ident/compiled/rows.c)."""
 
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,10 @@ from ident.model.kinematics.transmission import TreeMotion
 
 Share = float | tuple[int, int]
 """Factor of a joint's axis in a motor's: a number, or its entry (motor, joint) of R⁻ᵀGᵀ if it varies."""
+
+
+TreeTorques = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+"""Torques (n, m) of position, velocity and acceleration (n, m)."""
 
 
 @dataclass(frozen=True)
@@ -99,3 +103,20 @@ class CompiledRows:
 def compiled_rows(joints: Sequence[Joint], gravity: FloatArray, links: Sequence[LinkRows]) -> CompiledRows | None:
     """The rows of an arm; None without a library."""
     return None if kernels().long is None else CompiledRows(joints, gravity, links)
+
+
+def compiled_torques(joints: Sequence[Joint], gravity: FloatArray, inertial: FloatArray) -> TreeTorques | None:
+    """Torques (n, m) of a tree's joints for its motion (n, m), of links (10·n,); None without a library."""
+    if kernels().long is None:
+        return None
+    tree, links = CompiledTree(joints, gravity), np.array(inertial, dtype=np.float64)
+    call = kernels().long.dynid_torques
+
+    def torques(position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
+        count, torque = position.shape[1], np.empty(position.shape)
+        rows = [links, *(np.ascontiguousarray(motion) for motion in (position, velocity, acceleration)), torque]
+        first, *others = (ctypes.c_void_p(address(row)) for row in rows)
+        call(ctypes.byref(tree), first, ctypes.c_int(count), ctypes.c_long(count), *others)
+        return torque
+
+    return torques

@@ -29,7 +29,7 @@ from drivers.core.arrays import FloatArray
 from ident.friction.table import LOAD_KINDS
 from ident.friction.terms import NO_STATES, NO_TERMS, FrictionConditions, States
 from ident.linear_algebra.triangular import QrAccumulator
-from ident.model.compiled_rows import LinkRows, Share, compiled_rows
+from ident.model.compiled_rows import LinkRows, Share, compiled_rows, compiled_torques
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.kinematics.joints import ancestors
@@ -411,13 +411,16 @@ def model_torque(
     count, transmission = position.shape[1], model.transmission
     at_once = min(count, SAMPLES_AT_ONCE)
     load_kernel = LoadTorqueKernel(model, at_once) if loads else None
-    links = LinkTorques(model.joints, model.gravity, standard[: LINK_SIZE * len(model.joints)], at_once)
+    inertial = standard[: LINK_SIZE * len(model.joints)]
+    links = compiled_torques(model.joints, model.gravity, inertial)
+    if links is None:
+        links = LinkTorques(model.joints, model.gravity, inertial, at_once).torque
     torque = np.empty(position.shape)
     for start in range(0, count, SAMPLES_AT_ONCE):
         chunk = slice(start, start + SAMPLES_AT_ONCE)
         q, rate, change = position[:, chunk], velocity[:, chunk], acceleration[:, chunk]
         motion = model.tree_motion(q, rate, change)
-        at_tree = links.torque(motion.position, motion.velocity, motion.acceleration)
+        at_tree = links(motion.position, motion.velocity, motion.acceleration)
         part = at_tree
         if not transmission.direct:
             part = transmission.joint_to_motor @ transmission.from_tree(motion, at_tree)
