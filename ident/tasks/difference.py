@@ -133,7 +133,7 @@ def diff(
 def _servo_result(given: object) -> ServoResult | None:
     """The result of a servo model, read where a path is given; None of anything else."""
     if isinstance(given, GradedResult):
-        return given.result if given.result.kind == SERVO else None
+        return given.result if isinstance(given.result, ServoResult) else None
     if isinstance(given, (str, PathLike)) and kind_of(path := result_path(given)) == SERVO:
         return read_servo_result(path)
     return None

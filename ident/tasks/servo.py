@@ -107,7 +107,7 @@ class ServoModel(GradedResult):
 
         Args:
             time: (N,) [s], increasing; at least 3 s, from 8 Hz up.
-            command: (N, n) positions [rad or m].
+            command: (N, n) positions [rad or m], each of which holds until the next.
             start: (n,) position at the beginning [rad or m], at rest; the first command without.
 
         Raises:
