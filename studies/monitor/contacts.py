@@ -189,7 +189,8 @@ def stated_forces(model: Model, runs: list[JointSamples], thresholds: Thresholds
 
 def stops(model: Model, samples: JointSamples, thresholds: Thresholds) -> None:
     """Time from a force until a session is asked to stop: samples one by one, as a connection delivers them."""
-    with_force, contacts = pushed(model, samples, thresholds, 2.0, np.random.default_rng(4))
+    generator = np.random.default_rng(4)
+    with_force, contacts = pushed(model, samples, thresholds, 2.0, generator)
     robot = model.stored.robot_file.robot
     current = with_force.torque / np.array([robot.drive(name).gain for name in robot.joint_names], dtype=np.float64)
     channels = tuple(ChannelLayout(quantity, robot.joint_names) for quantity in ("position", "current"))
@@ -198,7 +199,8 @@ def stops(model: Model, samples: JointSamples, thresholds: Thresholds) -> None:
         watch = LiveMonitor(model, thresholds, stops=True)
         watch.begin([StreamLayout("joints", channels, RATE)])
         first, begun, last = np.searchsorted(samples.time, [contact.start - BEFORE, contact.start, contact.end])
-        for row in range(int(first), int(last)):
+        # samples are evaluated a few at a time: a push may begin at any of them
+        for row in range(int(first + generator.integers(5)), int(last)):
             at = slice(row, row + 1)
             values = {"position": with_force.position[at], "current": current[at]}
             watch.add(Batch("joints", samples.time[at], samples.time[at], values))
