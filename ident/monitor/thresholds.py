@@ -99,8 +99,8 @@ class Thresholds:
         celsius: (2, n) lowest and highest temperature that was observed [°C]; None where none was recorded.
         drift: (n,) by which thresholds grow per kelvin beyond these [N·m/K or N/K]; 0 where the model's friction
             depends on the temperature, and its σ with it.
-        surely: (3, n) spreads above the level at which a torque of `CONTACT` is noticed in 95 % of the cases; below 0
-            where the residual's own changes help.
+        noticed: (3, n) external torque that is noticed in 95 % of contacts of `CONTACT`, by the way of motion in which
+            they begin [N·m or N]; near rest, where the joint stays there.
         momentum_noise, torque_noise: (n,) of the observer [N·m·s, N·m].
         torque_limit: (n,) largest |torque of the drives| that was observed, for comparison [N·m or N].
         sources: recordings.
@@ -118,7 +118,7 @@ class Thresholds:
     fastest: FloatArray
     celsius: FloatArray | None
     drift: FloatArray
-    surely: FloatArray
+    noticed: FloatArray
     momentum_noise: FloatArray
     torque_noise: FloatArray
     torque_limit: FloatArray
@@ -133,11 +133,6 @@ class Thresholds:
     def limit(self) -> FloatArray:
         """(3, n) residual at which an alarm begins in each way of motion [N·m or N]."""
         return np.asarray(self.level[:, None] * self.spread)
-
-    @property
-    def noticed(self) -> FloatArray:
-        """(3, n) external torque that is noticed in 95 % of contacts of `CONTACT`, in each way of motion [N·m or N]."""
-        return np.asarray((self.level[:, None] + self.surely) * self.spread)
 
     def of(self, way: IndexArray, spread: FloatArray, celsius: FloatArray | None) -> FloatArray:
         """Thresholds (N, n) [N·m or N], by way of motion, `spread_of` and temperatures (N, n) [°C]."""
@@ -239,6 +234,7 @@ def learn(
         if PEAK_SHARE * len(maxima) >= FEWEST_PEAKS:
             tails[name] = return_level(maxima, len(size) * period / 3600.0, per_hour / len(WAYS))
     highest = max((tail.level for tail in tails.values()), default=np.nan)
+    level = np.array([tails[name].level if name in tails else highest for name in WAYS])
     celsius = [run.celsius for run in everything if run.celsius is not None]
     return Thresholds(
         kind=kind,
@@ -246,7 +242,7 @@ def learn(
         period=period,
         ways=ways,
         spread=spread,
-        level=np.array([tails[name].level if name in tails else highest for name in WAYS]),
+        level=level,
         tails=tails,
         per_hour=per_hour,
         model_std=np.sqrt(np.mean(np.square(np.concatenate(stds)), axis=0)),
@@ -257,7 +253,7 @@ def learn(
         if celsius
         else None,
         drift=FRICTION_PER_KELVIN * friction,
-        surely=_surely(residual / np.take_along_axis(spread, way, axis=0), way, round(CONTACT / period) - settle),
+        noticed=_noticed(residual, way, level[:, None], spread, settle, round(CONTACT / period)),
         momentum_noise=momentum_noise,
         torque_noise=torque_noise,
         torque_limit=np.max([np.abs(run.measured).max(axis=0) for run in everything], axis=0),
@@ -279,24 +275,27 @@ def _spreads(size: FloatArray, way: IndexArray, fewest: int) -> FloatArray:
     return spread
 
 
-def _surely(ratio: FloatArray, way: IndexArray, length: int) -> FloatArray:
-    """`Thresholds.surely` (3, n), from ratios (N, n) of residual and spread.
+def _noticed(
+    residual: FloatArray, way: IndexArray, level: FloatArray, spread: FloatArray, settle: int, length: int
+) -> FloatArray:
+    """`Thresholds.noticed` (3, n), from residuals (N, n) without contact and their ways of motion.
 
-    A contact is noticed once the residual helps: of windows of so many samples within one way of motion, the largest
-    ratio of either sign is what 95 % of them reach.
+    In windows of so many samples, a torque that the observer shows after `settle` of them is noticed if it passes the
+    threshold once, together with the residual: it needs the smallest difference of both.
     """
-    surely = np.full((len(WAYS), ratio.shape[1]), SURELY)
-    count = len(ratio) // max(length, 1)
-    if length < 1 or not count:
-        return surely
-    ratios, ways = (values[: count * length].reshape(count, length, -1) for values in (ratio, way))
-    largest, least, same = ratios.max(axis=1), ratios.min(axis=1), np.all(ways == ways[:, :1], axis=1)
-    for kind, joint in np.ndindex(surely.shape):
-        whole = same[:, joint] & (ways[:, 0, joint] == kind)
-        if np.count_nonzero(whole) >= FEWEST_WINDOWS:
-            reached = np.concatenate([largest[whole, joint], -least[whole, joint]])
-            surely[kind, joint] = -np.quantile(reached, 0.05)
-    return surely
+    limit, count = level * spread, len(residual) // length
+    noticed = limit + SURELY * spread
+    if length <= settle or not count:
+        return np.asarray(noticed)
+    residuals, ways = (values[: count * length].reshape(count, length, -1) for values in (residual, way))
+    limits = np.take_along_axis(limit[None], ways, axis=1)
+    needed = [np.min((limits - sign * residuals)[:, settle:], axis=1) for sign in (1.0, -1.0)]
+    stays = np.all(ways == REST, axis=1)
+    for kind, joint in np.ndindex(noticed.shape):
+        windows = stays[:, joint] if kind == REST else ways[:, 0, joint] == kind
+        if np.count_nonzero(windows) >= FEWEST_WINDOWS:
+            noticed[kind, joint] = np.quantile([torque[windows, joint] for torque in needed], 0.95)
+    return np.asarray(noticed)
 
 
 def _second_difference(values: FloatArray) -> FloatArray:

@@ -42,7 +42,7 @@ THRESHOLDS = Thresholds(
     fastest=np.ones(6),
     celsius=None,
     drift=np.zeros(6),
-    surely=np.zeros((3, 6)),
+    noticed=np.ones((3, 6)),
     momentum_noise=np.zeros(6),
     torque_noise=np.ones(6),
     torque_limit=np.ones(6),
@@ -157,7 +157,7 @@ def test_no_alarm_without_contact_and_one_for_a_push(noisy: tuple[JointSamples, 
 def test_the_torque_that_is_noticed_is_so_in_95_percent_of_the_cases(noisy: tuple[JointSamples, Thresholds]) -> None:
     model, _ = known_model("ur5e")
     quiet, thresholds = noisy
-    assert thresholds.surely.min() < 0.0  # within 0.2 s, noise helps
+    assert np.any(thresholds.noticed < thresholds.limit)  # within 0.2 s, noise helps
     residuals = Monitor(model, thresholds, load=False).add(quiet)
     joints = np.arange(6)
     found = []
