@@ -81,12 +81,13 @@ METHODS = {
     "ridge": "ident.benchmark.entries.black_boxes:ridge",
     "nearest-neighbour": "ident.benchmark.entries.black_boxes:nearest_neighbour",
     "dynid-servo": "ident.benchmark.entries.servo_models:dynid_servo",
+    "mujoco-sysid": "ident.benchmark.entries.mujoco_sysid:mujoco_sysid",
     "delay-and-lag": "ident.benchmark.entries.servo_models:delay_and_lag",
     "command": "ident.benchmark.entries.servo_models:command_itself",
 }
 """Entries that come with dynid, as `module:function`."""
 
-SERVO_METHODS = frozenset({"dynid-servo", "delay-and-lag", "command"})
+SERVO_METHODS = frozenset({"dynid-servo", "mujoco-sysid", "delay-and-lag", "command"})
 """Those of them that are for servo arms: no process is started to ask."""
 
 DEFAULTS = ("dynid", "dynid-servo")

@@ -105,7 +105,7 @@ def _identified(job: Job, folder: Path) -> dict[str, Any]:
     from ident.tasks.identification import identify
     from ident.tasks.servo import identify_servo
 
-    with _local((*job.recordings, *job.validation)) as paths:
+    with local_copies((*job.recordings, *job.validation)) as paths:
         runs, validation = paths[: len(job.recordings)], paths[len(job.recordings) :]
         if job.method == "servo":
             if job.options:
@@ -132,7 +132,7 @@ def _peak_memory() -> float:
 
 
 @contextmanager
-def _local(places: Sequence[str]) -> Iterator[list[Path]]:
+def local_copies(places: Sequence[str]) -> Iterator[list[Path]]:
     """Paths of the recordings; what has a URL is fetched into a folder of its own, block by block.
 
     Raises:

@@ -18,22 +18,22 @@ KEPT = (0.5, 1.0, 2.0)
 
 def delivered(training: Training) -> TorquePredictor:
     """The model that `dynid identify` hands out: bodies that can exist."""
-    return _predictor(_identified(training, "wls"), "consistent")
+    return predictor_of(_identified(training, "wls"), "consistent")
 
 
 def full(training: Training) -> TorquePredictor:
     """All base parameters as estimated, by weighted least squares."""
-    return _predictor(_identified(training, "wls"), "full")
+    return predictor_of(_identified(training, "wls"), "full")
 
 
 def ols(training: Training) -> TorquePredictor:
     """The delivered model by ordinary least squares."""
-    return _predictor(_identified(training, "ols"), "consistent")
+    return predictor_of(_identified(training, "ols"), "consistent")
 
 
 def irls(training: Training) -> TorquePredictor:
     """The delivered model by iteratively re-weighted least squares."""
-    return _predictor(_identified(training, "irls"), "consistent")
+    return predictor_of(_identified(training, "irls"), "consistent")
 
 
 def _identified(training: Training, method: str) -> IdentificationResult:
@@ -47,7 +47,8 @@ def _identified(training: Training, method: str) -> IdentificationResult:
     return identify(runs, robot=training.robot, method=method)
 
 
-def _predictor(identified: IdentificationResult, kind: Literal["consistent", "full"]) -> TorquePredictor:
+def predictor_of(identified: IdentificationResult, kind: Literal["consistent", "full"]) -> TorquePredictor:
+    """One of an identification's models; the unconstrained one where no bodies were found."""
     result = identified.result
     known = result.standard_parameters is not None
     model = Model(result, kind if known else "full")

@@ -31,17 +31,20 @@ from ident.benchmark.dataset import (
     part,
     registered,
 )
+from ident.benchmark.entries import mujoco_sysid
 from ident.benchmark.entry import (
     METHODS,
     SERVO_METHODS,
+    ServoPredictor,
     TorquePredictor,
+    Training,
     chosen_methods,
     kind_of,
     load_method,
     torque_predictor,
 )
 from ident.benchmark.forward import forward_error
-from ident.benchmark.judge import agreement, judge_torques
+from ident.benchmark.judge import agreement, judge_servo, judge_torques
 from ident.benchmark.motion import motions
 from ident.benchmark.results import Benchmark, Entry
 from ident.benchmark.run import judge_method, run_benchmark
@@ -49,6 +52,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from sim_drivers.synthetic.measurement import random_fourier_motion
+from sim_drivers.synthetic.servo import simulate_servo
 
 ROBOT = load_robot("up6")
 MODEL, TRUTH = build_model(ROBOT), truth_vector(ROBOT)
@@ -237,6 +241,22 @@ def test_predictions_that_cannot_be_compared_are_refused(held_out):
     }.items():
         with pytest.raises(DataError, match=words):
             judge_torques(TorquePredictor(torque), held_out, ROBOT)
+
+
+def test_mujoco_sysid_learns_a_servo_arm(monkeypatch):
+    pytest.importorskip("mujoco.sysid._src.optimize", reason="needs the extra 'bench'")
+    monkeypatch.setattr(mujoco_sysid, "ITERATIONS", 1)
+    monkeypatch.setattr(mujoco_sysid, "DECIMATION", 5)
+    robot = load_robot("so101")
+    learnt, held_out = (simulate_servo(robot, duration=3.0, seed=seed) for seed in (1, 2))
+    fitted = mujoco_sysid.mujoco_sysid(Training(robot, (learnt,)))
+    errors = [judge_servo(of, (held_out,), robot, None).rollout_error for of in (fitted, ServoPredictor(follow))]
+    assert errors[0] < 0.7 * errors[1]
+
+
+def follow(time, command, start):
+    """Positions of an arm that is where its commands are."""
+    return command
 
 
 def test_a_download_is_kept_only_with_its_checksum(exact, monkeypatch, tmp_path):

@@ -14,7 +14,7 @@ import dynid
 from drivers.core.errors import ConnectionFailedError, UsageError
 from ident.fleet import workers
 from ident.fleet.fleet import FLEET_RESULT, identify_fleet
-from ident.fleet.job import run_job
+from ident.fleet.job import local_copies, run_job
 from ident.fleet.plan import read_fleet
 
 FLEET = """
@@ -124,6 +124,28 @@ def test_a_scheduler_that_is_not_there_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match="needs Dask"):
         list(workers.outcomes((), str(tmp_path), 1, "tcp://127.0.0.1:9"))
+
+
+def test_a_recording_in_an_object_store_is_fetched_by_the_worker(tmp_path, run, monkeypatch):
+    """A server of moto answers as S3 does, at an address of this computer."""
+    server = pytest.importorskip("moto.server", reason="needs moto[server]").ThreadedMotoServer(port=0, verbose=False)
+    s3fs = pytest.importorskip("s3fs", reason="needs s3fs")
+    server.start()
+    try:
+        host, port = server.get_host_and_port()
+        settings = {"key": "k", "secret": "s", "endpoint_url": f"http://{host}:{port}"}
+        monkeypatch.setitem(sys.modules["fsspec"].config.conf, "s3", settings)
+        store = s3fs.S3FileSystem()
+        store.mkdir("lab")
+        store.put(str(run), "lab/week.h5")
+        text = "arms: [{name: a, recordings: ['s3://lab/week.h5', 's3://lab/gone.h5']}]"
+        there, gone = read_fleet(written(tmp_path, text))
+        with local_copies(there.recordings) as (path,):
+            assert path.read_bytes() == run.read_bytes()
+        assert not path.exists()
+        assert "FileNotFoundError" in run_job(gone, str(tmp_path / "out")).failure
+    finally:
+        server.stop()
 
 
 def test_a_folder_of_another_kind_is_left_alone(tmp_path, run):
