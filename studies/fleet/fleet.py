@@ -71,7 +71,12 @@ def kill_a_worker(after: float) -> None:
 def cluster() -> list[subprocess.Popen[bytes]]:
     """A scheduler and two workers, in this order."""
     module = [sys.executable, "-m"]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    quiet = {
+        "stdin": subprocess.DEVNULL,
+        "stdout": subprocess.DEVNULL,
+        "stderr": subprocess.DEVNULL,
+        "start_new_session": True,
+    }
     address = f"tcp://127.0.0.1:{PORT}"
     scheduler = [
         *module,
