@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.assessment.refit import Deviation, Kind, Refit, Unknown
+from drivers.core.text import percent_text
+from ident.assessment.refit import TELLING, Deviation, Kind, Refit, Unknown, shifted_origins
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.comparison import TorqueSeries, compare_torques, independent_share, residual_autocorrelation
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
@@ -110,7 +111,7 @@ def candidates(refit: Refit, independent: float, poor: bool) -> list[Deviation]:
         independent: number of independent equations.
         poor: whether the fit is poor, so that a gain may be far from what the robot file says.
     """
-    deviations = sorted(refit.deviations(), key=lambda one: -one.likelihood)
+    deviations = sorted(refit.deviations, key=lambda one: -one.likelihood)
     total = float(refit.rows.sum())
     if not deviations:
         return []
@@ -152,7 +153,9 @@ def most_likely(
         found: the deviations.
     """
     total = float(refit.rows.sum())
-    deviations = sorted(found, key=lambda one: _price(one) * total / max(1.0, independent) - one.likelihood)
+    # An angle that no torque shows, as out of a pendulum's plane, fits by its length alone what a number does.
+    known = [one for one in found if abs(one.value) >= MOST_UNCERTAIN * one.std]
+    deviations = sorted(known or found, key=lambda one: _price(one) * total / max(1.0, independent) - one.likelihood)
     if not deviations:
         return []
     shares = [
@@ -258,6 +261,25 @@ def model_error_checks(model: DynamicModel, deviations: Sequence[Deviation]) -> 
     remedies = "; ".join(_REMEDIES[kind] for kind in reversed(kinds))
     text = f"the torques agree better with {clauses}: {remedies}"
     return [raised(name, text, [name for name in model.joint_names if name in joints])]
+
+
+def unchecked_lengths(refit: Refit, independent: float) -> list[Check]:
+    """The note that no length could be checked, which predictions hide: the parameters fit any lengths then."""
+    model = refit.model
+    lengths = {origin: abs(float(model.joints[origin[0]].translation[origin[1]])) for origin in shifted_origins(model)}
+    lengths = {origin: length for origin, length in lengths.items() if model.joints[origin[0]].parent >= 0}
+    worth = (independent - len(refit.active)) / max(1.0, float(refit.rows.sum()))
+    for one in refit.deviations if worth > 0.0 else ():
+        length = lengths.get((one.unknown.joint, one.unknown.axis or 0), 0.0) if one.unknown.kind == "length" else 0.0
+        if MOST_UNCERTAIN * one.std / float(np.sqrt(worth)) < TELLING * length:
+            return []
+    if not lengths:
+        return []
+    text = (
+        f"the lengths are the robot file's: these data do not show whether they are right, to {percent_text(TELLING, 1)}, "
+        "since the other parameters fit any; check that the file is this arm's, or record a faster motion of all joints"
+    )
+    return [raised("lengths-unchecked", text)]
 
 
 _CHECKS: dict[Kind, str] = {

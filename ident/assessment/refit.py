@@ -153,6 +153,7 @@ class Refit:
             found += [Unknown("zero", j) for j in moving if not self.model.joints[self.model.active[j]].prismatic]
         return [*found, Unknown("gravity")] if np.any(self.model.gravity) else found
 
+    @cached_property
     def deviations(self) -> list[Deviation]:
         """Every unknown that the data show, linearised once at the file's value."""
         if len(self.used) < 2:

@@ -484,6 +484,11 @@ _MODEL = (
         "the drive gain of a joint does not agree with the other joints",
         "Identify the drive gains with a known load (`dynid gains`).",
     ),
+    _note(
+        "lengths-unchecked",
+        "the data do not show whether the lengths of the robot file are right",
+        "Check that the file is this arm's; a faster motion of all joints would show it.",
+    ),
     CheckKind(
         "inconsistent-length",
         "warning",

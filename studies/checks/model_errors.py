@@ -135,7 +135,7 @@ def ratios(found: Identification) -> list[str]:
     share = (found.corrected.effective_rows - len(found.solution.active)) / refit.rows.sum()
     texts = []
     for kind in KINDS:
-        of_kind = [one for one in refit.deviations() if one.unknown.kind == kind]
+        of_kind = [one for one in refit.deviations if one.unknown.kind == kind]
         worst = max(of_kind, key=lambda one: one.likelihood, default=None)
         texts.append("–" if worst is None else f"{worst.likelihood * share:.1f} ({worst.value:.2g})")
     return texts

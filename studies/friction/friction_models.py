@@ -63,12 +63,17 @@ def main(names: list[str]) -> None:
             figures = errors(found)
             print(f"{friction:36} " + " ".join(f"{figure:7.3f}" for figure in figures), flush=True)
         for step in found.friction.steps:
-            errors_text = f"{step.error_before:.4f} → {step.error_after:.4f}"
-            test = f"F({step.freedom}) {step.f_value:8.1f}  p {step.p_value:8.2g}"
+            errors_text = f"{_number(step.error_before, '.4f')} → {_number(step.error_after, '.4f')}"
+            test = f"F({step.freedom}) {_number(step.f_value, '8.1f')}  p {_number(step.p_value, '8.2g')}"
             print(f"  {step.joint:22} {step.term:18} {test}  held out {errors_text}  {'added' * step.accepted}")
         terms = found.model.terms
         for name, values in terms.shapes.items():
             print(f"  {name} {np.round(values, 4)}")
+
+
+def _number(value: float | None, style: str) -> str:
+    """A number; a dash where a term was not tried."""
+    return "–" if value is None else format(value, style)
 
 
 if __name__ == "__main__":

@@ -19,6 +19,7 @@ from ident.assessment.model_errors import (
     most_likely,
     quarter_turns,
     reported,
+    unchecked_lengths,
 )
 from ident.assessment.refit import Deviation, Refit
 from ident.model.base_parameters import BaseParameters
@@ -87,7 +88,7 @@ def mistake_checks(
         deviations = most_likely(refit, runs, independent, [*tried, *quarter_turns(refit)])
     if deviations and not well and not competition.explained_by(deviations[0]):
         return []
-    return model_error_checks(model, deviations)
+    return model_error_checks(model, deviations) or (unchecked_lengths(refit, independent) if well else [])
 
 
 def _as_recorded(run: Prepared) -> Prepared:

@@ -71,7 +71,7 @@ def refit_of(found: Identification) -> Refit:
 
 
 def deviations_of(found: Identification) -> dict[tuple[str, int, int | None], Deviation]:
-    ones = refit_of(found).deviations()
+    ones = refit_of(found).deviations
     return {(one.unknown.kind, one.unknown.joint, one.unknown.axis): one for one in ones}
 
 

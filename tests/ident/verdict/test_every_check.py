@@ -642,6 +642,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.clean(),
     ),
     "inconsistent-gain": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, 1, 1.6])), lambda b: b.clean()),
+    "lengths-unchecked": (lambda b: b.found(b.recorded(1, 30.0, (1, 0, 0))), lambda b: b.clean()),
     "wrong-gain": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, 1, 20])), lambda b: b.clean()),
     "other-size": (lambda b: b.of_another_size(1.25), lambda b: b.clean()),
     "motors-coupled": (lambda b: b.found(changed(b.recorded(), coupled)), lambda b: b.clean()),
