@@ -276,7 +276,7 @@ def unchecked_lengths(refit: Refit, independent: float) -> list[Check]:
     if not lengths:
         return []
     text = (
-        f"the lengths are the robot file's: these data do not show whether they are right, to {percent_text(TELLING, 1)}, "
+        f"the lengths are the robot file's: these data do not show {percent_text(TELLING, 1)} of one, "
         "since the other parameters fit any; check that the file is this arm's, or record a faster motion of all joints"
     )
     return [raised("lengths-unchecked", text)]
