@@ -1,7 +1,8 @@
 """Servo models of simulated arms: how many true parameters lie in their 95 % intervals, and what is refused.
 
 Three arms, each as it is and with play in its gears and breakaway friction, which the model holds in part. A parameter
-is refused where it is marked unidentifiable or assumed: the torques of a joint without gravity must be.
+is refused where it is marked unidentifiable or assumed: the stiffness of a joint without gravity must be, and its other
+torques are compared with the truth in its scale.
 
 `python -m studies.servo.coverage SEEDS` takes about half a minute of CPU time for each identification, of which there
 are six a seed; `python -m studies.servo.coverage 1 koch` takes one arm only.
@@ -18,6 +19,7 @@ import numpy as np
 
 import dynid
 from daq.robot.loader import load_robot
+from ident.servo.fit import TORQUES
 from ident.servo.links import servo_links
 from sim_drivers.plant.altered_arm import with_servos
 from sim_drivers.synthetic.servo import simulate_servo, true_values
@@ -51,10 +53,13 @@ def main() -> None:
                 model = dynid.identify_servo(run, validation=other)
                 weighted = {names[row] for row in servo_links(file).weighted(run.position.T)}
                 for joint in model.result.servo:
+                    stiffness = joint.parameters["stiffness"]
                     if joint.joint not in weighted:
-                        refused.append(joint.parameters["stiffness"].unidentifiable)
+                        refused.append(stiffness.unidentifiable)
                     for term, found in joint.parameters.items():
                         true = truth[joint.joint].get(term, 0.0)
+                        if term in TORQUES and stiffness.origin == "assumed":
+                            true *= stiffness.value / truth[joint.joint]["stiffness"]
                         known = term in inside and (true > 0 or term in SIGNED)
                         if known and found.interval is not None and not found.unidentifiable:
                             inside[term].append(found.interval[0] <= true <= found.interval[1])

@@ -13,8 +13,8 @@ from ident.servo.rollout import Lanes, Touch, _goals, profile_goals, roll_out
 from ident.servo.search import evaluate
 from ident.servo.terms import GROUPS, INDEX, TERMS, from_search, members, start_values, to_search, with_group
 
-SMOOTH = [term.name for term in TERMS if term.name != "acceleration_limit"]
-"""Their derivatives are exact; that of the profile stands for a finite span."""
+SMOOTH = [term.name for term in TERMS if term.name not in ("delay", "acceleration_limit")]
+"""Their derivatives are exact; that of a delay is to one side, that of the profile stands for a finite span."""
 
 
 def lanes(steps: int = 300, seed: int = 0, load: float = 0.37) -> Lanes:
