@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.signal import lfilter
 
 from drivers.core.arrays import FloatArray
 from ident.servo.contact import Contact
@@ -165,6 +164,8 @@ def delayed_paths(motions: Sequence[ServoMotion], delay: float, lag: float) -> l
 
 
 def _delayed(motion: ServoMotion, delay: float, lag: float) -> FloatArray:
+    from scipy.signal import lfilter  # here as in motion.py
+
     step = motion.step
     times = np.arange(-motion.history, len(motion.command) - motion.history) * step
     share = 1.0 if lag <= 0 else 1.0 - np.exp(-step / lag)

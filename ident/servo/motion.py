@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from daq.recording.commanded_motion import TARGET, CommandedMotion
 from drivers.core.arrays import FloatArray
@@ -299,6 +298,8 @@ def lanes_with_touch(
 
 def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray) -> MotionLoad:
     """The links along a measured motion: gravity and inertia, and the torques between the joints."""
+    from scipy.signal import savgol_filter  # here, since `dynid excite` reads this module and needs no SciPy signals
+
     load = motion_load(links, motion, motion.time, motion.position, zero)
     period = float(np.median(np.diff(motion.time)))
     window = max(5, round(SMOOTHED / period) | 1)

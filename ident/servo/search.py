@@ -8,7 +8,6 @@ blocked for seconds hardly pulls at.
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import t as student
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.rollout import Lanes, at_samples, roll_out
@@ -176,6 +175,8 @@ def intervals(
     The sandwich over pieces (their errors are not independent within one), or, in directions that the data hardly show,
     the curvature alone with the pieces' inflation.
     """
+    from scipy.stats import t as student  # here, since it is slow to import
+
     low, high = np.full_like(values, np.nan), np.full_like(values, np.nan)
     seen = np.zeros_like(free)
     residual, tangents = evaluate(lanes, values, free)
