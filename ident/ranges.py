@@ -7,8 +7,6 @@ from drivers.core.ranges import Range
 RECORDED_POSITION = Range(-1e6, 1e6, "rad or m")
 RECORDED_VELOCITY = Range(-1e5, 1e5, "rad/s or m/s")
 RECORDED_TORQUE = Range(-1e8, 1e8, "N·m or N")
-LOOP_BANDWIDTH = Range(1.0, 1000.0, "rad/s")
-"""Bandwidth of a simulated position loop; arms have 10 to 100."""
 SMOOTHING = Range(0.0, 10.0, "rad/s")
 PRESLIDING_TRAVEL = Range(1e-6, 1.0, "rad or m")
 SEARCH_TIME = Range(1e-3, 604_800.0, "s")

@@ -23,7 +23,7 @@ def counter_range(time: FloatArray, sample: int) -> float | None:
     period = float(np.median(steps[steps > 0])) if np.any(steps > 0) else np.inf
     back = float(time[sample - 1] - time[sample])
     ranges = (2.0**bits * unit for bits in COUNTER_BITS for unit in COUNTER_UNITS)
-    likely = (one for one in ranges if one >= LEAST_PERIODS * period)
+    likely = (entry for entry in ranges if entry >= LEAST_PERIODS * period)
     return next((one for one in likely if 0.0 < one - back <= NEAR_PERIODS * period), None)
 
 

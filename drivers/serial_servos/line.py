@@ -117,7 +117,7 @@ class ServoLine:
         end += self.patience if motor is None else UNHURRIED
         buffer, answers, strange = bytearray(), list[Packet](), 0
         missing = skipped + answer_bytes
-        while sum(motor in (None, one.motor) for one in answers) < packets and self._clock.now() < end:
+        while sum(motor in (None, answer.motor) for answer in answers) < packets and self._clock.now() < end:
             data = self._read_some(max(missing, 1))
             missing -= len(data)
             if not data:

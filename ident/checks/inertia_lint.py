@@ -339,7 +339,7 @@ def link_findings(bodies: Sequence[LintedBody]) -> Iterator[Finding]:
             if body.mass > NEIGHBOURS * max(masses) or NEIGHBOURS * body.mass < min(masses):
                 yield Finding(
                     "note", "decimal-slip", (body.name,),
-                    f"{body.mass:.3g} kg between links of {' and '.join(f'{one:.3g}' for one in masses)} kg",
+                    f"{body.mass:.3g} kg between links of {' and '.join(f'{mass:.3g}' for mass in masses)} kg",
                     "it looks like a slip of the decimal point, or g for kg", "compare it with CAD or a scale",
                 )  # fmt: skip
 
@@ -354,7 +354,7 @@ def _of_one(body: LintedBody) -> Iterator[Finding]:
         return
     moments: FloatArray = np.asarray(np.linalg.eigvalsh(inertia), dtype=np.float64)
     if moments[0] < 0.0 or moments[2] > TRIANGLE * (moments[0] + moments[1]) or not moments[2] > 0.0:
-        listed = ", ".join(f"{one:.3g}" for one in moments)
+        listed = ", ".join(f"{moment:.3g}" for moment in moments)
         central = _moved(body)
         hint = "state it about the centre of mass, in kg·m², with the signs of the URDF (ixy = -∫xy dm)"
         yield Finding(

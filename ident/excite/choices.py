@@ -12,13 +12,9 @@ from ident.ranges import SEARCH_TIME, SEED
 
 Kind = Literal["fourier", "fourier-quintic", "sines", "points"]
 CriterionName = Literal[
-    "condition", "plain-condition", "moments", "d-optimal", "e-optimal", "hadamard", "deviations", "motion-size"
+    "condition", "plain-condition", "moments", "d-optimal", "e-optimal", "deviations", "motion-size"
 ]
-LocalSolver = Literal["slsqp", "trust-constr", "ipopt"]
-"""Solvers that use derivatives."""
-
-Solver = Literal[LocalSolver, "sfla"]
-
+Solver = Literal["slsqp", "sfla"]
 
 DEFAULT_SECONDS = 20.0
 """Default duration of the search [s]."""
@@ -36,9 +32,9 @@ class DesignChoices(Options):
     kind: Kind = option("fourier", "fourier, fourier-quintic, sines or points.", one_of=get_args(Kind))
     criterion: CriterionName = option(
         "d-optimal",
-        "d-optimal, e-optimal, deviations, condition, plain-condition, moments, hadamard or motion-size.",
+        "d-optimal, e-optimal, deviations, condition, plain-condition, moments or motion-size.",
         meaning='what is minimised: "d-optimal", "e-optimal", "deviations", "condition", "plain-condition", '
-        '"moments", "hadamard" or "motion-size" (docs/excitation.md).',
+        '"moments" or "motion-size" (docs/excitation.md).',
         one_of=get_args(CriterionName),
     )
     harmonics: int = option(5, "Harmonics of the series, or number of sines.", allowed=Range(1, 50))
@@ -110,8 +106,8 @@ class SearchOptions(Options):
     )
     solver: Solver = option(
         "slsqp",
-        "slsqp, trust-constr, ipopt or sfla.",
-        meaning='"slsqp", "trust-constr" or "ipopt", with derivatives; "sfla", shuffled frog leaping without any.',
-        one_of=("slsqp", "trust-constr", "ipopt", "sfla"),
+        "slsqp or sfla.",
+        meaning='"slsqp", with derivatives, or "sfla", shuffled frog leaping without any.',
+        one_of=get_args(Solver),
     )
     workers: int | None = option(None, meaning="processes; one per core where None, this one alone where 1.")

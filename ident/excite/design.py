@@ -29,7 +29,6 @@ from ident.excite.measures import (
     d_optimal,
     deviations,
     e_optimal,
-    hadamard,
     moments_apart,
     plain_condition,
 )
@@ -59,7 +58,6 @@ _MEASURES: dict[str, Measure] = {
     "plain-condition": plain_condition,
     "d-optimal": d_optimal,
     "e-optimal": e_optimal,
-    "hadamard": hadamard,
 }
 
 
@@ -168,7 +166,7 @@ def build_problem(robot_file: RobotFile, prior: PriorKnowledge, choices: DesignC
     criterion = criterion_within_limits(model, build_criterion(model, columns, prior, choices))
     conditioning = criterion_within_limits(model, RegressorCriterion(model, columns, condition))
     error_bars = _error_bars(model, columns, prior, choices)
-    by_hull = any(isinstance(one, SelfCollision) and one.pairs.by_hull for one in limits)
+    by_hull = any(isinstance(limit, SelfCollision) and limit.pairs.by_hull for limit in limits)
     return DesignProblem(
         family, criterion, conditioning, constraints, time, 1.0 - choices.margin, error_bars, check.refusal, by_hull
     )

@@ -49,13 +49,6 @@ def e_optimal(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
     return -smallest, _rotated(vectors, -gradient)
 
 
-def hadamard(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
-    """−log of the Hadamard ratio det(A)/ΠA_ii, by b: how far the columns are from orthogonal; 0 where they are."""
-    scaled, lengths = _unit_columns(gram)
-    cost, gradient = d_optimal(scaled, sharpness)
-    return cost, _through_scaling(gradient, scaled, lengths)
-
-
 def deviations(scale: FloatArray) -> Measure:
     """½ log of the mean of (σ_i/scale_i)², σ the standard deviations that least squares will have.
 

@@ -24,7 +24,7 @@ def history_page(history: ArmHistory) -> str:
     """The page: what changed, every series, trends and steps as tables."""
     tiles = [
         Tile("Results", str(history.results), f"over {span_text(history.end - history.start)}"),
-        Tile("Parameters", str(sum(one.trend is not None for one in history.parameters)), "with a trend"),
+        Tile("Parameters", str(sum(parameter.trend is not None for parameter in history.parameters)), "with a trend"),
         Tile("Findings", str(len(history.findings)), "changes and steps"),
         Tile("Latest result", date_text(history.end)),
     ]

@@ -74,10 +74,10 @@ def trend_table(history: ArmHistory) -> Table:
 def step_table(history: ArmHistory) -> Table:
     """A row per step of a parameter."""
     rows: list[list[Cell]] = [
-        [one.name, one.joint, one.kind, date_text(step.before), date_text(step.after), step.size, step.half,
-         step.p_value, one.unit]
-        for one in history.findings
-        for step in (one.trend.steps if one.trend is not None else ())
+        [finding.name, finding.joint, finding.kind, date_text(step.before), date_text(step.after), step.size, step.half,
+         step.p_value, finding.unit]
+        for finding in history.findings
+        for step in (finding.trend.steps if finding.trend is not None else ())
     ]  # fmt: skip
     columns = [
         *map(Column, ("name", "joint", "kind", "after", "before", "size")),
@@ -90,10 +90,10 @@ def step_table(history: ArmHistory) -> Table:
 
 def sentences(history: ArmHistory) -> list[str]:
     """What changed, a sentence per parameter, the most significant first; and one where nothing did."""
-    found = [_sentence(one) for one in history.findings]
+    found = [_sentence(finding) for finding in history.findings]
     if found:
         return found
-    followed = [one for one in history.parameters if one.trend is not None]
+    followed = [parameter for parameter in history.parameters if parameter.trend is not None]
     if followed:
         return [f"No significant change of {len(followed)} parameters."]
     if history.results < LEAST_RESULTS:
@@ -104,14 +104,14 @@ def sentences(history: ArmHistory) -> list[str]:
 def notes(history: ArmHistory) -> list[str]:
     """What was left out, and how certain findings are."""
     said = []
-    if any(one.trend is not None for one in history.parameters):
+    if any(parameter.trend is not None for parameter in history.parameters):
         said.append(
             f"An arm that does not change shows a change or step in {100 * (TREND_LEVEL + STEP_LEVEL):.0f} % of cases."
         )
     if history.repeated:
         every = history.results + history.repeated
         said.append(f"Left out: {history.repeated} of {every} results, whose recordings were identified again later.")
-    others = [one.not_comparable for one in history.parameters if one.not_comparable]
+    others = [parameter.not_comparable for parameter in history.parameters if parameter.not_comparable]
     if others:
         said.append(
             f"Left out of {len(others)} parameters: up to {max(others)} results with other friction terms, drive gains "

@@ -55,10 +55,10 @@ from studies.coverage.reversals import public_recordings
 from studies.synthetic.controlled_run import record_plant
 
 METHODS = (
-    *("ols", "wls", "ridge", "tls", "ml", "iv:instruments=repetition", "iv:instruments=simulation", "didim"),
+    *("ols", "wls", "tls", "iv:instruments=repetition"),
     "output-error",
 )
-TARGET_METHODS = ("iv:instruments=target", "didim:reference=target")
+TARGET_METHODS = ("iv:instruments=target",)
 """Need the controller's targets."""
 PERIOD, DURATION = 10.0, 30.0
 ENCODER = 2e-5

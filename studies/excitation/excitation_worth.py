@@ -43,7 +43,6 @@ CRITERIA: tuple[CriterionName, ...] = (
     "condition",
     "plain-condition",
     "moments",
-    "hadamard",
 )
 
 

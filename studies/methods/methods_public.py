@@ -25,7 +25,7 @@ from studies.friction.friction_models import choices_of, errors
 from studies.models.consistency import public
 
 NAMES = {"ur10": "UR10", "tx40": "TX40", "panda": "Panda"}
-METHODS = ("wls", "ols", "ridge", "tls", "iv", "ml", "irls", "iirls", "didim")
+METHODS = ("wls", "ols", "tls", "iv", "irls", "iirls")
 FRICTION = ("coulomb-viscous", "coulomb-viscous+power+load", "coulomb-viscous+power+stribeck+load", "auto")
 
 

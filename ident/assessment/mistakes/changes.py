@@ -187,7 +187,7 @@ class Changes:
         profiles = [(start, before) for start in (*edges, None) for before in (False, True)]
         joints = [joint for joint in used if only in (None, ("gain", joint))]
         zeros = [one for one in self.refit.unknowns() if one.kind == "zero" and only in (None, ("zero", one.joint))]
-        slopes = {one.joint: self.refit.slope(one, 0.0, self._parameters) for one in zeros}
+        slopes = {zero.joint: self.refit.slope(zero, 0.0, self._parameters) for zero in zeros}
         tool = [n for n, one in enumerate(model.parameters) if one.kind == "inertial" and one.joint == model.tool_link]
         loads = self.refit.instants.regressor(RegressorKernel(model, tool)) if only in (None, ("load", -1)) else None
         for start, before in profiles:

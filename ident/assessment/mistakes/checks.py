@@ -120,7 +120,7 @@ def _equal_turns(competition: Competition, refit: Refit, best: Mistake) -> list[
 def _check(model: DynamicModel, found: Sequence[Mistake], turns: Sequence[Deviation]) -> Check:
     """The check of a mistake, or of several that explain the data equally well."""
     first = found[0]
-    joints = {joint for one in found for joint in one.joints} | {one.unknown.joint for one in turns}
+    joints = {joint for one in found for joint in one.joints} | {turn.unknown.joint for turn in turns}
     names = [model.joint_names[joint] for joint in sorted(joints)]
     if (
         first.coupling
@@ -139,8 +139,8 @@ def _check(model: DynamicModel, found: Sequence[Mistake], turns: Sequence[Deviat
         [
             *(_clause(model, one) for one in found),
             *(
-                f"the zero of {model.joint_names[one.unknown.joint]} is off by {np.rad2deg(-one.value):.0f}°"
-                for one in turns
+                f"the zero of {model.joint_names[turn.unknown.joint]} is off by {np.rad2deg(-turn.value):.0f}°"
+                for turn in turns
             ),
         ]
     )

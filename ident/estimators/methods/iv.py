@@ -22,13 +22,10 @@ from pydantic import Field
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
-from ident.estimators.method import Method, within
-from ident.estimators.simulated_arm import check_whole_arm, simulated_motions
-from ident.estimators.target_motion import WEAKEST, first_stage_f, independent_rows, target_motions
+from ident.estimators.method import Method
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
-from ident.ranges import LOOP_BANDWIDTH
 from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.hypothesis_tests import LEVEL, p_text
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun, jackknife_covariance, motion_blocks
@@ -37,6 +34,57 @@ from ident.regression.moment_equations import MomentRows, SegmentRows, moment_ja
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared, Segment, Step
 from ident.signals.repetition import own_period
+
+WEAKEST = 10.0
+"""First-stage F below which instruments are weak: their bias may reach a tenth of least squares' (Staiger and Stock,
+Econometrica 65, 1997)."""
+
+DEPENDENT = 1e-9
+"""Share of a column-normalised instrument that is left beside the others, below which they depend on each other."""
+
+
+def target_motions(runs: Sequence[Prepared]) -> list[tuple[Segment, ...]] | None:
+    """Segments of each run with the targets' motion; None where a segment has none without a gap."""
+    motions = []
+    for run in runs:
+        segments = []
+        for segment in run.segments:
+            target = segment.target
+            if target is None:
+                return None
+            segments.append(
+                replace(segment, position=target.position, velocity=target.velocity, acceleration=target.acceleration)
+            )
+        motions.append(tuple(segments))
+    return motions
+
+
+def independent_rows(runs: Sequence[Prepared], rows: int) -> float:
+    """How many of the filtered equations are independent: two per period of the torques' cut-off."""
+    share = np.mean([min(1.0, 2.0 * run.cutoffs.torque / run.filtered_rate) for run in runs])
+    return float(share * rows)
+
+
+def first_stage_f(factor: FloatArray, count: int, rows: float) -> float:
+    """F of the weakest combination of W's columns, regressed on as many instruments (Cragg and Donald 1993).
+
+    0 where the instruments depend on each other, as those of a motion that stands still.
+
+    Args:
+        factor: triangular factor (2k, 2k) of [Z W].
+        count: k.
+        rows: independent ones of both.
+    """
+    lengths = np.linalg.norm(factor, axis=0)
+    if not np.all(lengths > 0.0) or np.min(np.abs(np.diag(factor)[:count]) / lengths[:count]) < DEPENDENT:
+        return 0.0
+    measured = factor[:, count:] / lengths[count:]
+    root = triangular(measured)[:count]
+    explained = np.linalg.svd(np.linalg.solve(root.T, measured[:count].T), compute_uv=False)[-1] ** 2
+    if explained >= 1.0:
+        return float("inf")
+    return float(explained / (1.0 - explained) * max(0.0, rows - count) / count)
+
 
 Source = Iterable[MomentRows]
 
@@ -88,25 +136,18 @@ ITERATIONS = 30
 INSTRUMENTS_SETTLED = 0.01
 """Largest change of a parameter, over its classical deviation."""
 
-Instruments = Literal["auto", "repetition", "target", "simulation"]
-
 
 @dataclass(frozen=True)
 class IvOptions:
     """Options of instrumental variables."""
 
     instruments: Annotated[
-        Instruments,
+        Literal["auto", "repetition", "target"],
         Field(
-            description="motion of the instruments: another repetition of the recorded one, the recorded target "
-            "positions', or that of the simulated arm; auto takes the first of these that there is"
+            description="motion of the instruments: another repetition of the recorded one, or the recorded target "
+            "positions'; auto takes the first of these that there is"
         ),
     ] = "auto"
-    bandwidth: Annotated[
-        float | None,
-        within(LOOP_BANDWIDTH),
-        Field(description="of the simulated position loop [rad/s]; twenty times the motion's band if absent"),
-    ] = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,18 +156,13 @@ class _Source:
 
     Attributes:
         words: for the list of steps.
-        motions: of each run, its segments with the motion of the instruments; empty where it is to be simulated.
-        factors: of each joint, the triangular factor of [Z W τ]; empty likewise.
+        motions: of each run, its segments with the motion of the instruments.
+        factors: of each joint, the triangular factor of [Z W τ].
     """
 
     words: str
     motions: list[tuple[Segment, ...]]
     factors: list[FloatArray]
-
-    @property
-    def loop(self) -> str:
-        """What is iterated."""
-        return "weights" if self.motions else "simulation, weights and fit"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -170,18 +206,14 @@ class InstrumentalEstimator(TorqueEstimator):
     options: IvOptions
 
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
-        """Weights, and a simulated motion, follow the parameters, iterated."""
+        """Weights and parameters follow each other, iterated."""
         ordinary = self.solve(plain, active)
         reduction, solution = plain, ordinary
         source = self._source(runs, plain, solution)
-        motions, factors = source.motions, source.factors
         changes: list[float] = []
         while len(changes) < ITERATIONS and (not changes or changes[-1] > INSTRUMENTS_SETTLED):
-            if not source.motions:
-                motions = simulated_motions(self.setup, runs, reduction, solution, self.options.bandwidth)
-                factors = self._factors(runs, motions, plain)
             weights = inverse_deviations(plain, residual_deviations(plain, solution.parameters, len(solution.active)))
-            system = _triangle(factors, plain, weights, active)
+            system = _triangle(source.factors, plain, weights, active)
             solved = triangular_system(
                 plain, system[: len(active), len(active) :], weights, active, "iv", len(changes) + 1
             )
@@ -193,10 +225,10 @@ class InstrumentalEstimator(TorqueEstimator):
             self.setup.kernel,
             reduction,
             solution,
-            (EstimationLoop(source.loop, "σ", tuple(changes), changes[-1] <= INSTRUMENTS_SETTLED),),
-            passes=1 + 2 * (1 if source.motions else len(changes)) + 5,
-            steps=(_step(source, strength), self._exogeneity(runs, motions, solution, ordinary)),
-            instruments=tuple(motions),
+            (EstimationLoop("weights", "σ", tuple(changes), changes[-1] <= INSTRUMENTS_SETTLED),),
+            passes=1 + 2 + 5,
+            steps=(_step(source, strength), self._exogeneity(runs, source.motions, solution, ordinary)),
+            instruments=tuple(source.motions),
         )
 
     def _exogeneity(
@@ -257,9 +289,9 @@ class InstrumentalEstimator(TorqueEstimator):
         if wanted == "repetition":
             raise IdentificationError(
                 "a recorded motion does not repeat itself without a gap",
-                hint="record two periods or more, or use --method iv:instruments=simulation",
+                hint="record two periods or more, or use --method wls",
             )
-        targets = target_motions(runs) if wanted in ("auto", "target") else None
+        targets = target_motions(runs)
         if targets is not None:
             factors = self._factors(runs, targets, plain)
             system = _triangle(factors, plain, solution.weights, solution.active)
@@ -267,13 +299,10 @@ class InstrumentalEstimator(TorqueEstimator):
             if strength >= WEAKEST:
                 return _Source("the motion of the recorded target positions", targets, factors)
             weak = f"the recorded target positions make weak instruments (F {strength:.3g}, at least {WEAKEST:g})"
-        if wanted == "target":
-            raise IdentificationError(
-                weak or "a recording holds no target positions of all joints",
-                hint="use --method iv:instruments=simulation, or wls",
-            )
-        check_whole_arm(self.setup, "iv")
-        return _Source("that of the simulated arm" + f"; {weak}" * bool(weak), [], [])
+        missing = weak or "a recording holds no target positions of all joints"
+        if wanted == "auto":
+            missing = f"the motion does not repeat itself without a gap, and {missing}"
+        raise IdentificationError(missing, hint="record two periods or more, or use --method wls")
 
     def _factors(
         self, runs: Sequence[Prepared], motions: Sequence[Sequence[Segment]], plain: Reduction
@@ -329,13 +358,11 @@ def _step(source: _Source, strength: float) -> Step:
 
 
 def _estimator(options: IvOptions, setup: Setup) -> Estimator:
-    if options.instruments == "simulation":
-        check_whole_arm(setup, "iv")
     return InstrumentalEstimator(setup, weighted_least_squares, options)
 
 
 METHOD = Method(
-    "instrumental variables: the regressor of a repetition, of the targets, or of the simulated arm, as instruments",
+    "instrumental variables: the regressor of a repetition or of the targets as instruments",
     "torque",
     IvOptions,
     _estimator,

@@ -14,21 +14,58 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, ModelError
 from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
+from ident.estimators.feasible.consistent import found_consistent
 from ident.estimators.method import Method, NoOptions
-from ident.estimators.simulated_arm import SIMULATION_SETTLED, check_whole_arm, simulable_arm
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.estimators.triangular_estimation import restricted_solution, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.regressor import regressor
 from ident.regression.comparison import TorqueSeries
+from ident.regression.estimate import estimate_of
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun
 from ident.regression.least_squares import LeastSquares, weighted_least_squares
 from ident.regression.moment_equations import MomentRows, moment_jackknife
+from ident.regression.observability import whole_arm
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared, Segment
 from ident.simulation.output_sensitivity import output_sensitivities
 from ident.simulation.tracking import SIMULATION_STEP, Tracking, tracked
+
+SIMULATION_SETTLED = 0.5
+"""Largest change of a parameter, over its classical deviation. Smaller ones are noise of the simulation: where a
+simulated joint reverses, the sampled sign of its velocity changes a sample earlier or later."""
+
+
+def check_whole_arm(setup: Setup, method: str) -> None:
+    """Refuse what cannot be simulated.
+
+    Raises:
+        IdentificationError: a joint stood still, so that the arm's parameters are not all known.
+    """
+    if setup.experiment != whole_arm(setup.kernel.model):
+        raise IdentificationError(
+            f"the method {method} simulates the whole arm, but not all joints moved or not all torques are used",
+            hint="record a motion of all joints, or use --method wls",
+        )
+
+
+def simulable_arm(setup: Setup, reduction: Reduction, solution: LeastSquares) -> InverseDynamics:
+    """A physically consistent arm near a solution.
+
+    Raises:
+        IdentificationError: there is none.
+    """
+    model = setup.kernel.model
+    estimate = estimate_of(reduction, solution, solution.covariance, 1)
+    consistent = found_consistent(model, setup.base, estimate, setup.robot_file)
+    if consistent is None:
+        raise IdentificationError(
+            "no physically consistent arm is near the estimate, so that there is none to simulate",
+            hint="use --method wls",
+        )
+    return InverseDynamics(model, setup.base, consistent.base)
+
 
 SMOOTH = ("motor_inertia", "viscous", "inertial")
 """Kinds of parameters whose torque has a derivative by the motion."""

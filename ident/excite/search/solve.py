@@ -6,17 +6,14 @@ round smooths them strongly, the last one barely.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import BFGS, NonlinearConstraint, minimize
+from scipy.optimize import minimize
 
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import UsageError
-from ident.excite.choices import LocalSolver
 from ident.excite.search.problem import DesignProblem
 
 
@@ -74,37 +71,29 @@ class Watch:
 UNWATCHED = Watch(lambda: None, lambda variables: False)
 
 
-def solve(
-    problem: DesignProblem, start: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED
-) -> Iterator[FloatArray]:
-    """Step from `start` towards a local optimum: the variables (size,) after every round.
-
-    Raises:
-        UsageError: the solver is not installed.
-    """
+def solve(problem: DesignProblem, start: FloatArray, watch: Watch = UNWATCHED) -> Iterator[FloatArray]:
+    """Step from `start` towards a local optimum: the variables (size,) after every round."""
     variables = start
     for step in ROUNDS:
-        variables = _round(problem, variables, solver, step, watch)
+        variables = _round(problem, variables, step, watch)
         yield variables
 
 
-def open_search(
-    problem: DesignProblem, feasible: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED
-) -> FloatArray:
+def open_search(problem: DesignProblem, feasible: FloatArray, watch: Watch = UNWATCHED) -> FloatArray:
     """A better motion near a feasible one; it may exceed the limits a little."""
-    return _SOLVERS[solver](_Evaluations(problem, OPENING, watch), feasible, OPENING, OPENING_REACH)
+    return _slsqp(_Evaluations(problem, OPENING, watch), feasible, OPENING, OPENING_REACH)
 
 
-def tighten(problem: DesignProblem, variables: FloatArray, solver: LocalSolver, watch: Watch = UNWATCHED) -> FloatArray:
+def tighten(problem: DesignProblem, variables: FloatArray, watch: Watch = UNWATCHED) -> FloatArray:
     """Another last round from `variables`, for a problem whose limits were narrowed."""
-    return _round(problem, variables, solver, ROUNDS[-1], watch)
+    return _round(problem, variables, ROUNDS[-1], watch)
 
 
-def _round(problem: DesignProblem, start: FloatArray, solver: LocalSolver, step: Round, watch: Watch) -> FloatArray:
+def _round(problem: DesignProblem, start: FloatArray, step: Round, watch: Watch) -> FloatArray:
     """Result of a round; with a shorter reach where it ends further outside the limits than it began."""
     before = max(problem.allowed, float(problem.use(start).max(initial=0.0)))
     for reach in REACHES:
-        minimum = _SOLVERS[solver](_Evaluations(problem, step, watch), start, step, reach)
+        minimum = _slsqp(_Evaluations(problem, step, watch), start, step, reach)
         if float(problem.use(minimum).max(initial=0.0)) <= before:
             return minimum
     return start
@@ -179,54 +168,3 @@ def _slsqp(evaluations: _Evaluations, start: FloatArray, step: Round, reach: flo
         callback=iterate,
     )
     return np.asarray(minimum.x) if np.all(np.isfinite(minimum.x)) else start
-
-
-def _trust_constr(evaluations: _Evaluations, start: FloatArray, step: Round, reach: float) -> FloatArray:
-    limits: Any = NonlinearConstraint(evaluations.slacks, 0.0, np.inf, jac=evaluations.slack_derivatives, hess=BFGS())
-    options: Any = {"maxiter": 3 * step.iterations, "gtol": step.tolerance, "xtol": 1e-6}
-    cost: Any = evaluations.cost
-    iterate: Any = evaluations.iterate
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="delta_grad == 0.0")  # where no limit is near, as it should be
-        minimum = minimize(
-            cost,
-            start,
-            jac=True,
-            hess=BFGS(),
-            method="trust-constr",
-            bounds=_bounds(start, reach),
-            constraints=[limits],
-            options=options,
-            callback=iterate,
-        )
-    return np.asarray(minimum.x) if np.all(np.isfinite(minimum.x)) else start
-
-
-def _ipopt(evaluations: _Evaluations, start: FloatArray, step: Round, reach: float) -> FloatArray:
-    try:
-        from cyipopt import minimize_ipopt
-    except ImportError as error:
-        raise UsageError("cyipopt is not installed", hint="pip install cyipopt, or --solver slsqp") from error
-
-    def cost(variables: FloatArray) -> tuple[float, FloatArray]:
-        # cyipopt does not tell its iterates.
-        evaluations.iterate(variables)
-        return evaluations.cost(variables)
-
-    minimum = minimize_ipopt(
-        cost,
-        start,
-        jac=True,
-        bounds=_bounds(start, reach),
-        constraints=[{"type": "ineq", "fun": evaluations.slacks, "jac": evaluations.slack_derivatives}],
-        tol=step.tolerance,
-        options={"max_iter": step.iterations, "print_level": 0, "hessian_approximation": "limited-memory"},
-    )
-    return np.asarray(minimum.x) if np.all(np.isfinite(minimum.x)) else start
-
-
-_SOLVERS: dict[LocalSolver, Callable[[_Evaluations, FloatArray, Round, float], FloatArray]] = {
-    "slsqp": _slsqp,
-    "trust-constr": _trust_constr,
-    "ipopt": _ipopt,
-}

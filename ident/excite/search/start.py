@@ -12,7 +12,7 @@ from drivers.core.text import percent_text
 from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
 from ident.estimators.swarm.minimisation import SearchBudget, minimise
-from ident.excite.choices import LocalSolver, Solver
+from ident.excite.choices import Solver
 from ident.excite.search.acceptance import LEAST_SHARE, UTILISATION_TOLERANCE, accepted, dense_use, shrunk_to_fit
 from ident.excite.search.error_bars import ErrorBar
 from ident.excite.search.poses import NoFeasiblePoseError, feasible_pose
@@ -140,13 +140,12 @@ def run_start(  # noqa: C901 — the steps, in their order
         start: its index.
         begin: (size,) where it begins.
         seed: of the candidate poses where `begin` does not keep the limits.
-        solver: of the local problems; "sfla" searches all motions at once instead.
+        solver: "slsqp" of local problems, or "sfla" of all motions at once.
         report: called with the start's results.
         tick: called before every evaluation; what it raises ends the start.
 
     Raises:
         NoFeasiblePoseError: no pose was found that keeps all limits; names the one that excludes them.
-        UsageError: the solver is not installed.
     """
     best, best_variables = np.inf, begin
     reported = False
@@ -190,11 +189,11 @@ def run_start(  # noqa: C901 — the steps, in their order
         return
     watch = Watch(tick, visit)
     for _ in range(OPENINGS):
-        offer_shrunk(open_search(problem, best_variables, solver, watch))
+        offer_shrunk(open_search(problem, best_variables, watch))
     variables = opened = best_variables
-    for variables in solve(problem, opened, solver, watch):
+    for variables in solve(problem, opened, watch):
         offer_shrunk(variables)
-    for narrower in _narrowed(problem, variables, solver, watch):
+    for narrower in _narrowed(problem, variables, watch):
         offer_shrunk(narrower)
     report(Finished(start))
 
@@ -246,7 +245,7 @@ def _worst(problem: DesignProblem, variables: FloatArray) -> str:
     return f"{percent_text(float(use[worst]), 4)} of the {problem.limits[worst]}"
 
 
-def _narrowed(problem: DesignProblem, variables: FloatArray, solver: LocalSolver, watch: Watch) -> Iterator[FloatArray]:
+def _narrowed(problem: DesignProblem, variables: FloatArray, watch: Watch) -> Iterator[FloatArray]:
     """Further rounds within narrower limits, until they are kept between the grid's points too."""
     if float(problem.use(variables).max(initial=0.0)) > problem.allowed + UTILISATION_TOLERANCE:
         return
@@ -256,5 +255,5 @@ def _narrowed(problem: DesignProblem, variables: FloatArray, solver: LocalSolver
         if worst <= 1.0:
             return
         narrowed = replace(narrowed, allowed=narrowed.allowed / worst - 1e-3)
-        variables = tighten(narrowed, variables, solver, watch)
+        variables = tighten(narrowed, variables, watch)
         yield variables
