@@ -1,8 +1,51 @@
-"""What fits on a bus: bits that a connection's frames take at worst, load, and the highest rate of its cycle."""
+"""What fits on a bus: bits that a connection's frames take at worst, load, and the highest rate of its cycle.
+
+How long frames of classic CAN are at worst.
+
+Longest frames, with every stuffed bit that may occur and three bits of intermission: 47 + 8n + ⌊(34 + 8n − 1)/4⌋ bits
+for 11-bit identifiers and n data bytes, 67 + 8n + ⌊(54 + 8n − 1)/4⌋ for 29-bit ones, as in Davis, Burns, Bril and
+Lukkien, Controller Area Network (CAN) schedulability analysis, Real-Time Systems 35 (2007). Frames of CAN FD after
+ISO 11898-1:2015: one bit stuffed after four in front of the check sum, where the stuffed bits' places are fixed.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+
+FRAME_BYTES = 8
+WORST = "with every stuffed bit"
+"""What a budget of such frames includes, in words."""
+
+
+def frame_bits(data_bytes: int, *, extended: bool = False) -> int:
+    """Longest length [bit] of a frame with 0 to 8 data bytes, intermission included.
+
+    Raises:
+        ValueError: not 0 to 8 bytes.
+    """
+    if not 0 <= data_bytes <= FRAME_BYTES:
+        raise ValueError(f"a classic CAN frame has 0 to {FRAME_BYTES} data bytes, not {data_bytes}")
+    fixed, stuffable = (67, 54) if extended else (47, 34)
+    return fixed + 8 * data_bytes + (stuffable + 8 * data_bytes - 1) // 4
+
+
+def can_frames(meaning: str, count: int, data_bytes: int, *, extended: bool = False) -> FrameGroup:
+    """Equal frames of classic CAN, for a budget; `extended`: whether identifiers have 29 bits."""
+    return FrameGroup(meaning, count, data_bytes, frame_bits(data_bytes, extended=extended))
+
+
+def fd_frame_bits(data_bytes: int, speed_up: float) -> float:
+    """Longest length of a CAN FD frame with a 29-bit identifier [bit of the slow rate], intermission included.
+
+    Args:
+        data_bytes: 0 to 64.
+        speed_up: bit rate of its data over that of the arbitration.
+    """
+    slow, fast = 36, 8 * data_bytes + 5  # identifier and control bits; data, error state and length
+    checked = 4 + (17 if data_bytes <= 16 else 21)
+    stuffed_fast = fast // 4 + checked // 4 + 1
+    return slow + slow // 4 + (fast + stuffed_fast + checked) / speed_up + 13
+
 
 TIGHT_SHARE = 0.8
 """Load from which on a bus has no room left for repeated frames and for what comes in bursts."""

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from ident.result.models.load_model import load_model as load_model
     from ident.result.models.model import Model as Model
     from ident.result.tables import Table as Table
-    from ident.tasks.arm import base_parameters as base_parameters
+    from ident.tasks.arguments import base_parameters as base_parameters
     from ident.tasks.comparison import MethodComparison as MethodComparison
     from ident.tasks.comparison import compare as compare
     from ident.tasks.difference import diff as diff
@@ -110,7 +110,7 @@ _HOMES = {
     "ident.result.models.load_model": ("load_model",),
     "ident.result.models.model": ("Model",),
     "ident.result.tables": ("Table",),
-    "ident.tasks.arm": ("base_parameters",),
+    "ident.tasks.arguments": ("base_parameters",),
     "ident.tasks.comparison": ("MethodComparison", "compare"),
     "ident.tasks.difference": ("diff",),
     "ident.tasks.excitation": (

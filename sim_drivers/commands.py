@@ -6,7 +6,7 @@ import typer
 
 from daq.commands.help_text import CommandApp, GroupedCommands
 from daq.commands.options import FORCE, JSON, REALTIME, VERBOSE, takes
-from sim_drivers.options import DemoOptions, SimOptions
+from sim_drivers.served import DemoOptions, SimOptions
 
 app = CommandApp("Simulate")
 driver_app = CommandApp("Simulate", cls=GroupedCommands, invoke_without_command=True)
@@ -51,7 +51,7 @@ def sim(
         play_and_record(options.robot, options.play, options.out, options.seed, overwrite=force)
         return
     from daq.session.realtime import ask_for_realtime
-    from sim_drivers.serving.serve import simulate
+    from sim_drivers.serving import simulate
 
     if realtime:
         ask_for_realtime()

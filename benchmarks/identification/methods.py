@@ -19,8 +19,6 @@ COMPARED = """\
 method_NAME_vs_ols: from prepared data (UR5e, 20,000 samples at 500 Hz, decimated by the parallel filter) to parameters,
   without error bars; default options; times as multiples of that of ols, in the same rounds."""
 
-FURTHER = {"iv_simulation": "iv:instruments=simulation"}
-"""Methods with other options than the default ones; `iv` has repetitions as instruments here."""
 
 SAMPLES, RATE, PERIOD = 20_000, 500.0, 15.0
 
@@ -39,12 +37,12 @@ def run(samples: int = SAMPLES, rounds: int = 3) -> dict[str, float]:
         tuple(run.prepared for run in known.runs),
     )
     sides = {}
-    for name, text in ({name: name for name in all_methods()} | FURTHER).items():
+    for name in all_methods():
         try:
-            _estimate(setup, text)
+            _estimate(setup, name)
         except DynidError:  # what the method needs, as a controller, is not there
             continue
-        sides[name] = partial(_estimate, setup, text)
+        sides[name] = partial(_estimate, setup, name)
     seconds = medians(sides, rounds, warm_up=False)
     return {f"method_{name}_vs_ols": of / seconds["ols"] for name, of in seconds.items() if name != "ols"}
 

@@ -12,10 +12,9 @@ from benchmarks.agreement import check
 from benchmarks.arm import arm
 from benchmarks.timing import medians
 from drivers.core.arrays import FloatArray
-from ident.estimators.swarm.box import SearchBox
-from ident.estimators.swarm.minimisation import SearchBudget, minimise
+from ident.estimators.swarm.minimisation import SearchBox, SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm
-from ident.estimators.swarm.quadratic_cost import QuadraticCost
+from ident.estimators.swarm.physical import QuadraticCost
 from ident.linear_algebra.triangular import triangular
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.regressor import regressor

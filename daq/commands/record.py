@@ -200,14 +200,13 @@ def planned(
         DynidError: says why not.
     """
     from daq.commands.confirmation import Confirmation, motion_lines, tell, terminal, unchecked_lines
+    from daq.motion.approach import TimeScaled
     from daq.motion.motion_check import load_motion_check
-    from daq.motion.time_scaled import TimeScaled
     from daq.motion.trajectory_file import load_trajectory
     from daq.output_files import check_outputs
     from daq.recording.recorder import require_room
     from daq.robot.assumptions import assumed_limits
-    from daq.robot.fingerprint import changed_since
-    from daq.robot.loader import load_robot
+    from daq.robot.loader import changed_since, load_robot
     from daq.session.bus_room import session_warnings
     from daq.session.session import load_driver
 

@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
 from daq.importers.matching import match_joints, with_own_names
+from daq.importers.naming import allowed_units, to_si
 from daq.importers.stamps import sample_times
 from daq.importers.table import ForeignTable, Note, QuantityColumns, listed, printable
-from daq.importers.units import allowed_units, to_si
 from daq.recording.recording import MOTOR_SIGNALS, Level
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot

@@ -6,9 +6,8 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from daq.importers.naming import BRACKETED, TIMES, Role, parse_name
+from daq.importers.naming import BRACKETED, REVOLUTE, TIMES, Role, parse_name
 from daq.importers.table import listed, printable
-from daq.importers.units import REVOLUTE
 from drivers.core.errors import ImportFileError, UsageError
 from drivers.core.text import did_you_mean
 from drivers.core.units import normalised

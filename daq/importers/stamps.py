@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from daq.importers.choices import ImportChoices
+from daq.importers.naming import allowed_units, to_si
 from daq.importers.table import ForeignTable, Note, printable
-from daq.importers.units import allowed_units, to_si
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError
 from drivers.core.units import normalised

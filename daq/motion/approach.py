@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from daq.motion.limits import check_limits
 from daq.motion.motion_check import MotionCheck, MotionFigures
-from daq.motion.trajectories import PointToPoint, slow_move
+from daq.motion.trajectories import Motion, Pieces, PointToPoint, slow_move
 from daq.robot.schema import JointLimits
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import MotionRefusedError, UsageError
@@ -55,3 +56,41 @@ def checked_approach(
     raise MotionRefusedError(
         refusal.message, where=refusal.where, hint="bring the arm nearer to the start pose by its own means"
     )
+
+
+@dataclass(frozen=True)
+class TimeScaled:
+    """A motion stretched in time: velocities are multiplied by `scale`, accelerations by its square.
+
+    Attributes:
+        motion: at full speed.
+        scale: share of its speed, above 0 and at most 1.
+    """
+
+    motion: Motion
+    scale: float
+
+    def __post_init__(self) -> None:
+        """Refuse a scale that would speed the motion up.
+
+        Raises:
+            UsageError: the scale is not above 0 and at most 1.
+        """
+        if not 0.0 < self.scale <= 1.0:
+            raise UsageError(f"a speed scale of {self.scale:g} is not above 0 and at most 1")
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return self.motion.duration / self.scale
+
+    def evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Position, velocity, acceleration (n, N) at times (N,) [s]."""
+        position, velocity, acceleration = self.motion.evaluate(time * self.scale)
+        return position, velocity * self.scale, acceleration * self.scale**2
+
+    def pieces(self) -> Pieces:
+        """Those of the motion at full speed, later and slower."""
+        pieces = self.motion.pieces()
+        slower = self.scale ** np.arange(1, 5)
+        return Pieces(pieces.start / self.scale, pieces.end / self.scale, pieces.largest * slower[:, None, None])

@@ -42,7 +42,7 @@ from daq.motion.trajectories import (
     SumOfSines,
 )
 from daq.output_files import GENERATION_KEY, hashes_of, warn_of_strange_files
-from daq.robot.fingerprint import changed_since
+from daq.robot.loader import changed_since
 from daq.robot.schema import Robot
 from daq.robot.section import Finite, NonNegative, NotTruthValue, within
 from drivers.core.arrays import FloatArray

@@ -15,8 +15,7 @@ import h5py
 import numpy as np
 
 from daq.output_files import DISK_ERRORS, check_outputs, take_place, unfinished_name
-from daq.recording.failsafe_file import FailsafeFile
-from daq.recording.growing_file import SPARE, GrowingFile
+from daq.recording.growing_file import SPARE, FailsafeFile, GrowingFile
 from daq.recording.hdf5_bounds import hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Level, Recording, software_versions
 from daq.robot.loader import RobotFile

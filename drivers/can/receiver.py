@@ -11,9 +11,8 @@ from collections.abc import Callable, Container
 import can
 
 from drivers.base import Level, Notice, drained
-from drivers.can.adapter_errors import error_frame_words, is_bus_off, is_unreadable, reason
 from drivers.can.arrival_clock import ArrivalClock
-from drivers.can.bus import EXTENDED, Frame
+from drivers.can.bus import EXTENDED, Frame, error_frame_words, is_bus_off, is_unreadable, reason
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionLostError
 

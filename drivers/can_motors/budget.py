@@ -8,9 +8,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 from drivers.base import DriverSettings
-from drivers.bus_budget import Budget, FrameGroup
+from drivers.bus_budget import FRAME_BYTES, WORST, Budget, FrameGroup, can_frames, fd_frame_bits
 from drivers.can.bus import EXTENDED, REMOTE
-from drivers.can.frame_length import FRAME_BYTES, WORST, can_frames, fd_frame_bits
 from drivers.can_motors.codec import CanFrame
 from drivers.can_motors.settings import CODECS, parse_settings
 

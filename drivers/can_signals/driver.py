@@ -12,14 +12,13 @@ import can
 from drivers.base import DriverSettings, Notice, State, drained, require_state
 from drivers.can.bus import RETURNED, Sender, close_bus, confirms_sending, open_bus
 from drivers.can.receiver import Receiver
-from drivers.can_signals.motion import Commander
 from drivers.can_signals.polling import Poller
-from drivers.can_signals.settings import CommandTable, parse_settings
-from drivers.can_signals.startup import hear_all
+from drivers.can_signals.rows.assembly import CycleOrder, Order
+from drivers.can_signals.settings import CanFramesSettings, CommandTable, parse_settings
 from drivers.can_signals.streams import FrameStreams
-from drivers.can_signals.table.signals import FixedFrame, batches
+from drivers.can_signals.table.signals import FixedFrame, Signal, batches, encode, identifier_text
 from drivers.core.arrays import FloatArray
-from drivers.core.clock import STALL_LIMIT
+from drivers.core.clock import STALL_LIMIT, SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
 from drivers.standstill import REST_WINDOW, StandstillWatch
@@ -335,3 +334,71 @@ class CanFramesDriver:
         if self._bus is not None:
             close_bus(self._bus)
         self._poller = self._receiver = self._sender = self._bus = None
+
+
+class Commander:
+    """Encodes one position after the other; counts them where the table has a counter.
+
+    Args:
+        table: of the command frames.
+        joints: in the order of every position.
+    """
+
+    def __init__(self, table: CommandTable, joints: Sequence[str]) -> None:
+        self._table = table
+        self._index = {joint: index for index, joint in enumerate(joints)}
+        self._count = 0
+
+    def frames(self, position: FloatArray) -> list[tuple[int, bytes]]:
+        """The frames (identifier, data) of a joint position (n,) [rad].
+
+        Raises:
+            DriverStateError: a joint's position does not fit into its bits.
+        """
+        frames = []
+        for layout in self._table.layouts:
+            values = [self._value(signal, position) for signal in layout.signals]
+            try:
+                data = encode(layout, values, self._table.templates.get(layout.identifier, b""))
+            except ValueError as error:
+                raise DriverStateError(str(error), hint="the command table cannot express this motion") from error
+            frames.append((layout.identifier, data))
+        self._count += 1
+        return frames
+
+    def _value(self, signal: Signal, position: FloatArray) -> float:
+        if signal.quantity == "position":
+            return float(position[self._index[signal.joint]])
+        low, high = signal.field.range
+        return signal.gain * (low + self._count % (high - low + 1.0)) + signal.bias
+
+
+def hear_all(settings: CanFramesSettings, receiver: Receiver, clock: Clock = SYSTEM_CLOCK) -> Order:
+    """Wait until every frame of the joints has come, and see which begins a cycle.
+
+    Raises:
+        ConnectionFailedError: names what did not come.
+        ConnectionLostError: the adapter is gone.
+    """
+    layouts, marker = settings.frame_layouts("joints"), settings.cycle
+    order = CycleOrder(layouts)
+    end = clock.now() + settings.timeout
+    heard: set[int] = set()
+    while not order.enough or (marker is not None and marker not in heard):
+        if (left := end - clock.now()) <= 0:
+            break
+        frames = receiver.take(left, at_least=len(layouts))
+        heard.update(identifier for _, identifier, _ in frames)
+        order.take(frames)
+    missing = [layout.label for layout in order.never_seen()]
+    if marker is not None and marker not in heard:
+        missing.append(f"frame {identifier_text(marker)} that begins a cycle")
+    if missing:
+        only = ", ".join(identifier_text(identifier) for identifier in sorted(heard)) or "none of the table's frames"
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise ConnectionFailedError(
+            f"no {missing[0]}{more} within {settings.timeout:g} s; heard: {only}",
+            where=f"{settings.interface} {settings.channel}",
+            hint="is the arm on, and are bit rate, identifiers, lengths and 'poll' right?",
+        )
+    return order.result()

@@ -12,8 +12,11 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from drivers.can.bus import EXTENDED
 from drivers.can.settings import CanSettings
 from drivers.can_signals.table.dbc import Dbc, load_dbc
-from drivers.can_signals.table.keys import ALLOWED_IDENTIFIERS, EXTENDED_LIMIT, STANDARD_LIMIT, FrameKeys
 from drivers.can_signals.table.signal_keys import (
+    ALLOWED_IDENTIFIERS,
+    EXTENDED_LIMIT,
+    STANDARD_LIMIT,
+    FrameKeys,
     SignalEntry,
     check_together,
     entries_named_by_rule,

@@ -19,23 +19,21 @@ from drivers.can.bus import Sender, close_bus, keep_quiet, open_bus, returns_own
 from drivers.can.receiver import Receiver
 from drivers.canopen402.monitor.drives import DriveWatch
 from drivers.canopen402.monitor.heartbeat_clocks import HeartbeatClocks
-from drivers.canopen402.monitor.life_signs import LifeSigns, guard_requests, heartbeat
+from drivers.canopen402.monitor.life_signs import LifeSigns, Silence, guard_requests, heartbeat
 from drivers.canopen402.monitor.presence import Heartbeats, NodeGuarding, Presence
-from drivers.canopen402.monitor.silence import Silence
 from drivers.canopen402.motion.drive_motion import DriveMotion
 from drivers.canopen402.motion.sdo_stop import SdoStop
 from drivers.canopen402.protocol import objects
 from drivers.canopen402.protocol.sdo import CanopenNetwork, RemoteDrive
 from drivers.canopen402.samples.alignment import REST_LATENESS, Aligned, Aligner
-from drivers.canopen402.samples.kernel_sync import KernelSync
 from drivers.canopen402.samples.layout import stream_layouts
-from drivers.canopen402.samples.sync import BEHIND, SyncProducer
+from drivers.canopen402.samples.sync import BEHIND, KernelSync, SyncProducer
 from drivers.canopen402.samples.temperature import TemperaturePoll, read_temperature
 from drivers.canopen402.settings import MODES, parse_settings
 from drivers.canopen402.setup.configuration import Configured, Identity, configure
 from drivers.canopen402.setup.drive_limits import at_joints
 from drivers.canopen402.setup.error_control import check_own_id, release
-from drivers.canopen402.setup.other_masters import masters_heartbeats, require_alone
+from drivers.canopen402.setup.readiness import masters_heartbeats, require_alone
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, MotionRefusedError
 from drivers.first_step import check_first_step, finite_position

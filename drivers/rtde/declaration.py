@@ -8,5 +8,5 @@ from drivers.rtde.protocol import PORT
 DECLARATION = DriverDeclaration(
     driver="drivers.rtde.driver:RtdeDriver",
     port=PORT,
-    simulated=(SimulatedBackEnd("rtde", "sim_drivers.rtde.serving:serve", stands_in=True, turning=6),),
+    simulated=(SimulatedBackEnd("rtde", "sim_drivers.rtde.server:serve", stands_in=True, turning=6),),
 )

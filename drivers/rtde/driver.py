@@ -22,8 +22,7 @@ from drivers.gains import gives_torque, joint_torque, torque_channel
 from drivers.rtde import protocol as wire
 from drivers.rtde.configuration import Configuration, read_configuration
 from drivers.rtde.connect import Connect, connect_tcp
-from drivers.rtde.dashboard import serial_number, stop_program
-from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode
+from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode, serial_number, stop_program
 from drivers.rtde.motion import JOINTS, MotionProcess, require_ur_rtde
 from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
 from drivers.rtde.settings import parse_settings

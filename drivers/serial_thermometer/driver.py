@@ -16,8 +16,7 @@ from drivers.base import DriverSettings, Level, Notice, State, require_state
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, DriverStateError
 from drivers.serial_port import BITS_A_BYTE
-from drivers.serial_thermometer.lines import LineParser, ThermometerReading
-from drivers.serial_thermometer.port import Chunk, Lost, Restored, SerialPort
+from drivers.serial_thermometer.port import Chunk, LineParser, Lost, Restored, SerialPort, ThermometerReading
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 

@@ -7,7 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
-from daq.recording.quality.position_jumps import Cause, PositionJump
+from daq.recording.quality.outliers import Cause, PositionJump
 from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Recording
 from daq.recording.unit_plausibility import DEGREES, displacement_ratios
 from drivers.core.arrays import FloatArray

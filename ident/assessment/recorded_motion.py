@@ -17,8 +17,8 @@ from ident.regression.observation_matrix import Reduction, reduce_segments
 from ident.signals.joint_signals import JointPositions, JointSignals, joint_positions, read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
-from ident.signals.played_motion import played_window
 from ident.signals.prepared import Prepared
+from ident.signals.segments import played_window
 
 
 @dataclass(frozen=True)

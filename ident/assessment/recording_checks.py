@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.recording.quality.clocks import ClockEstimate, ClockFit
-from daq.recording.quality.signal_quality import ColumnQuality, channel_quality
+from daq.recording.quality.signal_quality import ColumnQuality, channel_quality, unsigned_joints
 from daq.recording.quality.stale_samples import fresh_recording, stale_rows
 from daq.recording.quality.stream_quality import StreamQuality, stream_quality
-from daq.recording.quality.unsigned_signal import unsigned_joints
 from daq.recording.recording import COMMANDS_STREAM, HAND_GUIDED, JOINTS_STREAM, MOTOR_SIGNALS, Recording
 from daq.recording.repairs import DROP_REPEATS
 from daq.recording.unit_plausibility import displacement_ratios, other_unit

@@ -14,9 +14,8 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from ident.estimators.estimator import Estimation, EstimationLoop, Setup
-from ident.estimators.swarm.box import SearchBox
-from ident.estimators.swarm.minimisation import Minimum, Optimiser, SearchBudget, minimise
-from ident.estimators.swarm.quadratic_cost import QuadraticCost
+from ident.estimators.swarm.minimisation import Minimum, Optimiser, SearchBox, SearchBudget, minimise
+from ident.estimators.swarm.physical import QuadraticCost
 from ident.estimators.torque_estimator import TorqueEstimator
 from ident.linear_algebra.triangular import triangular
 from ident.regression.least_squares import LeastSquares

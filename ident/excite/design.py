@@ -15,16 +15,13 @@ from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import IdentificationError, UsageError
 from drivers.core.text import did_you_mean
 from ident.excite.choices import DesignChoices
-from ident.excite.constraints.constraints import constraints_of
+from ident.excite.constraints.constraints import constraints_of, constraints_within_limits, criterion_within_limits
 from ident.excite.constraints.self_collision import SelfCollision
-from ident.excite.constraints.within_limits import constraints_within_limits, criterion_within_limits
-from ident.excite.criteria import Criterion, MotionSize, RegressorCriterion
-from ident.excite.families.fourier import FourierFamily, FourierQuinticFamily
-from ident.excite.families.moving_joints import middle_of_range
-from ident.excite.families.points import PointsFamily
-from ident.excite.families.sines import SinesFamily
-from ident.excite.measures import (
+from ident.excite.criteria import (
+    Criterion,
     Measure,
+    MotionSize,
+    RegressorCriterion,
     condition,
     d_optimal,
     deviations,
@@ -32,13 +29,16 @@ from ident.excite.measures import (
     moments_apart,
     plain_condition,
 )
+from ident.excite.families.fourier import FourierFamily, FourierQuinticFamily
+from ident.excite.families.moving_joints import middle_of_range
+from ident.excite.families.points import PointsFamily
+from ident.excite.families.sines import SinesFamily
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.path import Family
 from ident.excite.prior import PriorKnowledge
 from ident.excite.search.acceptance import accepted, shrunk_to_fit
-from ident.excite.search.error_bars import ErrorBars
 from ident.excite.search.poses import NoFeasiblePoseError
-from ident.excite.search.problem import DesignProblem
+from ident.excite.search.problem import DesignProblem, ErrorBars
 from ident.excite.search.search import SearchChoices, SearchResult, search
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.base_parameters import BaseParameters, base_parameters

@@ -24,10 +24,10 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import MotionRefusedError, UsageError
 from drivers.core.text import did_you_mean
+from ident.excite.choices import FEWEST_POSES, GravityChoices
 from ident.excite.families.moving_joints import ONE_TURN, middle_of_range
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.prior import PriorKnowledge
-from ident.excite.purpose_choices import FEWEST_POSES, GravityChoices
 from ident.model.gravity_base import gravity_base, gravity_columns, gravity_rows, resting_model
 
 STROKE, SLIDE = 0.2, 0.05

@@ -17,8 +17,8 @@ from daq.motion.trajectories import SampledMotion
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import BoolArray, FloatArray
 from drivers.core.errors import MotionRefusedError, UsageError
+from ident.excite.choices import ServoMotionChoices
 from ident.excite.motion_check import ArmMotionCheck
-from ident.excite.purpose_choices import ServoMotionChoices
 from ident.excite.servo_segments import KINDS, LADDER, PERIOD, Room, ServoSegment, joined, segment, way
 from ident.servo.links import ServoLinks, servo_links
 from ident.servo.motion import SETTLING, ServoMotion, lanes_of, motion_load

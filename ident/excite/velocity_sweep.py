@@ -19,8 +19,8 @@ from daq.robot.schema import JointLimits
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import MotionRefusedError, UsageError
 from drivers.core.text import did_you_mean
+from ident.excite.choices import SMALLEST_STROKE, SweepChoices
 from ident.excite.families.moving_joints import middle_of_range
-from ident.excite.purpose_choices import SMALLEST_STROKE, SweepChoices
 
 LIMIT_SHARE = 0.9
 """Share of position range, velocity and acceleration limits that is used."""

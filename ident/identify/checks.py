@@ -26,7 +26,7 @@ from ident.assessment.plausibility import (
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.residual_tests import residual_checks
 from ident.assessment.torque_level import torque_level_checks, weight_checks
-from ident.estimators.energy.estimator import fits_energy_better
+from ident.estimators.energy_model import fits_energy_better
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.estimators.torque_estimator import reduce_torques

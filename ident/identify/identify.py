@@ -17,7 +17,7 @@ from drivers.core.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import fit_errors
-from ident.estimators.energy.estimator import estimable
+from ident.estimators.energy_model import estimable
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
@@ -26,10 +26,9 @@ from ident.friction.terms import NO_TERMS
 from ident.identify.body_checks import refuse_denied
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import check_torques, split_data
-from ident.identify.friction.curvature import with_curvature
 from ident.identify.friction.fit import fit_friction
 from ident.identify.friction.presliding import low_speed_error
-from ident.identify.friction.shapes import with_free_shapes
+from ident.identify.friction.shapes import with_curvature, with_free_shapes
 from ident.identify.held_friction import hold_temperatures
 from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
 from ident.identify.identification import (

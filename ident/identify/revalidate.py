@@ -22,9 +22,8 @@ from ident.regression.comparison import TorqueSeries
 from ident.regression.observability import predictable_torques
 from ident.regression.options import REST_TOLERANCE
 from ident.regression.velocity_reversals import leave_out_rest
-from ident.result.result_file import file_sha256
+from ident.result.result_file import file_sha256, stored_model
 from ident.result.schema import RecordingUse, Result
-from ident.result.stored_model import stored_model
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare
 from ident.signals.sample_hashes import overlap

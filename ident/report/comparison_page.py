@@ -10,8 +10,7 @@ import numpy as np
 from ident.assessment.validation import LOW_SPEED
 from ident.experiments.method_comparison import JointGroup
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain
-from ident.report.figures.interval_panel import ROW
-from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.panels import ROW, Panel, panel_figure
 from ident.report.figures.traces import points_trace
 from ident.report.html_file import page_templates
 from ident.result.tables import Table

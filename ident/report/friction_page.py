@@ -10,7 +10,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.units import ZERO_CELSIUS, common_unit, joint_unit
 from ident.experiments.friction.experiment import FrictionExperiment
-from ident.experiments.friction.joint_friction import JointExperiment, friction_torque
+from ident.experiments.friction.joint_data import JointExperiment, friction_torque
 from ident.model.dynamic_model import DynamicModel
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import Panel, panel_figure

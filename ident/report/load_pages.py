@@ -12,8 +12,7 @@ from ident.experiments.payload_summary import consistent_load_sentences
 from ident.experiments.schema import GainsResult, LoadParameter, PayloadResult, SlowGainsResult
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure
-from ident.report.figures.interval_panel import IntervalSeries, interval_panel
-from ident.report.figures.panels import panel_figure
+from ident.report.figures.panels import IntervalSeries, interval_panel, panel_figure
 from ident.report.html_file import page_templates
 from ident.report.section import Tile
 from ident.views.load_tables import gains_tables, payload_tables

@@ -18,8 +18,7 @@ from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import SmoothMotion, Step
 from ident.signals.segments import UniformSegment, central_difference
 from ident.signals.smoothing.five_point import five_point_cubic, half_gain_frequency, passes_for
-from ident.signals.smoothing.kalman import WHITE_SNAP, kalman_smoother
-from ident.signals.smoothing.noise_levels import cutoff_of_noise, likeliest_cutoff, sample_noise
+from ident.signals.smoothing.kalman import WHITE_SNAP, cutoff_of_noise, kalman_smoother, likeliest_cutoff, sample_noise
 from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_golay
 
 LOWEST_CUTOFF_PER_BAND = 2.0

@@ -15,9 +15,8 @@ from ident.assessment.validation import Fit
 from ident.regression.estimate import Estimate
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest, chi_square_test
 from ident.result.models.model import Model, result_path
-from ident.result.result_file import SERVO, kind_of
+from ident.result.result_file import SERVO, kind_of, stored_estimate, stored_model
 from ident.result.schema import Result
-from ident.result.stored_model import stored_estimate, stored_model
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.servo.difference import error_differences, parameter_differences, parameters_agree, refuse_other_arm
 from ident.servo.result import ServoResult, read_servo_result

@@ -14,14 +14,13 @@ from daq.motion.trajectory_file import PointsTrajectory, SamplesTrajectory, dump
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
 from daq.output_files import check_outputs, replace_files
 from daq.robot.assumptions import assumed_limits
-from daq.robot.fingerprint import fingerprint
-from daq.robot.loader import RobotFile, load_robot
+from daq.robot.loader import RobotFile, fingerprint, load_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, UsageError
 from drivers.core.files import path_of
 from drivers.core.options import keywords_of, same_named
 from drivers.core.text import percent_text, percentage_text
-from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
+from ident.excite.choices import DEFAULT_SECONDS, DesignChoices, GravityChoices, ServoMotionChoices, SweepChoices
 from ident.excite.constraints.workspace import surroundings_warning
 from ident.excite.design import Design, design
 from ident.excite.forecast import ExcitationFigures, excitation_figures
@@ -29,7 +28,6 @@ from ident.excite.gravity_poses import GravityMotion, gravity_motion
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.page.page import write_page
 from ident.excite.prior import PriorKnowledge, find_prior
-from ident.excite.purpose_choices import GravityChoices, ServoMotionChoices, SweepChoices
 from ident.excite.search.search import SearchChoices, SearchResult
 from ident.excite.servo_motion import ServoExcitation, servo_excitation
 from ident.excite.servo_segments import KINDS, PERIOD

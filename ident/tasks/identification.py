@@ -26,9 +26,8 @@ from ident.report.figures.torque_figure import torque_figure
 from ident.result.delivered import Delivered
 from ident.result.friction_experiment import read_friction_experiment
 from ident.result.models.model import Model, result_path
-from ident.result.result_file import read_result, result_json
+from ident.result.result_file import read_result, result_json, stored_model
 from ident.result.schema import Result
-from ident.result.stored_model import stored_model
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.pipeline import PreprocessChoices
 from ident.tasks.arguments import Run, limits_of, recording_of, recordings_of

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, get_args
 from drivers.core.errors import UsageError
 from drivers.core.options import Options, argument, option, read_names, read_numbers
 from drivers.core.ranges import Range
-from ident.excite.choices import DesignChoices, SearchOptions
-from ident.excite.purpose_choices import GravityChoices, ServoMotionChoices, SweepChoices
+from ident.excite.choices import DesignChoices, GravityChoices, SearchOptions, ServoMotionChoices, SweepChoices
 from ident.identify.options import ColumnOptions
 from ident.monitor.choices import BANDWIDTH, Kind
 from ident.regression.options import PERCENT, EssentialOptions, ExperimentChoices, ReversalOptions

@@ -28,7 +28,7 @@ from ident.result.delivered import Parameters
 from ident.result.models.gravity_model import refuse_gravity_alone
 from ident.result.models.load_model import load_model
 from ident.result.models.model import Model
-from ident.result.stored_model import stored_model
+from ident.result.result_file import stored_model
 from ident.result.tables import Table, table_of_rows
 from ident.tasks.arguments import recording_of
 from ident.tasks.identification import IdentificationResult

@@ -9,7 +9,7 @@ from drivers.core.text import percent_text
 from drivers.core.units import common_unit
 from ident.estimators.feasible.pseudo_inertia import INERTIA_ELEMENTS
 from ident.experiments.schema import ConsistentLoadResult, GainsResult, LoadParameter, PayloadResult, SlowGainsResult
-from ident.linear_algebra.row_space import DETERMINED
+from ident.linear_algebra.independent_columns import DETERMINED
 from ident.result.tables import Column, Table, table_of, table_of_rows
 from ident.views.number_text import with_error
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from heapq import heappop, heappush
 
-from drivers.can.frame_length import frame_bits as longest_bits
+from drivers.bus_budget import frame_bits as longest_bits
 
 CRC_POLYNOMIAL = 0x4599
 """x¹⁵ + x¹⁴ + x¹⁰ + x⁸ + x⁷ + x⁴ + x³ + 1, without its highest term."""

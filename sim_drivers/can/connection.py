@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from daq.robot.schema import Robot
 from daq.session.connections import keys_of_driver
-from sim_drivers.options import SimOptions
+from sim_drivers.served import SimOptions
 
 
 def connection_keys(robot: Robot, driver: str, options: SimOptions) -> dict[str, object] | None:

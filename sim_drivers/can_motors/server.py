@@ -14,9 +14,9 @@ import can
 import numpy as np
 
 from daq.robot.loader import RobotFile
+from drivers.bus_budget import fd_frame_bits
 from drivers.can.arrival_clock import ArrivalClock
 from drivers.can.bus import EXTENDED, REMOTE, returns_own_frames
-from drivers.can.frame_length import fd_frame_bits
 from drivers.can_motors.settings import CODECS, CanMotorSettings
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock

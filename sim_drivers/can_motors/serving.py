@@ -11,8 +11,8 @@ from drivers.core.clock import Clock
 from drivers.core.errors import UsageError
 from sim_drivers.can.connection import connection_keys
 from sim_drivers.can_motors.server import CanMotorServer
-from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
+from sim_drivers.served import SimOptions
 
 
 def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock, family: str) -> CanMotorServer:

@@ -13,14 +13,17 @@ from pathlib import Path
 
 import can
 
+from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.can.bus import EXTENDED
 from drivers.can.receiver import Receiver
 from drivers.can_signals.settings import parse_settings
 from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import UsageError
 from drivers.core.text import percent_text
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
 from sim_drivers.can.bus_server import BusServer, send_error_frame
+from sim_drivers.can.connection import connection_keys
 from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.faults import (
     BlockJoint,
@@ -37,6 +40,8 @@ from sim_drivers.faults import (
     Truncate,
 )
 from sim_drivers.plant.arm import SimulatedArm
+from sim_drivers.plant.plant import Plant
+from sim_drivers.served import SimOptions
 from sim_drivers.server import LONGEST_LAG
 
 
@@ -247,3 +252,25 @@ class ProprietaryCanServer(BusServer):
                 self._arm.arm.block(joint)
             case Stick(quantity, joint):
                 self._arm.arm.stick(joint, quantity)
+
+
+DRIVER = "can_frames"
+
+
+def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> ProprietaryCanServer:
+    """An arm with the signal table of the robot file's connection.
+
+    Raises:
+        UsageError: there is no such connection, or its keys are wrong.
+    """
+    robot = robot_file.robot
+    if options.swap is not None or options.worst_stuffing:
+        raise UsageError("--swap and --worst-stuffing are for --wire canopen and slcan")
+    keys = connection_keys(robot, DRIVER, options)
+    if keys is None:
+        raise UsageError(
+            f"the robot file has no connection with the driver {DRIVER}, so there is no signal table",
+            where=f"{robot.name}: connections",
+            hint="docs/can.md shows one",
+        )
+    return ProprietaryCanServer(plant, robot, keys, robot_file.folder, clock)

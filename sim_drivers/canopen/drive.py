@@ -25,9 +25,8 @@ from drivers.canopen402.protocol.state_machine import DISABLE_VOLTAGE, QUICK_STO
 from sim_drivers.canopen.axis import FAULTY, FOLLOWING_ERROR, OVER_TEMPERATURE, Axis
 from sim_drivers.canopen.error_control import NodeErrorControl
 from sim_drivers.canopen.motion import AxisReference
-from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError
+from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError, SdoServer
 from sim_drivers.canopen.pdo import ReceivePdo, TransmitPdo
-from sim_drivers.canopen.sdo_server import SdoServer
 from sim_drivers.canopen.setup import DriveSetup, Feedback, fixed_values
 
 _NMT_STATES = {0x01: STATE_OPERATIONAL, 0x02: STATE_STOPPED, 0x80: STATE_PRE_OPERATIONAL}

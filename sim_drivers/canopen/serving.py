@@ -18,8 +18,8 @@ from sim_drivers.can.connection import connection_keys, with_options
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.server import CanopenServer
 from sim_drivers.faults import joint_index
-from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
+from sim_drivers.served import SimOptions
 
 DRIVER = "canopen402"
 DEFAULT_BUS = {"interface": "udp_multicast", "channel": "239.74.163.2", "options": {"hop_limit": 0}}

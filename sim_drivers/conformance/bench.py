@@ -15,9 +15,8 @@ from drivers.base import Driver
 from drivers.core.arrays import FloatArray
 from drivers.declaration import declared, named
 from sim_drivers.conformance.simulated_clock import SimulatedClock, simulated_time
-from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
-from sim_drivers.served import Served
+from sim_drivers.served import Served, SimOptions
 
 TOLERANCES: Mapping[str, float] = {"position": 2e-3, "current": 0.5, "torque": 2.0, "temperature": 2.0}
 """How far a sample may be from what is true, by quantity, in dynid's units: noise and steps of encoders, no more."""

@@ -7,6 +7,11 @@ Sliding, per joint (AUBO eq. 3-6; T in kelvin, τ_L the gravity torque; the Stri
 Equation 3 leaves out the neighbourhood of zero velocity. There a spring with a damper (a bristle, one Maxwell-slip
 element) replaces sign(q̇) in the terms that do not vanish at rest: it yields up to the break-away torque and
 then slides with it. A joint at rest therefore holds its load without creeping and without a sign that chatters.
+
+Heat of simulated joints: copper loss warms the winding, friction the housing, and the air cools the housing.
+
+Cw·Ṫw = P_copper − Gwh·(Tw − Th)
+Ch·Ṫh = P_friction + Gwh·(Tw − Th) − Gha·(Th − T_ambient)
 """
 
 from __future__ import annotations
@@ -15,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from daq.robot.schema import Robot, TruthJoint
+from daq.robot.schema import Robot, TruthJoint, TruthThermal
 from drivers.core.arrays import FloatArray
 from drivers.core.units import ZERO_CELSIUS
 from ident.model.dynamic_model import DynamicModel
@@ -175,3 +180,64 @@ class PairFriction:
         joint_velocity = self._to_joints @ velocity
         at_joints = self._viscous * joint_velocity + self._coulomb * np.tanh(joint_velocity / WIDTH)
         return np.asarray(-self._to_joints.T @ at_joints)
+
+
+LOSS_AT_TORQUE_LIMIT = 80.0
+"""Copper loss [W] at the torque limit of a joint whose truth gives none: a size, not a measurement."""
+
+UNKNOWN_TORQUE_LIMIT = 100.0
+"""Torque limit [N·m] assumed for the copper loss of a joint without one."""
+
+
+def copper_losses(robot: Robot) -> FloatArray:
+    """Copper loss over the square of the drive torque, R/K² (n,) [W/(N·m)²]."""
+    given = robot.truth.thermal.copper_loss
+    limits = [joint.torque or UNKNOWN_TORQUE_LIMIT for joint in robot.joints]
+    return np.array(
+        [
+            given.get(name, LOSS_AT_TORQUE_LIMIT / limit**2)
+            for name, limit in zip(robot.joint_names, limits, strict=True)
+        ]
+    )
+
+
+def _heat_matrix(thermal: TruthThermal) -> FloatArray:
+    across, out = thermal.winding_to_housing, thermal.housing_to_ambient
+    return np.array(
+        [
+            [-across / thermal.winding_capacity, across / thermal.winding_capacity],
+            [across / thermal.housing_capacity, -(across + out) / thermal.housing_capacity],
+        ]
+    )
+
+
+class JointHeat:
+    """Temperatures of n joints, exact for heat that is constant within a step.
+
+    Args:
+        thermal: the constants.
+        dof: number of joints.
+        step: [s] between two calls of `advance`.
+
+    Attributes:
+        winding: (n,) [°C].
+        housing: (n,) [°C], where the temperature sensor sits.
+        ambient: [°C].
+    """
+
+    def __init__(self, thermal: TruthThermal, dof: int, step: float) -> None:
+        from scipy.linalg import expm
+
+        self.ambient = thermal.ambient
+        self.winding = np.full(dof, thermal.ambient)
+        self.housing = np.full(dof, thermal.ambient)
+        matrix = _heat_matrix(thermal)
+        self._decay: FloatArray = expm(matrix * step)
+        capacities = np.array([thermal.winding_capacity, thermal.housing_capacity])
+        self._gain: FloatArray = np.linalg.solve(matrix, self._decay - np.eye(2)) / capacities
+
+    def advance(self, copper: FloatArray, friction: FloatArray) -> None:
+        """One step on with copper and friction losses (n,) [W]."""
+        above = np.stack([self.winding, self.housing]) - self.ambient
+        above = self._decay @ above + self._gain @ np.stack([copper, friction])
+        self.winding, self.housing = above + self.ambient

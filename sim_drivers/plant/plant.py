@@ -26,14 +26,15 @@ from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.plant.contact import Contacts
 from sim_drivers.plant.control import Braking, ComputedTorque, JointController, Pid, Reference, independent_inertia
 from sim_drivers.plant.friction import (
+    JointHeat,
     PairFriction,
     SimulatedFriction,
     bristle_stiffness,
+    copper_losses,
     friction_parameters,
     steepest_slope,
 )
 from sim_drivers.plant.sensors import EncoderSpeed, Measurement, TorqueSensor, drive_gains, quantised
-from sim_drivers.plant.thermal import JointHeat, copper_losses
 
 POSTURES = 20
 """Random postures at which inertias are evaluated, for gains and numerical stability."""

@@ -24,7 +24,7 @@ from drivers.core.errors import RobotFileError
 from ident.model.dynamics.rigid_arm import rigid_arm
 from ident.model.true_parameters import true_model, truth_vector
 from ident.simulation.dry_friction import dry_friction
-from sim_drivers.plant.thermal import JointHeat
+from sim_drivers.plant.friction import JointHeat
 
 STEP = 0.002
 """[s] of an arm without play."""

@@ -33,7 +33,7 @@ from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report import ReportData, TruthTable, recorded_runs, write_result_folder
 from ident.result.schema import Result
 from ident.tasks.excitation import search_state
-from sim_drivers.options import DemoOptions
+from sim_drivers.served import DemoOptions
 from sim_drivers.simulated_arm import Record, Recorded, over_rtde
 
 PERIOD = 15.0

@@ -15,6 +15,8 @@ from dataclasses import dataclass, replace
 from queue import SimpleQueue
 from typing import Literal
 
+from daq.robot.arm_lengths import arm_lengths
+from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits
 from drivers.core.clock import SYSTEM_CLOCK, Clock, HasFileno
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
@@ -33,13 +35,13 @@ from sim_drivers.faults import (
     Stick,
 )
 from sim_drivers.plant.arm import SimulatedArm
-from sim_drivers.rtde.connection import ClientConnection, Session
+from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.control_script import ScriptSession
 from sim_drivers.rtde.controller import Controller
-from sim_drivers.rtde.dashboard import DashboardSession
-from sim_drivers.rtde.secondary import SecondarySession
-from sim_drivers.rtde.session import RtdeSession
+from sim_drivers.rtde.dashboard import DashboardSession, SecondarySession
+from sim_drivers.rtde.session import ClientConnection, RtdeSession, Session
 from sim_drivers.rtde.variables import JOINTS, parse_version
+from sim_drivers.served import SimOptions
 from sim_drivers.server import LONGEST_LAG, FaultyServer
 
 MAXIMUM_CONNECTIONS = 64
@@ -366,3 +368,15 @@ def _is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
+
+
+def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> RtdeServer:
+    """A controller of the version that is asked for, which knows the arm's lengths.
+
+    Raises:
+        UsageError: no such version, or not six turning joints.
+    """
+    server = RtdeServer(plant, host=options.host, version=options.version, joints=robot_file.robot.joints, clock=clock)
+    if (lengths := arm_lengths(robot_file)) is not None:
+        server.controller.lengths = lengths.tolist()
+    return server

@@ -7,9 +7,9 @@ from daq.session.connections import keys_of_driver
 from drivers.core.clock import Clock
 from drivers.core.errors import UsageError
 from drivers.serial_servos.settings import parse_settings
-from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
 from sim_drivers.serial_servos.server import SerialServoServer
+from sim_drivers.served import SimOptions
 
 
 def serve_feetech(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> SerialServoServer:

@@ -13,9 +13,8 @@ from daq.session.connections import keys_of_driver
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import UsageError
 from sim_drivers.faults import Fault, Heat
-from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
-from sim_drivers.served import Served
+from sim_drivers.served import Served, SimOptions
 from sim_drivers.server import FaultyServer
 from sim_drivers.thermometer.server import WORD, ThermometerServer, WritableLineEnd, serve_thermometer
 

@@ -26,7 +26,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.units import ZERO_CELSIUS
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
-from ident.experiments.friction.joint_friction import friction_torque
+from ident.experiments.friction.joint_data import friction_torque
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.friction_experiment import JointFrictionExperiment
 from sim_drivers.plant.plant import Plant

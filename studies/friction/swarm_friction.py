@@ -17,9 +17,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from drivers.core.arrays import FloatArray
-from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.minimisation import Optimiser, SearchBudget, minimise
+from ident.estimators.swarm.minimisation import Optimiser, SearchBox, SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm, RandomWeight
 from studies.friction.friction_shapes import Columns, ShapeCost, lugre_columns, stribeck_columns
 from studies.methods.library_optimisers import CmaEs, DifferentialEvolution

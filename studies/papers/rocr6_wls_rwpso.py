@@ -26,10 +26,9 @@ from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import Recording
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from ident.estimators.swarm.box import SearchBox
-from ident.estimators.swarm.minimisation import Optimiser, SearchBudget, minimise
+from ident.estimators.swarm.minimisation import Optimiser, SearchBox, SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ConstantWeight, ParticleSwarm, RandomWeight
-from ident.estimators.swarm.quadratic_cost import QuadraticCost
+from ident.estimators.swarm.physical import QuadraticCost
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
@@ -39,8 +38,7 @@ from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from ident.signals.options import Differentiation, PreprocessChoices
 from ident.signals.smoothing.five_point import five_point_cubic
-from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_smoother
-from ident.signals.smoothing.noise_levels import likeliest_cutoff
+from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_smoother, likeliest_cutoff
 from ident.simulation.forward_arm import ForwardArm
 from sim_drivers.synthetic.measurement import random_fourier_motion
 

@@ -22,12 +22,16 @@ import numpy as np
 import dynid
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.minimisation import Minimum, Optimiser, SearchBudget, minimise
+from ident.estimators.swarm.minimisation import Minimum, Optimiser, SearchBox, SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm
-from ident.estimators.swarm.physical import PhysicalCost, PhysicalParameters, identifiability, physical_values
-from ident.estimators.swarm.quadratic_cost import QuadraticCost
+from ident.estimators.swarm.physical import (
+    PhysicalCost,
+    PhysicalParameters,
+    QuadraticCost,
+    identifiability,
+    physical_values,
+)
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
 from ident.excite.prior import find_prior

@@ -41,7 +41,7 @@ from daq.session.command_gate import MARGIN, CommandGate, GateLimits
 from daq.session.play import Play
 from daq.session.session import record
 from daq.session.supervisor import Limits, Supervisor
-from drivers.can_signals.motion import Commander
+from drivers.can_signals.driver import Commander
 from drivers.can_signals.settings import parse_settings
 from drivers.canopen402.motion.target_path import TargetPath
 from drivers.canopen402.samples.sync import LATEST

@@ -41,8 +41,7 @@ from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import Differentiation, PreprocessChoices
 from ident.signals.pipeline import prepare
 from ident.signals.smoothing.five_point import five_point_cubic, passes_for
-from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_filter, kalman_smoother
-from ident.signals.smoothing.noise_levels import likeliest_cutoff
+from ident.signals.smoothing.kalman import WHITE_CURVATURE, kalman_filter, kalman_smoother, likeliest_cutoff
 from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_golay
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks.mistaken_recordings import arms

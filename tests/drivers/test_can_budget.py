@@ -7,11 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.base import DriverSettings
-from drivers.bus_budget import Budget, FrameGroup
-from drivers.can.frame_length import can_frames, frame_bits
+from drivers.bus_budget import Budget, FrameGroup, can_frames, frame_bits
 from drivers.can_signals.declaration import DECLARATION as TABLE
-from drivers.canopen402.budget import synchronous_cycle
 from drivers.canopen402.declaration import DECLARATION as DRIVES
+from drivers.canopen402.declaration import synchronous_cycle
 from drivers.core.errors import UsageError
 from drivers.gains import DriveGain
 from drivers.rtde.declaration import DECLARATION as CONTROLLER

@@ -26,8 +26,8 @@ from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.result_file import read_result
-from sim_drivers.options import DemoOptions
 from sim_drivers.rtde.demo import ATTEMPTS, _recorded, print_demo, run_demo
+from sim_drivers.served import DemoOptions
 from sim_drivers.simulated_arm import Recorded, record_over_wire, simulated_arm
 
 DESIGNED = Path(__file__).parent / "designed"

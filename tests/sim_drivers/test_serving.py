@@ -7,8 +7,8 @@ import pytest
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
-from sim_drivers.options import SimOptions
-from sim_drivers.serving.serve import simulate, start_position
+from sim_drivers.served import SimOptions
+from sim_drivers.serving import simulate, start_position
 
 
 def test_a_position_is_a_number_for_each_joint() -> None:

@@ -18,12 +18,12 @@ from simulated_clock import START, SimulatedClock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from drivers.rtde import protocol as wire
 from sim_drivers.faults import Cut, Drop, Freeze, Heat, ProtectiveStop
-from sim_drivers.options import SimOptions
 from sim_drivers.rtde.controller import Controller
 from sim_drivers.rtde.server import LONGEST_LAG, MAXIMUM_CONNECTIONS, Ports, RtdeServer, Service
 from sim_drivers.rtde.session import RtdeSession
 from sim_drivers.rtde.variables import output_variables, parse_version
-from sim_drivers.serving.serve import simulate
+from sim_drivers.served import SimOptions
+from sim_drivers.serving import simulate
 
 PERIOD = 0.002
 

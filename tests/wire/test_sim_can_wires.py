@@ -8,9 +8,9 @@ from daq.robot.loader import load_robot
 from drivers.core.clock import SYSTEM_CLOCK
 from drivers.core.errors import ConnectionFailedError, DynidError, UsageError
 from sim_drivers.canopen import serving
-from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
-from sim_drivers.serving.serve import simulate
+from sim_drivers.served import SimOptions
+from sim_drivers.serving import simulate
 
 
 def test_the_options_choose_bus_and_nodes() -> None:

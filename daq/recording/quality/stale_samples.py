@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from daq.recording.commanded_motion import TARGET, command_stream, held
-from daq.recording.quality.position_jumps import PositionJump, beside_jumps, position_jumps
+from daq.recording.quality.outliers import PositionJump, beside_jumps, position_jumps
 from daq.recording.quality.quantisation import resolution
 from daq.recording.quality.signal_quality import white_noise
 from daq.recording.recording import JOINTS_STREAM, Recording

@@ -2,13 +2,229 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
 from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
-from ident.commands.preparation.excite_purposes import ExciteCommandOptions
+from drivers.core.errors import UsageError
+from drivers.core.options import Options, default_of, flag_of, option, same_named
+from ident.excite.choices import PoseCount, ServoMotionLength
+from ident.tasks.options import ExciteOptions, GravityMotionOptions, ServoMotionOptions
+
+if TYPE_CHECKING:
+    from ident.tasks.excitation import ExcitationTrajectory
+
+
+FULL, GRAVITY, SERVO = "full", "gravity", "servo"
+
+
+@dataclass(frozen=True)
+class DesignedMotion:
+    """A motion of any purpose, with what the command says of it.
+
+    Attributes:
+        trajectory: to be written; None where no further motion is needed.
+        title: of the table.
+        headings, rows: of the table.
+        lines: below the table.
+        object: what `--json` has beside file, page, robot and warnings.
+    """
+
+    trajectory: ExcitationTrajectory | None
+    title: str
+    headings: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    lines: Sequence[str]
+    object: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Purpose:
+    """What a motion is for.
+
+    Attributes:
+        summary: for the help.
+        options: whose fields it heeds; another option that is given is refused.
+        design: makes the motion; the second argument shows progress.
+    """
+
+    summary: str
+    options: type[Options]
+    design: Callable[[ExciteCommandOptions, Callable[[str], None]], DesignedMotion]
+
+
+def design_full(options: ExciteCommandOptions, progress: Callable[[str], None]) -> DesignedMotion:
+    """Design an excitation of all parameters."""
+    from drivers.core.text import percent_text
+    from ident.regression.options import SIGNIFICANT_RSD
+    from ident.tasks.excitation import design_excitation, search_state, search_words
+
+    progress("search")
+    given = vars(same_named(options, ExciteOptions))
+    trajectory = design_excitation(**{**given, "progress": lambda result: progress(search_state(result))})
+    design, forecast = trajectory.design, trajectory.figures.forecast
+    assert design is not None
+    columns = trajectory.limits.columns
+    lines = ["Ctrl-C ended the search; this is the best feasible motion so far."] if design.search.interrupted else []
+    lines.append(trajectory.summary)
+    known = [p.rsd_percent for p in forecast.parameters if p.rsd_percent is not None]
+    if known:
+        significant = sum(value < SIGNIFICANT_RSD for value in known)
+        lines.append(
+            f"predicted RSD below {percent_text(SIGNIFICANT_RSD / 100.0)} for {significant} of {len(known)} base "
+            f"parameters (white noise; {trajectory.figures.prior})"
+        )
+    if forecast.unexcited:
+        lines.append(f"not excited: {', '.join(forecast.unexcited)}")
+    lines.append(search_words(design))
+    return DesignedMotion(
+        trajectory,
+        "Limit utilisation [%]",
+        [column.name for column in columns],
+        list(zip(*(column.cells for column in columns), strict=True)),
+        lines,
+        {
+            "choices": asdict(design.choices),
+            "cost": design.cost,
+            "search": {
+                "finished_starts": design.search.finished,
+                "seconds": design.search.seconds,
+                "interrupted": design.search.interrupted,
+            },
+            "limits": dict(zip(design.limits, design.use.tolist(), strict=True)),
+            "figures": asdict(trajectory.figures),
+        },
+    )
+
+
+def design_gravity(options: ExciteCommandOptions, progress: Callable[[str], None]) -> DesignedMotion:
+    """Design poses that are passed slowly from both sides."""
+    from ident.tasks.excitation import design_gravity_motion
+
+    progress("poses")
+    trajectory, designed = design_gravity_motion(**vars(same_named(options, GravityMotionOptions)))
+    robot = trajectory.robot_file.robot
+    rows = [
+        [joint.name, float(low), float(high), float(2.0 * half), float(sigma), joint.unit("N·m")]
+        for joint, low, high, half, sigma in zip(
+            robot.joints,
+            designed.poses.min(axis=0),
+            designed.poses.max(axis=0),
+            designed.half_stroke,
+            designed.sigma,
+            strict=True,
+        )
+    ]
+    lines = [
+        f"{trajectory.duration:.0f} s: {len(designed.poses)} poses, each passed upwards and downwards in "
+        f"{designed.pass_time:.2g} s, the first one again at the end",
+        f"σ is that of the gravity torque to expect (white noise; {trajectory.prior.source})",
+    ]
+    if designed.silent:
+        lines.append(f"gravity does not act on {', '.join(designed.silent)}: only friction and offset")
+    if designed.undetermined:
+        lines.append(f"not determined: {', '.join(designed.undetermined)}")
+    if designed.dropped:
+        lines.append(f"{designed.dropped} more poses were chosen, but no free way leads to them")
+    return DesignedMotion(
+        trajectory,
+        "Poses",
+        ("joint", "from", "to", "pass", "expected σ", "unit"),
+        rows,
+        lines,
+        {
+            "duration": trajectory.duration,
+            "poses": designed.poses.tolist(),
+            "pass_length": (2.0 * designed.half_stroke).tolist(),
+            "pass_time": designed.pass_time,
+            "expected_sigma": designed.sigma.tolist(),
+            "silent": list(designed.silent),
+            "undetermined": list(designed.undetermined),
+        },
+    )
+
+
+def design_servo(options: ExciteCommandOptions, progress: Callable[[str], None]) -> DesignedMotion:
+    """Design ramps, steps and chirps, for all parameters or for those that are still wide."""
+    from ident.excite.servo_segments import KINDS
+    from ident.tasks.excitation import design_servo_motion
+
+    progress("pieces of motion")
+    trajectory, designed = design_servo_motion(**vars(same_named(options, ServoMotionOptions)))
+    rows: list[list[Any]] = [
+        [one.joint, one.parameter.replace("_", " "), one.now, one.then, one.wanted] for one in designed.forecast
+    ]
+    lines, counts = [], [f"{sum(one.kind == kind for one in designed.segments)} {kind}" for kind in KINDS]
+    if trajectory is not None:
+        lines.append(f"{trajectory.duration:.0f} s: {', '.join(counts)}, of all joints at once")
+    if designed.enough:
+        after = "" if trajectory is None else " is expected after this motion: identify from all recordings together"
+        lines.append(f"enough: every interval within {options.wanted:g} %{after}")
+    elif designed.forecast:
+        loose = [f"{one.joint} {one.parameter.replace('_', ' ')}" for one in designed.forecast if one.then > one.wanted]
+        lines.append(f"not enough for {', '.join(loose)}; identify from all recordings, and go on with --after")
+    else:
+        lines.append(
+            "then: dynid identify RUN.h5 --method servo -o model; dynid excite ROBOT --for servo --after model"
+        )
+    return DesignedMotion(
+        trajectory,
+        "95 % intervals, half-widths [%]" if rows else "Pieces",
+        ("joint", "parameter", "now", "expected", "wanted") if rows else ("kind", "amplitude", "pose"),
+        rows or [[one.kind, one.amplitude, one.pose] for one in designed.segments],
+        lines,
+        {
+            "duration": 0.0 if trajectory is None else trajectory.duration,
+            "enough": designed.enough,
+            "forecast": [asdict(one) for one in designed.forecast],
+            "pieces": [{"kind": one.kind, "amplitude": one.amplitude, "pose": one.pose} for one in designed.segments],
+        },
+    )
+
+
+PURPOSES = {
+    FULL: Purpose("all parameters", ExciteOptions, design_full),
+    GRAVITY: Purpose("gravity compensation", GravityMotionOptions, design_gravity),
+    SERVO: Purpose("arms without torque sensors", ServoMotionOptions, design_servo),
+}
+"""Purposes by their name."""
+
+
+@dataclass(frozen=True)
+class ExciteCommandOptions(PoseCount, ServoMotionLength, ExciteOptions):
+    """Options of `dynid excite`: those of every purpose."""
+
+    purpose: str = option(
+        FULL,
+        f"What the motion is for: {', '.join(f'{name} ({one.summary})' for name, one in PURPOSES.items())}.",
+        flag="--for",
+        one_of=tuple(PURPOSES),
+        panel="",
+    )
+
+
+def purpose_of(options: ExciteCommandOptions) -> Purpose:
+    """The purpose that the options name.
+
+    Raises:
+        UsageError: an option that it does not heed is given.
+    """
+    purpose = PURPOSES[options.purpose]
+    heeded = {of.name for of in fields(cast("Any", purpose.options))} | {"purpose"}
+    strange = [
+        flag_of(of).partition("/")[0]
+        for of in fields(options)
+        if of.name not in heeded and getattr(options, of.name) != default_of(of)
+    ]
+    if strange:
+        raise UsageError(f"{', '.join(strange)} does nothing with --for {options.purpose}", hint="leave it out")
+    return purpose
+
 
 app = CommandApp("Record")
 
@@ -34,7 +250,6 @@ def excite(
     from daq.motion.trajectory_file import with_files
     from daq.output_files import check_outputs, written_together
     from daq.robot.loader import load_robot
-    from ident.commands.preparation.excite_purposes import purpose_of
     from ident.result.models.model import result_path
     from ident.tasks.arguments import paths_of
 

@@ -15,7 +15,7 @@ from ident.estimators.feasible.armature import Armature, armatures
 from ident.estimators.feasible.interior_point import BoolArray, NewtonMinimum, minimise, strictly_inside
 from ident.estimators.feasible.prior import apparent_mass, link_priors
 from ident.estimators.feasible.problem import FeasibilityProblem, build_problem
-from ident.linear_algebra.row_space import DETERMINED, row_space
+from ident.linear_algebra.independent_columns import DETERMINED, row_space
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import LINK_SIZE, MASS

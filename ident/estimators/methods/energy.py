@@ -9,8 +9,7 @@ from pydantic import Field
 
 from drivers.core.errors import UsageError
 from drivers.core.ranges import Range
-from ident.estimators.energy.estimator import EnergyEstimator
-from ident.estimators.energy.windows import EnergyWindows, exchange_for, mean_duration, moving_spans
+from ident.estimators.energy_model import EnergyEstimator, EnergyWindows, exchange_for, mean_duration, moving_spans
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.model.dynamics.energy import EnergyKernel

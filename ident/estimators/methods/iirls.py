@@ -20,8 +20,8 @@ from drivers.core.errors import UsageError
 from drivers.core.text import percent_text
 from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method, within
+from ident.estimators.methods.irls import RobustEstimator, estimation, reweighting
 from ident.estimators.robust.friction_bounds import FrictionBounds, friction_bounds
-from ident.estimators.robust.irls import RobustEstimator, estimation, reweighting
 from ident.estimators.robust.reweighting import PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
 from ident.estimators.robust.sensitivities import ShapeSystem
 from ident.estimators.robust.weight_functions import WeightName

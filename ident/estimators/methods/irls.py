@@ -2,15 +2,158 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated
 
+import numpy as np
 from pydantic import Field
 
-from ident.estimators.estimator import Estimator, Setup
+from drivers.core.arrays import FloatArray
+from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
+from ident.estimators.feasible.consistent import found_consistent
 from ident.estimators.method import Method
-from ident.estimators.robust.irls import RobustEstimator
-from ident.estimators.robust.weight_functions import WeightName
+from ident.estimators.robust.reweighting import COVARIANCE_TOLERANCE, PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
+from ident.estimators.robust.weight_functions import WeightName, weight_function
+from ident.estimators.robust.whitened_equations import Whitening, sample_equations, whitened
+from ident.estimators.torque_estimator import reduce_torques
+from ident.model.regressor import RegressorKernel
+from ident.regression.comparison import independent_share
+from ident.regression.estimate import estimate_of
+from ident.regression.jackknife import CorrectedCovariance, FilteredRun, motion_blocks, tolerant_moves
+from ident.regression.least_squares import LeastSquares, ordinary_least_squares
+from ident.regression.observation_matrix import Reduction
+from ident.signals.prepared import Prepared, Step
+
+
+def whitened_jackknife(
+    estimation: Estimation, runs: Sequence[FilteredRun], torques: Sequence[int], steepness: float
+) -> CorrectedCovariance:
+    """Corrected covariance of the active parameters of a whitened and weighted system.
+
+    Args:
+        estimation: with its weights and Ω.
+        runs: the data.
+        torques: motors whose torques are used.
+        steepness: E[w]/E[ψ′], since the weights move with the data.
+    """
+    kernel, solution, active = estimation.kernel, estimation.solution, list(estimation.solution.active)
+    whitening = Whitening(estimation.joint_covariance)
+    blocks = motion_blocks([torques_of for run in runs for torques_of in run.series])
+    sums, of_segments, weights = blocks.sums(len(active)), iter(blocks.of_segments), iter(estimation.weights)
+    for run in runs:
+        for segment in run.segments:
+            of_segment, weight = next(of_segments), next(weights)
+            for sample_equation in sample_equations(kernel, segment, run.parallel_filter, torques):
+                _, unroot = whitening.roots(sample_equation.motors)
+                root_weight = np.sqrt(weight[np.ix_(np.array(sample_equation.motors), sample_equation.samples)])
+                of_sample = of_segment[sample_equation.samples]
+                regressor, residual = (
+                    sample_equation.regressor[:, active],
+                    sample_equation.residual(solution.parameters),
+                )
+                for block in np.unique(of_sample).tolist():
+                    inside = of_sample == block
+                    rows = whitened(regressor[:, :, inside], residual[:, inside], unroot, root_weight[:, inside])
+                    sums.gram[block] += rows[:-1] @ rows[:-1].T
+                    sums.score[block] += rows[:-1] @ rows[-1]
+    moves = steepness * tolerant_moves(sums, sums.gram.sum(axis=0))
+    share = independent_share(blocks.autocorrelation[list(torques)])
+    return blocks.corrected(moves, solution.rows, share)
+
+
+def consistent_or_free(setup: Setup, active: Sequence[int]) -> Solve:
+    """Least squares whose parameters are replaced by the consistent ones that fit the same system best.
+
+    Where no consistent ones are found, those of least squares stay; the identification reports that at its end.
+    """
+
+    def solve(kernel: RegressorKernel, reduction: Reduction, before: FloatArray) -> LeastSquares:
+        free = ordinary_least_squares(reduction, active)
+        estimate = estimate_of(reduction, free, free.covariance, 0)
+        feasible = found_consistent(kernel.model, setup.base, estimate, setup.robot_file)
+        if feasible is None:
+            return free
+        parameters = free.parameters.copy()
+        parameters[list(active)] = feasible.base[list(active)]
+        return replace(free, parameters=parameters)
+
+    return solve
+
+
+@dataclass(frozen=True)
+class RobustEstimator:
+    """IRLS on the joints' torque equations.
+
+    Attributes:
+        setup: the data.
+        weights: name of the weight function.
+        consistent: whether residuals, weights and Ω are those of the physically consistent parameters.
+    """
+
+    setup: Setup
+    weights: WeightName
+    consistent: bool
+
+    def notes(self, run: Prepared) -> tuple[Step, ...]:
+        """Nothing that is not in the list."""
+        return ()
+
+    def reduce(self, runs: Sequence[Prepared]) -> Reduction:
+        """One factor per joint."""
+        return reduce_torques(self.setup.kernel, runs, self.setup.experiment.torques)
+
+    def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
+        """Iterate from weighted least squares until Ω and the weights settle."""
+        loops = reweighting(self.setup, self.weights, runs, plain, active, self.solver(active))
+        return estimation(loops.started(self.setup.kernel, plain), loops, "irls")
+
+    def solver(self, active: Sequence[int]) -> Solve:
+        """Least squares, or what is physically consistent of it."""
+        if self.consistent:
+            return consistent_or_free(self.setup, active)
+        return lambda kernel, reduction, before: ordinary_least_squares(reduction, active)
+
+    def covariance(self, runs: Sequence[FilteredRun], estimation: Estimation) -> CorrectedCovariance:
+        """Delete-block jackknife on the whitened equations with the last weights."""
+        function = weight_function(self.weights, estimation.solution.rows - len(estimation.solution.active))
+        return whitened_jackknife(estimation, runs, self.setup.experiment.torques, function.steepness)
+
+    def restricted(self, estimation: Estimation, columns: Sequence[int]) -> LeastSquares:
+        """Least squares with the last weights and Ω."""
+        return replace(ordinary_least_squares(estimation.reduction, columns), method=estimation.solution.method)
+
+
+def reweighting(
+    setup: Setup, weights: WeightName, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int], solve: Solve
+) -> Reweighting:
+    """The inner loops on these data."""
+    function = weight_function(weights, plain.rows - len(active))
+    return Reweighting.of(runs, setup.experiment.torques, plain, active, function, solve)
+
+
+def estimation(fit: RobustFit, loops: Reweighting, method: str) -> Estimation:
+    """What the inner loops ended with, as an estimator gives it: least squares of the last whitened system."""
+    solution = ordinary_least_squares(fit.done.reduction, loops.active)
+    settled = loops.changes[-1] < COVARIANCE_TOLERANCE, loops.steps[-1] < PARAMETER_TOLERANCE
+    return Estimation(
+        kernel=fit.kernel,
+        reduction=fit.done.reduction,
+        solution=replace(
+            solution,
+            method=method,
+            joint_std=np.sqrt(np.diag(fit.covariance)),
+            iterations=len(loops.steps),
+            settled=fit.settled,
+        ),
+        loops=(
+            EstimationLoop("covariance of the joints, relative change", "", tuple(loops.changes), settled[0]),
+            EstimationLoop("weights, largest step of a parameter", "σ", tuple(loops.steps), settled[1]),
+        ),
+        weights=fit.done.weights,
+        passes=loops.passes,
+        joint_covariance=fit.covariance,
+    )
 
 
 @dataclass(frozen=True)

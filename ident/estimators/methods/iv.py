@@ -23,8 +23,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method
-from ident.estimators.torque_estimator import TorqueEstimator
-from ident.estimators.triangular_estimation import restricted_solution, triangular_system
+from ident.estimators.torque_estimator import TorqueEstimator, restricted_solution, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
 from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.hypothesis_tests import LEVEL, p_text

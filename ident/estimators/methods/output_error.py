@@ -16,8 +16,7 @@ from drivers.core.errors import IdentificationError, ModelError
 from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.feasible.consistent import found_consistent
 from ident.estimators.method import Method, NoOptions
-from ident.estimators.torque_estimator import TorqueEstimator
-from ident.estimators.triangular_estimation import restricted_solution, triangular_system
+from ident.estimators.torque_estimator import TorqueEstimator, restricted_solution, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.regressor import regressor

@@ -14,9 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.estimators.energy.equations import EnergyRows
-from ident.estimators.energy.estimator import EnergyEstimator
-from ident.estimators.energy.windows import friction_motion, motor_power
+from ident.estimators.energy_model import EnergyEstimator, EnergyRows, friction_motion, motor_power
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, NoOptions
 from ident.model.dynamics.energy import STATES_AT_ONCE, EnergyKernel

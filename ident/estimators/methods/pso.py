@@ -13,8 +13,7 @@ from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.method import Method, within
 from ident.estimators.search_estimator import SearchEstimator, base_space
 from ident.estimators.swarm.minimisation import SearchBudget
-from ident.estimators.swarm.particle_stability import InertiaWeight
-from ident.estimators.swarm.particle_swarm import ConstantWeight, ParticleSwarm, RandomWeight
+from ident.estimators.swarm.particle_swarm import ConstantWeight, InertiaWeight, ParticleSwarm, RandomWeight
 from ident.ranges import BOX_SHARE, GENERATIONS, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
 from ident.regression.least_squares import ordinary_least_squares, weighted_least_squares
 

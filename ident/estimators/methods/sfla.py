@@ -15,20 +15,19 @@ from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.prior import link_priors
 from ident.estimators.method import Method, within
 from ident.estimators.search_estimator import SearchEstimator, Space, no_penalty
-from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.minimisation import SearchBudget
+from ident.estimators.swarm.minimisation import SearchBox, SearchBudget
 from ident.estimators.swarm.physical import (
     BODY_SIZE,
     FeasibilityPenalty,
     Identified,
     PhysicalCost,
     PhysicalParameters,
+    QuadraticCost,
     identifiability,
     physical_names,
     physical_values,
 )
-from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.friction.table import TERM
 from ident.ranges import BOX_SHARE, GENERATIONS, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
 from ident.regression.least_squares import LeastSquares, weighted_least_squares

@@ -18,8 +18,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method, NoOptions
-from ident.estimators.torque_estimator import TorqueEstimator
-from ident.estimators.triangular_estimation import restricted_solution, triangular_system
+from ident.estimators.torque_estimator import TorqueEstimator, restricted_solution, triangular_system
 from ident.linear_algebra.triangular import gram_root
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun

@@ -10,8 +10,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation
 from ident.estimators.robust.friction_bounds import FrictionBounds
-from ident.estimators.robust.reweighting import Reweighting, RobustFit
-from ident.estimators.robust.weighted_pass import weighted_pass
+from ident.estimators.robust.reweighting import Reweighting, RobustFit, weighted_pass
 from ident.friction.table import DISSIPATIVE_KINDS, SHAPED
 from ident.model.own_columns import own_column
 from ident.model.regressor import RegressorKernel

@@ -5,7 +5,7 @@ samples at once, so every shape is replaced by capsules that enclose it: clear o
 shape. Where the URDF has a link's collision shapes, and its meshes can be found, they are enclosed; otherwise the link
 is a tube along the straight lines from its joint's origin to the next joints' origins (with a corner where an
 MDH row has one), and for the last link to the tool point. Where there are meshes, the shapes' convex hulls say more
-where capsules touch (`ident.excite.constraints.hulls`).
+where capsules touch (`ident.excite.constraints.hull_distance`).
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import BASE, MdhRow
 from daq.robot.workspace import Workspace
 from drivers.core.arrays import FloatArray, IndexArray
-from ident.excite.constraints.capsules import Capsule, box_capsules, cylinder_capsule, enclosing_capsule
-from ident.excite.constraints.hulls import Hull, hull_of_capsule, hull_of_points
+from ident.excite.constraints.hull_distance import Hull, hull_of_capsule, hull_of_points
+from ident.excite.constraints.placements import Capsule, box_capsules, cylinder_capsule, enclosing_capsule
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX, Joint
 from ident.model.kinematics.urdf import urdf_order

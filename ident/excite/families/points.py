@@ -11,14 +11,15 @@ from daq.motion.trajectories import QUINTIC_ACCELERATION, QUINTIC_VELOCITY, Moti
 from daq.motion.trajectory_file import PointsTrajectory, Trajectory
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from ident.excite.families.bounded import from_share, to_share
 from ident.excite.families.moving_joints import (
     LARGEST_SHARE,
     LEAST_SHARE,
     JointFamily,
     check_count,
     check_positive,
+    from_share,
     midrange,
+    to_share,
 )
 from ident.excite.path import JointPath
 

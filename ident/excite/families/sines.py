@@ -11,13 +11,14 @@ from daq.motion.trajectories import Motion, RestToRest, SumOfSines
 from daq.motion.trajectory_file import SinesTrajectory, Trajectory
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from ident.excite.families.bounded import from_share, to_share
 from ident.excite.families.moving_joints import (
     JointFamily,
     check_count,
     check_positive,
     check_ramp,
+    from_share,
     midrange,
+    to_share,
     unwrapped,
 )
 from ident.excite.path import JointPath

@@ -9,14 +9,12 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
-from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.minimisation import SearchBudget, minimise
+from ident.estimators.swarm.minimisation import SearchBox, SearchBudget, minimise
 from ident.excite.choices import Solver
 from ident.excite.search.acceptance import LEAST_SHARE, UTILISATION_TOLERANCE, accepted, dense_use, shrunk_to_fit
-from ident.excite.search.error_bars import ErrorBar
 from ident.excite.search.poses import NoFeasiblePoseError, feasible_pose
-from ident.excite.search.problem import DesignProblem
+from ident.excite.search.problem import DesignProblem, ErrorBar
 from ident.excite.search.solve import Watch, open_search, solve, tighten
 
 FROGS = FrogLeaping(random="coordinate")

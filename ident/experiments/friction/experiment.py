@@ -13,8 +13,8 @@ from daq.recording.recording import Recording, software_versions
 from daq.robot.loader import RobotFile
 from drivers.core.errors import UsageError
 from drivers.core.reading_process import Progress
+from ident.experiments.friction.joint_data import JointExperiment
 from ident.experiments.friction.joint_fit import fit_joint
-from ident.experiments.friction.joint_friction import JointExperiment
 from ident.experiments.friction.single_joint import JointPeriods, joint_periods
 from ident.experiments.run_pair import check_same_robot
 from ident.friction.choice import AUTO, WORDS, check_friction

@@ -20,8 +20,7 @@ from daq.robot.schema import Friction
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from drivers.core.units import ZERO_CELSIUS
-from ident.experiments.friction.joint_data import JointData
-from ident.experiments.friction.joint_friction import JointExperiment
+from ident.experiments.friction.joint_data import JointData, JointExperiment
 from ident.experiments.friction.single_joint import JointPeriod
 from ident.friction.choice import AUTO, chosen_friction, friction_columns
 from ident.friction.solver import Value, settle

@@ -33,8 +33,15 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percentage_text
-from ident.experiments.gains.gain_system import GainSystem, jackknife_moves, own_angles, solve_gains, system_blocks
-from ident.experiments.gains.motor_signals import signal_of, torques_by
+from ident.experiments.gains.gain_system import (
+    GainSystem,
+    jackknife_moves,
+    own_angles,
+    signal_of,
+    solve_gains,
+    system_blocks,
+    torques_by,
+)
 from ident.experiments.run_pair import BlockGrams, RunPair, pair_warnings, prepare_pair
 from ident.model.load import KnownLoad, LoadColumns
 from ident.regression.jackknife import jackknife_covariance

@@ -25,7 +25,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.text import percentage_text
 from ident.experiments.gains.drive_gains import LEAST_GAP, JointGain
-from ident.experiments.gains.motor_signals import signal_of, torques_by
+from ident.experiments.gains.gain_system import signal_of, torques_by
 from ident.experiments.gains.slow_passes import Sweep, passes_of, sweeps_of
 from ident.experiments.run_pair import check_same_robot
 from ident.linear_algebra.independent_columns import independent_columns

@@ -12,8 +12,8 @@ from drivers.core.errors import ResultFileError, UsageError
 from ident.experiments.merge.merge import Information, usable, variance_ratio
 from ident.model.base_parameters import BaseParameters
 from ident.regression.observability import experiment_base
+from ident.result.result_file import StoredModel, stored_estimate, stored_model
 from ident.result.schema import RecordingUse, Result
-from ident.result.stored_model import StoredModel, stored_estimate, stored_model
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,7 @@ from ident.identify.friction.candidates import (
     position_candidates,
 )
 from ident.identify.friction.delivered import delivered_errors, falls
-from ident.identify.friction.positions import LEAST_MOTIONS, LEVEL, choose_position_terms, motion_folds
-from ident.identify.friction.presliding import find_travels
+from ident.identify.friction.presliding import LEAST_MOTIONS, LEVEL, choose_position_terms, find_travels, motion_folds
 from ident.identify.friction.rows import FrictionRows
 from ident.identify.friction.selection import FrictionSearch
 from ident.identify.identification import FrictionFit, IdentifyChoices

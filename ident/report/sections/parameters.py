@@ -10,11 +10,10 @@ from drivers.core.errors import DynidError
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import KIND_STYLES, Figure, plain
-from ident.report.figures.interval_panel import IntervalSeries, interval_panel
-from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.panels import IntervalSeries, Panel, interval_panel, panel_figure
 from ident.report.section import ReportData, ReportSection
+from ident.result.result_file import stored_model
 from ident.result.schema import BaseParameterResult, Result
-from ident.result.stored_model import stored_model
 from ident.result.tables import Column, Table
 from ident.views.result_tables import parameter_table
 

@@ -30,8 +30,8 @@ from ident.model.regressor import LoadTorqueKernel
 from ident.result.delivered import Parameters
 from ident.result.estimate import AGAIN
 from ident.result.models.model_parameters import ModelParameters
+from ident.result.result_file import StoredModel
 from ident.result.schema import Result
-from ident.result.stored_model import StoredModel
 
 if TYPE_CHECKING:
     from ident.export.export import Export

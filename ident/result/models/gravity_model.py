@@ -20,7 +20,7 @@ from ident.result.arrays import outward, samples
 from ident.result.estimate import AGAIN
 from ident.result.gravity import GravityResult
 from ident.result.models.model import Model
-from ident.result.stored_model import StoredModel
+from ident.result.result_file import StoredModel
 from ident.result.tables import Table
 
 Method = TypeVar("Method", bound=Callable[..., Any])

@@ -23,8 +23,8 @@ from ident.regression.estimate import Estimate
 from ident.regression.observability import describe
 from ident.regression.pruning import pruned_covariance
 from ident.result.delivered import Parameters, delivered_parameters
+from ident.result.result_file import StoredModel, stored_estimate, stored_model
 from ident.result.schema import Result
-from ident.result.stored_model import StoredModel, stored_estimate, stored_model
 from ident.result.tables import Table, table_of_rows
 
 HOTTEST = 250.0

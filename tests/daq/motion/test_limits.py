@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from daq.motion.approach import TimeScaled
 from daq.motion.fourier_quintic import FourierQuintic
 from daq.motion.limits import check_limits, check_rest, motion_extremes
-from daq.motion.time_scaled import TimeScaled
 from daq.motion.trajectories import FourierSeries, Motion, PointToPoint, RestToRest, SampledMotion, SumOfSines
 from daq.robot.schema import JointLimits
 from drivers.core.errors import UsageError

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from daq.motion.approach import TimeScaled
 from daq.motion.limits import check_rest, motion_extremes
-from daq.motion.time_scaled import TimeScaled
 from daq.motion.trajectories import FourierSeries, PointToPoint, RestToRest
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError

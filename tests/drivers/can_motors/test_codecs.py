@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from motor_bench import JOINTS, WIRES, keys_of
 
 from drivers.base import DriverSettings
-from drivers.can.frame_length import fd_frame_bits
+from drivers.bus_budget import fd_frame_bits
 from drivers.can_motors import mit, moteus
 from drivers.can_motors.settings import parse_settings
 from drivers.can_motors.tables import FAMILIES, motor_family

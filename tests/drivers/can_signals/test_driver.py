@@ -16,7 +16,7 @@ from simulated_clock import START, SimulatedClock
 
 from drivers.base import Attributing, Driver, DriverSettings, Notice
 from drivers.can_signals.driver import SILENCE_LIMIT, STOP_INTERVAL, STOP_LIMIT, CanFramesDriver
-from drivers.can_signals.monitor import RATE_TIME, RATE_TIMES
+from drivers.can_signals.streams import RATE_TIME, RATE_TIMES
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
 from drivers.declaration import DRIVERS_GROUP, named
 from drivers.gains import DriveGain

@@ -19,7 +19,7 @@ from drivers.base import DriverSettings
 from drivers.core.errors import ConnectionFailedError, UsageError
 from drivers.rtde.configuration import PORT, read_configuration
 from drivers.rtde.driver import RtdeDriver
-from sim_drivers.rtde.secondary import SecondarySession
+from sim_drivers.rtde.dashboard import SecondarySession
 from sim_drivers.rtde.server import RtdeServer
 
 ROBOT = load_robot("ur5e").robot

@@ -10,7 +10,7 @@ from exact_plant import ExactPlant
 from rtde_in_process import HOST, NOWHERE, serving
 from simulated_clock import START, SimulatedClock
 
-from drivers.rtde.dashboard import PORT, serial_number, stop_program
+from drivers.rtde.modes import PORT, serial_number, stop_program
 from sim_drivers.rtde.control_script import ControlScript
 from sim_drivers.rtde.dashboard import SERIAL_NUMBER
 from sim_drivers.rtde.server import RtdeServer

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from drivers.core.errors import UsageError
 from drivers.serial_thermometer.driver import RowAssembler
-from drivers.serial_thermometer.lines import (
+from drivers.serial_thermometer.port import (
     LONGEST_LINE,
     NO_MATCH,
     NOT_A_NUMBER,

@@ -13,7 +13,7 @@ from daq.motion.trajectory_file import parse_trajectory
 from daq.session.connections import driver_settings
 from drivers.bus_budget import Budget
 from drivers.can_signals.settings import parse_settings as parse_frames
-from drivers.canopen402.budget import synchronous_cycle
+from drivers.canopen402.declaration import synchronous_cycle
 from drivers.canopen402.settings import parse_settings as parse_canopen
 from drivers.declaration import declared
 from drivers.serial_thermometer.settings import parse_settings as parse_thermometer

@@ -17,14 +17,15 @@ from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import DataError, UsageError
 from ident.assessment.plausibility import CLEARLY_SMALLER, critical_variance_ratio
-from ident.estimators.energy.equations import energy_jackknife, reduce_energy
-from ident.estimators.energy.windows import (
+from ident.estimators.energy_model import (
     OVERLAP,
     EnergyWindows,
     describe_windows,
+    energy_jackknife,
     exchange_for,
     exchange_rate,
     moving_spans,
+    reduce_energy,
     window_borders,
 )
 from ident.estimators.methods.power import PowerSamples

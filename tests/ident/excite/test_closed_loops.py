@@ -8,10 +8,9 @@ from loop_arms import four_bar_arm
 
 from daq.motion.limits import check_limits, check_rest
 from ident.excite.choices import DesignChoices
-from ident.excite.constraints.within_limits import criterion_within_limits
-from ident.excite.criteria import RegressorCriterion
+from ident.excite.constraints.constraints import criterion_within_limits
+from ident.excite.criteria import RegressorCriterion, condition
 from ident.excite.design import build_problem, design
-from ident.excite.measures import condition
 from ident.excite.path import JointPath
 from ident.excite.prior import find_prior
 from ident.excite.search.search import SearchChoices

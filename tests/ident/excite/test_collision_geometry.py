@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from daq.robot.loader import load_robot, parse_robot
-from ident.excite.constraints.capsules import box_capsules, enclosing_capsule
 from ident.excite.constraints.collision_geometry import arm_geometry
+from ident.excite.constraints.placements import box_capsules, enclosing_capsule
 from ident.model.dynamic_model import build_model
 
 ARM = """

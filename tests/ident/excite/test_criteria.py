@@ -7,8 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ident.excite.criteria import SIGN_SMOOTHING, MotionSize, RegressorCriterion
-from ident.excite.measures import condition, deviations, plain_condition
+from ident.excite.criteria import SIGN_SMOOTHING, MotionSize, RegressorCriterion, condition, deviations, plain_condition
 from ident.excite.path import JointPath
 from ident.model.base_parameters import base_parameters
 from ident.model.regressor import regressor

@@ -10,8 +10,7 @@ from random_arms import random_arm
 
 from daq.motion.trajectories import PointToPoint
 from daq.motion.trajectory_file import dump_trajectory, parse_trajectory
-from daq.robot.fingerprint import changed_since, fingerprint
-from daq.robot.loader import parse_robot
+from daq.robot.loader import changed_since, fingerprint, parse_robot
 from drivers.core.errors import UsageError
 from ident.excite.choices import DesignChoices
 from ident.excite.constraints.self_collision import SelfCollision

@@ -9,7 +9,7 @@ import dynid
 from daq.motion.trajectory_file import parse_trajectory
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
-from ident.commands.preparation.excite_purposes import PURPOSES, ExciteCommandOptions, purpose_of
+from ident.commands.preparation.excite import PURPOSES, ExciteCommandOptions, purpose_of
 from ident.model.gravity_base import gravity_base, gravity_rows, resting_model
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from ident.excite.constraints.capsules import Capsule
 from loop_arms import four_bar_arm
 from scipy.spatial import ConvexHull
 
@@ -16,11 +17,16 @@ from daq.motion.trajectories import PointToPoint
 from daq.robot.loader import parse_robot
 from drivers.core.errors import MotionRefusedError
 from ident.checks.robot_check import check_robot
-from ident.excite.constraints.capsules import Capsule
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry
 from ident.excite.constraints.constraints import unchecked_pairs
-from ident.excite.constraints.hull_distance import DISTANCE_TOLERANCE, HullDistances
-from ident.excite.constraints.hulls import Hull, coal_shape, hull_of_capsule, hull_of_points
+from ident.excite.constraints.hull_distance import (
+    DISTANCE_TOLERANCE,
+    Hull,
+    HullDistances,
+    coal_shape,
+    hull_of_capsule,
+    hull_of_points,
+)
 from ident.excite.constraints.self_collision import SelfCollision, link_pairs
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.path import JointPath

@@ -7,7 +7,7 @@ import pytest
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
 
 from daq.robot.schema import JointLimits
-from ident.excite.constraints.joint_limits import JointMotionLimits
+from ident.excite.constraints.torque_limits import JointMotionLimits
 from ident.excite.path import JointPath
 
 LIMITS = (

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ident.excite.measures import (
+from ident.excite.criteria import (
     condition,
     d_optimal,
     deviations,

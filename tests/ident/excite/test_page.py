@@ -14,8 +14,7 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.errors import UsageError
 from ident.excite.constraints.collision_geometry import arm_geometry
 from ident.excite.forecast import excitation_figures
-from ident.excite.page.arm_scene import FRAMES, arm_figure, capsule_mesh
-from ident.excite.page.page import render_page, write_page
+from ident.excite.page.page import FRAMES, arm_figure, capsule_mesh, render_page, write_page
 from ident.excite.page.plots import shown_part
 from ident.excite.prior import PriorKnowledge, find_prior
 from ident.model.dynamic_model import build_model

@@ -10,7 +10,7 @@ import pytest
 from toy_design import BEST, impossible_problem, maker, slow_problem, toy_problem
 
 from drivers.core.errors import IdentificationError, UsageError
-from ident.excite.search import processes as processes_module
+from ident.excite.search import search as processes_module
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.search import SearchChoices, search
 from ident.excite.search.solve import solve

@@ -14,9 +14,9 @@ from daq.robot.loader import load_robot, parse_robot
 from daq.robot.workspace import Workspace
 from drivers.core.errors import RobotFileError
 from ident.checks.robot_check import check_robot
-from ident.excite.constraints.capsules import Capsule
 from ident.excite.constraints.collision_geometry import ArmGeometry, arm_geometry, tube_capsules
 from ident.excite.constraints.constraints import checked_pairs, unchecked_pairs
+from ident.excite.constraints.placements import Capsule
 from ident.excite.constraints.self_collision import SelfCollision, link_pairs
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.path import JointPath

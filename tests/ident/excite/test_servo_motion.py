@@ -12,7 +12,7 @@ from servo_result import true_servo_result
 import dynid
 from daq.robot.loader import RobotFile, load_robot
 from ident.excite import servo_motion
-from ident.excite.purpose_choices import ServoMotionChoices
+from ident.excite.choices import ServoMotionChoices
 from ident.excite.servo_motion import servo_excitation
 from ident.excite.servo_segments import KINDS, LADDER, SEGMENT, Room, segment
 from ident.servo.result import ServoResult

@@ -7,8 +7,8 @@ import pytest
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import MotionRefusedError, UsageError
+from ident.excite.choices import SweepChoices
 from ident.excite.motion_check import ArmMotionCheck
-from ident.excite.purpose_choices import SweepChoices
 from ident.excite.velocity_sweep import velocity_sweep
 
 

@@ -13,8 +13,7 @@ from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import DataError, ModelError, UsageError
 from ident.friction.choice import check_friction, chosen_friction
 from ident.identify.friction.candidates import candidates_of
-from ident.identify.friction.curvature import with_curvature
-from ident.identify.friction.shapes import with_free_shapes
+from ident.identify.friction.shapes import with_curvature, with_free_shapes
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.identify.predict import predict_recording

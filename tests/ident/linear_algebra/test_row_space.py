@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ident.linear_algebra.row_space import DETERMINED, row_space
+from ident.linear_algebra.independent_columns import DETERMINED, row_space
 
 
 @given(seed=st.integers(0, 2**32 - 1))

@@ -14,7 +14,7 @@ from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.regression.options import ExperimentChoices
-from ident.signals.played_motion import MOTION_BEGINS, MOTION_ENDS, played_window
+from ident.signals.segments import MOTION_BEGINS, MOTION_ENDS, played_window
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 APPROACH = 4.0

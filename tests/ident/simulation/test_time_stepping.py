@@ -12,7 +12,7 @@ from true_results import true_result
 import dynid
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.model.dynamics.energy import EnergyKernel
-from ident.result.stored_model import stored_model
+from ident.result.result_file import stored_model
 
 SLIDE = """\
 name: slide

@@ -10,7 +10,7 @@ import dynid
 from daq.robot.loader import load_robot
 from drivers.core.errors import ModelError
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
-from ident.result.stored_model import stored_model
+from ident.result.result_file import stored_model
 from ident.signals.prepared import Segment
 from ident.simulation.tracking import LONGEST, NATURAL_FREQUENCY, tracking_error
 

@@ -18,7 +18,7 @@ from ident.model.dynamics.rigid_arm import rigid_arm
 from ident.model.true_parameters import truth_vector
 from ident.tasks.new_robot import new_robot_file
 from sim_drivers.plant.plant import Plant
-from sim_drivers.serving.serve import wire_of
+from sim_drivers.serving import wire_of
 
 
 def inertial(mass: float = 2.0, inertia: tuple[float, float, float] = (0.02, 0.02, 0.01)) -> str:

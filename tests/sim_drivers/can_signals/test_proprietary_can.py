@@ -33,8 +33,7 @@ from unchecked import unchecked_play
 
 from daq.motion.trajectories import slow_move
 from daq.recording.reader import read_recording
-from drivers.can_signals.driver import CanFramesDriver
-from drivers.can_signals.motion import Commander
+from drivers.can_signals.driver import CanFramesDriver, Commander
 from drivers.can_signals.settings import CommandTable, parse_settings
 from drivers.can_signals.table.signals import FrameLayout, batches, decode, frame_layouts
 from drivers.core.errors import UsageError

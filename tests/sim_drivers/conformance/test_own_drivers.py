@@ -34,10 +34,10 @@ from drivers.serial_servos.settings import parse_settings
 from drivers.serial_thermometer.driver import SerialThermometerDriver
 from dynid.testing import Bench, DriverConformance, SimulatedClock, declared_bench, simulated_time
 from sim_drivers.can_motors.server import CanMotorServer
-from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.server import RtdeServer
 from sim_drivers.serial_servos.server import SerialServoServer
+from sim_drivers.served import SimOptions
 from sim_drivers.thermometer.serving import serve
 
 CHANNELS = itertools.count()

@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 from daq.robot.loader import parse_robot
 from daq.robot.schema import TruthThermal
 from drivers.core.errors import RobotFileError
+from sim_drivers.plant.friction import JointHeat
 from sim_drivers.plant.plant import Plant, PlantSettings
-from sim_drivers.plant.thermal import JointHeat
 
 THERMAL = TruthThermal(
     ambient=20.0, winding_capacity=100.0, housing_capacity=1000.0, winding_to_housing=4.0, housing_to_ambient=2.0

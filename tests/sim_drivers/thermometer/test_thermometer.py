@@ -31,9 +31,9 @@ from drivers.gains import DriveGain
 from drivers.serial_thermometer.driver import SerialThermometerDriver
 from drivers.serial_thermometer.port import READ_TIMEOUT
 from drivers.streams import Batch
-from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
 from sim_drivers.pseudo_terminal import PseudoTerminal
+from sim_drivers.served import SimOptions
 from sim_drivers.thermometer.server import (
     SLICE,
     SimulatedThermometer,

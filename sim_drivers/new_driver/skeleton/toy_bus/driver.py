@@ -9,9 +9,8 @@ import numpy as np
 from pydantic import Field
 
 from drivers.base import DriverSettings, Notice, State, drained, require_state
-from drivers.bus_budget import Budget
+from drivers.bus_budget import WORST, Budget, can_frames
 from drivers.can.bus import Sender, close_bus, open_bus
-from drivers.can.frame_length import WORST, can_frames
 from drivers.can.receiver import Receiver
 from drivers.can.settings import CanSettings
 from drivers.connection_settings import read_settings

@@ -14,8 +14,8 @@ from drivers.connection_settings import read_settings
 from drivers.core.clock import Clock
 from sim_drivers.can.bus_server import BusServer
 from sim_drivers.faults import COUNT, SECONDS, Drop, FaultEntry, Freeze, Garbage
-from sim_drivers.options import SimOptions
 from sim_drivers.plant.plant import Plant
+from sim_drivers.served import SimOptions
 from toy_bus.driver import FOLLOW, FRAME, MODE, SAMPLE, TARGET, ToyBusSettings
 
 KIND = "toy_bus drives"

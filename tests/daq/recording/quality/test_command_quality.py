@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from daq.recording.commanded_motion import TARGET, CommandedMotion
 from daq.recording.quality.command_quality import command_quality
-from daq.recording.quality.unsigned_signal import unsigned_joints
+from daq.recording.quality.signal_quality import unsigned_joints
 
 STEP = 1.534e-3
 JOINTS = ("a", "b", "c")

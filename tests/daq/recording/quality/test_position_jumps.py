@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.recording.quality.position_jumps import beside_jumps, position_jumps
+from daq.recording.quality.outliers import beside_jumps, position_jumps
 from drivers.core.arrays import FloatArray
 from ident.signals.resampling import GAP_PERIODS
 

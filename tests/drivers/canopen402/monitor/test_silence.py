@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.canopen402.monitor.silence import Silence
+from drivers.canopen402.monitor.life_signs import Silence
 from drivers.canopen402.protocol.objects import TPDO_BASES
 
 NOW, LIMIT = 100.0, 0.05

@@ -7,7 +7,7 @@ from scripted_drives import ScriptedBus, ScriptedDrive
 from drivers.can.receiver import POLL
 from drivers.canopen402.setup.configuration import PROBE_LIMIT
 from drivers.canopen402.setup.error_control import OWN_ID_ANSWER
-from drivers.canopen402.setup.other_masters import LISTEN
+from drivers.canopen402.setup.readiness import LISTEN
 from drivers.core.errors import ConnectionFailedError, MotionRefusedError
 
 

@@ -5,9 +5,8 @@ import pytest
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, UsageError
-from ident.estimators.swarm.box import SearchBox
 from ident.estimators.swarm.frog_leaping import FrogLeaping
-from ident.estimators.swarm.minimisation import Optimiser, SearchBudget, minimise
+from ident.estimators.swarm.minimisation import Optimiser, SearchBox, SearchBudget, minimise
 from ident.estimators.swarm.particle_swarm import ParticleSwarm, RandomWeight
 
 OPTIMISERS: list[Optimiser] = [

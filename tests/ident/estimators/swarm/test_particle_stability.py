@@ -3,8 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.estimators.swarm.particle_stability import particle_stability
-from ident.estimators.swarm.particle_swarm import ConstantWeight, ParticleSwarm, RandomWeight
+from ident.estimators.swarm.particle_swarm import ConstantWeight, ParticleSwarm, RandomWeight, particle_stability
 
 
 @pytest.mark.parametrize("weight", [-0.5, 0.0, 0.4, 0.7298, 0.9])

@@ -6,16 +6,16 @@ from scipy.optimize import least_squares
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
-from ident.estimators.swarm.box import SearchBox
+from ident.estimators.swarm.minimisation import SearchBox
 from ident.estimators.swarm.physical import (
     FeasibilityPenalty,
     PhysicalCost,
     PhysicalParameters,
+    QuadraticCost,
     identifiability,
     physical_names,
     physical_values,
 )
-from ident.estimators.swarm.quadratic_cost import QuadraticCost
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel, model_torque, motion_factor

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ident.estimators.swarm.box import SearchBox
-from ident.estimators.swarm.quadratic_cost import QuadraticCost
+from ident.estimators.swarm.minimisation import SearchBox
+from ident.estimators.swarm.physical import QuadraticCost
 from ident.regression.least_squares import weighted_least_squares
 
 GENERATOR = np.random.default_rng(3)

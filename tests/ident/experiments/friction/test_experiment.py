@@ -14,7 +14,7 @@ from drivers.core.errors import DataError, DynidError, ResultFileError, UsageErr
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
 from ident.experiments.friction.experiment import analyse_friction
-from ident.experiments.friction.joint_friction import friction_torque
+from ident.experiments.friction.joint_data import friction_torque
 from ident.result.friction_experiment import read_friction_experiment
 from ident.tasks.friction import friction
 from sim_drivers.synthetic.measurement import simulate, simulate_recording

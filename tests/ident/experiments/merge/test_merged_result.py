@@ -24,8 +24,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.options import ExperimentChoices
 from ident.report.page import render_report
 from ident.report.section import ReportData
-from ident.result.result_file import read_result, result_json
-from ident.result.stored_model import stored_estimate, stored_model
+from ident.result.result_file import read_result, result_json, stored_estimate, stored_model
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 

@@ -12,12 +12,12 @@ from filterpy.kalman import KalmanFilter
 from ident.signals.smoothing.kalman import (
     WHITE_CURVATURE,
     WHITE_SNAP,
+    cutoff_of_noise,
     innovations,
     kalman_filter,
     kalman_smoother,
     stationary_filter,
 )
-from ident.signals.smoothing.noise_levels import cutoff_of_noise
 
 RATE = 200.0
 

@@ -7,8 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from ident.signals.smoothing.kalman import WHITE_CURVATURE, WHITE_SNAP, kalman_smoother, stationary_filter
-from ident.signals.smoothing.noise_levels import HIGHEST_CUTOFF, likeliest_cutoff, sample_noise
+from ident.signals.smoothing.kalman import (
+    HIGHEST_CUTOFF,
+    WHITE_CURVATURE,
+    WHITE_SNAP,
+    kalman_smoother,
+    likeliest_cutoff,
+    sample_noise,
+    stationary_filter,
+)
 
 RATE = 100.0
 

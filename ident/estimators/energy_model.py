@@ -11,23 +11,136 @@ Both sides, as functions of a window's end, pass the parallel filter before they
 H holds q̇ squared at the two ends alone, where nothing else would average the encoders' noise. Longer windows hold more
 signal beside this noise; but there must be many more of them than parameters, and much longer than the motion's own
 periods they average it away.
+
+Least squares on equations of the whole arm's energy: one scalar equation per row instead of one per joint.
+
+`energy_windows` (differences of energy, SR400 eq. 10 to 12) and `power` (their differential form) make the
+rows; here they become a `Reduction` and error bars, as the joints' torque equations do in `observation_matrix` and
+`ident.regression.jackknife`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
-from ident.estimators.energy.equations import EnergyRows
+from ident.assessment.plausibility import critical_variance_ratio, refitted
+from ident.estimators.estimator import Estimation, Estimator, Setup
+from ident.linear_algebra.triangular import QrAccumulator
+from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.dynamics.energy import STATES_AT_ONCE, EnergyKernel, motor_velocity
+from ident.model.dynamics.energy import STATES_AT_ONCE, EnergyKernel, energy_base_parameters, motor_velocity
+from ident.regression.comparison import independent_share, lag_one, residual_autocorrelation
+from ident.regression.jackknife import (
+    CorrectedCovariance,
+    FilteredRun,
+    MotionBlocks,
+    block_length,
+    distinct_samples,
+    tolerant_moves,
+)
+from ident.regression.least_squares import LeastSquares, ordinary_least_squares
+from ident.regression.observation_matrix import JointFactor, Reduction, stack_reductions
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
-from ident.signals.prepared import Segment
+from ident.signals.prepared import Prepared, Segment, Step
+
+
+@dataclass(frozen=True)
+class EnergyRows:
+    """Some of the equations, in the order of time.
+
+    Attributes:
+        regressor: (b, M) of base columns [J or W per unit].
+        work: (M,) what the motors did [J or W].
+        sample: (M,) index of the parallel filter's output sample that each belongs to.
+    """
+
+    regressor: FloatArray
+    work: FloatArray
+    sample: npt.NDArray[np.int64]
+
+
+class EnergyEquations(Protocol):
+    """Equations of a segment, by one method."""
+
+    @property
+    def kernel(self) -> EnergyKernel:
+        """The kernel of the base columns."""
+
+    @property
+    def overlap(self) -> int:
+        """How many consecutive rows share data; 1 where they do not."""
+
+    def rows(self, segment: Segment, parallel_filter: ZeroPhaseFilter) -> Iterator[EnergyRows]:
+        """The equations of one segment."""
+
+
+def reduce_energy(
+    equations: EnergyEquations, segments: Sequence[Segment], parallel_filter: ZeroPhaseFilter
+) -> Reduction:
+    """Reduce a recording's energy equations to one triangular factor."""
+    count = len(equations.kernel.columns)
+    accumulator = QrAccumulator(count + 1)
+    for segment in segments:
+        for rows in equations.rows(segment, parallel_filter):
+            accumulator.add(np.vstack([rows.regressor, rows.work]))
+    return Reduction(
+        joints=(JointFactor(tuple(range(count)), accumulator.factor(), accumulator.rows),),
+        column_count=count,
+        torque_count=1,
+        samples=accumulator.rows,
+        method="QR of stacked blocks",
+    )
+
+
+def independent_rows(equations: EnergyEquations, runs: Sequence[Prepared], parameters: FloatArray) -> float:
+    """Number of independent equations that the residuals of base parameters (b,) are worth."""
+    residuals = [
+        (rows.work - parameters @ rows.regressor)[None]
+        for run in runs
+        for segment in run.segments
+        for rows in equations.rows(segment, run.parallel_filter)
+    ]
+    count: int = sum(residual.shape[1] for residual in residuals)
+    return count * independent_share(lag_one(residuals))
+
+
+def energy_jackknife(
+    equations: EnergyEquations, runs: Sequence[FilteredRun], solution: LeastSquares
+) -> CorrectedCovariance:
+    """Corrected covariance of a solution's active parameters: delete-block jackknife as for the torque equations.
+
+    Rows that overlap have residuals that depend on each other; a block is several times longer than they do.
+    """
+    series = [torques for run in runs for torques in run.series]
+    samples = distinct_samples(series)
+    active = list(solution.active)
+    indices = iter(samples.indices)
+    equation_parts: list[tuple[FloatArray, FloatArray, npt.NDArray[np.int64]]] = []
+    for run in runs:
+        for segment in run.segments:
+            sample_numbers = next(indices)
+            for rows in equations.rows(segment, run.parallel_filter):
+                residual = rows.work - solution.parameters @ rows.regressor
+                equation_parts.append((rows.regressor[active], residual, sample_numbers[rows.sample]))
+    of_rows = lag_one([residual[None] for _, residual, _ in equation_parts])
+    samples_per_row = sum(int(torques.used.sum()) for torques in series) / solution.rows
+    length_in_rows = max(equations.overlap, block_length(of_rows, round(samples.share * solution.rows)))
+    length = int(np.ceil(samples_per_row * length_in_rows))
+    blocks = MotionBlocks(samples, length, residual_autocorrelation(series))
+    sums = blocks.sums(len(active))
+    for regressor, residual, sample_numbers in equation_parts:
+        sums.add(sample_numbers // length, regressor, residual)
+    sums = sums.occupied  # windows hold many samples: a block may be left without a row
+    moves = tolerant_moves(sums, sums.gram.sum(axis=0))
+    return blocks.corrected(moves, solution.rows, independent_share(of_rows))
+
 
 HALF_POWER = 0.443
 """Frequency times duration at which a moving average passes half the power."""
@@ -172,3 +285,74 @@ def describe_windows(equations: EnergyWindows, segments: Sequence[Segment]) -> t
     ]
     durations = np.concatenate([*lengths, np.empty(0)])
     return len(durations), float(durations.mean()) if len(durations) else 0.0
+
+
+@dataclass(frozen=True)
+class EnergyEstimator:
+    """Least squares on the arm's energy.
+
+    Attributes:
+        setup: the data.
+        equations: of the energy.
+        name: of the method.
+    """
+
+    setup: Setup
+    equations: EnergyEquations
+    name: str
+
+    def notes(self, run: Prepared) -> tuple[Step, ...]:
+        """The energy windows, where there are any."""
+        if not isinstance(self.equations, EnergyWindows):
+            return ()
+        count, duration = describe_windows(self.equations, run.segments)
+        exchange = self.equations.exchange
+        text = (
+            f"{count} windows that each exchange {exchange:.3g} J between motors and arm, {duration:.3g} s long on "
+            f"average; each instant belongs to {self.equations.overlap}"
+        )
+        return (Step("energy windows", {"windows": count, "exchange_j": exchange, "mean_s": duration}, text),)
+
+    def reduce(self, runs: Sequence[Prepared]) -> Reduction:
+        """One factor for the whole arm."""
+        return stack_reductions([reduce_energy(self.equations, run.segments, run.parallel_filter) for run in runs])
+
+    def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
+        """OLS: windows of equal exchange have equal weight."""
+        return Estimation(self.setup.kernel, plain, self._solve(plain, active))
+
+    def covariance(self, runs: Sequence[FilteredRun], estimation: Estimation) -> CorrectedCovariance:
+        """Delete-block jackknife over time."""
+        return energy_jackknife(self.equations, runs, estimation.solution)
+
+    def restricted(self, estimation: Estimation, columns: Sequence[int]) -> LeastSquares:
+        """OLS of fewer columns."""
+        return self._solve(estimation.reduction, columns)
+
+    def _solve(self, reduction: Reduction, active: Sequence[int]) -> LeastSquares:
+        return replace(ordinary_least_squares(reduction, active), method=self.name)
+
+
+def estimable(model: DynamicModel, base: BaseParameters) -> tuple[int, ...]:
+    """Indices of the base parameters that the energy's equations can identify, whatever the data."""
+    kept = set(energy_base_parameters(model).columns)
+    return tuple(index for index, column in enumerate(base.columns) if column in kept)
+
+
+def fits_energy_better(
+    other: Estimator, runs: Sequence[Prepared], active: Sequence[int], residual_sum: float, independent: float
+) -> bool:
+    """Whether another energy model's residual is significantly smaller than `residual_sum`.
+
+    Args:
+        other: of the other model's equations; the torque equations' never fit better in this sense.
+        runs: the data.
+        active: base columns to fit.
+        residual_sum: of the model in question.
+        independent: equations that its residuals are worth; the better model's are whiter, and count if they are more.
+    """
+    if not isinstance(other, EnergyEstimator):
+        return False
+    solution = refitted(other.reduce(runs), active)
+    rows = max(independent, independent_rows(other.equations, runs, solution.parameters))
+    return solution.residual_sum < critical_variance_ratio(rows - len(active)) * residual_sum

@@ -1,1 +1,0 @@
-"""Least squares on the whole arm's energy or its derivative, one scalar equation per row."""
