@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
-from ident.excite.constraints.capsules import Capsule
-from ident.excite.constraints.placements import moved_by, place_arm
+from ident.excite.constraints.placements import Capsule, moved_by, place_arm
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import ancestors
 

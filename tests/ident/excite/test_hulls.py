@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from ident.excite.constraints.capsules import Capsule
 from loop_arms import four_bar_arm
 from scipy.spatial import ConvexHull
 
@@ -27,6 +26,7 @@ from ident.excite.constraints.hull_distance import (
     hull_of_capsule,
     hull_of_points,
 )
+from ident.excite.constraints.placements import Capsule
 from ident.excite.constraints.self_collision import SelfCollision, link_pairs
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.path import JointPath
