@@ -12,8 +12,7 @@ from drivers.base import Notice
 from drivers.can.bus import Frame
 from drivers.can.receiver import NOTICE_PERIOD
 from drivers.can_signals.polling import PollAnswers, Poller
-from drivers.can_signals.rows.assembly import Assembler, Rows
-from drivers.can_signals.rows.sample_clock import SourceClock
+from drivers.can_signals.rows.assembly import Assembler, Rows, SourceClock
 from drivers.can_signals.settings import CanFramesSettings
 from drivers.can_signals.table.signal_keys import WHOLE_ARM
 from drivers.can_signals.table.signals import Signal, batches

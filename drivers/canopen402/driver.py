@@ -18,15 +18,13 @@ from drivers.base import DeviceLimits, DriverSettings, Notice, State, drained, r
 from drivers.can.bus import Sender, close_bus, keep_quiet, open_bus, returns_own_frames, sends_in_kernel
 from drivers.can.receiver import Receiver
 from drivers.canopen402.monitor.drives import DriveWatch
-from drivers.canopen402.monitor.heartbeat_clocks import HeartbeatClocks
-from drivers.canopen402.monitor.life_signs import LifeSigns, Silence, guard_requests, heartbeat
+from drivers.canopen402.monitor.life_signs import HeartbeatClocks, LifeSigns, Silence, guard_requests, heartbeat
 from drivers.canopen402.monitor.presence import Heartbeats, NodeGuarding, Presence
 from drivers.canopen402.motion.drive_motion import DriveMotion
-from drivers.canopen402.motion.sdo_stop import SdoStop
+from drivers.canopen402.motion.target_path import SdoStop
 from drivers.canopen402.protocol import objects
 from drivers.canopen402.protocol.sdo import CanopenNetwork, RemoteDrive
-from drivers.canopen402.samples.alignment import REST_LATENESS, Aligned, Aligner
-from drivers.canopen402.samples.layout import stream_layouts
+from drivers.canopen402.samples.alignment import REST_LATENESS, Aligned, Aligner, stream_layouts
 from drivers.canopen402.samples.sync import BEHIND, KernelSync, SyncProducer
 from drivers.canopen402.samples.temperature import TemperaturePoll, read_temperature
 from drivers.canopen402.settings import MODES, parse_settings

@@ -16,7 +16,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError
-from drivers.rtde.connect import Connect, connect_tcp
+from drivers.rtde.protocol import Connect, connect_tcp
 
 PORT = 30002
 ROBOT_STATE, CONFIGURATION_DATA = 16, 6

@@ -21,9 +21,9 @@ from drivers.first_step import check_first_step, finite_position
 from drivers.gains import gives_torque, joint_torque, torque_channel
 from drivers.rtde import protocol as wire
 from drivers.rtde.configuration import Configuration, read_configuration
-from drivers.rtde.connect import Connect, connect_tcp
 from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode, serial_number, stop_program
 from drivers.rtde.motion import JOINTS, MotionProcess, require_ur_rtde
+from drivers.rtde.protocol import Connect, connect_tcp
 from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
 from drivers.rtde.settings import parse_settings
 from drivers.streams import Batch, ChannelLayout, StreamLayout

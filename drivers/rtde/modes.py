@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from drivers.base import Level
 from drivers.core.clock import SYSTEM_CLOCK, Clock
-from drivers.rtde.connect import Connect, connect_tcp
+from drivers.rtde.protocol import Connect, connect_tcp
 
 PORT = 29999
 ANSWER_LIMIT = 4096

@@ -7,8 +7,9 @@ array of one NumPy structured type.
 
 from __future__ import annotations
 
+import socket
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -261,3 +262,22 @@ def _broken(message: str) -> ConnectionLostError:
     return ConnectionLostError(
         f"not RTDE version {PROTOCOL_VERSION}: {message}", hint="is this the arm's controller, and port 30004?"
     )
+
+
+RECEIVE_BUFFER_BYTES = 4 << 20
+
+Connect = Callable[[str, int, float], socket.socket]
+"""Connects to a port of a host within so many seconds, or raises OSError."""
+
+
+def connect_tcp(host: str, port: int, timeout: float) -> socket.socket:
+    """A TCP connection that sends at once and holds seconds of samples for a reader that is late.
+
+    Raises:
+        OSError: no answer within `timeout` [s].
+        UnicodeError: the host is no name.
+    """
+    connection = socket.create_connection((host, port), timeout=timeout)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER_BYTES)
+    return connection

@@ -24,7 +24,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from drivers.rtde import protocol as wire
-from drivers.rtde.connect import Connect, connect_tcp
+from drivers.rtde.protocol import Connect, connect_tcp
 
 SILENCE_LIMIT = 0.5
 """Without a fresh data package for this long [s] the connection counts as lost."""

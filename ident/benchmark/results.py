@@ -14,7 +14,7 @@ from ident.benchmark.entry import DEFAULTS
 from ident.benchmark.judge import ServoScore, TorqueScore
 from ident.report.html_file import page_templates
 from ident.result.tables import Cell, Column, Table, table_of_rows
-from ident.tasks.saved_result import SavedResult
+from ident.tasks.arguments import SavedResult
 
 BENCHMARK_FILE = "benchmark.json"
 """Name of the figures in the folder that `save` writes."""

@@ -26,8 +26,8 @@ from ident.friction.terms import NO_TERMS
 from ident.identify.body_checks import refuse_denied
 from ident.identify.checks import identification_checks
 from ident.identify.data_split import check_torques, split_data
+from ident.identify.friction.extensions import low_speed_error
 from ident.identify.friction.fit import fit_friction
-from ident.identify.friction.presliding import low_speed_error
 from ident.identify.friction.shapes import with_curvature, with_free_shapes
 from ident.identify.held_friction import hold_temperatures
 from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run

@@ -11,17 +11,12 @@ from ident.report.section import ReportData, ReportSection
 from ident.report.sections import (
     convergence,
     correlation,
-    data_quality,
-    excitation,
     friction,
-    links,
-    merge,
     motion,
     parameters,
     provenance,
     residuals,
     summary,
-    torques,
     truth,
 )
 from ident.result.result_file import result_json
@@ -29,19 +24,19 @@ from ident.result.result_file import result_json
 SECTIONS: tuple[Callable[[ReportData], ReportSection | None], ...] = (
     summary.section,
     summary.errors_section,
-    merge.section,
-    torques.validation_section,
-    torques.fit_section,
+    summary.merge_section,
+    residuals.validation_section,
+    residuals.fit_section,
     residuals.section,
     convergence.section,
     friction.section,
     parameters.section,
-    links.section,
+    parameters.links_section,
     truth.section,
     correlation.section,
-    excitation.section,
+    motion.excitation_section,
     motion.section,
-    data_quality.section,
+    provenance.data_quality_section,
     provenance.section,
 )
 """Sections in the order of the page; one that does not apply to this result returns None."""

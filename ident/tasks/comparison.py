@@ -32,9 +32,8 @@ from ident.model.regressor import RegressorKernel
 from ident.report.comparison_page import comparison_figure, comparison_page
 from ident.result.tables import Cell, Column, Table, table_of_rows
 from ident.signals.options import PreprocessChoices
-from ident.tasks.arguments import recordings_of
+from ident.tasks.arguments import SavedResult, recordings_of
 from ident.tasks.options import CompareOptions
-from ident.tasks.saved_result import SavedResult
 
 COMPARISON_FILE = "comparison.json"
 """Name of the figures in the folder that `save` writes."""

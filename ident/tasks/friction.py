@@ -11,9 +11,8 @@ from ident.experiments.friction.experiment import FrictionExperiment, analyse_fr
 from ident.report.friction_page import friction_page
 from ident.result.friction_experiment import FRICTION_FILE, FrictionExperimentResult
 from ident.result.tables import Table
-from ident.tasks.arguments import recordings_of
+from ident.tasks.arguments import SavedResult, recordings_of
 from ident.tasks.options import FrictionOptions
-from ident.tasks.saved_result import SavedResult
 from ident.views.friction_tables import friction_table
 
 

@@ -20,9 +20,8 @@ from ident.report.gravity_page import gravity_page, poses_figure
 from ident.result.gravity import GravityResult, read_gravity_result
 from ident.result.models.gravity_model import GravityModel
 from ident.result.models.model import result_path
-from ident.tasks.arguments import Runs, recordings_of
+from ident.tasks.arguments import GradedResult, Runs, recordings_of
 from ident.tasks.options import silent
-from ident.tasks.saved_result import GradedResult
 
 
 class IdentifiedGravity(GradedResult):

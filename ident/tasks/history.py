@@ -23,7 +23,7 @@ from ident.report.history_page import history_page
 from ident.result.models.model import result_path
 from ident.result.result_file import read_content
 from ident.result.tables import Table
-from ident.tasks.saved_result import SavedResult
+from ident.tasks.arguments import SavedResult
 from ident.views.history_tables import notes, sentences, step_table, trend_table
 
 

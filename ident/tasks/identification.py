@@ -30,9 +30,8 @@ from ident.result.result_file import read_result, result_json, stored_model
 from ident.result.schema import Result
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.pipeline import PreprocessChoices
-from ident.tasks.arguments import Run, limits_of, recording_of, recordings_of
+from ident.tasks.arguments import Run, SavedResult, limits_of, recording_of, recordings_of
 from ident.tasks.options import IdentifyOptions
-from ident.tasks.saved_result import SavedResult
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
 from ident.views.result_tables import joint_friction_table, parameter_table

@@ -23,9 +23,8 @@ from ident.model.load import KnownLoad
 from ident.model.parameters import MASS
 from ident.report.load_pages import gains_page, payload_page
 from ident.result.tables import Table
-from ident.tasks.arguments import recording_of
+from ident.tasks.arguments import SavedResult, recording_of
 from ident.tasks.options import GainsOptions, LoadOptions
-from ident.tasks.saved_result import SavedResult
 from ident.views.load_tables import changes_table, gains_tables, load_table
 
 Vector = Sequence[float] | FloatArray

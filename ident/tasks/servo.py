@@ -35,10 +35,9 @@ from ident.servo.motion import ServoMotion, servo_motions
 from ident.servo.ranges import drawn, servo_ranges
 from ident.servo.result import ServoResult, read_servo_result, with_values
 from ident.servo.terms import INDEX, TERMS
-from ident.tasks.arguments import Run, Runs, recording_of, recordings_of
+from ident.tasks.arguments import GradedResult, Run, Runs, recording_of, recordings_of
 from ident.tasks.excitation import CSV_RATE, load_trajectory
 from ident.tasks.options import silent
-from ident.tasks.saved_result import GradedResult
 
 
 class ServoModel(GradedResult):

@@ -9,11 +9,14 @@ from typing import Protocol
 import can
 import numpy as np
 
+from daq.robot.schema import Robot
+from daq.session.connections import keys_of_driver
 from drivers.can.bus import close_bus, open_bus
 from drivers.core.clock import Clock, set_timer_slack
 from drivers.core.errors import ConnectionLostError
 from sim_drivers.can.bus_load import Frame
 from sim_drivers.faults import FAULTS, FaultEntry, ServerKind
+from sim_drivers.served import SimOptions
 from sim_drivers.server import FaultyServer, Server
 
 BUS_OFF_ERROR = 0x40
@@ -88,3 +91,18 @@ class BusServer(FaultyServer):
 def send_error_frame(bus: can.BusABC) -> None:
     """The error frame of a controller that goes bus-off."""
     bus.send(can.Message(arbitration_id=BUS_OFF_ERROR, is_error_frame=True, dlc=8, data=bytes(8)))
+
+
+def connection_keys(robot: Robot, driver: str, options: SimOptions) -> dict[str, object] | None:
+    """The keys of the first connection with a driver, with the options in their place; None where there is none."""
+    keys = keys_of_driver(robot, driver)
+    return None if keys is None else with_options(keys, options)
+
+
+def with_options(keys: dict[str, object], options: SimOptions) -> dict[str, object]:
+    """The keys with the interface and the channel that were asked for."""
+    if options.interface is not None and options.interface != keys.get("interface"):
+        keys |= {"interface": options.interface, "options": {}}
+    if options.channel is not None:
+        keys["channel"] = options.channel
+    return keys

@@ -15,8 +15,8 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from drivers.bus_budget import fd_frame_bits
-from drivers.can.arrival_clock import ArrivalClock
 from drivers.can.bus import EXTENDED, REMOTE, returns_own_frames
+from drivers.can.receiver import ArrivalClock
 from drivers.can_motors.settings import CODECS, CanMotorSettings
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock

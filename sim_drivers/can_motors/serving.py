@@ -9,7 +9,7 @@ from daq.robot.loader import RobotFile
 from drivers.can_motors.settings import CODECS, parse_settings
 from drivers.core.clock import Clock
 from drivers.core.errors import UsageError
-from sim_drivers.can.connection import connection_keys
+from sim_drivers.can.bus_server import connection_keys
 from sim_drivers.can_motors.server import CanMotorServer
 from sim_drivers.plant.plant import Plant
 from sim_drivers.served import SimOptions

@@ -22,8 +22,7 @@ from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import UsageError
 from drivers.core.text import percent_text
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
-from sim_drivers.can.bus_server import BusServer, send_error_frame
-from sim_drivers.can.connection import connection_keys
+from sim_drivers.can.bus_server import BusServer, connection_keys, send_error_frame
 from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.faults import (
     BlockJoint,

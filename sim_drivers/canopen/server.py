@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import can
 
 from daq.robot.schema import Robot
-from drivers.can.arrival_clock import ArrivalClock
+from drivers.can.receiver import ArrivalClock
 from drivers.canopen402.protocol.objects import STATE_OPERATIONAL, TPDO1
 from drivers.canopen402.settings import CanopenSettings
 from drivers.core.clock import SYSTEM_CLOCK, Clock

@@ -14,7 +14,7 @@ from drivers.canopen402.settings import parse_settings
 from drivers.core.clock import Clock
 from drivers.core.errors import UsageError
 from sim_drivers.can.bus_load import Frame, exact_bits, worst_case_bits
-from sim_drivers.can.connection import connection_keys, with_options
+from sim_drivers.can.bus_server import connection_keys, with_options
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.server import CanopenServer
 from sim_drivers.faults import joint_index

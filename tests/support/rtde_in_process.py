@@ -13,8 +13,8 @@ from simulated_clock import SimulatedClock
 
 from drivers.core.arrays import FloatArray
 from drivers.rtde import protocol as wire
-from drivers.rtde.connect import Connect
 from drivers.rtde.motion import Control, ControlFactory, MotionProcess, obey
+from drivers.rtde.protocol import Connect
 from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
 from sim_drivers.rtde.server import Ports, RtdeServer, Service
 

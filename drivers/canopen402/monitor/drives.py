@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from drivers.base import Level, Notice, drained
-from drivers.canopen402.monitor.heartbeat_clocks import HeartbeatClocks
+from drivers.canopen402.monitor.life_signs import HeartbeatClocks
 from drivers.canopen402.monitor.presence import Presence
 from drivers.canopen402.protocol import objects
 from drivers.canopen402.protocol.emcy import HOW_TO_RESET, MASTER_MISSED, Emergency, decode_emergency

@@ -16,8 +16,7 @@ from typing import Literal
 import numpy as np
 
 from drivers.can.bus import Frame, Sender
-from drivers.canopen402.motion.sdo_stop import SdoStop
-from drivers.canopen402.motion.target_path import BRIDGED, TargetPath
+from drivers.canopen402.motion.target_path import BRIDGED, SdoStop, TargetPath
 from drivers.canopen402.protocol.emcy import HOW_TO_RESET
 from drivers.canopen402.protocol.objects import MODE_PROFILE_POSITION, RPDO1, SYNC, TPDO1, TPDO2, mode_words
 from drivers.canopen402.protocol.state_machine import (

@@ -8,7 +8,7 @@ from daq.commands.console import print_json
 from daq.output_files import REPORT_FILE
 from ident.commands.printing.result import print_tables
 from ident.result.tables import Table
-from ident.tasks.saved_result import GradedResult
+from ident.tasks.arguments import GradedResult
 
 
 def print_identified(model: GradedResult, folder: Path, use: str, *, verbose: bool, as_json: bool) -> None:

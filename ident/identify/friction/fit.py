@@ -26,8 +26,15 @@ from ident.identify.friction.candidates import (
     motor_motion,
     position_candidates,
 )
-from ident.identify.friction.delivered import delivered_errors, falls
-from ident.identify.friction.presliding import LEAST_MOTIONS, LEVEL, choose_position_terms, find_travels, motion_folds
+from ident.identify.friction.extensions import (
+    LEAST_MOTIONS,
+    LEVEL,
+    choose_position_terms,
+    delivered_errors,
+    falls,
+    find_travels,
+    motion_folds,
+)
 from ident.identify.friction.rows import FrictionRows
 from ident.identify.friction.selection import FrictionSearch
 from ident.identify.identification import FrictionFit, IdentifyChoices

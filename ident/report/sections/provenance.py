@@ -1,4 +1,4 @@
-"""Provenance of the result: recordings, versions, options, robot file."""
+"""Quality of the recordings, and provenance of the result: recordings, versions, options, robot file."""
 
 from __future__ import annotations
 
@@ -6,6 +6,19 @@ from typing import Any
 
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import Result
+
+
+def data_quality_section(data: ReportData) -> ReportSection:
+    """Recordings, their events, preprocessing, delay, drive gains."""
+    result = data.result
+    context = {
+        "recordings": result.recordings,
+        "segments": {"identification": len(data.fit), "validation": len(data.validation)},
+        "steps": result.preprocessing,
+        "delay": result.delay,
+        "gains": result.drive_gains,
+    }
+    return ReportSection("Data quality", "data-quality", "data_quality.html.j2", context)
 
 
 def section(data: ReportData) -> ReportSection:

@@ -14,6 +14,7 @@ from ident.result.delivered import DELIVERED_WORDS, delivered_parameters
 from ident.result.schema import Result
 from ident.verdict.check import PURPOSE_WORDS
 from ident.views.number_text import DASH, number, percent, whole
+from ident.views.result_tables import merge_tables
 
 
 def section(data: ReportData) -> ReportSection:
@@ -108,3 +109,13 @@ def _errors(fit: Fit | None, joint: int) -> list[float | None]:
 
 def _entry(values: Sequence[float | None], joint: int) -> float | None:
     return values[joint] if joint < len(values) else None
+
+
+def merge_section(data: ReportData) -> ReportSection | None:
+    """Models, test of their consistency, values that differ significantly; None where nothing was merged."""
+    merge = data.result.merge
+    if merge is None:
+        return None
+    models, contradictions = merge_tables(merge)
+    context = {"models": models, "contradictions": contradictions, "consistency": merge.consistency}
+    return ReportSection("Merged models", "merge", "merge.html.j2", context)

@@ -9,7 +9,7 @@ import pytest
 
 from daq.recording.recording import JOINTS_STREAM
 from drivers.core.errors import ResultFileError
-from ident.identify.friction.presliding import low_speed_error
+from ident.identify.friction.extensions import low_speed_error
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.predict import predict_recording

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.core.arrays import FloatArray
-from ident.signals.same_noise import same_noise
+from ident.signals.sample_hashes import same_noise
 
 RATE, SECONDS, NOISE = 250.0, 16.0, 0.05
 Samples = tuple[FloatArray, FloatArray]

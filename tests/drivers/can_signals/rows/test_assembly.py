@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.can.bus import Frame
-from drivers.can_signals.rows.assembly import Assembler, CycleOrder, Order, Rows
-from drivers.can_signals.rows.sample_clock import SourceClock
+from drivers.can_signals.rows.assembly import Assembler, CycleOrder, Order, Rows, SourceClock
 from drivers.can_signals.table.bits import BitField
 from drivers.can_signals.table.signals import FrameLayout, Signal, batches, frame_layouts
 

@@ -11,7 +11,7 @@ from scripted_drives import FRAME_TIME, RAMP, ScriptedDrive
 
 from drivers.can.receiver import POLL
 from drivers.canopen402.motion.drive_motion import OFF_LIMIT, STANDING
-from drivers.canopen402.motion.sdo_stop import PATIENCE, REPEAT
+from drivers.canopen402.motion.target_path import PATIENCE, REPEAT
 from drivers.core.errors import ConnectionLostError, DriverStateError, MotionRefusedError
 
 ENABLING = ["disabled", "ready", "switched on", "enabled"]
