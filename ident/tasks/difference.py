@@ -20,8 +20,8 @@ from ident.result.schema import Result
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.servo.difference import error_differences, parameter_differences, parameters_agree, refuse_other_arm
 from ident.servo.result import ServoResult, read_servo_result
+from ident.tasks.arguments import GradedResult
 from ident.tasks.identification import IdentificationResult
-from ident.tasks.saved_result import GradedResult
 from ident.tasks.validation import result_of
 from ident.verdict.check import PURPOSE_WORDS
 

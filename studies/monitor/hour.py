@@ -21,7 +21,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy.stats import chi2
 
-from daq.motion.time_scaled import TimeScaled
+from daq.motion.approach import TimeScaled
 from daq.motion.trajectories import Motion, PointToPoint, RestToRest, slow_move
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
