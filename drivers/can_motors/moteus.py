@@ -73,7 +73,7 @@ class MoteusCodec(MotorCodec):
     fd = True
     keeps = ("torque_limit",)
     gains = False
-    takes_torque = ramps = True
+    takes_torque = True
     registers: ClassVar[Mapping[str, int]] = {"torque_limit": MOST_TORQUE, "timeout": WATCHDOG}
 
     def quantities(self, *, read_only: bool) -> tuple[str, ...]:
@@ -89,19 +89,11 @@ class MoteusCodec(MotorCodec):
         return (self._frame(_QUERY),)
 
     def goal(self, position: float, before: float | None = None, *, watched: bool = True) -> Sequence[CanFrame]:
-        """Position mode, with largest torque and watchdog; answered as a reading.
-
-        From the goal before it goes at a constant speed, without its own limits of speed and acceleration, which would
-        bend the way (docs/guides/control-modes.md, jerk limited trajectories). It ends at the goal by the stop
-        position, which is deprecated, so that only a controller ramps whose watchdog ends it, too.
-        """
+        """Position mode, with largest torque and watchdog; answered as a reading."""
         watchdog = self.motor.watchdog if watched else None
-        begin, speed, stop, limits = position, 0.0, math.nan, (math.nan, math.nan)
-        if watchdog is not None and before is not None and before != position:
-            begin, speed, stop, limits = before, (position - before) / self.motor.period, position, (-1.0, -1.0)
         command = (
-            *(begin / TURN, speed / TURN, 0.0, 1.0, 1.0, self._most_torque, stop / TURN),
-            *(math.nan if watchdog is None else watchdog, *limits),
+            *(position / TURN, 0.0, 0.0, 1.0, 1.0, self._most_torque, math.nan),
+            math.nan if watchdog is None else watchdog,
         )
         return (self._frame(_POSITION_MODE + subframe(WRITE, FLOAT, GOAL, command) + _QUERY),)
 

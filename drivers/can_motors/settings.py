@@ -213,8 +213,8 @@ class CanMotorSettings:
     @property
     def steps(self) -> bool:
         """Whether motors that are moved take each goal in one step, with a spring that this connection knows."""
-        codec = CODECS[self.family]
-        return codec.gains and not self.keys.read_only
+        known = CODECS[self.family].gains or all(motor.address.kp > 0.0 for motor in self.motors)
+        return known and not self.keys.read_only
 
     def gains(self) -> dict[str, FloatArray]:
         """`gain_p` and `gain_d` (n,) of the joints, where this connection sets them."""

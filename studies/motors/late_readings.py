@@ -3,8 +3,7 @@
     python -m studies.motors.late_readings [MOTION_SECONDS]
 
 The arm of the tests (two joints, 60 N·m/rad, viscous friction 0.1 N·m·s/rad) at 100 Hz. Every reading begins up to so
-many milliseconds late, evenly distributed. `without`: Damiao and CubeMars motors without `goal_age`, moteus with goals
-in steps.
+many milliseconds late, evenly distributed. `without`: without `goal_age`.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from daq.motion.trajectories import FourierSeries, RestToRest
 from daq.recording.reader import read_recording
 from daq.recording.recording import Recording
 from drivers.can_motors.bus import MotorBus
-from drivers.can_motors.moteus import MoteusCodec
 from drivers.streams import GOAL_AGE
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
@@ -34,12 +32,12 @@ LATE = (0.0, 0.001, 0.002, 0.005)
 """[s] at most."""
 
 
-def recorded(wire: str, late: float, seconds: float, *, ramps: bool) -> Recording:
+def recorded(wire: str, late: float, seconds: float) -> Recording:
     """A motion of so many seconds, read up to so many late."""
     rng = np.random.default_rng(1)
     draw = 0.3 * rng.uniform(-1.0, 1.0, (2, 2, 3)) / [1.0, 1.5, 2.0]
     series = FourierSeries.from_position_amplitudes(seconds, np.array([-1.3, 0.2]), *draw)
-    cycle, goal = MotorBus.cycle, MoteusCodec.goal
+    cycle = MotorBus.cycle
 
     def slow(bus: MotorBus, commands: object = None, *arguments: object, **keywords: object) -> object:
         bus._clock.sleep(rng.uniform(0.0, late))
@@ -49,12 +47,10 @@ def recorded(wire: str, late: float, seconds: float, *, ramps: bool) -> Recordin
         path = Path(folder) / "run.h5"
         try:
             MotorBus.cycle = slow  # type: ignore[method-assign,assignment]
-            if not ramps:
-                MoteusCodec.goal = lambda codec, position, _before=None, **more: goal(codec, position, **more)  # type: ignore[method-assign,assignment]
             with motors(clock, wire, when_lost="hold" if wire == "cubemars" else "limp") as bench:
                 report = bench.play(path, RestToRest(series, 1, 0.5))
         finally:
-            MotorBus.cycle, MoteusCodec.goal = cycle, goal  # type: ignore[method-assign]
+            MotorBus.cycle = cycle  # type: ignore[method-assign]
         assert report.stopped_by is None, report.stopped_by
         return read_recording(path)
 
@@ -73,9 +69,8 @@ def main() -> None:
     print("|---|---|---|---|---|")
     for wire in ("damiao", "cubemars", "moteus"):
         for late in LATE:
-            mended = recorded(wire, late, seconds, ramps=True)
-            plain = recorded(wire, late, seconds, ramps=False) if wire == "moteus" else without_ages(mended)
-            for words, run in (("without", plain), ("with", mended)):
+            mended = recorded(wire, late, seconds)
+            for words, run in (("without", without_ages(mended)), ("with", mended)):
                 found = identify([run], [], IdentifyChoices())
                 named = dict(zip(found.base.names, found.solution.parameters, strict=True))
                 off = " and ".join(f"{named[name] - 0.1:+.3f}" for name in ("Fv1", "Fv2"))
