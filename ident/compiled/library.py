@@ -25,7 +25,7 @@ SETTING = "DYNID_COMPILED"
 
 COMPILERS = ("cc", "gcc", "clang")
 
-SOURCES = ("arm.h", "bodies.h", "dry_friction.h", "loops.h", "vectors.h", "rows.c", "stepping.c")
+SOURCES = ("arm.h", "bodies.h", "dry_friction.h", "loops.h", "vectors.h", "rows.c", "servo.c", "stepping.c")
 
 OPTIONS = ("-std=gnu11", "-O3", "-march=native", "-fPIC", "-shared", "-w")
 

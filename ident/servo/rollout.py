@@ -8,12 +8,14 @@ step is implicit in damping, stiffness and friction (soft threshold), so that st
 from __future__ import annotations
 
 from collections.abc import Callable
+from ctypes import c_double, c_long, c_void_p
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
+from ident.compiled.library import address, kernels
 from ident.servo.terms import INDEX, TERMS
 
 STEEPNESS_SPAN = 0.03
@@ -139,6 +141,8 @@ def roll_out(
     rows = {TERMS[term].name: row for row, term in enumerate(free)}
     p = {name: values[index] for name, index in INDEX.items()}
     goals, d_goals = _goals(lanes, p["delay"], p["acceleration_limit"], rows)
+    if surface is None and (library := kernels().long) is not None:
+        return *_compiled(library, lanes, values, free, goals, d_goals), np.zeros((len(goals), 0))
     inertia = p["armature"] + lanes.inertia
     offset = p["zero"] * lanes.load_slope
     resistance = inertia + lanes.step * p["damping"]
@@ -162,6 +166,34 @@ def roll_out(
         return path, np.zeros((0, count, width)), force
     step = _step(h, p, inertia, resistance, lanes.load, offset, goals - path - p["bias"], velocities)
     return path, _tangents(lanes, p, rows, inertia, step, velocities, d_goals), force
+
+
+def _compiled(
+    library: Any,
+    lanes: Lanes,
+    values: FloatArray,
+    free: IndexArray,
+    goals: FloatArray,
+    d_goals: dict[int, FloatArray],
+) -> tuple[FloatArray, FloatArray]:
+    """Positions (K, L) and derivatives (F, K, L), by the library's C code."""
+    count, width = lanes.load.shape
+    by_goals = np.zeros((len(free), count, width))
+    for row, derivative in d_goals.items():
+        by_goals[row] = derivative
+    given = [values, lanes.inertia, lanes.load, lanes.load_slope, lanes.start, goals]
+    arrays = [np.ascontiguousarray(array, dtype=np.float64) for array in given]
+    terms = np.ascontiguousarray(free, dtype=np.int_)
+    path, tangents = np.empty((count, width)), np.empty((len(free), count, width))
+    library.servo_roll_out(
+        c_long(count),
+        c_long(width),
+        c_double(lanes.step),
+        *(c_void_p(address(array)) for array in arrays),
+        c_long(len(free)),
+        *(c_void_p(address(array)) for array in (terms, by_goals, path, tangents)),
+    )
+    return path, tangents
 
 
 class _Present(NamedTuple):
@@ -390,8 +422,13 @@ def profile_goals(command: FloatArray, step: float, steepest: FloatArray) -> Flo
     """
     if np.all(steepest >= UNLIMITED):
         return command
+    goals = np.empty(command.shape)
+    if (library := kernels().long) is not None:
+        given = [np.ascontiguousarray(array, dtype=np.float64) for array in (command, steepest)]
+        sizes = c_long(len(command)), c_long(command.shape[1]), c_double(step)
+        library.servo_profile(*sizes, *(c_void_p(address(array)) for array in (*given, goals)))
+        return goals
     half, most = 0.5 * step * steepest, step * steepest
-    goals = np.empty_like(command)
     goals[0] = goal = command[0]
     pace = np.zeros_like(goal)
     twice, square = 2.0 * steepest, half * half

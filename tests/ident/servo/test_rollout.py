@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from daq.recording.commanded_motion import CommandedMotion
+from ident.compiled.library import Kernels, kernels
+from ident.servo import rollout
 from ident.servo.motion import servo_motions
 from ident.servo.rollout import Lanes, Touch, _goals, profile_goals, roll_out
 from ident.servo.search import evaluate
@@ -63,6 +65,22 @@ def test_derivatives_are_those_of_the_roll_out(name):
     differences = (ends[0] - ends[1]) / 2e-6
     # a joint that starts or stops sticking in another step is the exception
     assert np.mean(np.abs(differences - tangents) < 1e-6 + 1e-4 * np.abs(tangents).max()) > 0.98
+
+
+def test_the_library_computes_what_numpy_does(monkeypatch):
+    if kernels().long is None:
+        pytest.skip(kernels().said)
+    values, _ = every_term()
+    free = np.arange(len(TERMS))
+    # lanes of one library and of none, of profiles and without
+    for steepest in (values[:, INDEX["acceleration_limit"]], np.full(3, 1e7)):
+        values[:, INDEX["acceleration_limit"]] = steepest
+        found = roll_out(lanes(), values.T, free)
+        with monkeypatch.context() as without:
+            without.setattr(rollout, "kernels", lambda: Kernels(None, None, "off"))
+            expected = roll_out(lanes(), values.T, free)
+        for own, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-11)
 
 
 def test_a_joint_sticks_where_its_friction_holds_it():
