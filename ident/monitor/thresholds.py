@@ -287,7 +287,8 @@ def _noticed(
     noticed = limit + SURELY * spread
     if length <= settle or not count:
         return np.asarray(noticed)
-    residuals, ways = (values[: count * length].reshape(count, length, -1) for values in (residual, way))
+    residuals = residual[: count * length].reshape(count, length, -1)
+    ways = way[: count * length].reshape(count, length, -1)
     limits = np.take_along_axis(limit[None], ways, axis=1)
     needed = [np.min((limits - sign * residuals)[:, settle:], axis=1) for sign in (1.0, -1.0)]
     stays = np.all(ways == REST, axis=1)
