@@ -37,6 +37,11 @@ LIKELIHOOD, OF_LOAD = 100.0, 150.0
 RIVAL = 1.5
 """Factor by which it must exceed that of friction, which changes as gears warm up."""
 
+LEAST_FALL = 1.8
+"""Factor by which a joint's squared residuals must fall: that of the gain, else the joint whose fall most. Parts of the
+Panda's recording reach likelihoods of 133 to 200 and factors of 1.0 to 1.6 of a gain's own joint; a gain times 1.1 from
+the middle on 2.7, a zero of 5° 1.9."""
+
 LEAST_GAIN = 0.08
 LEAST_ZERO = float(np.deg2rad(3.0))
 """Smallest change of a gain and of a zero [rad] that is reported."""
@@ -98,6 +103,7 @@ class FittedChange:
         level: Σ log of the joints' relative squared residuals.
         likelihood: doubled log-likelihood ratio, the equations being independent.
         error: relative error of the whole arm.
+        fall: factor by which squared residuals fall, of a gain's joint, else of the joint whose fall most.
     """
 
     change: Change
@@ -105,6 +111,7 @@ class FittedChange:
     level: float
     likelihood: float
     error: float
+    fall: float
 
 
 class Changes:
@@ -250,13 +257,15 @@ class Changes:
         counted, torque = self.refit.instants.counted, self.refit.instants.torque
         power = np.sum(np.where(counted, torque, 0.0) ** 2, axis=1)[used]
         floor = LEAST_ERROR**2 * power
-        raw = float(np.sum(self.refit.rows[used] * np.log((before[used] + floor) / (sums[used] + floor))))
+        falls = (before[used] + floor) / (sums[used] + floor)
+        raw = float(np.sum(self.refit.rows[used] * np.log(falls)))
+        fall = float(falls[used.index(change.joint)] if change.what == "gain" else falls.max())
         rest = np.where(counted, torque - np.einsum("nkN,k->nN", design, values), 0.0)
         total = float(self.refit.rows.sum())
         worth = max(0.0, independent_share(lag_one([rest])[used]) * total - design.shape[1]) / total
         level = float(np.sum(np.log((sums[used] + floor) / np.maximum(power, np.finfo(float).tiny))))
         error = float(np.sqrt(sums[used].sum() / max(float(power.sum()), np.finfo(float).tiny)))
-        return FittedChange(change, value, level, raw * worth, error)
+        return FittedChange(change, value, level, raw * worth, error, fall)
 
     def _products(self, joint: int, own: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Columns (a, m) and torque (m,) of a joint's equations that count, and the columns' products with both."""
@@ -297,7 +306,7 @@ def _clear(one: FittedChange, rival: float) -> bool:
     """Whether a change is one that is reported, against friction of a likelihood."""
     least = {"zero": LEAST_ZERO, "load": 0.0, "friction": np.inf}.get(one.change.what, LEAST_GAIN)
     likely = OF_LOAD if one.change.what == "load" else LIKELIHOOD
-    return abs(one.value) >= least and one.likelihood > max(likely, RIVAL * rival)
+    return abs(one.value) >= least and one.fall >= LEAST_FALL and one.likelihood > max(likely, RIVAL * rival)
 
 
 def change_check(model: DynamicModel, found: FittedChange, times: FloatArray) -> Check:
