@@ -103,7 +103,8 @@ def named(of: Identification) -> list[tuple[str, tuple[str, ...]]]:
     runs = [run.prepared for run in of.runs]
     independent = of.corrected.effective_rows
     checks = mistake_checks(of.model, of.experiment, of.base, runs, of.solution, independent)
-    return [(check.name, check.joints) for check in checks]
+    # A note that the data do not show the lengths finds no mistake.
+    return [(check.name, check.joints) for check in checks if check.name != "lengths-unchecked"]
 
 
 @pytest.mark.parametrize("name", ARMS)
