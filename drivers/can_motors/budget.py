@@ -45,7 +45,7 @@ def motor_budget(settings: DriverSettings, family: str) -> Budget:
     goals: list[FrameGroup] = []
     readings: list[FrameGroup] = []
     if not keys.read_only:
-        sent = [frame for one in codecs for frame in one.goal(0.0, 1.0)]
+        sent = [frame for one in codecs for frame in one.goal(0.0)]
         goals = groups("goals", sent, len(sent) if codec.answers_goals else 0)
     if keys.read_only or parsed.between or not codec.answers_goals:
         polls = [frame for one in codecs for frame in one.poll(read_only=keys.read_only)]

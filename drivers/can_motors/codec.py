@@ -30,7 +30,6 @@ class MotorAddress:
         watchdog: [s] without a command after which it lets go; None where it shall go on with its last one.
         thermistor: whether its windings have one.
         temperature_offset: added to the byte of its temperature [°C].
-        period: between two goals [s].
     """
 
     id: int
@@ -45,7 +44,6 @@ class MotorAddress:
     watchdog: float | None = None
     thermistor: bool = False
     temperature_offset: float = 0.0
-    period: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -81,7 +79,6 @@ class MotorCodec(ABC):
         answers_goals: whether it tells where it is after each goal.
         apart: whether it can be read while it follows goals, not only by its answer to one.
         takes_torque: whether it takes torques in place of goals.
-        ramps: whether it can be let go from one goal to the next at a constant speed, not in a step.
         registers: name → number, of those that are read and written here.
     """
 
@@ -93,7 +90,6 @@ class MotorCodec(ABC):
     answers_goals: ClassVar[bool] = True
     apart: ClassVar[bool] = True
     takes_torque: ClassVar[bool] = False
-    ramps: ClassVar[bool] = False
     registers: ClassVar[Mapping[str, int]] = {}
 
     def __init__(self, motor: MotorAddress) -> None:
@@ -108,8 +104,8 @@ class MotorCodec(ABC):
         """Frames after which it tells them and goes on as before; where `read_only`, nothing is written to it."""
 
     @abstractmethod
-    def goal(self, position: float, before: float | None = None) -> Sequence[CanFrame]:
-        """Frames by which it goes to a position [rad]; from the goal `before` within a period, where it ramps."""
+    def goal(self, position: float) -> Sequence[CanFrame]:
+        """Frames by which it goes to a position [rad]."""
 
     def torque(self, torque: float) -> Sequence[CanFrame]:
         """Frames by which it gives a torque [N·m], where it takes any; then they are answered as goals are."""

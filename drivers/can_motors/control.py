@@ -54,7 +54,6 @@ class MotorControl:
         self.commanded = -np.inf
         self.sent: deque[tuple[float, FloatArray]] = deque()
         self.fresh: Callable[[], None] = _nothing
-        self._before: FloatArray | None = None
         self._pushed: tuple[float, FloatArray] | None = None
         self._led: list[MotorCodec] = []
 
@@ -67,7 +66,7 @@ class MotorControl:
             ConnectionLostError: the adapter is gone.
         """
         self._prepare(self._bus.codecs)
-        self.goal, self._before = self._positions(self._all_states()), None
+        self.goal = self._positions(self._all_states())
         self.active = True  # from here on it may be that some obey
         self._make_obey()
 
@@ -183,7 +182,6 @@ class MotorControl:
         state = "limp" if limp else "held"
         try:
             if led and not limp:
-                self._before = None
                 self._bus.send([frame for codec in self._bus.codecs for frame in codec.enable()])
             if not limp:
                 self._lead_little(self._bus.cycle(None if self.goal is None else self._goal_frames()))
@@ -275,13 +273,10 @@ class MotorControl:
         self.sent.append((when, self.goal))
 
     def _goal_frames(self) -> list[Sequence[CanFrame]]:
-        """Frames that let every motor go to the goal, from the one before where it ramps."""
+        """Frames that let every motor go to the goal."""
         assert self.goal is not None
-        goals = self._motor_goals(self.goal)
-        before = goals if self._before is None else self._before
-        self._before = goals
-        ways = zip(self._bus.codecs, goals.tolist(), before.tolist(), strict=True)
-        return [codec.goal(goal, last) for codec, goal, last in ways]
+        goals = self._motor_goals(self.goal).tolist()
+        return [codec.goal(goal) for codec, goal in zip(self._bus.codecs, goals, strict=True)]
 
     def _torque_frames(self) -> list[Sequence[CanFrame]]:
         """Frames by which every motor gives the torque that was commanded last, or none where that is old."""

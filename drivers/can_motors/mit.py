@@ -78,7 +78,7 @@ class MitCodec(MotorCodec):
 
     takes_torque = True
 
-    def goal(self, position: float, before: float | None = None) -> Sequence[CanFrame]:
+    def goal(self, position: float) -> Sequence[CanFrame]:
         """A command, which the motor answers with its state."""
         motor = self.motor
         return ((motor.id, pack_goal(motor.model, (position, 0.0, motor.kp, motor.kd, 0.0))),)

@@ -88,7 +88,7 @@ class MoteusCodec(MotorCodec):
         """A frame that only reads."""
         return (self._frame(_QUERY),)
 
-    def goal(self, position: float, before: float | None = None, *, watched: bool = True) -> Sequence[CanFrame]:
+    def goal(self, position: float, *, watched: bool = True) -> Sequence[CanFrame]:
         """Position mode, with largest torque and watchdog; answered as a reading."""
         watchdog = self.motor.watchdog if watched else None
         command = (

@@ -38,7 +38,7 @@ class OdriveCodec(MotorCodec):
         """Remote frames for its state and temperatures."""
         return self._asked(HEARTBEAT), self._asked(TEMPERATURES)
 
-    def goal(self, position: float, before: float | None = None) -> Sequence[CanFrame]:
+    def goal(self, position: float) -> Sequence[CanFrame]:
         """A position, which is not answered."""
         return (self._frame(SET_GOAL, struct.pack("<fhh", position / TURN, 0, 0)),)
 

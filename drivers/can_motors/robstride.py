@@ -40,7 +40,7 @@ class RobstrideCodec(MotorCodec):
             return tuple(self._frame(READ, struct.pack("<H6x", number)) for number in READABLE)
         return (self.write("torque_limit", self._torque_limit),)
 
-    def goal(self, position: float, before: float | None = None) -> Sequence[CanFrame]:
+    def goal(self, position: float) -> Sequence[CanFrame]:
         """A command, which the motor answers with its state."""
         return self._command(position, self.motor.kp, self.motor.kd, 0.0)
 

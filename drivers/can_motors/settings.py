@@ -265,7 +265,6 @@ def parse_settings(connection: Mapping[str, object], joints: Sequence[str], fami
             watchdog,
             own.thermistor,
             keys.temperature_offset,
-            1.0 / keys.rate,
         )
         return CanMotor(joint, model, own.zero, own.direction, own.ratio, address)
 

@@ -104,10 +104,7 @@ def torque_level_checks(robot_file: RobotFile, model: DynamicModel, torque: Floa
 
 def _carries_stated_masses(robot_file: RobotFile, model: DynamicModel, peak: FloatArray) -> bool:
     """Whether peak torques are those of the URDF's masses: then its torque limits are placeholders (1000 N·m)."""
-    robot = robot_file.robot
-    if not robot_file.urdf_text:
-        return False
-    bodies = urdf_inertias(robot_file.urdf_text, model.link_names, robot.model.locked, robot.name)
+    bodies = urdf_inertias(robot_file, model.link_names)
     distances = joint_distances(model)
     first = min(distances)
     moments = [

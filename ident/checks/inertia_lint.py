@@ -193,13 +193,9 @@ def _rotor(robot_file: RobotFile, joint: str) -> bool:
 def _arm(robot_file: RobotFile, model: DynamicModel) -> RigidArm:
     """The arm with the bodies that are stated, fixed links summed up; those without mass weigh nothing."""
     inertial = np.zeros((len(model.joints), 10))
-    if robot_file.urdf_text:
-        read = urdf_inertias(
-            robot_file.urdf_text, model.link_names, robot_file.robot.model.locked, robot_file.robot.name
-        )
-        for index, body in enumerate(read):
-            if body is not None:
-                inertial[index] = link_parameters(body[0], body[1].tolist(), body[2][np.triu_indices(3)].tolist())
+    for index, body in enumerate(urdf_inertias(robot_file, model.link_names)):
+        if body is not None:
+            inertial[index] = link_parameters(body[0], body[1].tolist(), body[2][np.triu_indices(3)].tolist())
     for index, name in enumerate(model.link_names):
         if not robot_file.urdf_text and (link := robot_file.robot.truth.links.get(name)) is not None:
             inertial[index] = link_parameters(link.mass, link.com, link.inertia)

@@ -68,9 +68,7 @@ def guess_of_urdf(robot_file: RobotFile, *, limited: bool) -> ArmGuess:
 def _bodies(model: DynamicModel, robot_file: RobotFile) -> tuple[FloatArray, list[str]]:
     """Standard parameters (k, 10) of the links, each of a body that can exist, and where each is from, in words."""
     priors: LinkPriors = link_priors(model, robot_file, np.zeros((0, len(model.parameters))), np.zeros(0))
-    read = urdf_inertias(
-        robot_file.urdf_text or "", model.link_names, robot_file.robot.model.locked, robot_file.robot.name
-    )
+    read = urdf_inertias(robot_file, model.link_names)
     bodies, origins = priors.links.copy(), []
     for index, (source, stated) in enumerate(zip(priors.sources, read, strict=True)):
         if source == "urdf":

@@ -216,10 +216,7 @@ def _distance(point: FloatArray, end: FloatArray) -> float:
 
 def _urdf_mass(model: DynamicModel, robot_file: RobotFile) -> float | None:
     """Mass [kg] of a URDF's bodies; None where a link has none, or all have the same, as placeholders do."""
-    robot = robot_file.robot
-    if not robot_file.urdf_text:
-        return None
-    bodies = urdf_inertias(robot_file.urdf_text, model.link_names, robot.model.locked, robot.name)
+    bodies = urdf_inertias(robot_file, model.link_names)
     masses = [body[0] for body in bodies if body is not None]
     if len(masses) < len(bodies) or len(set(masses)) < 2:
         return None

@@ -87,13 +87,11 @@ def servo_links(robot_file: RobotFile) -> ServoLinks:
     robot, model = robot_file.robot, build_model(robot_file)
     bodies: list[FloatArray | None] = [None] * len(model.joints)
     origins = set()
-    if robot_file.urdf_text:
-        read = urdf_inertias(robot_file.urdf_text, model.link_names, robot.model.locked, robot.name)
-        for index, body in enumerate(read):
-            if body is not None:
-                xx, xy, xz, yy, yz, zz = body[2][np.triu_indices(3)]
-                bodies[index] = link_parameters(body[0], tuple(body[1]), (xx, xy, xz, yy, yz, zz))
-                origins.add("the URDF")
+    for index, body in enumerate(urdf_inertias(robot_file, model.link_names)):
+        if body is not None:
+            xx, xy, xz, yy, yz, zz = body[2][np.triu_indices(3)]
+            bodies[index] = link_parameters(body[0], tuple(body[1]), (xx, xy, xz, yy, yz, zz))
+            origins.add("the URDF")
     for index, name in enumerate(model.link_names):
         prior = robot.prior.links.get(name)
         if prior is not None and prior.mass is not None and prior.com is not None and prior.inertia is not None:

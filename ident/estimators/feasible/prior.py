@@ -74,13 +74,11 @@ def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, 
     """
     links, sources = _assumed_links(model, system, target), ["assumed"] * len(model.joints)
     robot = robot_file.robot
-    if robot_file.urdf_text:
-        bodies = urdf_inertias(robot_file.urdf_text, model.link_names, robot.model.locked, robot.name)
-        for index, body in enumerate(bodies):
-            if body is not None and _extended(body[0], body[2]):
-                xx, xy, xz, yy, yz, zz = body[2][np.triu_indices(3)]
-                links[index] = link_parameters(body[0], tuple(body[1]), (xx, xy, xz, yy, yz, zz))
-                sources[index] = "urdf"
+    for index, body in enumerate(urdf_inertias(robot_file, model.link_names)):
+        if body is not None and _extended(body[0], body[2]):
+            xx, xy, xz, yy, yz, zz = body[2][np.triu_indices(3)]
+            links[index] = link_parameters(body[0], tuple(body[1]), (xx, xy, xz, yy, yz, zz))
+            sources[index] = "urdf"
     for index, name in enumerate(model.link_names):
         if name in robot.prior.links and robot.prior.links[name].mass is not None:
             where = f"{robot.name}: prior.links.{name}"

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from daq.robot.loader import RobotFile
 from daq.robot.urdf_check import checked_urdf
 from drivers.core.errors import RobotFileError
 from drivers.core.text import did_you_mean
@@ -144,16 +145,19 @@ def _standard_error(lines: list[str]) -> Iterator[None]:
 
 
 def urdf_inertias(
-    xml: str, names: Sequence[str], locked: Mapping[str, float], where: str
+    robot_file: RobotFile, names: Sequence[str]
 ) -> tuple[tuple[float, np.ndarray, np.ndarray] | None, ...]:
     """Mass [kg], centre of mass (3,) [m] and inertia (3, 3) about it [kg·m²] of what each joint of `names` moves.
 
-    In the joint's frame; None for a body without mass.
+    In the joint's frame; None for a body without mass, and for all where the robot has no URDF.
 
     Raises:
         RobotFileError: not a URDF; a joint is missing, or neither named nor locked.
     """
-    model = urdf_model(xml, names, locked, where)
+    if not robot_file.urdf_text:
+        return (None,) * len(names)
+    robot = robot_file.robot
+    model = urdf_model(robot_file.urdf_text, names, robot.model.locked, robot.name)
     bodies = (model.inertias[model.getJointId(name)] for name in names)
     return tuple(
         (float(body.mass), np.array(body.lever), np.array(body.inertia)) if body.mass > 0 else None for body in bodies

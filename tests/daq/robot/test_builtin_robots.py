@@ -244,7 +244,7 @@ def test_up6_limits_are_the_paper_s_degrees() -> None:
 def test_openarm_is_the_public_model_with_its_hand() -> None:
     robot_file = load_robot("openarm")
     names = robot_file.robot.joint_names
-    for name, body in zip(names, urdf_inertias(robot_file.urdf_text or "", names, {}, "openarm"), strict=True):
+    for name, body in zip(names, urdf_inertias(robot_file, names), strict=True):
         link = robot_file.robot.truth.links[name]
         assert body is not None
         np.testing.assert_allclose([body[0], *body[1]], [link.mass, *link.com], rtol=1e-7, atol=1e-9)
@@ -258,7 +258,7 @@ def test_openarm_is_the_public_model_with_its_hand() -> None:
 def test_so101_moves_the_links_of_its_urdf() -> None:
     robot_file = load_robot("so101")
     names = robot_file.robot.joint_names
-    bodies = dict(zip(names, urdf_inertias(robot_file.urdf_text or "", names, {}, "so101"), strict=True))
+    bodies = dict(zip(names, urdf_inertias(robot_file, names), strict=True))
     assert tuple(robot_file.robot.truth.links) == names
     assert parse_robot(robot_file.text, where="a copy of it", folder=Path("/")).urdf_text == robot_file.urdf_text
     with pytest.raises(RobotFileError, match=r"no built-in URDF is called 'so100\.urdf'"):
