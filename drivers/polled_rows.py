@@ -88,17 +88,17 @@ class PolledRows(ABC):
             lost, self._lost = (self._lost, 0) if rows else (0, self._lost)
         if not rows and self.failure is not None:
             raise self.failure
-        batches = []
+        rows_batch, batches = [], []
         if rows:
             stamps, received = np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
             values = {name: np.array([row[2][name] for row in rows]) for name in rows[0][2]}
-            batches.append(Batch("joints", stamps, received, values, lost))
+            rows_batch = [Batch("joints", stamps, received, values, lost)]
         if commands := [self._sent.popleft() for _ in range(len(self._sent))]:
             stamps = np.array([moment for moment, _ in commands])
             goals = np.array([goal for _, goal in commands])
             gains = {name: np.tile(values, (len(goals), 1)) for name, values in self._gains.items()}
             batches.append(Batch("commands", stamps, stamps.copy(), {"target_position": goals, **gains}))
-        return batches
+        return batches + rows_batch  # goals before the rows that they explain
 
     def losses(self) -> str:
         """Why rows were lost, in words; empty where none were."""

@@ -47,14 +47,10 @@ def motor_budget(settings: DriverSettings, family: str) -> Budget:
     if not keys.read_only:
         sent = [frame for one in codecs for frame in one.goal(0.0)]
         goals = groups("goals", sent, len(sent) if codec.answers_goals else 0)
-    if keys.read_only or parsed.between or not codec.answers_goals:
+    if keys.read_only or not codec.answers_goals:
         polls = [frame for one in codecs for frame in one.poll(read_only=keys.read_only)]
         polls += codec.slow_poll()
         readings = groups("readings", polls, len(polls))
-    # Readings have the second half of a period: where they take longer than goals, the bus is idle before them.
-    idle = sum(group.bits for group in readings) - sum(group.bits for group in goals)
-    if goals and readings and idle > 0:
-        goals.append(FrameGroup("pause before readings", 1, 0, idle))
     return Budget(keys.bitrate, keys.rate, (*goals, *readings), worst=WORST)
 
 

@@ -93,7 +93,6 @@ class MotorBus:
         self._receiver: Receiver | None = None
         self._turn = 0
         self._surplus = [0 for _ in self._motors]
-        self._awaited = [False for _ in self._motors]
         self._obeyed = [-math.inf for _ in self._motors]
         self._returned: deque[CanFrame] | None = None
         self._told: list[dict[str, float]] = [{} for _ in self._motors]
@@ -108,7 +107,6 @@ class MotorBus:
         self._told = [{} for _ in self._motors]
         self._state = [(0, None) for _ in self._motors]
         self._surplus = [0 for _ in self._motors]
-        self._awaited = [False for _ in self._motors]
         self._obeyed = [-math.inf for _ in self._motors]
         keys, fd = self._settings.keys, self.codecs[0].fd
         options = {**keys.options}
@@ -147,7 +145,9 @@ class MotorBus:
         return sender.send_all(frames)
 
     def cycle(self, commands: Commands | None = None, patience: float = PATIENCE) -> Feedback:
-        """Read all motors; by their answers to commands, where they are given and answered.
+        """Read all motors, and command them, if so: by their answers, else just before.
+
+        Either way a reading is of the time before its command acts, and one exchange a cycle does for both.
 
         Args:
             commands: to the motors.
@@ -159,35 +159,18 @@ class MotorBus:
         read_only = self._settings.keys.read_only
         frames: list[CanFrame] = []
         for index, codec in enumerate(self.codecs):
-            frames += commands[index] if commands is not None else ()
             frames += codec.poll(read_only=read_only) if commands is None or not codec.answers_goals else ()
+            frames += commands[index] if commands is not None else ()
         self._turn = (self._turn + 1) % len(self.codecs)
         frames += self.codecs[self._turn].slow_poll()
-        if commands is not None and not self.codecs[0].answers_goals:
-            self._obeyed = [self._clock.now() for _ in self._motors]
         before = self._obeyed.copy()
         feedback = self.exchange(frames, patience)
-        if commands is not None and self.codecs[0].answers_goals:  # each said where it was before it obeyed
+        if commands is not None:
             self._obeyed = [
                 feedback.states[k].time if k in feedback.states else feedback.time for k in range(len(before))
             ]
         ages = {index: said.time - before[index] for index, said in feedback.states.items()}
         return replace(feedback, ages=ages)
-
-    def send_commands(self, commands: Commands) -> None:
-        """Send all motors commands, and read nothing.
-
-        Raises:
-            ConnectionLostError: the adapter is gone, or does not take them.
-        """
-        for index, codec in enumerate(self.codecs):
-            self._surplus[index] -= codec.answers_goals
-            self._awaited[index] = codec.answers_goals
-        frames = [frame for command in commands for frame in command]
-        if self._returned is not None:
-            self._returned += frames
-        sent = self.send(frames)
-        self._obeyed = [sent for _ in self._motors]  # until their answers say it better
 
     def forget_surplus(self) -> None:
         """Count answers anew: frames that nobody counted were answered, too."""
@@ -208,8 +191,8 @@ class MotorBus:
         with self._lock:
             heard: list[set[str]] = [set() for _ in self._motors]
             late: list[set[str]] = [set() for _ in self._motors]
-            for arrived, identifier, data in receiver.take():  # too late for its row, but not for a fault
-                self._hear(arrived, identifier, data, late)
+            for _, identifier, data in receiver.take():  # too late for its row, but not for a fault
+                self._hear(identifier, data, late)
             for asked in range(len(self._motors)) if of is None else (of,):
                 self._surplus[asked] = max(self._surplus[asked] - 1, -MOST_AWAITED)
             if self._returned is not None:
@@ -224,10 +207,10 @@ class MotorBus:
                 if left <= 0.0:
                     break
                 for arrived, identifier, data in receiver.take(left):
-                    index = self._hear(arrived, identifier, data, heard)
+                    index = self._hear(identifier, data, late if arrived < sent else heard)
                     if index is None and not self._is_own((identifier, data)):
                         strange += 1
-                    elif index is not None:
+                    elif index is not None and arrived >= sent:
                         when[index] = received = arrived
         self._require_carried(sender, receiver)
         states = {
@@ -288,14 +271,11 @@ class MotorBus:
                 hint="is it in fault, or is its firmware too old for it?",
             )
 
-    def _hear(self, arrived: float, identifier: int, data: bytes, heard: list[set[str]]) -> int | None:
+    def _hear(self, identifier: int, data: bytes, heard: list[set[str]]) -> int | None:
         """The motor whose frame it is; None where it is none's."""
         index, answer = self._owner(identifier, data)
         if index is None or answer is None:
             return None
-        if self._awaited[index] and "position" in answer.values:
-            self._awaited[index], self._obeyed[index] = False, arrived  # to a command: the state before it was obeyed
-            return index
         if "position" in heard[index] and "position" in answer.values:
             return index
         heard[index] |= answer.values.keys() | ({FAULT} if answer.fault is not None else set())

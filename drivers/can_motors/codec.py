@@ -77,7 +77,6 @@ class MotorCodec(ABC):
         gains: whether kp and kd are sent, not configured in the motor.
         unasked: whether it may tell where it is without being asked.
         answers_goals: whether it tells where it is after each goal.
-        apart: whether it can be read while it follows goals, not only by its answer to one.
         takes_torque: whether it takes torques in place of goals.
         registers: name → number, of those that are read and written here.
     """
@@ -88,7 +87,6 @@ class MotorCodec(ABC):
     gains: ClassVar[bool] = True
     unasked: ClassVar[bool] = False
     answers_goals: ClassVar[bool] = True
-    apart: ClassVar[bool] = True
     takes_torque: ClassVar[bool] = False
     registers: ClassVar[Mapping[str, int]] = {}
 

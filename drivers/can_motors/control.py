@@ -147,17 +147,8 @@ class MotorControl:
         self.goal, self.commanded = target.copy(), self._clock.now()
         self.fresh()
 
-    def send_goal(self) -> None:
-        """Send the goal, and read nothing.
-
-        Raises:
-            ConnectionLostError: the adapter is gone.
-        """
-        self._note(self._clock.now())
-        self._bus.send_commands(self._goal_frames())
-
     def cycle(self, patience: float = PATIENCE) -> Feedback:
-        """Send the goal, and read the motors by their answers, waiting so long [s] at most.
+        """Send the goal, and read the motors as they are before they obey it, waiting so long [s] at most.
 
         Raises:
             ConnectionLostError: the adapter is gone.
@@ -167,12 +158,10 @@ class MotorControl:
             if len(feedback.states) == len(self._motors):
                 self.goal = self._positions(feedback)
             return replace(feedback, ages={})
-        answered = self._bus.codecs[0].answers_goals
-        if not answered:
-            self._note(self._clock.now())
-        feedback = self._bus.cycle(self._goal_frames(), patience)
-        if answered:  # by where they were before they obeyed: to a reading, this goal is the next one's
-            self._note(feedback.time)
+        goal = self.goal
+        assert goal is not None
+        feedback = self._bus.cycle(self._goal_frames(goal), patience)
+        self.sent.append((feedback.time, goal))
         return feedback
 
     def stop(self) -> str:
@@ -184,7 +173,7 @@ class MotorControl:
             if led and not limp:
                 self._bus.send([frame for codec in self._bus.codecs for frame in codec.enable()])
             if not limp:
-                self._lead_little(self._bus.cycle(None if self.goal is None else self._goal_frames()))
+                self._lead_little(self._bus.cycle(None if self.goal is None else self._goal_frames(self.goal)))
             heard = self._until_rest(limp=limp)
             if not limp and self._settings.when_lost == "hold":
                 self._hold_for_good()
@@ -267,16 +256,10 @@ class MotorControl:
             [m.to_joint("position", feedback.states[k].values["position"]) for k, m in enumerate(self._motors)]
         )
 
-    def _note(self, when: float) -> None:
-        """The goal as sent at a time [s]."""
-        assert self.goal is not None
-        self.sent.append((when, self.goal))
-
-    def _goal_frames(self) -> list[Sequence[CanFrame]]:
-        """Frames that let every motor go to the goal."""
-        assert self.goal is not None
-        goals = self._motor_goals(self.goal).tolist()
-        return [codec.goal(goal) for codec, goal in zip(self._bus.codecs, goals, strict=True)]
+    def _goal_frames(self, goal: FloatArray) -> list[Sequence[CanFrame]]:
+        """Frames that let every motor go to a goal (n,) [rad]."""
+        goals = self._motor_goals(goal).tolist()
+        return [codec.goal(position) for codec, position in zip(self._bus.codecs, goals, strict=True)]
 
     def _torque_frames(self) -> list[Sequence[CanFrame]]:
         """Frames by which every motor gives the torque that was commanded last, or none where that is old."""

@@ -17,10 +17,8 @@ LATE = 1.25
 """Periods after a cycle at which the last goal is sent again, where no new one came."""
 TWICE = 5
 """Answers beyond one for each request from which on two motors give them."""
-SHARE = 0.97
-"""Of a period that answers are waited for."""
-MIDDLE = 0.5
-"""Periods after a goal when the motors are read."""
+PATIENCE = 1.9
+"""Periods that answers are waited for: on a computer that is late, the next goal is, and no row is lost."""
 SOONEST = 0.5
 """Periods after a cycle before which no goal is sent."""
 UNITS = {"supply_voltage": "V", "drive_temperature": "degC", GOAL_AGE: "s"}
@@ -68,13 +66,8 @@ class MotorCycle(PolledRows):
         self._begun = self._clock.now()
         with self._changed:
             self._wanted = False
-        if self._control.active and (self._control.led or not self._settings.between):
-            feedback = self._control.cycle(SHARE * self._period)
-        else:
-            if self._control.active:
-                self._control.send_goal()
-                self._ending.wait(self._begun + MIDDLE * self._period - self._clock.now())
-            feedback = self._bus.cycle(patience=(1.0 - MIDDLE if self._control.active else SHARE) * self._period)
+        patience = PATIENCE * self._period
+        feedback = self._control.cycle(patience) if self._control.active else self._bus.cycle(patience=patience)
         self._strange += feedback.strange
         for index, state in feedback.states.items():
             self.answered[self._motors[index].id] = feedback.received
@@ -118,7 +111,7 @@ class MotorCycle(PolledRows):
             ]
             for quantity in self._quantities
         }
-        if self._settings.steps:
+        if not self._settings.keys.read_only:
             ages = feedback.ages if self._control.active else {}
             row[GOAL_AGE] = [
                 age if (age := ages.get(index, math.nan)) < math.inf else math.nan for index in range(len(self._motors))
@@ -156,7 +149,7 @@ def feedback_channels(settings: CanMotorSettings) -> tuple[ChannelLayout, ...]:
     joints = tuple(motor.joint for motor in settings.motors)
     told = [codec.quantities(read_only=settings.keys.read_only) for codec in settings.codecs()]
     common = [quantity for quantity in told[0] if all(quantity in others for others in told)]
-    common += [GOAL_AGE] if settings.steps else []
+    common += [GOAL_AGE] if not settings.keys.read_only else []
     when = "time is the middle of the reading, by this computer's clock"
     return tuple(
         ChannelLayout(quantity, joints, UNITS.get(quantity, ""), f"{MEANINGS.get(quantity, quantity)}; {when}")

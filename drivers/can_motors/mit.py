@@ -163,7 +163,6 @@ class CubemarsCodec(MitCodec):
     """CubeMars AK motors in MIT mode; `MotorAddress.host` is the identifier that they answer on."""
 
     times_out = False
-    apart = False
 
     def quantities(self, *, read_only: bool) -> tuple[str, ...]:
         """The same in any case."""

@@ -63,9 +63,6 @@ class CanMotorKeys(CanSettings):
     host_id: int | None = Field(None, ge=0, le=0xFF, description="this computer's id (RobStride, moteus)")
     kp: float | None = Field(None, ge=0.0, le=1e6, description="[N·m/rad] of joints that name none")
     kd: float | None = Field(None, ge=0.0, le=1e5, description="[N·m·s/rad] of joints that name none")
-    sampling: Literal["between", "with-goals"] = Field(
-        "between", description="when motors that are moved are read: half a period after a goal, or by its answer"
-    )
     on_stop: OnStop = Field("hold", description="what the arm does when a motion ends or is stopped")
     when_lost: OnStop | None = Field(
         None, description="what it does where commands fail to come, by a command time-out of the motors; as on_stop"
@@ -114,8 +111,9 @@ class CanMotorKeys(CanSettings):
             scale = family.models[model]
             for gain, most in (("kp", scale.kp), ("kd", scale.kd)):
                 value = getattr(motor, gain) if getattr(motor, gain) is not None else getattr(self, gain)
-                if value is None and codec.gains and not self.read_only:
-                    raise refused(f"key 'motors.{name}.{gain}' is missing", "the motor's spring and damper")
+                if value is None and not self.read_only:
+                    whose = "the motor's spring and damper" + ("" if codec.gains else ", as its controller has them")
+                    raise refused(f"key 'motors.{name}.{gain}' is missing", whose)
                 if value is not None and most is not None and value / motor.ratio**2 > most:
                     raise refused(
                         f"{name}: {gain} {value:g} is more than its motor takes", f"{model}: at most {most:g}"
@@ -201,24 +199,9 @@ class CanMotorSettings:
             return "hold"
         return self.keys.when_lost or self.keys.on_stop
 
-    @property
-    def between(self) -> bool:
-        """Whether motors that are moved are read between two goals.
-
-        A goal stands for a period, and the joint goes on meanwhile: the torque of a spring kp falls by kp·q̇·T. What a
-        motor answers to a goal is the end of that fall; half a period later it is the mean, which moves the arm.
-        """
-        return self.keys.sampling == "between" and CODECS[self.family].apart
-
-    @property
-    def steps(self) -> bool:
-        """Whether motors that are moved take each goal in one step, with a spring that this connection knows."""
-        known = CODECS[self.family].gains or all(motor.address.kp > 0.0 for motor in self.motors)
-        return known and not self.keys.read_only
-
     def gains(self) -> dict[str, FloatArray]:
-        """`gain_p` and `gain_d` (n,) of the joints, where this connection sets them."""
-        if not self.steps:
+        """`gain_p` and `gain_d` (n,) of the joints, where this connection moves them."""
+        if self.keys.read_only:
             return {}
         ratios = np.array([motor.ratio for motor in self.motors]) ** 2
         kp, kd = np.array([[motor.address.kp, motor.address.kd] for motor in self.motors]).T

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 
-from daq.recording.recording import JOINTS_STREAM, Channel, Stream
+from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Channel, Stream
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DynidError, UsageError
-from drivers.streams import Batch, StreamLayout
+from drivers.streams import GOAL_AGE, Batch, StreamLayout
 from ident.monitor.contact_forces import expected_delay
 from ident.monitor.interval_torque import JointSamples
 from ident.monitor.load_estimate import changed_load
@@ -19,6 +20,7 @@ from ident.monitor.thresholds import SAME_RATE, STD_EVERY, Thresholds
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.models.model import Model
 from ident.signals.joint_signals import TEMPERATURE, live_signals
+from ident.signals.stepped_goals import with_even_goals
 
 TOGETHER = 0.01
 """Samples of this time [s] are evaluated at once: one by one would take several times as long."""
@@ -28,6 +30,8 @@ AMBIENT = 25.0
 """[°C] of samples that warm up."""
 BLIND = 1.0
 """[s] without a residual after which that is said."""
+GOALS_KEPT = 8
+"""Batches of goals, the newest of which explain the torques of those who follow them in steps."""
 SHOWN_EVERY = 0.15
 """[s] between two evaluations of what is shown."""
 
@@ -64,6 +68,8 @@ class LiveMonitor:
         self._model, self._stops = model, stops
         self._robot = model.stored.robot_file.robot
         self._channels: dict[str, tuple[str, ...]] = {}
+        self._goal_channels: dict[str, tuple[str, ...]] = {}
+        self._goals: deque[Batch] = deque(maxlen=GOALS_KEPT)
         self._thermometers: dict[str, tuple[list[int], list[int]]] = {}
         self._celsius = np.full(model.dof, np.nan)
         self._heated = np.array(model.dynamics.model.needs("temperature"))
@@ -87,6 +93,8 @@ class LiveMonitor:
             channels = {channel.quantity: channel.columns for channel in layout.channels}
             if layout.name == JOINTS_STREAM:
                 self._channels = channels
+            elif layout.name == COMMANDS_STREAM:
+                self._goal_channels = channels
             heated = [joint for joint in channels.get(TEMPERATURE, ()) if joint in names]
             if heated:
                 places = [channels[TEMPERATURE].index(joint) for joint in heated]
@@ -117,6 +125,8 @@ class LiveMonitor:
             joints, columns = self._thermometers[batch.stream]
             celsius = batch.values[TEMPERATURE][-1, columns]
             self._celsius[joints] = np.where(np.isfinite(celsius), celsius, self._celsius[joints])
+        if batch.stream == COMMANDS_STREAM and GOAL_AGE in self._channels and len(batch.time):
+            self._goals.append(batch)
         if batch.stream != JOINTS_STREAM or not len(batch.time) or self.failure:
             return
         self._heard = float(batch.time[-1])
@@ -174,11 +184,17 @@ class LiveMonitor:
         return maps
 
     def _samples(self, batches: Sequence[Batch]) -> JointSamples:
-        time = np.concatenate([batch.time for batch in batches])
-        position = np.concatenate([batch.values["position"] for batch in batches])[:, self._order]
+        used = {"position", GOAL_AGE, *self._maps}
+        joints = _joined(
+            JOINTS_STREAM, batches, {name: self._channels[name] for name in self._channels if name in used}
+        )
+        if self._goals:
+            joints = with_even_goals(joints, _joined(COMMANDS_STREAM, self._goals, self._goal_channels))
+        time = joints.time
+        position = joints.channels["position"].values[:, self._order]
         torque = np.zeros_like(position)
         for quantity, shares in self._maps.items():
-            torque += np.concatenate([batch.values[quantity] for batch in batches]) @ shares
+            torque += joints.channels[quantity].values @ shares
         known = np.isfinite(self._celsius).any()
         celsius = np.broadcast_to(self._celsius, position.shape) if known else None
         return JointSamples(time, position, torque, celsius)
@@ -245,6 +261,14 @@ class LiveMonitor:
     def delay(self) -> float:
         """Expected time [s] until a force of twice the smallest is noticed, with the wait for samples together."""
         return expected_delay(self.monitor.thresholds, self.monitor.lag) + TOGETHER / 2.0
+
+
+def _joined(name: str, batches: Sequence[Batch], columns: Mapping[str, tuple[str, ...]]) -> Stream:
+    """Batches as a stream."""
+    time = np.concatenate([batch.time for batch in batches])
+    quantities = {quantity: np.concatenate([batch.values[quantity] for batch in batches]) for quantity in columns}
+    channels = {quantity: Channel(quantity, rows, "", columns[quantity]) for quantity, rows in quantities.items()}
+    return Stream(name, time, time, channels)
 
 
 def page_channels(model: Model) -> tuple[str, ...]:

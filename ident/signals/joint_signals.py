@@ -12,7 +12,7 @@ from daq.recording.commanded_motion import TARGET, command_stream
 from daq.recording.quality.outliers import without_outliers
 from daq.recording.quality.quantisation import encoder_step
 from daq.recording.quality.stale_samples import StaleSamples, fresh_recording
-from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Channel, Recording, Stream
+from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, MOTOR_SIGNALS, Channel, Recording, Stream
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
@@ -149,7 +149,8 @@ def read_joint_signals(recording: Recording, robot: Robot) -> JointSignals:
         DataError: a stream, quantity, joint or gain is missing, or values are not finite.
     """
     recording, stale = fresh_recording(recording)
-    stream, replaced = _without_outliers(with_even_goals(recording, _joints_stream(recording)))
+    joints = with_even_goals(_joints_stream(recording), recording.streams.get(COMMANDS_STREAM))
+    stream, replaced = _without_outliers(joints)
     position = _positions(stream, robot, recording.label)
     hint = "" if command_stream(recording) is None else SERVO_HINT
     torque, origin, gains_used = _joint_torque(stream, robot, recording.label, hint)

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from daq.recording.commanded_motion import TARGET
-from daq.recording.recording import COMMANDS_STREAM, Recording, Stream
+from daq.recording.recording import Stream
 from drivers.core.arrays import FloatArray
 from drivers.streams import GOAL_AGE
 
@@ -21,9 +21,8 @@ LONGEST_PERIOD = 0.1
 """[s] between two goals from which on the arm rested, or was held."""
 
 
-def with_even_goals(recording: Recording, joints: Stream) -> Stream:
-    """The joints' stream, with torques as if goals moved evenly where the recording says when they were obeyed."""
-    commands = recording.streams.get(COMMANDS_STREAM)
+def with_even_goals(joints: Stream, commands: Stream | None) -> Stream:
+    """The joints' stream, with torques as if goals moved evenly where it says when they were obeyed."""
     ages, torque = joints.channels.get(GOAL_AGE), joints.channels.get("torque")
     if commands is None or ages is None or torque is None or len(commands.time) < 2:
         return joints
@@ -51,7 +50,8 @@ def _ahead(stamps: FloatArray, goals: FloatArray, times: FloatArray, ages: Float
     order = np.searchsorted(stamps, times, side="left") - 1  # a goal with a reading's stamp was obeyed after it
     known = (order >= 0) & np.isfinite(ages)
     order = np.maximum(order, 0)
-    periods = np.diff(stamps, append=stamps[-1] + 2.0 * LONGEST_PERIOD)
+    periods = np.diff(stamps)
+    periods = np.append(periods, periods[-1])  # live, the newest goal is in force as long as those before
     known &= periods[order] < LONGEST_PERIOD
     middles = stamps + 0.5 * np.minimum(periods, LONGEST_PERIOD)
     even = np.interp(stamps[order] + ages, middles, goals)

@@ -71,6 +71,7 @@ def test_keys_that_are_refused():
         "the same id 1": ("damiao", {"motors": {"swing": {"id": 1}, "bend": {"id": 1}}}),
         "no damiao motor is called 'dm9'": ("damiao", {"model": "dm9"}),
         "'motors.swing.kp' is missing": ("damiao", {"kp": None}),
+        "'motors.swing.kd' is missing.*as its controller has them": ("moteus", {"kd": None}),
         "swing: kp 600 is more than its motor takes": ("damiao", {"kp": 600.0}),
         "a damiao motor keeps no torque_limit": (
             "damiao",
@@ -91,10 +92,10 @@ def test_the_budget_counts_goals_readings_and_answers():
         return budget.highest_rate()
 
     assert highest("damiao", read_only=True) == pytest.approx(1e6 / (2 * 2 * 135))
-    assert highest("damiao") == pytest.approx(0.5 * highest("damiao", sampling="with-goals"))
+    assert highest("damiao") == highest("damiao", read_only=True)  # a goal is answered by a reading
     assert highest("cubemars") == pytest.approx(1e6 / (2 * 2 * 135))
-    assert highest("robstride", sampling="with-goals") == pytest.approx(1e6 / (2 * 2 * 160))
+    assert highest("robstride") == pytest.approx(1e6 / (2 * 2 * 160))
     readings = 4 * (55 + 135) + 2 * (55 + 135)
-    assert highest("odrive") == pytest.approx(1e6 / (2 * readings))
+    assert highest("odrive") == pytest.approx(1e6 / (2 * 135 + readings))
     assert fd_frame_bits(48, 5.0) < fd_frame_bits(48, 1.0)
     assert math.isclose(fd_frame_bits(8, 1.0), 36 + 9 + 69 + 17 + 6 + 21 + 13)

@@ -29,7 +29,7 @@ def recording(ages: np.ndarray) -> Recording:
 
 
 def even_torque(run: Recording, joints: Stream) -> np.ndarray:
-    return with_even_goals(run, joints).channels["torque"].values[:, 0]
+    return with_even_goals(joints, run.streams.get("commands")).channels["torque"].values[:, 0]
 
 
 def test_the_torque_does_not_depend_on_when_it_was_read():
@@ -46,3 +46,25 @@ def test_the_torque_does_not_depend_on_when_it_was_read():
         hushed = replace(joints, channels={**joints.channels, GOAL_AGE: unknown})
         assert np.array_equal(even_torque(run, hushed), raw)
         assert np.array_equal(even_torque(Recording("", {"joints": joints}), joints), raw)
+
+
+def test_live_the_newest_goals_suffice():
+    """A row comes with the goal that was sent in the same frame, and with none that follows."""
+    run = recording(np.full(50, PERIOD))
+    joints, goals = run.streams["joints"], run.streams["commands"]
+    whole = even_torque(run, joints)
+    for row in (10, 30):
+        seen = goals.time <= joints.time[row] + 1e-9
+        heard = replace(
+            goals,
+            time=goals.time[seen],
+            channels={name: replace(channel, values=channel.values[seen]) for name, channel in goals.channels.items()},
+        )
+        now = replace(
+            joints,
+            time=joints.time[: row + 1],
+            channels={
+                name: replace(channel, values=channel.values[: row + 1]) for name, channel in joints.channels.items()
+            },
+        )
+        assert even_torque(Recording("", {"commands": heard}), now)[-1] == pytest.approx(whole[row], abs=1e-9)
