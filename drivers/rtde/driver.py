@@ -1,4 +1,4 @@
-"""The driver of Universal Robots arms: three streams from one RTDE connection, motion through ur_rtde.
+"""The driver of Universal Robots arms: three streams from one RTDE connection, motion in a process of its own.
 
 `joints` comes at the controller's rate; `thermal` and `status` are every n-th of the same packages.
 """
@@ -22,7 +22,7 @@ from drivers.gains import gives_torque, joint_torque, torque_channel
 from drivers.rtde import protocol as wire
 from drivers.rtde.configuration import Configuration, read_configuration
 from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode, serial_number, stop_program
-from drivers.rtde.motion import JOINTS, MotionProcess, require_ur_rtde
+from drivers.rtde.motion import JOINTS, MotionProcess, has_ur_rtde
 from drivers.rtde.protocol import Connect, connect_tcp
 from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
 from drivers.rtde.settings import parse_settings
@@ -97,6 +97,11 @@ class ArmControl(Protocol):
 
     def stop(self) -> bool:
         """Halt the arm and give it back; whether the controller confirmed it."""
+
+
+OWN_PROGRAM = (
+    "dynid's own program moves the arm, as ur-rtde is not installed: it was tried on simulated controllers only"
+)
 
 
 class RtdeDriver:
@@ -223,8 +228,9 @@ class RtdeDriver:
         return None
 
     def cautions(self) -> tuple[str, ...]:
-        """Whether `device_limits` was told none, and why."""
-        return self._cautions
+        """Whether `device_limits` was told none, and why; whether our own program moves the arm."""
+        own = self._take_control is MotionProcess and not has_ur_rtde()
+        return (*self._cautions, OWN_PROGRAM) if own else self._cautions
 
     def streams(self) -> tuple[StreamLayout, ...]:
         """`joints` at the full rate, `thermal` at about 20 Hz and `status` at about 10 Hz, as far as delivered.
@@ -305,13 +311,7 @@ class RtdeDriver:
         return self._receiver.notices() + drained(self._notices)
 
     def command_rate(self) -> float:
-        """The controller's own rate, whatever that of the samples; 0 where it is closed.
-
-        Raises:
-            DriverStateError: nothing can be commanded, since ur_rtde is not installed.
-        """
-        if self._take_control is MotionProcess:
-            require_ur_rtde(self._settings.host)
+        """The controller's own rate, whatever that of the samples; 0 where it is closed."""
         return 0.0 if self._state == "closed" else self._receiver.version.maximum_rate
 
     def take_control(self) -> None:

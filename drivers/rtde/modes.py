@@ -90,8 +90,8 @@ RUNTIME_STATES: Mapping[int, str] = {
     5: "resuming",
 }
 
-RUNTIME_STOPPED = 1
-"""`runtime_state` of a controller that plays no program."""
+RUNTIME_STOPPED, RUNTIME_PLAYING = 1, 2
+"""`runtime_state` of a controller that plays no program, and of one that does."""
 
 NAMES: Mapping[str, Mapping[int, str]] = {
     "robot_mode": ROBOT_MODES,

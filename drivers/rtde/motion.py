@@ -1,4 +1,4 @@
-"""Moves a Universal Robots arm through ur_rtde, in a process of its own.
+"""Moves a Universal Robots arm through ur_rtde, or our own program where there is none, in a process of its own.
 
 ur_rtde's constructors hold the interpreter's lock, and against a silent controller they hang for ever; in the process
 that records, either would cost samples. A position crosses a pipe, the newest one wins. The process stops the arm when
@@ -25,7 +25,8 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.child_process import started_without_interrupt
-from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError
+from drivers.rtde.servo_program import ServoProgram
 
 JOINTS = 6
 LOOKAHEAD = 0.1
@@ -114,24 +115,19 @@ class Worker(Protocol):
     def kill(self) -> None: ...  # noqa: D102
 
 
-def require_ur_rtde(where: str) -> None:
-    """Refuse to move an arm where ur_rtde is not installed.
-
-    Raises:
-        DriverStateError: it is not; says how to have it.
-    """
-    if find_spec("rtde_control") is None:
-        version = f"{sys.version_info.major}.{sys.version_info.minor}"
-        raise DriverStateError(
-            f"moving a UR arm needs the package ur-rtde, which this Python {version} lacks; recording works without it",
-            where=where,
-            hint="install dynid with Python 3.11 or 3.12, for which there are wheels of ur-rtde, or build it: pip "
-            "install ur-rtde, with a C++ compiler and Boost",
-        )
+def has_ur_rtde() -> bool:
+    """Whether ur_rtde is installed; there are no wheels of it from Python 3.13 on."""
+    return find_spec("rtde_control") is not None
 
 
 def take_control(host: str, rate: float) -> Control:
-    """ur_rtde's control interface; hangs where the controller is silent."""
+    """Control of the arm of a host by ur_rtde, which hangs where the controller is silent; by our own program without.
+
+    Raises:
+        RuntimeError, OSError, DynidError: no control.
+    """
+    if not has_ur_rtde():
+        return ServoProgram(host, rate)
     from rtde_control import RTDEControlInterface
 
     control: Control = RTDEControlInterface(host, rate)

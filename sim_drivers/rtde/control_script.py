@@ -4,8 +4,9 @@ Command n arrives in input_int_register_0. Realtime commands are obeyed every pe
 output_int_register_0 becomes 2 when it is done, and 1 again after command 0. Register 0 stays 1 while a blocking
 command runs, as the script leaves it; the script reads no other command until then.
 
-URScript is not interpreted: of a program on the script port (30003) only its name and its register offset are read. The
-real port also sends the controller's state; this one is silent, as ur_rtde does not listen.
+Of ur_rtde's program on the script port (30003) only its name and its register offset are read; another one runs as far
+as `urscript` knows its words. The real port also sends the controller's state; this one is silent, as no client
+listens.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import ConnectionLostError
+from drivers.core.errors import ConnectionLostError, UsageError
 from sim_drivers.rtde.controller import Controller
-from sim_drivers.rtde.joint_motion import ACCELERATION_RANGE, JointMotion, MoveJ, ServoJ, VelocityRamp
+from sim_drivers.rtde.joint_motion import ACCELERATION_RANGE, JointMotion, MoveJ, VelocityRamp
+from sim_drivers.rtde.urscript import UrscriptProgram
 from sim_drivers.rtde.variables import JOINTS, Value
 
 READY, DONE = 1, 2
@@ -115,12 +117,7 @@ class ControlScript:
     def _servo(self, controller: Controller) -> None:
         target = self._vector(controller, 0, JOINTS)
         lookahead = float(self._vector(controller, 9, 1)[0])
-        if not controller.allowed(target) or math.isnan(lookahead):
-            controller.protective_stop("the target of servoj lies outside the joint limits")
-            return
-        if not isinstance(controller.motion, ServoJ):
-            controller.motion = ServoJ(controller.reference)
-        controller.motion.retarget(target, lookahead)
+        controller.servo(target, lookahead)
 
     def _speed(self, controller: Controller) -> None:
         velocity = self._vector(controller, 0, JOINTS)
@@ -266,13 +263,16 @@ class ScriptSession:
         return b""
 
     def _start(self, name: str, body: str) -> None:
-        if name != CONTROL_PROGRAM:
-            self._controller.messages.append(f"the program '{name}' was not run: URScript is not interpreted")
-            return
         if not self._controller.remote_control:
             self._controller.messages.append(
                 f"the program '{name}' was not run: the controller is not in remote control"
             )
+            return
+        if name != CONTROL_PROGRAM:
+            try:
+                self._controller.start_program(UrscriptProgram(f"{body}end\n"))
+            except UsageError as error:
+                self._controller.messages.append(f"the program '{name}' was not run: {error.message}")
             return
         offset = _OFFSET.search(body)
         self._controller.start_program(ControlScript(24 if offset is not None and offset[1] == "24" else 0))

@@ -19,7 +19,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
 from sim_drivers.plant.control import Reference
-from sim_drivers.rtde.joint_motion import JointMotion, VelocityRamp
+from sim_drivers.rtde.joint_motion import JointMotion, ServoJ, VelocityRamp
 from sim_drivers.rtde.variables import (
     JOINTS,
     SIZES,
@@ -181,6 +181,15 @@ class Controller:
         if velocity is None or not inside:
             return inside
         return bool(np.all(np.abs(velocity) <= self.speed_limit * (1.0 + 1e-9)))
+
+    def servo(self, target: FloatArray, lookahead: float) -> None:
+        """Servoj's target (6,) [rad], followed with so many seconds of lookahead; outside the limits a stop."""
+        if not self.allowed(target) or math.isnan(lookahead):
+            self.protective_stop("the target of servoj lies outside the joint limits")
+            return
+        if not isinstance(self.motion, ServoJ):
+            self.motion = ServoJ(self.reference)
+        self.motion.retarget(target, lookahead)
 
     def brake(self, deceleration: float) -> JointMotion:
         """Begin to stop; the leading joint decelerates so fast [rad/s²]."""

@@ -17,7 +17,6 @@ from daq.recording.reader import read_recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError, WorkError
-from drivers.rtde.motion import require_ur_rtde
 from ident.commands.printing.result import print_result
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
@@ -105,7 +104,6 @@ def run_demo(
 
     Raises:
         RobotFileError: the robot file has no truth.
-        DriverStateError: ur_rtde is not installed.
         UsageError: no RTDE connection, or a folder that is a file.
         WorkError: a recording stopped before its end.
     """
@@ -116,7 +114,6 @@ def run_demo(
         check_output_folder(folder, RECORDINGS, robot_file.files, overwrite=overwrite)
     if not any(connection.driver == "rtde" for connection in robot_file.robot.connections.values()):
         raise UsageError(f"{robot} has no RTDE connection", hint="the demonstration works with ur5e, ur10 and ur10e")
-    require_ur_rtde("dynid demo")
     model = build_model(robot_file)
     base = base_parameters(model)
     truth = base.projection @ truth_vector(robot_file)

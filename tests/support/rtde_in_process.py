@@ -15,6 +15,7 @@ from drivers.core.arrays import FloatArray
 from drivers.rtde import protocol as wire
 from drivers.rtde.motion import Control, ControlFactory, MotionProcess, obey
 from drivers.rtde.protocol import Connect
+from drivers.rtde.servo_program import ServoProgram
 from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
 from sim_drivers.rtde.server import Ports, RtdeServer, Service
 
@@ -199,6 +200,14 @@ class PythonControl:
         raise RuntimeError("no answer")
 
 
+TakesControl = Callable[[Connect, SimulatedClock, str, float], Control]
+
+
+def own_program(connect: Connect, clock: SimulatedClock, host: str, rate: float) -> Control:
+    """Control by dynid's own program, as where ur_rtde has no wheel."""
+    return ServoProgram(host, rate, connect, clock)
+
+
 class PipeEnd:
     """One end of a pipe between threads of a simulated clock."""
 
@@ -273,10 +282,17 @@ class Motions:
     Args:
         clock: of all.
         connect: reaches the controller.
+        control: takes control, given a connect, the clock, the host and the rate.
     """
 
-    def __init__(self, clock: SimulatedClock, connect: Connect) -> None:
+    def __init__(
+        self,
+        clock: SimulatedClock,
+        connect: Connect,
+        control: TakesControl = PythonControl,
+    ) -> None:
         self.made: list[MotionThread] = []
+        self._control_of = control
         self._clock = clock
         self._connect = connect
         self._sockets: list[socket.socket] = []
@@ -293,7 +309,7 @@ class Motions:
         return self.made[-1].pipe, self.made[-1]
 
     def _control(self, host: str, rate: float) -> Control:
-        return PythonControl(self._open, self._clock, host, rate)
+        return self._control_of(self._open, self._clock, host, rate)
 
     def _open(self, host: str, port: int, timeout: float) -> socket.socket:
         self._sockets.append(self._connect(host, port, timeout))

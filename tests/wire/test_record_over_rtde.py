@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import yaml
 from rtde_bench import ENVIRONMENT, LIMIT, ROOT, connected, loopback, served
-from rtde_in_process import HOST, NOWHERE, Motions, RememberedArm, serving
+from rtde_in_process import HOST, NOWHERE, Motions, PythonControl, RememberedArm, TakesControl, own_program, serving
 from simulated_clock import START, SimulatedClock
 from unchecked import unchecked_play
 
@@ -97,8 +97,9 @@ class Bench:
     program's state and the fastest joint half a second later.
     """
 
-    def __init__(self, clock: SimulatedClock, folder: Path) -> None:
+    def __init__(self, clock: SimulatedClock, folder: Path, control: TakesControl = PythonControl) -> None:
         self.clock = clock
+        self.control = control
         self.folder = folder
         self.out = folder / "run.h5"
         self.plant = Plant(ur5e(), seed=1)
@@ -122,7 +123,7 @@ class Bench:
         robot = robot or ur5e()
         played = load_trajectory(moved, robot.robot) if moved is not None else None
         with serving(self.server) as network:
-            self.motions = Motions(self.clock, network.connect)
+            self.motions = Motions(self.clock, network.connect, self.control)
             settings = replace(driver_settings(robot.robot, {"host": HOST}), clock=self.clock)
             driver = RtdeDriver(settings, network.connect, self.motions.take_control)
             driver.open()
@@ -173,8 +174,12 @@ class Bench:
 
 
 @pytest.fixture
-def bench(clock: SimulatedClock, tmp_path: Path) -> Bench:
-    return Bench(clock, tmp_path)
+def bench(clock: SimulatedClock, tmp_path: Path, request: pytest.FixtureRequest) -> Bench:
+    return Bench(clock, tmp_path, getattr(request, "param", PythonControl))
+
+
+either_control = pytest.mark.parametrize("bench", [PythonControl, own_program], indirect=True)
+"""Motion by ur_rtde's program and by dynid's own."""
 
 
 def assert_no_sample_is_missing(time: np.ndarray, rate: float = RATE) -> None:
@@ -194,6 +199,7 @@ def test_what_is_recorded_is_what_the_plant_measured(bench: Bench) -> None:
     np.testing.assert_allclose(host - START, bench.times() - PERIOD, rtol=0.0, atol=1e-9)
 
 
+@either_control
 def test_a_trajectory_is_played_to_its_end(bench: Bench, tmp_path: Path) -> None:
     path = trajectory(tmp_path, 1.0)
     report = bench.record(path)
@@ -234,6 +240,7 @@ def test_a_cut_connection_ends_the_motion_at_once(bench: Bench, tmp_path: Path) 
     assert bench.stop_event()[0] == pytest.approx(NEXT_PERIOD + PERIOD)
 
 
+@either_control
 def test_a_silent_controller_is_stopped_when_its_data_are_stale(bench: Bench, tmp_path: Path) -> None:
     bench.fault("freeze 3")
     report = bench.record(trajectory(tmp_path, 20.0))

@@ -25,7 +25,7 @@ from drivers.core.errors import (
 from drivers.declaration import DRIVERS_GROUP, named
 from drivers.gains import DriveGain
 from drivers.rtde.driver import DASHBOARD_TIMEOUT, ArmControl, RtdeDriver
-from drivers.rtde.motion import STOP_LIMIT, require_ur_rtde
+from drivers.rtde.motion import STOP_LIMIT
 from drivers.streams import Batch
 from sim_drivers.faults import Freeze
 from sim_drivers.rtde.server import RtdeServer
@@ -534,9 +534,3 @@ def test_while_the_arm_is_braking_it_is_recorded_but_not_commanded(
     with pytest.raises(DriverStateError, match="must be running"):
         driver.read(0.0)
     assert driver.notices()[-1].level == "info"  # it did confirm
-
-
-def test_motion_without_ur_rtde_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drivers.rtde.motion.find_spec", lambda name: None)
-    with pytest.raises(DriverStateError, match=r"moving a UR arm needs the package ur-rtde.*Python 3\.11 or 3\.12"):
-        require_ur_rtde("192.168.0.10")

@@ -1,0 +1,188 @@
+"""Runs programs in the part of URScript that needs no poses, threads or strings: registers, servoj, stopj, sync.
+
+URScript differs from Python in its `end` lines and in `local` and `global` (Universal Robots, "The URScript Programming
+Language"), so a program is read by Python's parser and then evaluated word by word: nothing but the words below exists
+for it. It moves on by a period of the controller at a time; one that never waits is ended, as the controller ends it.
+"""
+
+from __future__ import annotations
+
+import ast
+import operator
+import re
+from collections.abc import Callable, Generator, Mapping
+
+import numpy as np
+
+from drivers.core.errors import UsageError
+from sim_drivers.rtde.controller import Controller
+from sim_drivers.rtde.variables import JOINTS, Value
+
+MOVES = frozenset(("servoj", "stopj", "sync"))
+"""Functions that take time."""
+WORDS = MOVES | {
+    "get_steptime",
+    "textmsg",
+    "read_input_integer_register",
+    "read_input_float_register",
+    "write_output_integer_register",
+}
+LARGEST_STEP = 10_000
+"""Words that a program may evaluate in a period of the controller."""
+LOOKAHEAD = 0.1
+"""servoj's default [s]."""
+_DECLARATION = re.compile(r"^(\s*)(?:local|global)\s+")
+_BINARY: Mapping[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+_COMPARISONS: Mapping[type[ast.cmpop], Callable[[object, object], bool]] = {
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.Lt: operator.lt,  # type: ignore[dict-item]
+    ast.LtE: operator.le,  # type: ignore[dict-item]
+    ast.Gt: operator.gt,  # type: ignore[dict-item]
+    ast.GtE: operator.ge,  # type: ignore[dict-item]
+}
+_Run = Generator[None, None, None]
+"""Yields once a period."""
+
+
+class UrscriptProgram:
+    """One program.
+
+    Args:
+        text: from `def NAME():` to its `end`.
+
+    Raises:
+        UsageError: it is no URScript, or uses a statement that is not simulated.
+    """
+
+    def __init__(self, text: str) -> None:
+        lines = [_DECLARATION.sub(r"\1", line) for line in text.splitlines() if line.strip() != "end"]
+        try:
+            module = ast.parse("\n".join(lines))
+        except (SyntaxError, ValueError, RecursionError) as error:
+            raise UsageError(f"not the URScript that is simulated: {error}") from error
+        if len(module.body) != 1 or not isinstance(module.body[0], ast.FunctionDef):
+            raise UsageError("not one function")
+        called = {ast.unparse(node.func) for node in ast.walk(module) if isinstance(node, ast.Call)}
+        if unknown := called - WORDS:
+            raise UsageError(f"{', '.join(sorted(unknown))}: not simulated")
+        self._body = module.body[0].body
+        self._variables: dict[str, object] = {}
+        self._words = 0
+        self._run: _Run | None = None
+
+    def begin(self, controller: Controller) -> None:
+        """Start of the program."""
+        self._run = self._block(self._body, controller)
+
+    def kick(self, controller: Controller, received: Mapping[str, Value]) -> None:
+        """Nothing: a program watches its registers itself."""
+
+    def step(self, controller: Controller) -> None:
+        """One period."""
+        assert self._run is not None, "a program begins before it steps"
+        self._words = 0
+        try:
+            next(self._run)
+        except StopIteration:
+            if controller.script is self:
+                controller.stop_program()
+        except (UsageError, ArithmeticError, TypeError, ValueError) as error:
+            controller.fail_program(f"URScript: {error}")
+
+    def _block(self, statements: list[ast.stmt], controller: Controller) -> _Run:
+        for statement in statements:
+            self._count()
+            match statement:
+                case ast.Assign(targets=[ast.Name(id=name)], value=value):
+                    self._variables[name] = self._value(value, controller)
+                case ast.If(test=test, body=body, orelse=otherwise):
+                    yield from self._block(body if self._value(test, controller) else otherwise, controller)
+                case ast.While(test=test, body=body, orelse=[]):
+                    while self._value(test, controller):
+                        yield from self._block(body, controller)
+                case ast.Expr(value=ast.Call(func=ast.Name(id=name)) as call) if name in MOVES:
+                    yield from self._move(name, call, controller)
+                case ast.Expr(value=ast.Call() as call):
+                    self._value(call, controller)
+                case _:
+                    raise UsageError(f"'{ast.unparse(statement).splitlines()[0]}' is not simulated")
+
+    def _move(self, name: str, call: ast.Call, controller: Controller) -> _Run:
+        """A command that takes time."""
+        values = [self._value(argument, controller) for argument in call.args]
+        named = {keyword.arg: self._value(keyword.value, controller) for keyword in call.keywords}
+        if name == "servoj":
+            given = dict(zip(("q", "a", "v", "t", "lookahead_time", "gain"), values, strict=False)) | named
+            target = np.asarray(given.get("q", ()), dtype=np.float64)
+            if target.shape != (JOINTS,):
+                raise UsageError(f"servoj takes {JOINTS} positions")
+            controller.servo(target, float(given.get("lookahead_time", LOOKAHEAD)))  # type: ignore[arg-type]
+            duration = float(given.get("t", controller.period))  # type: ignore[arg-type]
+            for _ in range(max(1, round(min(duration, 1.0) / controller.period))):
+                yield
+        elif name == "stopj":
+            motion = controller.brake(float((*values, *named.values())[0]))  # type: ignore[arg-type]
+            while not motion.finished:
+                yield
+        else:
+            yield
+
+    def _value(self, expression: ast.expr, controller: Controller) -> object:
+        self._count()
+        match expression:
+            case ast.Constant(value=bool() | int() | float() | str() as value):
+                return value
+            case ast.Name(id=name) if name in self._variables:
+                return self._variables[name]
+            case ast.List(elts=elements):
+                return [self._value(element, controller) for element in elements]
+            case ast.UnaryOp(op=ast.USub(), operand=operand):
+                return -self._number(operand, controller)
+            case ast.UnaryOp(op=ast.Not(), operand=operand):
+                return not self._value(operand, controller)
+            case ast.BoolOp(op=junction, values=operands):
+                truths = (bool(self._value(operand, controller)) for operand in operands)
+                return all(truths) if isinstance(junction, ast.And) else any(truths)
+            case ast.BinOp(left=left, op=sign, right=right) if type(sign) in _BINARY:
+                return _BINARY[type(sign)](self._number(left, controller), self._number(right, controller))
+            case ast.Compare(left=left, ops=[sign], comparators=[right]) if type(sign) in _COMPARISONS:
+                return _COMPARISONS[type(sign)](self._value(left, controller), self._value(right, controller))
+            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
+                return self._answer(name, [self._value(argument, controller) for argument in arguments], controller)
+        raise UsageError(f"'{ast.unparse(expression)}' is not simulated")
+
+    def _number(self, expression: ast.expr, controller: Controller) -> float:
+        value = self._value(expression, controller)
+        if not isinstance(value, int | float):
+            raise UsageError(f"'{ast.unparse(expression)}' is not a number")
+        return value
+
+    def _answer(self, name: str, values: list[object], controller: Controller) -> object:
+        """What a function that takes no time returns."""
+        registers = {"read_input_integer_register": "input_int", "read_input_float_register": "input_double"}
+        match name, values:
+            case "get_steptime", []:
+                return controller.period
+            case "textmsg", [text]:
+                controller.messages.append(str(text))
+                return None
+            case "read_input_integer_register" | "read_input_float_register", [int(number)]:
+                register = f"{registers[name]}_register_{number}"
+                if register in controller.values:
+                    return controller.values[register]
+            case "write_output_integer_register", [int(number), int(value)]:
+                if f"output_int_register_{number}" in controller.values and -(2**31) <= value < 2**31:
+                    controller.values[f"output_int_register_{number}"] = value
+                    return None
+        raise UsageError(f"{name} with {len(values)} arguments is not simulated")
+
+    def _count(self) -> None:
+        self._words += 1
+        if self._words > LARGEST_STEP:
+            raise UsageError("the program runs without waiting")
