@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.can_motors.bus import PATIENCE, Feedback, MotorBus
+from drivers.can_motors.bus import PATIENCE, Feedback, MotorBus, MotorState
 from drivers.can_motors.codec import CanFrame, MotorCodec
-from drivers.can_motors.settings import CanMotorSettings
+from drivers.can_motors.settings import CanMotor, CanMotorSettings
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
@@ -66,7 +66,9 @@ class MotorControl:
             ConnectionLostError: the adapter is gone.
         """
         self._prepare(self._bus.codecs)
-        self.goal = self._positions(self._all_states())
+        states = self._all_states().states
+        goals = [m.to_joint("position", _holding_goal(m, states[k])) for k, m in enumerate(self._motors)]
+        self.goal = np.array(goals)
         self.active = True  # from here on it may be that some obey
         self._make_obey()
 
@@ -103,7 +105,7 @@ class MotorControl:
                     hint="let it cool down, look at its supply and load; then dynid check --connect --reset-faults",
                 )
             if state.enabled:  # held by a program before: a time-out would count from that one's last command
-                self._bus.send(codec.goal(state.values["position"]))
+                self._bus.send(codec.goal(_holding_goal(motor, state)))
             for register, value in codec.preparation().items():
                 self._bus.write(index, register, value)
 
@@ -271,6 +273,15 @@ class MotorControl:
 
     def _motor_goals(self, goal: FloatArray) -> FloatArray:
         return np.array([motor.goal(float(position)) for motor, position in zip(self._motors, goal, strict=True)])
+
+
+def _holding_goal(motor: CanMotor, state: MotorState) -> float:
+    """The motor's goal [rad] by which it goes on as it is: a spring that bears a weight is aimed beyond where it is."""
+    position, stiffness = state.values["position"], motor.address.kp
+    if state.enabled is False or stiffness <= 0.0:
+        return position
+    most = HOLD_LEAD * motor.ratio
+    return position + min(max(state.values["torque"] / stiffness, -most), most)
 
 
 def _nothing() -> None:

@@ -28,7 +28,7 @@ from drivers.streams import GOAL_AGE
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 
-LATE = (0.0, 0.001, 0.002, 0.005)
+LATE = (0.0, 0.002, 0.005)
 """[s] at most."""
 
 
@@ -47,7 +47,7 @@ def recorded(wire: str, late: float, seconds: float) -> Recording:
         path = Path(folder) / "run.h5"
         try:
             MotorBus.cycle = slow  # type: ignore[method-assign,assignment]
-            with motors(clock, wire, when_lost="hold" if wire == "cubemars" else "limp") as bench:
+            with motors(clock, wire, when_lost="hold" if wire == "odrive" else "limp") as bench:
                 report = bench.play(path, RestToRest(series, 1, 0.5))
         finally:
             MotorBus.cycle = cycle  # type: ignore[method-assign]
@@ -67,7 +67,7 @@ def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 3.0
     print("| motors | late at most [ms] | | viscous friction less the true one [N·m·s/rad] | residual [%] |")
     print("|---|---|---|---|---|")
-    for wire in ("damiao", "cubemars", "moteus"):
+    for wire in ("damiao", "odrive"):
         for late in LATE:
             mended = recorded(wire, late, seconds)
             for words, run in (("without", without_ages(mended)), ("with", mended)):

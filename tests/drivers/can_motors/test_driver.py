@@ -190,6 +190,25 @@ def test_a_dead_computer_leaves_a_holding_or_a_limp_arm(clock: SimulatedClock, w
             driver._cycle.failure = None
 
 
+def test_an_arm_that_springs_hold_does_not_sag_when_control_is_taken(clock: SimulatedClock):
+    for wire in ("damiao", "odrive"):
+        with motors(clock, wire) as bench:
+            moved = START
+            for step in (0.4, 0.0):
+                with bench.opened() as driver:
+                    driver.start()
+                    driver.read(0.1)
+                    driver.take_control()
+                    clock.sleep(0.5)
+                    here = bench.server.plant.arm.position.copy()
+                    assert here == pytest.approx(moved, abs=0.003), wire
+                    for share in np.linspace(0.0, 1.0, 40) if step else ():
+                        driver.command(here + share * np.array([step, 0.0]))
+                        clock.sleep(0.01)
+                    driver.stop()
+                moved = bench.server.plant.arm.position.copy()
+
+
 def test_faults_are_reset_only_on_request(clock: SimulatedClock):
     for wire in ("damiao", "robstride", "moteus", "odrive"):
         with motors(clock, wire) as bench:
