@@ -60,10 +60,10 @@ if TYPE_CHECKING:
     from ident.tasks.excitation import design_gravity_motion as design_gravity_motion
     from ident.tasks.excitation import design_servo_motion as design_servo_motion
     from ident.tasks.excitation import load_trajectory as load_trajectory
-    from ident.tasks.friction import IdentifiedFriction as IdentifiedFriction
-    from ident.tasks.friction import friction as friction
-    from ident.tasks.gravity import IdentifiedGravity as IdentifiedGravity
-    from ident.tasks.gravity import identify_gravity as identify_gravity
+    from ident.tasks.experiments import IdentifiedFriction as IdentifiedFriction
+    from ident.tasks.experiments import IdentifiedGravity as IdentifiedGravity
+    from ident.tasks.experiments import friction as friction
+    from ident.tasks.experiments import identify_gravity as identify_gravity
     from ident.tasks.history import History as History
     from ident.tasks.identification import IdentificationResult as IdentificationResult
     from ident.tasks.identification import identify as identify
@@ -120,8 +120,7 @@ _HOMES = {
         "design_servo_motion",
         "load_trajectory",
     ),
-    "ident.tasks.friction": ("IdentifiedFriction", "friction"),
-    "ident.tasks.gravity": ("IdentifiedGravity", "identify_gravity"),
+    "ident.tasks.experiments": ("IdentifiedFriction", "IdentifiedGravity", "friction", "identify_gravity"),
     "ident.tasks.history": ("History",),
     "ident.fleet.fleet": ("Fleet", "identify_fleet"),
     "ident.tasks.identification": ("IdentificationResult", "identify", "load_result"),

@@ -35,7 +35,6 @@ from daq.recording.recording import (
     Event,
     Recording,
     Stream,
-    software_versions,
 )
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
@@ -43,6 +42,7 @@ from drivers.core.errors import ImportFileError, UsageError
 from drivers.core.files import ARRAY_FILE, open_input, path_of
 from drivers.core.options import argument, keywords_of
 from drivers.core.reading_process import TIME_LIMIT, Progress, read_apart
+from drivers.core.software import software_versions
 from drivers.streams import COMMANDS, UNITS
 
 Reader = Callable[[Path, Sequence[str], ImportChoices], ForeignTable]

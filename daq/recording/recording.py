@@ -16,9 +16,7 @@ from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cache
 from html import escape
-from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -33,6 +31,7 @@ from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, DynidError, RecordingError, RobotFileError, UsageError
 from drivers.core.files import path_of
+from drivers.core.software import software_versions
 from drivers.streams import UNITS
 
 if TYPE_CHECKING:
@@ -591,19 +590,3 @@ def _pace(stream: Stream) -> str:
     if len(time) < 2 or not (step := float(np.median(np.diff(time)))) > 0.0:
         return f"{len(time)} samples"
     return f"{time[-1] - time[0] + step:.4g} s at {1.0 / step:.4g} Hz"
-
-
-def software_versions() -> dict[str, str]:
-    """Versions of Python, dynid and its numerical libraries; 'unknown' for one that is not installed as a package."""
-    return dict(_versions())
-
-
-@cache
-def _versions() -> tuple[tuple[str, str], ...]:
-    versions = [("python", platform.python_version())]
-    for package in ("dynid", "numpy", "scipy", "h5py", "pin"):
-        try:
-            versions.append((package, version(package)))
-        except PackageNotFoundError:
-            versions.append((package, "unknown"))
-    return tuple(versions)

@@ -17,12 +17,13 @@ import numpy as np
 from daq.output_files import DISK_ERRORS, check_outputs, take_place, unfinished_name
 from daq.recording.growing_file import SPARE, FailsafeFile, GrowingFile
 from daq.recording.hdf5_bounds import hdf5_reason
-from daq.recording.recording import SCHEMA_VERSION, Level, Recording, software_versions
+from daq.recording.recording import SCHEMA_VERSION, Level, Recording
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DiskError, DynidError, RecordingError, UsageError
 from drivers.core.files import RECORDING_FILE, given_kind, path_of, size_text
+from drivers.core.software import software_versions
 from drivers.streams import UNITS, ChannelLayout, StreamLayout
 
 CHUNK_SECONDS = 0.5

@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
-from daq.recording.recording import Recording, software_versions
+from daq.recording.recording import Recording
 from drivers.core.errors import DataError, DynidError
 from drivers.core.reading_process import Progress
+from drivers.core.software import software_versions
 from ident.benchmark.dataset import Dataset, LoadedData, download, load_dataset, part
 from ident.benchmark.entry import (
     METHODS,

@@ -11,10 +11,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from daq.recording.recording import Recording, software_versions
+from daq.recording.recording import Recording
 from daq.recording.serial_numbers import serial_number
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
+from drivers.core.software import software_versions
 from drivers.core.text import percent_text
 from drivers.core.units import ZERO_CELSIUS, common_unit
 from ident.assessment.delay.delay import DelaySearch

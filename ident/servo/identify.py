@@ -12,11 +12,12 @@ import numpy as np
 
 from daq.recording.commanded_motion import commanded_motion
 from daq.recording.quality.quantisation import resolution
-from daq.recording.recording import Recording, software_versions
+from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.reading_process import Progress
+from drivers.core.software import software_versions
 from ident.assessment.command_checks import refuse_unusable_commands
 from ident.identify.summary import provenance, recording_sha256
 from ident.result.graded import Grade

@@ -11,7 +11,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
 from ident.compiled.library import address, kernels
-from ident.model.compiled_tree import CompiledTree
+from ident.model.compiled_rows import CompiledTree
 from ident.model.kinematics.transmission import LinearTransmission
 from ident.simulation.forward_arm import ForwardArm
 

@@ -14,10 +14,10 @@ from daq.robot.loader import load_robot
 from drivers.core.errors import DataError, UsageError
 from drivers.core.options import keywords_of, same_named
 from ident.assessment.validation import Fit
-from ident.identify.acceptance import result_figures
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify as identify_recordings
 from ident.identify.predict import predict_recording
+from ident.identify.revalidate import result_figures
 from ident.identify.summary import summarise
 from ident.regression.comparison import TorqueSeries
 from ident.regression.options import ExperimentChoices

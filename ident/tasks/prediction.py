@@ -14,12 +14,13 @@ import numpy as np
 
 from daq.output_files import check_outputs
 from daq.plotting import Backend
-from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream, software_versions
+from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.files import path_of
 from drivers.core.options import keywords_of
+from drivers.core.software import software_versions
 from drivers.core.units import common_unit
 from drivers.streams import UNITS
 from ident.identify.predict import PARTS, RecordingPrediction, predict_recording

@@ -10,9 +10,8 @@ from drivers.core.files import given_kind
 from drivers.core.options import keywords_of
 from ident.assessment.validation import Fit, fit_errors
 from ident.experiments.merge.merged_result import merge_results
-from ident.identify.acceptance import acceptance_figures
 from ident.identify.held_out import delivered_model, model_checks, model_verdict
-from ident.identify.revalidate import revalidate
+from ident.identify.revalidate import acceptance_figures, revalidate
 from ident.result.delivered import Delivered, HeldOutErrors
 from ident.result.models.gravity_model import refuse_gravity_alone
 from ident.result.models.model import Model, result_path

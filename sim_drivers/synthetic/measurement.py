@@ -12,11 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from daq.motion.trajectories import FourierSeries, Motion
-from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream, software_versions
+from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.loops import coupling_matrix
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
+from drivers.core.software import software_versions
 from drivers.core.units import ZERO_CELSIUS
 from drivers.streams import UNITS
 from ident.linear_algebra.triangular import scaled_condition

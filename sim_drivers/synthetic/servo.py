@@ -11,13 +11,14 @@ import numpy as np
 from daq.motion.trajectories import Motion
 from daq.motion.trajectory_file import load_trajectory
 from daq.output_files import check_outputs
-from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream, software_versions
+from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import TruthServo
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from drivers.core.options import check_kind
+from drivers.core.software import software_versions
 from drivers.streams import UNITS
 from sim_drivers.plant.sensors import quantised
 from sim_drivers.plant.servo import ServoArm, true_servos

@@ -2,7 +2,6 @@
 
     python -m studies.safety.command_gate stress [--cases N] [--seed S]   random plans, stalls, rates, restarts, buses
     … cases                           named cases: plans, sensors, clocks, stalls
-    … latency                         in real time: from a breach to the stop, CPU per command
 
 `stress` and `cases` run in simulated time, with the player, the gate and each bus's own code of production: on RTDE
 servoj of the simulated controller, on CiA 402 the driver's targets at SYNC, on a signal table the encoded frames; the
@@ -17,16 +16,11 @@ import argparse
 import itertools
 import multiprocessing
 import os
-import socket
 import sys
-import tempfile
 import threading
-import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -34,186 +28,12 @@ import numpy as np
 
 from daq.motion.player import MotionSequence, Player, skip_limit
 from daq.motion.trajectories import FourierSeries, Motion, Pieces, PointToPoint, RestToRest, slow_move
-from daq.recording.recorder import Recorder
-from daq.robot.loader import load_robot
-from daq.robot.schema import JointLimits, Robot
-from daq.session.command_gate import MARGIN, CommandGate, GateLimits
-from daq.session.play import Play
-from daq.session.session import record
-from daq.session.supervisor import Limits, Supervisor
-from drivers.can_signals.driver import Commander
-from drivers.can_signals.settings import parse_settings
-from drivers.canopen402.motion.target_path import TargetPath
-from drivers.canopen402.samples.sync import LATEST
+from daq.session.command_gate import MARGIN, CommandGate
 from drivers.clock_rates import COMPARING_LIMIT, ClockRates
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
 from drivers.core.errors import SafetyStopError
-from drivers.streams import Batch, ChannelLayout, StreamLayout
-from sim_drivers.can_signals.arm import TableArm
-from sim_drivers.canopen.motion import AxisReference, CyclicPosition, SyncClock
-from sim_drivers.plant.control import Reference
-from sim_drivers.plant.sensors import Measurement
-from sim_drivers.rtde.joint_motion import ServoJ
-
-JOINTS = (
-    JointLimits(name="shoulder", position=(-3.0, 3.0), velocity=2.0, acceleration=8.0),
-    JointLimits(name="elbow", position=(-2.0, 2.0), velocity=1.0, acceleration=5.0),
-)
-LIMITS = GateLimits.of_joints(JOINTS)
-STEP, EVERY = 1e-3, 0.01
-"""Of the arm's interpolation [s]; its velocity and acceleration are means over the second, as counts are rounded."""
-SETTLED = 0.3
-"""How long [s] after a pause of the commands the arm's own reaction to it may last."""
-COUNTS = 524288 / (2.0 * np.pi)
-HEARTBEAT = 0.1
-"""Of CiA 402 drives [s], as where the connection does not say."""
-BUSES = ("RTDE", "CiA 402", "signal table")
-
-
-class Arm(Protocol):
-    """A simulated arm behind its bus."""
-
-    def command(self, now: float, position: FloatArray) -> None: ...
-
-    def advance(self, now: float) -> None:
-        """Go on to `now` [s]."""
-
-    reference: FloatArray
-    log: list[tuple[float, FloatArray]]
-
-
-class RtdeArm:
-    """servoj: each period of the controller it takes the newest position."""
-
-    def __init__(self, start: FloatArray, rate: float, begun: float) -> None:
-        self._period, self._time = 1.0 / rate, begun
-        self._servo = ServoJ(Reference.at_rest(start))
-        self._target, self.reference = start, start
-        self.log = [(begun, start)]
-
-    def command(self, now: float, position: FloatArray) -> None:
-        self._target = position
-
-    def advance(self, now: float) -> None:
-        while self._time + self._period <= now + 1e-9:
-            self._time += self._period
-            self._servo.retarget(self._target, 0.1)
-            self.reference = self._servo.step(self._period).position
-            self.log.append((self._time, self.reference))
-
-
-class CiA402Arm:
-    """Targets as the driver gives them at SYNC, cyclic set-points as the simulated drives interpolate them.
-
-    A SYNC that this computer cannot send in time is sent late, or left out, as `SyncProducer` does.
-    """
-
-    def __init__(self, start: FloatArray, rate: float, begun: float, free: Callable[[float], float]) -> None:
-        self._period, self._time, self._free = 1.0 / rate, begun, free
-        self._clock = SyncClock(self._period)
-        self._path = TargetPath(np.rint(start * COUNTS).astype(int).tolist(), self._period)
-        self._syncs, self._begun = 0, begun
-        self._axes = [CyclicPosition(AxisReference(float(position)), begun) for position in start]
-        self.reference = start
-        self.log = [(begun, start)]
-
-    def command(self, now: float, position: FloatArray) -> None:
-        self._path.put(now, np.rint(position * COUNTS).astype(int).tolist())
-
-    def advance(self, now: float) -> None:
-        while self._time + STEP <= now + 1e-9:
-            self._time += STEP
-            while (sent := self._free(moment := self._begun + self._syncs * self._period)) <= self._time + 1e-9:
-                self._syncs += 1
-                if sent - moment > LATEST * self._period:
-                    continue
-                target = np.array(self._path.at(moment)) / COUNTS
-                heard = self._clock.tick(sent)
-                for axis, position in zip(self._axes, target.tolist(), strict=True):
-                    axis.aim(position, heard, self._clock.cycle)
-            self.reference = np.array([axis.step(STEP).position for axis in self._axes])
-            self.log.append((self._time, self.reference))
-
-
-class TablePlant:
-    """Follows its target; what it was told to do, ms by ms."""
-
-    def __init__(self, start: FloatArray, begun: float) -> None:
-        self.time, self.position, self.log = begun, start, [(begun, start)]
-
-    def set_target(
-        self, position: FloatArray, velocity: FloatArray | None = None, acceleration: FloatArray | None = None
-    ) -> None:
-        self.position = position
-
-    def halt(self, deceleration: float) -> None: ...
-
-    def advance(self, duration: float) -> None:
-        self.time += duration
-        self.log.append((self.time, self.position))
-
-    def heat(self, joint: int, celsius: float) -> None: ...
-
-    def block(self, joint: int) -> None: ...
-
-    def stick(self, joint: int, quantity: str) -> None: ...
-
-    def measure(self) -> Measurement:
-        zero = np.zeros(len(self.position))
-        return Measurement(self.time, self.position, *[zero] * 4, self.position, *[zero] * 3, lambda: zero)
-
-
-class SignalTableArm:
-    """Command frames of a signal table, and the simulated arm that follows them."""
-
-    def __init__(self, start: FloatArray, rate: float, begun: float) -> None:
-        position = {"quantity": "position", "length": 24, "signed": True, "scale": 2.0**-20, "unit": "rev"}
-        names = [joint.name for joint in JOINTS]
-        own = [{**position, "joint": name, "id": 0x181, "start": 24 * index} for index, name in enumerate(names)]
-        told = [{**one, "id": 0x201} for one in own]
-        for one in told:
-            del one["quantity"]
-        keys = {
-            "interface": "virtual",
-            "channel": "none",
-            "bitrate": 1_000_000,
-            "rate": rate,
-            "signals": own,
-            "start": [{"id": 0x200, "data": "01"}],
-        }
-        keys |= {"stop": [{"id": 0x200, "data": "00"}], "command": {"quantity": "position", "signals": told}}
-        settings = parse_settings(keys, names)
-        assert settings.command is not None
-        self._commander = Commander(settings.command, names)
-        self._plant = TablePlant(start, begun)
-        self._arm = TableArm(self._plant, JOINTS, settings)
-        self._arm.obey(0x200, b"\1")
-        self._begun, self._time = begun, begun
-
-    @property
-    def reference(self) -> FloatArray:
-        return self._plant.position
-
-    @property
-    def log(self) -> list[tuple[float, FloatArray]]:
-        return self._plant.log
-
-    def command(self, now: float, position: FloatArray) -> None:
-        self.advance(now)
-        for identifier, data in self._commander.frames(position):
-            self._arm.obey(identifier, data)
-
-    def advance(self, now: float) -> None:
-        if now > self._time:
-            self._arm.advance(now - self._time)
-            self._time = now
-
-
-def new_arm(bus: str, start: FloatArray, rate: float, begun: float, free: Callable[[float], float]) -> Arm:
-    if bus == "RTDE":
-        return RtdeArm(start, rate, begun)
-    return CiA402Arm(start, rate, begun, free) if bus == "CiA 402" else SignalTableArm(start, rate, begun)
+from studies.safety.gated_arms import BUSES, COUNTS, EVERY, HEARTBEAT, JOINTS, LIMITS, SETTLED, Arm, new_arm
 
 
 class Inline(threading.Thread):
@@ -693,143 +513,14 @@ def name_cases() -> None:
     print(f"\n{len(named_cases())} cases on {len(BUSES)} buses, at most {worst:.3f}")
 
 
-COMMANDS, BREACHES = 20_000, 60
-LISTENER = socket.socket()
-"""Of the loopback arms."""
-
-
-class LoopbackArm:
-    """A driver of an arm that is where it was told to be; at a time it reports a velocity beyond its limit.
-
-    Args:
-        robot: whose joints it has.
-        breach_after: commands.
-    """
-
-    def __init__(self, robot: Robot, breach_after: int) -> None:
-        self._names, self._clock, self._left = robot.joint_names, Clock(), breach_after
-        self._near, self._far = socket.create_connection(LISTENER.getsockname()), LISTENER.accept()[0]
-        self._position = np.zeros(robot.dof)
-        self._count, self._begun = 0, 0.0
-        self.breached = self.heard = 0.0
-        self._ear = threading.Thread(target=self._hear)
-
-    def _hear(self) -> None:
-        self._far.recv(1)
-        self.heard = self._clock.now()
-
-    def open(self) -> None: ...
-
-    def streams(self) -> tuple[StreamLayout, ...]:
-        channels = tuple(ChannelLayout(quantity, self._names) for quantity in ("position", "velocity"))
-        return (StreamLayout("joints", channels, 500.0),)
-
-    def start(self) -> None:
-        self._begun = self._clock.now()
-        self._ear.start()
-
-    def read(self, timeout: float) -> Sequence[Batch]:
-        self._count += 1
-        self._clock.sleep_until(self._begun + 0.002 * self._count)
-        now, velocity = self._clock.now(), np.zeros((1, len(self._names)))
-        if self._left <= 0:
-            velocity[0, 2] = 99.0
-            self.breached = self.breached or now
-        values = {"position": self._position[np.newaxis], "velocity": velocity}
-        return (Batch("joints", np.array([0.002 * self._count]), np.array([now]), values),)
-
-    def notices(self) -> tuple[()]:
-        return ()
-
-    def command_rate(self) -> float:
-        return 500.0
-
-    def take_control(self) -> None: ...
-
-    def command(self, position: FloatArray) -> None:
-        self._position, self._left = position.copy(), self._left - 1
-
-    def stop(self) -> None:
-        with suppress(OSError):
-            self._near.send(b"s")
-
-    def close(self) -> None:
-        self._ear.join(5.0)
-        self._near.close()
-        self._far.close()
-
-
-class Granted:
-    """A permission without questions."""
-
-    def __init__(self, start: FloatArray, limits: Sequence[JointLimits]) -> None:
-        self._start, self._limits = start, limits
-
-    def approach(self, position: FloatArray) -> Motion:
-        return slow_move(position, self._start, self._limits)
-
-    def ask(self) -> None: ...
-
-    def answer(self) -> bool:
-        return True
-
-
-class Moment(Clock):
-    """A clock that stands until it is set."""
-
-    time = 0.0
-
-    def now(self) -> float:
-        return self.time
-
-
-def latency() -> None:
-    """In real time: CPU of a command, and from a sample beyond its limit to the stop at the other end of a socket."""
-    robot_file = load_robot("ur5e")
-    robot, clock = robot_file.robot, Moment()
-    gate = CommandGate(lambda _: None, lambda *_: None, GateLimits.of_joints(robot.joints), 0.002, clock)
-    spent = []
-    for tick in range(COMMANDS):
-        clock.time = 0.002 * tick
-        position = np.full(robot.dof, 0.3 * (1.0 - np.cos(2.0 * clock.time)))
-        gate.measured(clock.time, position)
-        before = time.thread_time_ns()
-        gate.command(position, clock.time)
-        spent.append(1e-3 * (time.thread_time_ns() - before))
-    late = []
-    goal = np.full(robot.dof, 0.2)
-    motion = PointToPoint(np.array([np.zeros(robot.dof), goal, np.zeros(robot.dof)]), np.array([2.0, 2.0]))
-    for number in range(BREACHES):
-        arm = LoopbackArm(robot, 150 + number)
-        supervisor = Supervisor(Limits.of_robot(robot), arm.streams())
-        with tempfile.TemporaryDirectory() as folder:
-            recorder = Recorder(Path(folder) / "run.h5", robot_file, arm.streams())
-            report = record(arm, recorder, supervisor, Play(motion, robot, Granted(np.zeros(robot.dof), robot.joints)))
-        arm.close()
-        if not str(report.stopped_by).startswith("velocity of "):
-            print(f"left out: {report.stopped_by}", file=sys.stderr)
-            continue
-        late.append(1e3 * (arm.heard - arm.breached))
-    print("| what | p50 | p99 | most |", "|---|---|---|---|", sep="\n")
-    for what, values in (
-        (f"gate: CPU per command, six joints, {COMMANDS} commands [µs]", spent),
-        (f"sample beyond its limit → stop at the other end, {len(late)} motions at 500 Hz [ms]", late),
-    ):
-        print(f"| {what} | {np.percentile(values, 50):.3g} | {np.percentile(values, 99):.3g} | {max(values):.3g} |")
-
-
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("stress", "cases", "latency"))
+    parser.add_argument("what", choices=("stress", "cases"))
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, default=2)
     chosen = parser.parse_args()
     if chosen.what == "stress":
         stress(chosen.cases, chosen.seed, chosen.processes)
-    elif chosen.what == "cases":
-        name_cases()
     else:
-        LISTENER.bind(("127.0.0.1", 0))
-        LISTENER.listen()
-        latency()
+        name_cases()

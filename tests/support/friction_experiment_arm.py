@@ -11,7 +11,7 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, parse_robot
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
-from ident.tasks.friction import IdentifiedFriction, friction
+from ident.tasks.experiments import IdentifiedFriction, friction
 from sim_drivers.synthetic.measurement import simulate_recording
 
 RATE = 100.0

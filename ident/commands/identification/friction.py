@@ -32,7 +32,7 @@ def find_friction(
     from ident.commands.printing.result import print_tables
     from ident.result.friction_experiment import FRICTION_FILE
     from ident.tasks.arguments import paths_of
-    from ident.tasks.friction import friction
+    from ident.tasks.experiments import friction
     from ident.views.friction_tables import COEFFICIENTS
 
     recordings, robot = paths_of(options.runs), options.robot

@@ -11,7 +11,7 @@ from ident.commands.options import ExportOptions, refuse_options_but
 from ident.tasks.options import IdentifyOptions
 
 if TYPE_CHECKING:
-    from ident.tasks.gravity import IdentifiedGravity
+    from ident.tasks.experiments import IdentifiedGravity
 
 _TAKEN = frozenset({"runs", "validation", "robot", "progress"})
 """Options of identify that gravity has."""
@@ -25,7 +25,7 @@ def identify_gravity_command(
     Raises:
         UsageError: an option that gravity does not have.
     """
-    from ident.tasks.gravity import identify_gravity
+    from ident.tasks.experiments import identify_gravity
 
     refuse_options_but(_TAKEN, options, "--gravity", limited=limited)
     found = identify_gravity(options.runs, validation=options.validation, robot=options.robot, progress=progress)
@@ -45,7 +45,7 @@ def print_gravity(found: IdentifiedGravity, folder: Path, *, verbose: bool, as_j
 def validate_gravity_command(path: Path, runs: object, *, as_json: bool) -> None:
     """Judge a stored model of gravity on other recordings."""
     from ident.commands.printing.graded import print_validated
-    from ident.tasks.gravity import load_gravity
+    from ident.tasks.experiments import load_gravity
 
     judged = load_gravity(path).validate(runs)  # type: ignore[arg-type]
     print_validated(judged, path, judged.result.validation_errors, as_json=as_json)

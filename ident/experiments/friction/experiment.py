@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from daq.recording.recording import Recording, software_versions
+from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.core.errors import UsageError
 from drivers.core.reading_process import Progress
+from drivers.core.software import software_versions
 from ident.experiments.friction.joint_data import JointExperiment
 from ident.experiments.friction.joint_fit import fit_joint
 from ident.experiments.friction.single_joint import JointPeriods, joint_periods

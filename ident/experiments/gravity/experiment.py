@@ -9,11 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from daq.recording.recording import Recording, software_versions
+from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, UsageError
 from drivers.core.reading_process import Progress
+from drivers.core.software import software_versions
 from drivers.core.text import percent_text
 from ident.assessment.recording_checks import recording_checks
 from ident.experiments.gravity.fit import GravityFit, fit_gravity, used_equations

@@ -8,8 +8,9 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from daq.recording.recording import Recording, software_versions
+from daq.recording.recording import Recording
 from drivers.core.arrays import FloatArray
+from drivers.core.software import software_versions
 from drivers.core.text import percent_text
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.plausibility import indefinite_share, sign_checks

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from daq.recording.recording import software_versions
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError, ResultFileError, UsageError
+from drivers.core.software import software_versions
 from drivers.core.text import percent_text
 from ident.assessment.validation import Fit
 from ident.export.arm import ExportedArm, refuse_unidentified_friction

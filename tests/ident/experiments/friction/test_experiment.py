@@ -16,7 +16,7 @@ from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
 from ident.experiments.friction.experiment import analyse_friction
 from ident.experiments.friction.joint_data import friction_torque
 from ident.result.friction_experiment import read_friction_experiment
-from ident.tasks.friction import friction
+from ident.tasks.experiments import friction
 from sim_drivers.synthetic.measurement import simulate, simulate_recording
 
 FIELDS = ("coulomb", "viscous", "offset", "load")
