@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import ident.regression.jackknife
 from daq.robot.loader import RobotFile, parse_robot
+from drivers.core.errors import IdentificationError
 from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
@@ -21,11 +22,16 @@ from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.jackknife import (
     FEWEST_BLOCKS,
     MOST_BLOCKS,
+    BlockSums,
     CorrectedCovariance,
     FilteredRun,
     block_jackknife,
     block_length,
+    delete_block_moves,
+    jackknife_covariance,
+    least_squares_moves,
     residual_autocorrelation,
+    tolerant_moves,
 )
 from ident.regression.least_squares import LeastSquares, excited_columns, ordinary_least_squares, weighted_least_squares
 from ident.regression.observation_matrix import reduce_segments
@@ -222,3 +228,48 @@ def test_coverage_stays_with_an_error_that_repeats_with_the_motion(three_joint, 
         ignored.append(error <= 1.96 * unaware.std)
     assert 0.88 <= np.mean(known) <= 0.99
     assert np.mean(ignored) < np.mean(known) - 0.05
+
+
+ROWS, PARAMETERS, BLOCKS = 400, 5, 20
+
+
+@pytest.fixture(scope="module")
+def grams() -> np.ndarray:
+    """(B, a + 1, a + 1) Gram matrices of [W y] of consecutive rows."""
+    generator = np.random.default_rng(0)
+    system = generator.standard_normal((ROWS, PARAMETERS)) * np.array([1e-3, 1.0, 10.0, 1.0, 1e3])
+    wide = np.column_stack([system, system @ np.ones(PARAMETERS) + generator.standard_normal(ROWS)])
+    return np.array([rows.T @ rows for rows in np.split(wide, BLOCKS)])
+
+
+def solved(gram: np.ndarray) -> np.ndarray:
+    return np.linalg.solve(gram[:-1, :-1], gram[:-1, -1])
+
+
+def sums_of(grams: np.ndarray) -> BlockSums:
+    whole = solved(grams.sum(axis=0))
+    return BlockSums(grams[:, :-1, :-1], grams[:, :-1, -1] - grams[:, :-1, :-1] @ whole)
+
+
+def test_leverage_gives_what_estimating_again_gives(grams: np.ndarray) -> None:
+    sums = sums_of(grams)
+    by_leverage = least_squares_moves(sums, sums.gram.sum(axis=0))
+    again = delete_block_moves(solved, grams)
+    scale = np.abs(again).max(axis=0)
+    np.testing.assert_allclose(by_leverage / scale, again / scale, atol=1e-6)
+    np.testing.assert_allclose(tolerant_moves(sums, sums.gram.sum(axis=0)) / scale, again / scale, atol=1e-6)
+    expected = (BLOCKS - 1) / BLOCKS * again.T @ again
+    pairs = np.outer(scale, scale)
+    np.testing.assert_allclose(jackknife_covariance(by_leverage) / pairs, expected / pairs, atol=1e-5)
+
+
+def test_a_parameter_that_one_block_alone_determines(grams: np.ndarray) -> None:
+    alone = grams.copy()
+    alone[1:, 0, :] = alone[1:, :, 0] = 0.0
+    sums = sums_of(alone)
+    normal = sums.gram.sum(axis=0)
+    with pytest.raises(IdentificationError, match="alone determines a parameter"):
+        least_squares_moves(sums, normal)
+    with pytest.raises(IdentificationError, match="alone determines a parameter"):
+        delete_block_moves(solved, alone)
+    assert np.all(np.isfinite(tolerant_moves(sums, normal)))
