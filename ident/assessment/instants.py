@@ -15,11 +15,13 @@ import numpy.typing as npt
 from drivers.core.arrays import FloatArray
 from ident.model.regressor import RegressorKernel, dense_regressor
 from ident.regression.velocity_reversals import reversal_mask
-from ident.signals.prepared import Prepared
+from ident.signals.prepared import Prepared, Segment
 
 MOST_INSTANTS = 2000
 NEAR_REVERSAL = 0.1
 """Share of a velocity's root mean square below which a motor's equation is left out."""
+
+MOTION = ("position", "velocity", "acceleration")
 
 BLOCKS = 8
 """Consecutive parts of the data that hypotheses are validated on, one held out after the other."""
@@ -43,6 +45,21 @@ class Columns:
 
 
 @dataclass(frozen=True, eq=False)
+class Track:
+    """A segment and its friction's columns.
+
+    Attributes:
+        segment: as prepared.
+        time: (M,) stamps of the filtered samples [s].
+        friction: (n, c, M) columns that are no link's, filtered like the torque.
+    """
+
+    segment: Segment
+    time: FloatArray
+    friction: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Instants:
     """Motion and torque at N instants.
 
@@ -55,6 +72,8 @@ class Instants:
         temperature: (n, N) [K]; None where none was recorded.
         friction: (n, c, N) columns that are no link's, filtered like the torque; None where the positions are others.
         friction_columns: (c,) standard columns of these.
+        tracks: that the instants are taken from.
+        track: (N,) index of each instant's.
     """
 
     position: FloatArray
@@ -67,6 +86,8 @@ class Instants:
     temperature: FloatArray | None = None
     friction: FloatArray | None = None
     friction_columns: tuple[int, ...] = ()
+    tracks: tuple[Track, ...] = ()
+    track: npt.NDArray[np.int64] | None = None
 
     def with_positions(self, columns: Columns) -> Instants:
         """The same with other columns taken for the positions."""
@@ -82,7 +103,7 @@ class Instants:
     def less(self, joint: int, other: int, factor: float) -> Instants:
         """The same with another joint's motion, times a factor, taken off a joint's."""
         changed = {}
-        for name in ("position", "velocity", "acceleration"):
+        for name in MOTION:
             changed[name] = getattr(self, name).copy()
             changed[name][joint] -= factor * changed[name][other]
         return replace(self, **changed, friction=None)
@@ -92,6 +113,19 @@ class Instants:
         position = self.position.copy()
         position[joint] += angle
         return replace(self, position=position)
+
+    def later(self, joint: int, seconds: float) -> Instants:
+        """The same with a joint's motion taken from later samples, as if its column came late."""
+        changed = {name: getattr(self, name).copy() for name in MOTION}
+        friction = None if self.friction is None else self.friction.copy()
+        for number, track in enumerate(self.tracks):
+            here = np.flatnonzero(self.track == number)
+            for name, values in later_motion(track.segment, joint, seconds, self.time[here]).items():
+                changed[name][joint, here] = values
+            if friction is not None:
+                for column, values in enumerate(track.friction[joint]):
+                    friction[joint, column, here] = np.interp(self.time[here] + seconds, track.time, values)
+        return replace(self, **changed, friction=friction)
 
     def regressor(self, kernel: RegressorKernel) -> FloatArray:
         """(n, b, N) of the kernel's columns."""
@@ -107,12 +141,18 @@ class Instants:
         return regressor
 
 
+def later_motion(segment: Segment, joint: int, seconds: float, time: FloatArray) -> dict[str, FloatArray]:
+    """A joint's position, velocity and acceleration (N,) that much later than the stamps (N,) [s]."""
+    return {name: np.interp(time + seconds, segment.time, getattr(segment, name)[joint]) for name in MOTION}
+
+
 def instants(kernel: RegressorKernel, runs: Sequence[Prepared]) -> Instants:
     """At most `MOST_INSTANTS` instants, spread evenly over all used samples of the filtered torques."""
     parameters = kernel.model.parameters
     others = RegressorKernel(kernel.model, [c for c in kernel.columns if parameters[c].kind != "inertial"])
     parts: dict[str, list[FloatArray]] = {}
     counted: list[npt.NDArray[np.bool_]] = []
+    tracks: list[Track] = []
     for run in runs:
         every = slice(None, None, run.parallel_filter.factor)
         for segment in run.segments:
@@ -121,6 +161,7 @@ def instants(kernel: RegressorKernel, runs: Sequence[Prepared]) -> Instants:
                 left_out = left_out | segment.resting
             rows = {
                 "time": segment.time[every],
+                "track": np.full(len(segment.time[every]), len(tracks)),
                 "position": segment.position[:, every],
                 "velocity": segment.velocity[:, every],
                 "acceleration": segment.acceleration[:, every],
@@ -133,6 +174,8 @@ def instants(kernel: RegressorKernel, runs: Sequence[Prepared]) -> Instants:
             acting = np.any(packed != 0.0, axis=1)
             if acting.any():
                 rows["friction"][acting] = run.parallel_filter.apply(packed[acting])
+            shape = (kernel.model.dof, len(others.columns), -1)
+            tracks.append(Track(segment, rows["time"], rows["friction"].reshape(shape)))
             if segment.temperature is not None:
                 rows["temperature"] = segment.temperature[:, every]
             for name, values in rows.items():
@@ -149,4 +192,6 @@ def instants(kernel: RegressorKernel, runs: Sequence[Prepared]) -> Instants:
         temperature=taken.get("temperature"),
         friction=taken["friction"].reshape(kernel.model.dof, len(others.columns), len(chosen)),
         friction_columns=others.columns,
+        tracks=tuple(tracks),
+        track=taken["track"],
     )

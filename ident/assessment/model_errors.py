@@ -9,6 +9,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
+from ident.assessment.instants import MOTION, later_motion
 from ident.assessment.refit import TELLING, Deviation, Kind, Refit, Unknown, shifted_origins
 from ident.model.dynamic_model import DynamicModel
 from ident.regression.comparison import TorqueSeries, compare_torques, independent_share, residual_autocorrelation
@@ -34,9 +35,18 @@ LEAST_SHIFT = 5e-3
 LEAST_SCALE = 0.05
 LEAST_ZERO = float(np.deg2rad(3.0))
 LEAST_TILT = float(np.deg2rad(2.0))
+LEAST_LATE = 0.015
 """Smallest deviation of a gain, of a length [m], of all lengths' factor, of a joint's zero and of gravity's direction
-[rad] that is reported. On the public recordings, which are in order, a zero reaches 1.5° (Panda, joint 4) and the
-direction 0.3°."""
+[rad], and time [s] of a position that is reported. On the public recordings, which are in order, a zero reaches 1.5°
+(Panda, joint 4) and the direction 0.3°."""
+
+_LEAST: dict[Kind, float] = {
+    "length": LEAST_SHIFT, "scale": LEAST_SCALE, "zero": LEAST_ZERO, "gravity": LEAST_TILT, "late": LEAST_LATE,
+}  # fmt: skip
+
+LATE_LEVEL, MOST_LATE = 25.0, 0.2
+"""What the ratio must exceed for a late position, and the longest time [s]; on the public recordings it reaches 9.4
+(UR10, shoulder)."""
 
 MOST_OF_LENGTH = 0.5
 """Share of a length by which it may be wrong."""
@@ -71,6 +81,9 @@ REFINED_UNKNOWNS = 4
 MOST_SAMPLES = 100_000
 """Samples of a recording whose residuals are compared."""
 
+LATE = (0.03, 0.06, 0.12)
+"""Times [s] from which it is estimated by how much a position is late, beside 0, where the fit is poor."""
+
 STARTS = (0.01, 0.1, 10.0, 100.0)
 """Factors on a gain from which it is estimated, beside 1, where the fit is poor: a gain that was left at 1."""
 
@@ -83,13 +96,13 @@ DIRECTIONS = tuple(np.array(sign * axis) for axis in np.eye(3) for sign in (1.0,
 
 def reported(deviation: Deviation) -> bool:
     """Whether a deviation is clear and large enough to be named."""
-    if abs(deviation.value) < MOST_UNCERTAIN * deviation.std or deviation.likelihood < LIKELIHOOD_LEVEL:
+    level = LATE_LEVEL if deviation.unknown.kind == "late" else LIKELIHOOD_LEVEL
+    if abs(deviation.value) < MOST_UNCERTAIN * deviation.std or deviation.likelihood < level:
         return False
     if deviation.unknown.kind == "lengths":
         return bool(_off(deviation))
     if deviation.unknown.kind != "gain":
-        least = {"length": LEAST_SHIFT, "scale": LEAST_SCALE, "zero": LEAST_ZERO, "gravity": LEAST_TILT}
-        return abs(deviation.value) >= least[deviation.unknown.kind]
+        return abs(deviation.value) >= _LEAST[deviation.unknown.kind]
     off = abs(float(np.log(1.0 + deviation.value)))
     return off >= np.log(1.0 + GAIN_OFF) or (off >= LEAST_GAIN_OFF and deviation.likelihood > SMALL_GAIN_LEVEL)
 
@@ -125,7 +138,7 @@ def candidates(refit: Refit, independent: float, poor: bool) -> list[Deviation]:
     if together is not None and together.likelihood > LEAST_FALL * total:
         finer.append(together)
     if poor:
-        finer += _far_gains(refit)
+        finer += _far_gains(refit) + _late_positions(refit)
     return [one for one in finer if one is not None and _plausible(refit.model, one)]
 
 
@@ -188,6 +201,8 @@ def _plausible(model: DynamicModel, one: Deviation) -> bool:
     """Whether a length is off by no more than half, a zero by no more than 60°: not a mirrored arm."""
     if one.unknown.kind == "zero":
         return abs(one.value) <= MOST_OF_ZERO
+    if one.unknown.kind == "late":  # a torque that is late is found, and taken into account, where delays are sought
+        return 0.0 <= one.value <= MOST_LATE
     if one.unknown.kind == "scale":
         return abs(one.value) <= MOST_OF_LENGTH
     if one.unknown.kind == "lengths":
@@ -204,6 +219,14 @@ def _far_gains(refit: Refit) -> list[Deviation | None]:
     """Gains that are estimated from other factors than 1."""
     gains = [unknown for unknown in refit.unknowns() if unknown.kind == "gain"]
     return [refit.deviation(unknown, start=start) for unknown in gains for start in STARTS]
+
+
+def _late_positions(refit: Refit) -> list[Deviation | None]:
+    """Late positions, estimated from the two of `LATE` that fit best: from none at all the way there is too long."""
+    late = [unknown for unknown in refit.unknowns() if unknown.kind == "late"]
+    once = [(refit.deviation(unknown, 1, start), start) for unknown in late for start in LATE]
+    nearest = sorted(((one, start) for one, start in once if one is not None), key=lambda pair: -pair[0].likelihood)[:2]
+    return [refit.deviation(one.unknown, start=start) for one, start in nearest]
 
 
 def _other_directions(refit: Refit) -> list[Deviation | None]:
@@ -288,6 +311,7 @@ _CHECKS: dict[Kind, str] = {
     "scale": "inconsistent-length",
     "lengths": "inconsistent-length",
     "zero": "joint-zero",
+    "late": "position-late",
     "gravity": "gravity-direction",
 }
 _FAR: dict[Kind, tuple[str, float]] = {"gain": ("wrong-gain", 2.0), "scale": ("other-size", 1.1)}
@@ -300,6 +324,7 @@ _REMEDIES: dict[Kind, str] = {
     "scale": "check that the file is this arm's, not that of another size",
     "lengths": "check these lengths, and that the file is this arm's",
     "zero": "check the zero of its encoder against the robot file's",
+    "late": "check how this joint's position was read and stamped",
     "gravity": "check `model.gravity` and how the arm is mounted",
 }
 
@@ -321,6 +346,9 @@ def _clause(model: DynamicModel, one: Deviation) -> str:
     if one.unknown.kind == "zero":
         size = f"{np.rad2deg(one.value):+.1f}° ± {np.rad2deg(between):.1f}°"
         return f"{size} added to the position of {model.joint_names[one.unknown.joint]}"
+    if one.unknown.kind == "late":
+        size = f"{1e3 * one.value:.0f} ± {1e3 * between:.0f} ms"
+        return f"the position of {model.joint_names[one.unknown.joint]} {size} late against its torque and all else"
     if one.unknown.kind == "scale":
         return f"all lengths of the robot file multiplied by {1.0 + one.value:.3f} ± {between:.3f}"
     if one.unknown.kind == "length":
@@ -355,6 +383,8 @@ def _compared(runs: Sequence[Prepared], deviation: Deviation) -> list[TorqueSeri
                 replace(segment, position=_moved(segment.position, unknown.joint, deviation.value))
                 for segment in segments
             ]
+        if unknown.kind == "late":
+            segments = [_later(segment, unknown.joint, deviation.value) for segment in segments]
         for compared in compare_torques(
             deviation.model, deviation.columns, deviation.parameters, segments, run.parallel_filter
         ):
@@ -369,6 +399,13 @@ def _moved(position: FloatArray, joint: int, angle: float) -> FloatArray:
     moved = position.copy()
     moved[joint] += angle
     return moved
+
+
+def _later(segment: Segment, joint: int, seconds: float) -> Segment:
+    changed = {name: getattr(segment, name).copy() for name in MOTION}
+    for name, values in later_motion(segment, joint, seconds, segment.time).items():
+        changed[name][joint] = values
+    return replace(segment, **changed)
 
 
 def first_samples(segments: Sequence[Segment]) -> list[Segment]:

@@ -56,14 +56,14 @@ LARGEST_STEP = 0.5
 """[rad] by which gravity's direction turns in one iteration."""
 
 TINY = float(np.finfo(float).tiny)
-SHIFTS = ("length", "scale", "zero")
+SHIFTS = ("length", "scale", "zero", "late")
 """Kinds of unknowns that change the model's positions."""
 
 TELLING = 0.3
 TOLD_APART = 10.0
 """Lengths are estimated together as far as each shows a change by this share with so many σ beside the others."""
 
-Kind = Literal["gain", "length", "scale", "lengths", "zero", "gravity"]
+Kind = Literal["gain", "length", "scale", "lengths", "zero", "late", "gravity"]
 
 
 @dataclass(frozen=True)
@@ -71,8 +71,10 @@ class Unknown:
     """A number of the robot file, or gravity's direction.
 
     Attributes:
-        kind: of it; `scale` is a factor common to all lengths, `lengths` are all that the data show, together.
-        joint: number in the tree for a length, among the motors for a gain or a zero, -1 for gravity and all lengths.
+        kind: of it; `late` is a joint's position against all else that was recorded, `scale` is a factor common to all
+            lengths, `lengths` are all that the data show, together.
+        joint: number in the tree for a length, among the motors for a gain, a zero or a late position, -1 for gravity
+            and all lengths.
         axis: of the parent's frame along which the joint's origin shifts; None but for a length.
     """
 
@@ -87,8 +89,8 @@ class Deviation:
 
     Attributes:
         unknown: which.
-        value: model torque over recorded torque minus 1, shift [m], factor on all lengths minus 1, angle [rad or m], or
-            the angle [rad] between gravity's direction and the file's.
+        value: model torque over recorded torque minus 1, shift [m], factor on all lengths minus 1, angle [rad or m],
+            time by which it is late [s], or the angle [rad] between gravity's direction and the file's.
         std: its standard deviation, the equations being independent.
         likelihood: doubled log-likelihood ratio against the file's value, likewise.
         parameters: (b,) base parameters that go with it.
@@ -151,6 +153,7 @@ class Refit:
         moving = [joint for joint in range(self.model.dof) if joint not in self.experiment.locked]
         if not self.model.transmission.closed:
             found += [Unknown("zero", j) for j in moving if not self.model.joints[self.model.active[j]].prismatic]
+            found += [Unknown("late", joint) for joint in moving if joint in self.used]
         return [*found, Unknown("gravity")] if np.any(self.model.gravity) else found
 
     @cached_property
@@ -258,9 +261,11 @@ class Refit:
         return Deviation(Unknown("gravity"), float(np.pi), 0.0, likelihood, parameters, model, self.columns)
 
     def shifted(self, unknown: Unknown, value: float) -> tuple[DynamicModel, Instants]:
-        """Model and instants with a length, all of them or a zero changed."""
+        """Model and instants with a length, all of them, a zero or a position's time changed."""
         if unknown.kind == "zero":
             return self.model, self.instants.shifted(unknown.joint, value)
+        if unknown.kind == "late":
+            return self.model, self.instants.later(unknown.joint, value)
         if unknown.kind == "scale":
             return scaled(self.model, 1.0 + value), self.instants
         if unknown.axis is None:
@@ -295,7 +300,7 @@ class Refit:
         return self._deviation(unknown, value, solved.covariance[0, 0], solved)
 
     def slope(self, unknown: Unknown, value: float, parameters: FloatArray) -> FloatArray:
-        """(n, N) derivative of the model's torque by a length, their factor or a zero at a value."""
+        """(n, N) derivative of the model's torque by one of `SHIFTS` at a value."""
         torques = []
         for step in (SHIFT_STEP, -SHIFT_STEP):
             model, moved = self.shifted(unknown, value + step)

@@ -21,7 +21,7 @@ from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf import urdf_inertias
 from ident.model.parameters import INERTIAL, MASS
 from ident.regression.comparison import compare_torques
-from ident.verdict.catalogue import raised
+from ident.verdict.catalogue import MISTAKES, raised
 from ident.verdict.check import Check
 
 WRIST = 3.0
@@ -42,9 +42,6 @@ TOOL = 0.25
 DENIED_FACTOR, DENIED_RISE = 2.0, 0.05
 """What the robot file says of links and joints is refused where it raises the torque error by this factor and so much;
 less is a check."""
-
-OTHERWISE_WRONG = ("inconsistent-gain", "inconsistent-length", "joint-zero", "residual-bursts", "encoder-stuck")
-"""Checks of mistakes that make a sound statement of the file look wrong; so do all serious ones."""
 
 LEAST_SHARE = 0.005
 """Of the arm's mass; the centre of a link lighter than that says nothing."""
@@ -124,9 +121,10 @@ def refuse_denied(identification: Identification, checks: Sequence[Check]) -> No
         RobotFileError: names it, with what the data say.
     """
     found = identification.consistent
-    if found is None or found.parameters.without is None or any(c.severity == "serious" for c in checks):
+    if found is None or found.parameters.without is None:
         return
-    if any(check.name in OTHERWISE_WRONG for check in checks):
+    # A mistake elsewhere makes a sound statement of the file look wrong.
+    if any(c.severity == "serious" or (c.severity == "warning" and c.name in MISTAKES) for c in checks):
         return
     error = _error(identification, found.parameters.without)
     stated = found.fit.relative_error

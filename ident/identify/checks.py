@@ -104,7 +104,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     idle = _idle_joint_checks(identification)
     # Static friction of resting joints, or a torque that is cut off, looks like a number of the robot file that is off.
     of_gains, of_lengths = ("inconsistent-gain", "wrong-gain"), ("inconsistent-length", "other-size")
-    model_errors = (*of_gains, *of_lengths, "joint-zero", "gravity-direction")
+    model_errors = (*of_gains, *of_lengths, "joint-zero", "gravity-direction", "position-late")
     checks += idle
     checks += [
         one for one in mistakes if one.name not in model_errors or not (idle or clipped.intersection(one.joints))

@@ -117,8 +117,16 @@ SEGMENT = 128
 FEWEST_SEGMENTS = 12
 """Segments that the runs must have in common."""
 
+NO_NOISE, WHITE = 0.1, 2.0
+"""Share of the other run's noise below which a run counts as free of it, and power of what both differ by at the
+motion's frequencies, over that of white noise: another run differs there by friction, a copy by added noise alone."""
+
 UNCERTAIN = 0.12
 """Standard deviation of a slope above which it does not count: added noise hides what it is of."""
+
+UNCERTAIN_TOGETHER, LEAST_DEVIATION = 0.06, 1e-3
+"""The same of all bands together, whose slope is that of a copy or of another run, a quarter away at least from half
+way between; and of a single one, which else would weigh all."""
 
 COUNTED = 0.3
 """Share of all bands of all joints that must count."""
@@ -146,23 +154,57 @@ def same_noise(time: FloatArray, torque: FloatArray, other_time: FloatArray, oth
         return False
     first, second, step = pair
     noises = _noise(torque), _noise(other_torque)
+    if _only_noise_added(first, second, *noises) or _only_noise_added(second, first, *noises[::-1]):
+        return True
     slow = 1.0 / step < LEAST_RATE
     pairs = (first, second, noises[1]), (second, first, noises[0])
     return any(_copied(_slopes(of, on, noise), slow) for of, on, noise in pairs)
 
 
 def _copied(slopes: FloatArray, slow: bool) -> bool:
-    """Whether slopes, shares of noise and coherence (K, 3), nan where uncertain, are those of a copy."""
-    known = slopes[np.isfinite(slopes[:, 0])]
+    """Whether slopes, shares of noise, coherence and deviations of the slopes (K, 4) are those of a copy."""
+    known = slopes[slopes[:, 3] < UNCERTAIN]
     noisy = known[known[:, 1] >= NOISY]
     least = max(1.0, COUNTED * len(slopes))
-    if len(noisy) >= least:
-        repeated = 1.0 - float(np.mean(np.minimum(noisy[:, 1], 1.0)))
-        return float(np.mean(noisy[:, 0])) > 0.5 * (1.0 + repeated)
+    if len(noisy) < least:  # much noise was added: all bands together may still show what it hides in each
+        noisy = slopes[(slopes[:, 1] >= NOISY) & np.isfinite(slopes[:, 3])]
+        weights = 1.0 / np.maximum(noisy[:, 3], LEAST_DEVIATION) ** 2
+        known_together = len(noisy) >= least and float(np.sum(weights)) ** -0.5 < UNCERTAIN_TOGETHER
+    else:
+        weights, known_together = np.ones(len(noisy)), True
+    if known_together:
+        slope, share = (float(weights @ one / weights.sum()) for one in (noisy[:, 0], np.minimum(noisy[:, 1], 1.0)))
+        return slope > 1.0 - 0.5 * share
     if slow or len(known) < least:
         return False
     lowest = np.quantile(known, 0.1, axis=0)
     return bool(lowest[2] > COHERENT or lowest[0] > EQUAL_SLOPE)
+
+
+def _only_noise_added(of: FloatArray, on: FloatArray, noise: FloatArray, other: FloatArray) -> bool:
+    """Whether (N, n) is (N, n), which has next to no noise, times a factor and with white noise.
+
+    What is left of a shift and of interpolation is in proportion to the derivatives.
+
+    Args:
+        of: with noise.
+        on: without.
+        noise: variance (n,) of the first one's.
+        other: of the second one's.
+    """
+    used = np.std(of, axis=0) > 0.0
+    if not used.any() or np.any((other >= NO_NOISE * noise)[used]):
+        return False
+    explained = np.stack([on, np.gradient(on, axis=0), np.gradient(np.gradient(on, axis=0), axis=0)], axis=2)
+    rest = np.empty_like(of)
+    for joint in range(of.shape[1]):
+        columns = explained[:, joint]
+        rest[:, joint] = of[:, joint] - columns @ np.linalg.lstsq(columns, of[:, joint], rcond=None)[0]
+    starts, window = range(0, len(of) - SEGMENT + 1, SEGMENT // 2), np.hanning(SEGMENT)[:, None]
+    slow = slice(1, round(BAND[0] * SEGMENT))
+    spectra = [np.abs(np.fft.rfft(window * rest[k : k + SEGMENT], axis=0)[slow]) ** 2 for k in starts]
+    share = np.mean(spectra, axis=(0, 1)) / np.maximum(noise * float(np.sum(window**2)), np.finfo(float).tiny)
+    return bool(np.all(share[used] < WHITE))
 
 
 def _noise(values: FloatArray) -> FloatArray:
@@ -214,7 +256,7 @@ def _on_grid(time: FloatArray, values: FloatArray, step: float, offset: float) -
 
 
 def _slopes(of: FloatArray, on: FloatArray, noise: FloatArray) -> FloatArray:
-    """Slopes of (N, n) on (N, n) over those of the whole signals, shares of noise and coherence (K, 3), by band."""
+    """Slopes of (N, n) on (N, n) over those of the whole signals, shares of noise, coherence, deviations (K, 4)."""
     starts = range(0, len(of) - SEGMENT + 1, SEGMENT // 2)
     window = np.hanning(SEGMENT)[:, None]
     spectra = [
@@ -224,7 +266,7 @@ def _slopes(of: FloatArray, on: FloatArray, noise: FloatArray) -> FloatArray:
         for one in (of, on)
     ]
     edges = np.round(np.linspace(*BAND, BANDS + 1) * SEGMENT).astype(int)
-    slopes = np.full((of.shape[1] * BANDS, 3), np.nan)
+    slopes = np.full((of.shape[1] * BANDS, 4), np.nan)
     for joint in range(of.shape[1]):
         y, x = (one[:, :, joint] for one in spectra)
         whole = float(np.sum(np.abs(x) ** 2))
@@ -236,7 +278,6 @@ def _slopes(of: FloatArray, on: FloatArray, noise: FloatArray) -> FloatArray:
                 continue
             slope = float(np.sum((other * part.conj()).real)) / power
             deviation = np.sqrt(max(own / power - slope**2, 0.0) / part.size)  # segments overlap, values have two parts
-            if deviation < UNCERTAIN * scale:
-                share = noise[joint] * float(np.sum(window**2)) * part.size / power
-                slopes[joint * BANDS + band] = slope / scale, share, slope**2 * power / own
+            share = noise[joint] * float(np.sum(window**2)) * part.size / power
+            slopes[joint * BANDS + band] = slope / scale, share, slope**2 * power / own, deviation / scale
     return slopes

@@ -73,6 +73,15 @@ def recordings_of(runs: Runs) -> list[Recording]:
     return [recording_of(runs)]  # type: ignore[arg-type]
 
 
+def held_out_of(runs: Runs | None) -> list[Recording]:
+    """Held-out recordings, none where None is given.
+
+    Raises:
+        RecordingError, UsageError: as `recording_of`.
+    """
+    return [] if runs is None else recordings_of(runs)
+
+
 def paths_of(*given: object) -> list[Path]:
     """The paths among arguments of a task, and in lists of them; recordings that were read already have none."""
     flat = [one for part in given for one in (part if isinstance(part, (list, tuple)) else [part])]

@@ -32,7 +32,7 @@ from ident.model.regressor import RegressorKernel
 from ident.report.comparison_page import comparison_figure, comparison_page
 from ident.result.tables import Cell, Column, Table, table_of_rows
 from ident.signals.options import PreprocessChoices
-from ident.tasks.arguments import SavedResult, recordings_of
+from ident.tasks.arguments import SavedResult, held_out_of, recordings_of
 from ident.tasks.options import CompareOptions
 
 COMPARISON_FILE = "comparison.json"
@@ -247,7 +247,7 @@ def compare(options: CompareOptions) -> MethodComparison:
         for method in options.methods
         for model in options.friction or ("",)
     ]
-    recordings, held_out = recordings_of(options.runs), recordings_of(options.validation)
+    recordings, held_out = recordings_of(options.runs), held_out_of(options.validation)
     robot_file = None if options.robot is None else load_robot(options.robot)
     models: list[ComparedModel] = []
     groups: tuple[JointGroup, ...] = ()

@@ -27,7 +27,7 @@ from ident.result.gravity import GravityResult, read_gravity_result
 from ident.result.models.gravity_model import GravityModel
 from ident.result.models.model import result_path
 from ident.result.tables import Table
-from ident.tasks.arguments import GradedResult, Runs, SavedResult, recordings_of
+from ident.tasks.arguments import GradedResult, Runs, SavedResult, held_out_of, recordings_of
 from ident.tasks.options import FrictionOptions, silent
 from ident.views.friction_tables import friction_table
 
@@ -183,7 +183,7 @@ def identify_gravity(
         ...     print(error.message)
         holds no pose that is passed slowly in both directions
     """
-    recordings, held_out = recordings_of(runs), recordings_of(validation)
+    recordings, held_out = recordings_of(runs), held_out_of(validation)
     if not recordings:
         raise UsageError("no recording to identify from")
     robot_file = None if robot is None else load_robot(robot)

@@ -30,7 +30,7 @@ from ident.result.result_file import read_result, result_json, stored_model
 from ident.result.schema import Result
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.signals.pipeline import PreprocessChoices
-from ident.tasks.arguments import Run, SavedResult, limits_of, recording_of, recordings_of
+from ident.tasks.arguments import Run, SavedResult, held_out_of, limits_of, recording_of, recordings_of
 from ident.tasks.options import IdentifyOptions
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
@@ -220,7 +220,7 @@ def identify(options: IdentifyOptions) -> IdentificationResult:
     choices = _choices(options)
     limits = None if options.accept is None else limits_of(options.accept)
     options.progress("reading")
-    recordings, held_out = recordings_of(options.runs), recordings_of(options.validation)
+    recordings, held_out = recordings_of(options.runs), held_out_of(options.validation)
     robot_file = None if options.robot is None else load_robot(options.robot)
     if limits is not None and recordings:
         check_joints(limits, (robot_file or recordings[0].robot()).robot.joint_names)

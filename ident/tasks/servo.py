@@ -35,7 +35,7 @@ from ident.servo.motion import ServoMotion, servo_motions
 from ident.servo.ranges import drawn, servo_ranges
 from ident.servo.result import ServoResult, read_servo_result, with_values
 from ident.servo.terms import INDEX, TERMS
-from ident.tasks.arguments import GradedResult, Run, Runs, recording_of, recordings_of
+from ident.tasks.arguments import GradedResult, Run, Runs, held_out_of, recording_of, recordings_of
 from ident.tasks.excitation import CSV_RATE, load_trajectory
 from ident.tasks.options import silent
 
@@ -368,7 +368,7 @@ def identify_servo(
         ...     print(error.message.partition(";")[0])
         records no commanded position
     """
-    recordings, held_out = recordings_of(runs), recordings_of(validation)
+    recordings, held_out = recordings_of(runs), held_out_of(validation)
     if not recordings:
         raise UsageError("no recording to identify from")
     robot_file = None if robot is None else load_robot(robot)

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Literal
 
 from ident.verdict.check import PURPOSES, Check, Purpose, Severity
+
+Subject = Literal["mistake", "data", "model"]
+"""`mistake`: recording or robot file say something wrong, which other checks may follow from. `data`: what was recorded
+does not show all that is asked. `model`: what was found."""
 
 
 @dataclass(frozen=True)
@@ -14,6 +19,7 @@ class CheckKind:
 
     Attributes:
         name: stable; part of result.json.
+        subject: what it speaks of.
         severity: of every check of this name.
         purposes: that it spoils; none exactly where it is a note.
         meaning: what it says, as a clause.
@@ -21,14 +27,15 @@ class CheckKind:
     """
 
     name: str
+    subject: Subject
     severity: Severity
     purposes: tuple[Purpose, ...]
     meaning: str
     remedy: str
 
 
-def _note(name: str, meaning: str, remedy: str) -> CheckKind:
-    return CheckKind(name, "note", (), meaning, remedy)
+def _note(name: str, subject: Subject, meaning: str, remedy: str) -> CheckKind:
+    return CheckKind(name, subject, "note", (), meaning, remedy)
 
 
 ALL = PURPOSES
@@ -39,25 +46,34 @@ PARAMETERS: tuple[Purpose, ...] = ("simulation", "payload_estimation")
 _RECORDING = (
     _note(
         "recording-not-closed",
+        "data",
         "the recording was stopped before its end, or not closed properly",
         "Its end may be missing; `dynid recover` rescues what a crash left.",
     ),
     CheckKind(
         "hand-guided",
+        "mistake",
         "serious",
         ALL,
         "a hand led the arm: its forces are in no torque",
         "Identify from a motion that dynid plays; a recording of leading by hand shows where the arm was.",
     ),
-    _note("import-warning", "the import assumed or repaired something", "Read the sentence and import again."),
+    _note("import-warning", "data", "the import assumed or repaired something", "Read the sentence and import again."),
     _note(
         "samples-lost",
+        "mistake",
         "samples of a stream are missing",
         "Segments end at gaps, and nothing is filled in; see the bus budget and the computer's load.",
     ),
-    _note("repeated-stamps", "time stamps do not increase", "Import with --repair, or see the clock of the source."),
+    _note(
+        "repeated-stamps",
+        "mistake",
+        "time stamps do not increase",
+        "Import with --repair, or see the clock of the source.",
+    ),
     CheckKind(
         "jittering-stamps",
+        "mistake",
         "warning",
         PREDICTION,
         "the time stamps jitter",
@@ -65,6 +81,7 @@ _RECORDING = (
     ),
     CheckKind(
         "position-unit",
+        "mistake",
         "serious",
         ALL,
         "positions are in degrees or millimetres",
@@ -72,6 +89,7 @@ _RECORDING = (
     ),
     CheckKind(
         "position-jump",
+        "mistake",
         "serious",
         ALL,
         "a position jumps between two samples",
@@ -79,6 +97,7 @@ _RECORDING = (
     ),
     CheckKind(
         "motion-as-torque",
+        "mistake",
         "serious",
         ALL,
         "the torque is the position or the velocity",
@@ -86,6 +105,7 @@ _RECORDING = (
     ),
     CheckKind(
         "steady-torque",
+        "mistake",
         "serious",
         ALL,
         "no torque changes with the motion",
@@ -93,6 +113,7 @@ _RECORDING = (
     ),
     CheckKind(
         "same-column",
+        "mistake",
         "serious",
         ALL,
         "two joints have one and the same torque",
@@ -100,6 +121,7 @@ _RECORDING = (
     ),
     CheckKind(
         "position-velocity-exchanged",
+        "mistake",
         "serious",
         ALL,
         "position and velocity are exchanged",
@@ -107,16 +129,19 @@ _RECORDING = (
     ),
     _note(
         "rows-missing",
+        "mistake",
         "positions jump while the stamps go on: rows are missing or stand twice",
         "Segments end there, and nothing is filled in; write the source's own stamps.",
     ),
     _note(
         "position-wraps",
+        "mistake",
         "angles are wrapped at a whole turn",
         "Segments end there; write angles that go on.",
     ),
     CheckKind(
         "wrong-time-axis",
+        "mistake",
         "serious",
         ALL,
         "the time stamps are off by a constant factor",
@@ -124,11 +149,13 @@ _RECORDING = (
     ),
     _note(
         "velocity-scale",
+        "mistake",
         "the recorded velocity of some joints is not the change of their position",
         "It is not used unless --measured-velocity is given; check its unit and gear ratio.",
     ),
     CheckKind(
         "clocks-drift",
+        "mistake",
         "warning",
         ALL,
         "two clocks drift apart",
@@ -136,6 +163,7 @@ _RECORDING = (
     ),
     CheckKind(
         "torque-ahead",
+        "mistake",
         "warning",
         PARAMETERS,
         "the torque is ahead of its motion, which no drive can bring about",
@@ -143,6 +171,7 @@ _RECORDING = (
     ),
     CheckKind(
         "unsigned-signal",
+        "mistake",
         "serious",
         ALL,
         "a motor signal has lost its sign",
@@ -150,6 +179,7 @@ _RECORDING = (
     ),
     CheckKind(
         "no-torque",
+        "data",
         "serious",
         ("torque_prediction", "collision_detection", "payload_estimation"),
         "no torque or current is recorded with its sign",
@@ -157,6 +187,7 @@ _RECORDING = (
     ),
     CheckKind(
         "positions-alone",
+        "data",
         "serious",
         ALL,
         "neither torque nor commands are recorded",
@@ -164,6 +195,7 @@ _RECORDING = (
     ),
     CheckKind(
         "commands-short",
+        "data",
         "warning",
         ("simulation",),
         "the commands do not cover the motion",
@@ -171,6 +203,7 @@ _RECORDING = (
     ),
     CheckKind(
         "command-clock",
+        "mistake",
         "serious",
         ("simulation",),
         "the stamps of commands and positions do not belong together",
@@ -178,6 +211,7 @@ _RECORDING = (
     ),
     CheckKind(
         "command-order",
+        "mistake",
         "serious",
         ("simulation",),
         "joints follow commands of other joints, or move against their own",
@@ -185,6 +219,7 @@ _RECORDING = (
     ),
     CheckKind(
         "command-unit",
+        "mistake",
         "serious",
         ("simulation",),
         "commands and positions differ by a constant factor",
@@ -192,11 +227,13 @@ _RECORDING = (
     ),
     _note(
         "joint-at-rest",
+        "data",
         "some joints are neither commanded to move nor do",
         "Nothing of them can be identified from commands and encoder; other motions may move them.",
     ),
     CheckKind(
         "signal-clipped",
+        "mistake",
         "warning",
         ALL,
         "a motor signal is clipped",
@@ -204,11 +241,13 @@ _RECORDING = (
     ),
     _note(
         "outliers-replaced",
+        "data",
         "single samples are far from what their neighbours say, and are replaced by that",
         "Spikes and encoder glitches: see the encoder, its cable and the bus.",
     ),
     CheckKind(
         "many-outliers",
+        "mistake",
         "warning",
         ALL,
         "too many samples are far from what their neighbours say to be replaced",
@@ -216,11 +255,13 @@ _RECORDING = (
     ),
     _note(
         "rows-repeated",
+        "mistake",
         "rows or positions repeat those before them while the arm moves, and are left out",
         "Read the controller no faster than it measures, or import with --repair drop-repeats.",
     ),
     CheckKind(
         "encoder-stuck",
+        "mistake",
         "warning",
         ALL,
         "an encoder stands still while its joint moves",
@@ -228,6 +269,7 @@ _RECORDING = (
     ),
     CheckKind(
         "filled-with-zeros",
+        "mistake",
         "serious",
         ALL,
         "drop-outs of a signal were filled with zeros",
@@ -235,18 +277,21 @@ _RECORDING = (
     ),
     _note(
         "positions-jitter",
+        "mistake",
         "positions jitter, and the cut-offs that their spectrum would give were lowered",
         "Record the controller's own stamps and positions; --position-cutoff and --torque-cutoff set others.",
     ),
-    CheckKind("no-motion", "serious", ALL, "there is no motion to analyse", "Record an excitation trajectory."),
+    CheckKind("no-motion", "data", "serious", ALL, "there is no motion to analyse", "Record an excitation trajectory."),
     _note(
         "high-condition",
+        "data",
         "the condition number of the observation matrix is high",
         "Record a motion that `dynid excite` designed.",
     ),
-    _note("slow-motion", "joints use little of their velocity limit", "Record a faster motion."),
+    _note("slow-motion", "data", "joints use little of their velocity limit", "Record a faster motion."),
     CheckKind(
         "torque-beyond-limits",
+        "mistake",
         "serious",
         ALL,
         "recorded torques are far beyond the joints' limits",
@@ -254,6 +299,7 @@ _RECORDING = (
     ),
     CheckKind(
         "torque-far-below-limits",
+        "mistake",
         "serious",
         ALL,
         "recorded torques are orders below the joints' limits",
@@ -261,6 +307,7 @@ _RECORDING = (
     ),
     CheckKind(
         "implausible-load",
+        "mistake",
         "serious",
         ALL,
         "recorded torques would hold a mass that no arm of this size has",
@@ -268,6 +315,7 @@ _RECORDING = (
     ),
     CheckKind(
         "idle-joints",
+        "data",
         "warning",
         PARAMETERS,
         "static friction of resting joints enters the fit",
@@ -278,6 +326,7 @@ _RECORDING = (
 _EXCITATION = (
     CheckKind(
         "residual-bursts",
+        "mistake",
         "warning",
         PARAMETERS,
         "the residual has a few short bursts",
@@ -285,11 +334,13 @@ _EXCITATION = (
     ),
     _note(
         "few-equations",
+        "data",
         "there are few equations per parameter",
         "Record longer.",
     ),
     CheckKind(
         "weights-not-settled",
+        "model",
         "warning",
         PARAMETERS,
         "weights do not settle",
@@ -297,6 +348,7 @@ _EXCITATION = (
     ),
     CheckKind(
         "search-gap",
+        "model",
         "warning",
         ALL,
         "a search ended away from the optimum of its own cost",
@@ -304,16 +356,19 @@ _EXCITATION = (
     ),
     _note(
         "few-independent-samples",
+        "data",
         "there are few independent equations per parameter",
         "Record longer, and other motions rather than more of the same.",
     ),
     _note(
         "few-blocks",
+        "data",
         "the error bars rest on few blocks",
         "Record longer: the standard deviations are themselves uncertain.",
     ),
     CheckKind(
         "unexcited-parameters",
+        "data",
         "warning",
         PARAMETERS,
         "the motion does not excite some base parameters",
@@ -321,11 +376,13 @@ _EXCITATION = (
     ),
     _note(
         "insignificant-parameters",
+        "data",
         "many base parameters are smaller than their standard deviation",
         "Record a more exciting motion.",
     ),
     CheckKind(
         "few-parameters-determined",
+        "data",
         "warning",
         ALL,
         "the motion determines few of the base parameters",
@@ -333,11 +390,13 @@ _EXCITATION = (
     ),
     _note(
         "few-moves-for-energy",
+        "data",
         "the energy model has one equation for all joints together",
         "Record many different moves rather than a periodic motion, or use --method wls.",
     ),
     CheckKind(
         "joints-locked",
+        "data",
         "warning",
         ALL,
         "the model holds with some joints fixed where they were",
@@ -345,6 +404,7 @@ _EXCITATION = (
     ),
     CheckKind(
         "resting-motor-torque",
+        "data",
         "warning",
         PARAMETERS,
         "the torque of a motor at rest is used",
@@ -355,6 +415,7 @@ _EXCITATION = (
 _MODEL = (
     CheckKind(
         "negative-friction",
+        "model",
         "warning",
         PARAMETERS,
         "friction came out negative (not dissipative)",
@@ -362,11 +423,13 @@ _MODEL = (
     ),
     _note(
         "negative-motor-inertia",
+        "model",
         "a motor inertia of the unconstrained parameters came out negative",
         "Set `inertia: false` where torque sensors sit behind the gearbox, or use --no-motor-inertia.",
     ),
     CheckKind(
         "gravity-opposite",
+        "mistake",
         "serious",
         ALL,
         "gravity of the opposite sign fits the data better",
@@ -374,6 +437,7 @@ _MODEL = (
     ),
     CheckKind(
         "gravity-direction",
+        "mistake",
         "serious",
         ALL,
         "gravity in another direction fits the data better",
@@ -381,6 +445,7 @@ _MODEL = (
     ),
     CheckKind(
         "torques-opposite",
+        "mistake",
         "serious",
         ALL,
         "all torques have the opposite sign",
@@ -388,6 +453,7 @@ _MODEL = (
     ),
     CheckKind(
         "positions-opposite",
+        "mistake",
         "serious",
         ALL,
         "all positions have the opposite sign",
@@ -395,6 +461,7 @@ _MODEL = (
     ),
     CheckKind(
         "torque-sign",
+        "mistake",
         "serious",
         ALL,
         "a torque has the opposite sign",
@@ -402,6 +469,7 @@ _MODEL = (
     ),
     CheckKind(
         "position-sign",
+        "mistake",
         "serious",
         ALL,
         "a position has the opposite sign",
@@ -409,6 +477,7 @@ _MODEL = (
     ),
     CheckKind(
         "joint-sign",
+        "mistake",
         "serious",
         ALL,
         "position and torque of a joint have the opposite sign",
@@ -416,6 +485,7 @@ _MODEL = (
     ),
     CheckKind(
         "torques-exchanged",
+        "mistake",
         "serious",
         ALL,
         "the torques of two joints are exchanged",
@@ -423,6 +493,7 @@ _MODEL = (
     ),
     CheckKind(
         "positions-exchanged",
+        "mistake",
         "serious",
         ALL,
         "the positions of two joints are exchanged",
@@ -430,6 +501,7 @@ _MODEL = (
     ),
     CheckKind(
         "joints-exchanged",
+        "mistake",
         "serious",
         ALL,
         "positions and torques of two joints are exchanged",
@@ -437,6 +509,7 @@ _MODEL = (
     ),
     CheckKind(
         "motors-coupled",
+        "mistake",
         "serious",
         ALL,
         "the recorded torques are those of coupled motors",
@@ -444,6 +517,7 @@ _MODEL = (
     ),
     CheckKind(
         "sign-or-column",
+        "mistake",
         "serious",
         ALL,
         "a sign or a column of some joints is wrong",
@@ -451,6 +525,7 @@ _MODEL = (
     ),
     CheckKind(
         "unsigned-torque",
+        "mistake",
         "serious",
         ALL,
         "torques were recorded without their sign",
@@ -458,13 +533,23 @@ _MODEL = (
     ),
     CheckKind(
         "joint-zero",
+        "mistake",
         "warning",
         ALL,
         "the torques agree better with another zero of a joint",
         "Check the zero of this joint's encoder against the robot file's.",
     ),
     CheckKind(
+        "position-late",
+        "mistake",
+        "warning",
+        ALL,
+        "the position of a joint comes later than all else that was recorded",
+        "Check how this joint's position is read and stamped: by another bus, filtered, or a cycle too late.",
+    ),
+    CheckKind(
         "wrong-gain",
+        "mistake",
         "serious",
         ALL,
         "the torque of a joint is off by a factor",
@@ -472,6 +557,7 @@ _MODEL = (
     ),
     CheckKind(
         "other-size",
+        "mistake",
         "serious",
         ALL,
         "the lengths of the robot file are those of an arm of another size",
@@ -479,6 +565,7 @@ _MODEL = (
     ),
     CheckKind(
         "inconsistent-gain",
+        "mistake",
         "warning",
         ALL,
         "the drive gain of a joint does not agree with the other joints",
@@ -486,11 +573,13 @@ _MODEL = (
     ),
     _note(
         "lengths-unchecked",
+        "data",
         "the data do not show whether the lengths of the robot file are right",
         "Check that the file is this arm's; a faster motion of all joints would show it.",
     ),
     CheckKind(
         "inconsistent-length",
+        "mistake",
         "warning",
         ALL,
         "the torques agree better with another length of the arm",
@@ -498,6 +587,7 @@ _MODEL = (
     ),
     CheckKind(
         "friction-near-reversals",
+        "model",
         "warning",
         PARAMETERS,
         "the friction of the delivered model changes with more equations left out near velocity reversals",
@@ -505,11 +595,13 @@ _MODEL = (
     ),
     _note(
         "indefinite-inertia",
+        "model",
         "the inertia matrix of the unconstrained parameters is not positive definite",
         "Simulate with the physically consistent parameters, which are the default.",
     ),
     CheckKind(
         "no-consistent-model",
+        "model",
         "serious",
         PARAMETERS,
         "no physically consistent parameters were found",
@@ -517,6 +609,7 @@ _MODEL = (
     ),
     CheckKind(
         "implausible-mass",
+        "mistake",
         "serious",
         ALL,
         "the torques are those of a mass that no arm of this size, payload or URDF has",
@@ -524,6 +617,7 @@ _MODEL = (
     ),
     CheckKind(
         "implausible-link",
+        "model",
         "warning",
         PARAMETERS,
         "a link is heavier than any of an arm of this size",
@@ -531,6 +625,7 @@ _MODEL = (
     ),
     CheckKind(
         "implausible-centre",
+        "model",
         "warning",
         PARAMETERS,
         "a link's centre of mass lies far from the link",
@@ -538,6 +633,7 @@ _MODEL = (
     ),
     CheckKind(
         "known-contradicts-data",
+        "model",
         "warning",
         PARAMETERS,
         "the data contradict what the robot file says of the links",
@@ -545,21 +641,25 @@ _MODEL = (
     ),
     _note(
         "weight-not-separate",
+        "model",
         "no motion separates a joint's weight from its constant friction",
         "The torque is right, gravity alone as right as the masses: state them under `known` or `prior.links`.",
     ),
     _note(
         "consistency-rejected",
+        "model",
         "no bodies explain the data as well as the unconstrained parameters do",
         "Large errors of the model make this, too; see how much the error rises, and geometry, gains and signs.",
     ),
     _note(
         "armature-assumed",
+        "model",
         "motor inertia that the torque sensors do not see was assumed for simulation and MJCF",
         "State `drives[].armature` in the robot file.",
     ),
     CheckKind(
         "consistency-costs",
+        "model",
         "warning",
         ALL,
         "the physically consistent model predicts held-out torque clearly worse than the unconstrained one, which "
@@ -568,6 +668,7 @@ _MODEL = (
     ),
     CheckKind(
         "simulation-failed",
+        "model",
         "serious",
         ("simulation",),
         "the physically consistent model could not be simulated along the held-out motion",
@@ -575,11 +676,13 @@ _MODEL = (
     ),
     _note(
         "links-on-boundary",
+        "model",
         "links lie at the boundary of what can exist",
         "Their inertia comes from the condition rather than from the data: excite them more, or give a prior.",
     ),
     _note(
         "range-hit",
+        "model",
         "a range of the robot file holds a parameter",
         "Widen the range if it was a guess.",
     ),
@@ -588,21 +691,25 @@ _MODEL = (
 _RESIDUALS = (
     _note(
         "residuals-curved",
+        "model",
         "the residuals bend with torque or velocity: the model lacks a nonlinear term",
         "Try --friction auto; see the friction in the report: Stribeck, or friction that grows less than velocity.",
     ),
     _note(
         "residuals-autocorrelated",
+        "model",
         "the residuals are autocorrelated beyond the parallel filter: the model lacks something",
         "The error bars take it into account; look for what repeats with position, such as ripple of the gears.",
     ),
     _note(
         "residuals-uneven",
+        "model",
         "the residuals grow with torque or velocity",
         "Parameters that show at low torque could be had more precisely than WLS weights them.",
     ),
     _note(
         "residuals-not-normal",
+        "model",
         "the residuals have other tails than a normal distribution",
         "The 95 % intervals are approximate; outliers and velocity reversals make heavy tails.",
     ),
@@ -611,11 +718,13 @@ _RESIDUALS = (
 _VALIDATION = (
     _note(
         "errors-near-standstill",
+        "model",
         "the validation's errors are larger than the identification's below 0.1 rad/s (or m/s) only",
         "Coulomb friction is not well defined near standstill: expect such errors at starts, stops and reversals.",
     ),
     CheckKind(
         "recording-changes",
+        "mistake",
         "serious",
         ALL,
         "something changed while the arm was recorded",
@@ -623,6 +732,7 @@ _VALIDATION = (
     ),
     CheckKind(
         "recordings-differ",
+        "mistake",
         "serious",
         ALL,
         "recordings of one identification show different bodies",
@@ -630,6 +740,7 @@ _VALIDATION = (
     ),
     CheckKind(
         "overfitting",
+        "model",
         "warning",
         ALL,
         "the validation error is much larger than the identification's",
@@ -637,6 +748,7 @@ _VALIDATION = (
     ),
     CheckKind(
         "not-held-out",
+        "data",
         "warning",
         ALL,
         "samples of the validation were used in the identification",
@@ -644,6 +756,7 @@ _VALIDATION = (
     ),
     CheckKind(
         "not-validated",
+        "data",
         "warning",
         ALL,
         "nothing was held out to validate the model with",
@@ -654,6 +767,7 @@ _VALIDATION = (
 _MERGE = (
     CheckKind(
         "contradicting-models",
+        "model",
         "warning",
         ALL,
         "the merged models contradict each other",
@@ -661,17 +775,19 @@ _MERGE = (
     ),
     CheckKind(
         "partial-model",
+        "model",
         "warning",
         ("simulation", "payload_estimation"),
         "the experiments show only some of the arm's base parameters",
         "Record an experiment with the other joints moving, and merge it, too.",
     ),
-    _note("checks-of-a-part", "a merged model has checks of its own", "Read them in its own result."),
+    _note("checks-of-a-part", "model", "a merged model has checks of its own", "Read them in its own result."),
 )
 
 _EXPORT = (
     CheckKind(
         "export-diverges",
+        "model",
         "serious",
         ("simulation",),
         "the exported model diverges in simulation",
@@ -679,6 +795,7 @@ _EXPORT = (
     ),
     CheckKind(
         "export-gains-energy",
+        "model",
         "serious",
         ("simulation",),
         "the exported model gains energy without power",
@@ -686,6 +803,7 @@ _EXPORT = (
     ),
     CheckKind(
         "export-loses-motion",
+        "model",
         "serious",
         ("simulation",),
         "the exported model cannot follow a motion within its limits",
@@ -693,6 +811,7 @@ _EXPORT = (
     ),
     CheckKind(
         "export-not-read",
+        "model",
         "warning",
         ("simulation",),
         "MuJoCo did not read the exported file",
@@ -704,6 +823,9 @@ CATALOGUE: dict[str, CheckKind] = {
     kind.name: kind for kind in (*_RECORDING, *_EXCITATION, *_MODEL, *_RESIDUALS, *_VALIDATION, *_MERGE, *_EXPORT)
 }
 """Every check by its name."""
+
+MISTAKES = frozenset(kind.name for kind in CATALOGUE.values() if kind.subject == "mistake")
+"""Checks that say what is wrong with a recording or a robot file."""
 
 
 def raised(name: str, text: str, joints: Iterable[str] = ()) -> Check:

@@ -40,33 +40,13 @@ from ident.regression.least_squares import excited_columns, weighted_least_squar
 from ident.regression.observability import experiment_base
 from ident.signals.pipeline import PreprocessChoices
 from ident.signals.prepared import Prepared, Segment
+from ident.verdict.catalogue import MISTAKES
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 UR10 = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
 PANDA = tuple(f"joint_{number}" for number in range(1, 8))
 SIMULATED = ("up6",)
-WATCHED = (
-    "torque-beyond-limits",
-    "torque-far-below-limits",
-    "implausible-load",
-    "gravity-opposite",
-    "gravity-direction",
-    "torques-opposite",
-    "positions-opposite",
-    "torque-sign",
-    "position-sign",
-    "joint-sign",
-    "torques-exchanged",
-    "positions-exchanged",
-    "joints-exchanged",
-    "sign-or-column",
-    "unsigned-torque",
-    "inconsistent-gain",
-    "inconsistent-length",
-    "joint-zero",
-)
-"""Checks that are about mistakes; those of `dynid identify` that stand beside them are left out."""
 
 Change = Callable[[Segment], Segment]
 
@@ -276,7 +256,7 @@ def false_alarms(count: int) -> None:
         for kind, plant in (("exact", robot_file), ("less known", less_known(robot_file, seed))):
             recording = simulate_recording(plant, motion, 20.0, seed, rate=100)
             checks = identify([recording], [], IdentifyChoices(search_delay=False), robot_file).checks
-            wrong = [check.name for check in checks if check.name in WATCHED]
+            wrong = [check.name for check in checks if check.name in MISTAKES]
             alarms[kind] += bool(wrong)
             print(f"random arm {seed}, {kind}: {wrong or 'nothing'}", file=sys.stderr, flush=True)
     print("\n| random arms | recordings on which something is named |\n|---|---|")

@@ -30,9 +30,10 @@ from drivers.core.arrays import BoolArray, FloatArray, IntArray
 from drivers.core.errors import DynidError
 from ident.model.dynamic_model import build_model
 from ident.simulation import open_loop, tracking
+from ident.verdict.catalogue import MISTAKES
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks.mistaken_recordings import turned
-from studies.checks.random_mistakes import BLAMING, signals, with_signals
+from studies.checks.random_mistakes import signals, with_signals
 from studies.synthetic import data_mistakes as mistakes
 
 DURATION, RATE, SEED = 15.0, 100.0, 1
@@ -378,16 +379,11 @@ def said(case: Callable[[], tuple[Recording, RobotFile]]) -> str:
     named = [
         f"`{one.name}`" + (f" {', '.join(one.joints)}" if one.joints else "")
         for one in result.verdict.checks
-        if one.name in NAMING
+        if one.name in MISTAKES
     ]
     error = 100 * result.validation.relative_error if result.validation else float("nan")
     grade = result.verdict.purposes["torque_prediction"].grade
     return f"{grade}, {error:.2g} % {'; '.join(dict.fromkeys(named))}".strip()
-
-
-NAMING = (*BLAMING, "recording-changes", "position-jump", "motion-as-torque", "same-column",
-          "position-velocity-exchanged", "rows-missing", "signal-clipped", "samples-lost", "torque-ahead")  # fmt: skip
-"""Checks that say what is wrong with a recording, or what is missing in it."""
 
 
 def table(kinds: Sequence[str]) -> None:

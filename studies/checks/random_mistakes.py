@@ -44,6 +44,7 @@ from ident.identify.identification import IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.simulation import open_loop, tracking
+from ident.verdict.catalogue import MISTAKES
 from ident.verdict.check import SEVERITIES, Check
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.checks.mistaken_recordings import less_known, turned
@@ -53,16 +54,6 @@ PERIOD, DURATION, RATE = 10.0, 15.0, 100.0
 ONLY = tuple(one for one in os.environ.get("MISTAKES", "").split(",") if one)
 CHOICES = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), search_delay=False, presliding=False)
 SCALE = ("implausible-load", "implausible-mass", "torque-beyond-limits", "torque-far-below-limits", "implausible-link")
-BLAMING = (
-    *SCALE[:-1], "gravity-opposite", "gravity-direction", "torques-opposite", "positions-opposite", "torque-sign",
-    "position-sign", "joint-sign", "torques-exchanged", "positions-exchanged", "joints-exchanged", "sign-or-column",
-    "unsigned-signal", "unsigned-torque", "inconsistent-gain", "wrong-gain", "inconsistent-length", "other-size",
-    "joint-zero", "motors-coupled", "steady-torque", "encoder-stuck",
-    "rows-repeated", "filled-with-zeros", "residual-bursts", "positions-jitter", "many-outliers", "wrong-time-axis",
-    "clocks-drift", "position-unit",
-)  # fmt: skip
-"""Checks that say what is wrong with a recording."""
-
 CLAUSES = {
     "joint-zero": "added to the position of {joint}", "gravity-direction": "gravity along",
     "inconsistent-gain": "the drive gain of {joint} ", "wrong-gain": "the drive gain of {joint} ",
@@ -340,7 +331,7 @@ def judged(mistake: Mistake, checks: Sequence[Check], names: Sequence[str]) -> s
     """
     own = {names[joint] for joint in mistake.joints}
     said = sorted(
-        (one for one in checks if one.name in (*BLAMING, *mistake.right) and one.name not in mistake.beside),
+        (one for one in checks if one.name in (*MISTAKES, *mistake.right) and one.name not in mistake.beside),
         key=lambda one: -SEVERITIES.index(one.severity),
     )
     right = [
@@ -439,7 +430,7 @@ def delays(count: int) -> None:
                 measured = search is not None and search.best is not None
                 said = f"{1e3 * search.best:.2f} ± {1e3 * search.interval:.2f}" if measured else "–"
                 used = "–" if search is None else f"{1e3 * search.used:.2f}"
-                raised = ", ".join(c.name for c in found.checks if c.name in (*BLAMING, "torque-ahead")) or "none"
+                raised = ", ".join(c.name for c in found.checks if c.name in MISTAKES) or "none"
                 error = 100 * found.validation.relative_error
                 print(
                     f"| {seed} ({found.model.dof}) | {1e3 * jitter:g} | {1e3 * late:g} | {said} | {used} | {error:.2f} "

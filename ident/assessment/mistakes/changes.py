@@ -8,7 +8,7 @@ Friction that changes as a gear warms up is a rival that is no mistake.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -27,8 +27,9 @@ from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
 EDGES = tuple(place / 8 for place in range(1, 8))
+ALWAYS = -1.0
 FINER = tuple(place / 64 for place in range(-7, 8))
-"""Parts of the recording after which something may have changed, and the same about the best of them."""
+"""Parts of the recording after which something may have changed, the beginning, and parts about the best of them."""
 
 LIKELIHOOD, OF_LOAD = 100.0, 150.0
 """What the doubled log-likelihood ratio must exceed, in independent equations. On sound recordings (UR10, Panda, TX40,
@@ -56,7 +57,8 @@ LEAST_ERROR = 0.005
 """Relative error of a joint below which a better fit says nothing more."""
 
 SIMPLER = 0.7
-"""A load must lower the level by more than this against one wrong number: one joint's error by 30 %."""
+"""A load must lower the level by more than this against one wrong number, and a change against what is so throughout:
+one joint's error by 30 %."""
 
 MOST_TRIED = 4
 """Changes, the most likely ones, whose moment is found finely."""
@@ -153,6 +155,8 @@ class Changes:
         if not found:
             return None
         best = max(found, key=lambda one: one.likelihood)
+        if self._throughout(best) < best.level + SIMPLER:
+            return None
         # A load has many numbers, and fits what one wrong number leaves.
         simple = [one for one in found if one.change.what != "load" and one.level < best.level + SIMPLER]
         return max(simple, key=lambda one: one.likelihood, default=best)
@@ -188,6 +192,15 @@ class Changes:
             near = [self._fit(other) for other in self._changes(finer, (one.change.what, one.change.joint))]
             one = max((one, *near), key=lambda other: other.likelihood)
         return self._with_factor(one) if one.change.what in ("gain", "gains") else one
+
+    def _throughout(self, one: FittedChange) -> float:
+        """The level that the same gain or zero has if it is so from the beginning to the end; inf of all else."""
+        if one.change.what == "gain":
+            always = replace(one.change, start=ALWAYS, before=False)
+            return self._with_factor(replace(one, change=always)).level
+        if one.change.what == "zero":
+            return min(self._fit(change).level for change in self._changes((ALWAYS,), ("zero", one.change.joint)))
+        return np.inf
 
     def _changes(self, edges: Sequence[float], only: tuple[What, int] | None = None) -> Iterator[Change]:
         model, torque, used = self.refit.model, self.refit.instants.torque, self.refit.used

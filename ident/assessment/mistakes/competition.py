@@ -37,6 +37,9 @@ WELL_EXPLAINED = 0.15
 EXPLAINED = 0.2
 """Relative error of the whole arm above which no hypothesis counts as an explanation: something else is wrong."""
 
+WELL_BY_ONE = 0.03
+"""The same above which coupled motors compete with signs and columns that explain the recording."""
+
 COUPLED = 0.1
 """The same of coupled motors: there are many couplings, which also fit a part of what is not one."""
 
@@ -189,6 +192,8 @@ class Competition:
         model, moved, base, active = deviation.model, self.instants, self.base, self.active
         if deviation.unknown.kind == "zero":
             moved = moved.shifted(deviation.unknown.joint, deviation.value)
+        if deviation.unknown.kind == "late":
+            moved = moved.later(deviation.unknown.joint, deviation.value)
         torques = self.recorded.torques
         if deviation.unknown.kind == "gain":
             joint = deviation.unknown.joint
@@ -236,9 +241,14 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
         tried.append(opposite_gravity(competition.model.dof))
     found = competition.best(tried)
     if not found or not competition.explains(found[0], recorded):
-        found = competition.best(couplings(competition.model.dof, competition.joints))
-        if not found or competition.error(found[0]) > COUPLED or not competition.explains(found[0], recorded):
-            return []
+        found = []
+    if not found or competition.error(found[0]) > WELL_BY_ONE:
+        level = found[0].fit.level - RIVAL if found else np.inf
+        coupled = competition.best(couplings(competition.model.dof, competition.joints))
+        if coupled and coupled[0].fit.level < level and competition.error(coupled[0]) < COUPLED:
+            found = coupled if competition.explains(coupled[0], recorded) else found
+    if not found:
+        return []
     lowest = found[0].fit.level
     other = competition.with_deviation(deviations[0]) if deviations else None
     if other is not None and other[0].level < lowest + RIVAL:

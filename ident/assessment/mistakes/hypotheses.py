@@ -11,11 +11,12 @@ from ident.assessment.instants import Columns
 
 Signal = Literal["torque", "position", "both", "gravity"]
 
-FARTHEST = 2
-"""Joints between whose motors a coupling is sought, at most so far from each other; in wrists they are neighbours."""
-
 MOST_JOINTS = 7
 """Joints up to which every pattern of the torques' signs is tried; of more joints two wrong signs at most."""
+
+FARTHEST = 2
+"""Joints between whose motors a coupling is sought, at most so far from each other, in arms of more joints than that;
+in wrists they are neighbours."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,7 @@ def couplings(count: int, joints: Sequence[int]) -> list[Mistake]:
         Mistake("motors-coupled", signal, (one, other), kept, kept, factor)
         for one in joints
         for other in joints
-        if 0 < abs(one - other) <= FARTHEST
+        if one != other and (count <= MOST_JOINTS or abs(one - other) <= FARTHEST)
         for factor in (1.0, -1.0)
         for signal in _OF_MOTORS
     ]

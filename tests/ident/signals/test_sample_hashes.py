@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import savgol_filter
 
 from drivers.core.arrays import FloatArray
 from ident.signals.sample_hashes import BITS, KEPT, kept_hashes, overlap, same_noise, sample_hashes
@@ -130,6 +131,15 @@ def test_a_copy_holds_the_noise_of_its_original_whichever_of_both_was_identified
     original = run(1)
     assert same_noise(*original, *copy(original))
     assert same_noise(*copy(original), *original)
+
+
+def test_a_copy_of_a_smooth_run_is_known_by_what_was_added() -> None:
+    time, torque = resampled(run(1), 2.0)
+    smooth = savgol_filter(torque, 25, 3, axis=0)
+    added = 0.03 * np.random.default_rng(4).standard_normal(torque.shape)
+    assert same_noise(time, smooth, *resampled((time, 1.02 * (smooth + added)), 1.25))
+    other = savgol_filter(resampled(run(2), 2.0)[1], 25, 3, axis=0)
+    assert not same_noise(time, smooth, time, other + added)
 
 
 @pytest.mark.parametrize("start", [0.0, 0.37 / RATE, 1.7])

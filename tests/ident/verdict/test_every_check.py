@@ -61,6 +61,11 @@ def changed(recording: Recording, change: Callable[[np.ndarray], np.ndarray], qu
     return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
 
 
+def late(position: np.ndarray) -> np.ndarray:
+    """Positions (N, n), the second joint's of 80 ms before."""
+    return np.column_stack([position[:, 0], np.roll(position[:, 1], 8), position[:, 2]])
+
+
 def stamped(recording: Recording, change: Callable[[np.ndarray], np.ndarray]) -> Recording:
     """The recording with other stamps (N,)."""
     stream = recording.streams[JOINTS_STREAM]
@@ -641,6 +646,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.found(changed(b.recorded(), lambda q: q + np.deg2rad([0, 8, 0]), "position")),
         lambda b: b.clean(),
     ),
+    "position-late": (lambda b: b.found(changed(b.recorded(), late, "position")), lambda b: b.clean()),
     "inconsistent-gain": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, 1, 1.6])), lambda b: b.clean()),
     "lengths-unchecked": (lambda b: b.found(b.recorded(1, 30.0, (1, 0, 0))), lambda b: b.clean()),
     "wrong-gain": (lambda b: b.found(changed(b.recorded(), lambda i: i * [1, 1, 20])), lambda b: b.clean()),
