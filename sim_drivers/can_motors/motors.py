@@ -13,6 +13,8 @@ from drivers.can_motors.codec import CanFrame, from_counts, to_counts
 from drivers.can_motors.settings import CanMotor
 from sim_drivers.can_motors.arm import Command, MotorPlant
 
+MOVING = (moteus.GOAL, moteus.SPEED, moteus.STOP)
+"""Registers in turns, or turns per second."""
 POWER_UP = 0.4
 """[s] that a motor needs after its power came back."""
 
@@ -36,6 +38,8 @@ class SimulatedMotor(ABC):
     over_temperature: int
     under_voltage: int
     timed_out: int
+    position_byte = 1
+    """Of an answer."""
 
     def __init__(self, motor: CanMotor, index: int, plant: MotorPlant) -> None:
         self.motor, self.index, self._plant = motor, index, plant
@@ -79,6 +83,12 @@ class SimulatedMotor(ABC):
         """A broken cable: it neither hears nor drives."""
         self.dead = True
         self._let_go()
+
+    def of_other(self, identifier: int, data: bytes) -> bytes:
+        """What another motor with the same id answers: it stands elsewhere."""
+        del identifier
+        place = self.position_byte
+        return data[:place] + bytes([data[place] ^ 8]) + data[place + 1 :] if len(data) > place else data
 
     def _enable(self, now: float) -> None:
         if not self.fault:
@@ -247,9 +257,13 @@ class RobstrideMotor(SimulatedMotor):
 
 
 class MoteusMotor(SimulatedMotor):
-    """A moteus controller; its gains are the truth's."""
+    """A moteus controller; its gains are the truth's.
+
+    As a real one, it also obeys speed and stop position of a command, which dynid does not send.
+    """
 
     over_temperature, under_voltage, timed_out = 38, 40, moteus.TIMEOUT_MODE
+    position_byte = 6
 
     def __init__(self, motor: CanMotor, index: int, plant: MotorPlant) -> None:
         super().__init__(motor, index, plant)
@@ -259,12 +273,17 @@ class MoteusMotor(SimulatedMotor):
         plain = identifier & ~EXTENDED
         if plain & 0x7F != self.motor.id or plain >> 16 or identifier & REMOTE:
             return []
-        answer = b""
+        answer, written = b"", dict[int, float]()
         try:
-            for kind, form, first, values in moteus.subframes(data):
+            parts = list(moteus.subframes(data))
+            for kind, form, first, values in parts:
                 if kind == moteus.WRITE and not isinstance(values, int):
-                    self._write(form, first, values, now)
-                elif kind == moteus.READ and isinstance(values, int):
+                    scale = {moteus.FLOAT: 1.0, moteus.INT16: 1e-4}.get(form, 1e-5)
+                    scaled = {n: v * (scale if n in MOVING else 1.0) for n, v in enumerate(values, start=first)}
+                    written |= scaled
+            self._write(written, now)
+            for kind, form, first, values in parts:
+                if kind == moteus.READ and isinstance(values, int):
                     told = [self._register(first + k, form) for k in range(values)]
                     answer += moteus.subframe(moteus.REPLY, form, first, told)
         except (ValueError, IndexError, struct.error):
@@ -296,8 +315,8 @@ class MoteusMotor(SimulatedMotor):
         super().restart(now)
         self._mode = moteus.STOPPED
 
-    def _write(self, form: int, first: int, values: tuple[float, ...], now: float) -> None:
-        written = dict(enumerate(values, start=first))
+    def _write(self, written: dict[int, float], now: float) -> None:
+        """What a whole frame writes."""
         if moteus.MODE in written:
             mode = int(written.pop(moteus.MODE))
             if mode == moteus.STOPPED:
@@ -309,11 +328,10 @@ class MoteusMotor(SimulatedMotor):
                 self._enable(now)
         if not written:
             return
-        scale = {moteus.FLOAT: 1.0, moteus.INT16: 1e-4}.get(form, 1e-5)
         self._registers |= {number: value for number, value in written.items() if number != moteus.GOAL}
         if moteus.GOAL in written and self.enabled:
             goal, speed, stop = (
-                written.get(number, default) * scale * moteus.TURN
+                written.get(number, default) * moteus.TURN
                 for number, default in ((moteus.GOAL, 0.0), (moteus.SPEED, 0.0), (moteus.STOP, math.nan))
             )
             goal = self._state["position"] if math.isnan(goal) else goal
@@ -390,6 +408,10 @@ class OdriveMotor(SimulatedMotor):
             goal = struct.unpack_from("<f", data)[0] * odrive.TURN
             self._follow(now, goal, (self._position_gain * damping, damping))
         return []
+
+    def of_other(self, identifier: int, data: bytes) -> bytes:
+        """Another axis has the same state, and no fault."""
+        return super().of_other(identifier, data) if identifier & 0x1F == odrive.ESTIMATES else data
 
     def _told(self, command: int) -> list[CanFrame]:
         state = self._state

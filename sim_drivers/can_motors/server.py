@@ -48,8 +48,6 @@ ANSWERING = 50e-6
 """[s] that a motor takes for its answer: an assumption."""
 IDLE = 0.005
 """[s] between two advances of an arm that nobody asks."""
-OTHER = 3
-"""Bit of the byte behind the first of an answer in which another motor with the same id differs."""
 REMEMBERED = 256
 """Own frames by which those are known that a bus returns to their sender."""
 
@@ -195,8 +193,7 @@ class CanMotorServer(BusServer):
             for told, data in motor.hear(identifier, frame.data, sent.time):
                 self._submit(told, data, sent.time + ANSWERING)
                 if motor.index in self._twice:
-                    other = bytes([data[0], data[1] ^ 1 << OTHER, *data[2:]])
-                    self._submit(told, other, sent.time + ANSWERING)
+                    self._submit(told, motor.of_other(told, data), sent.time + ANSWERING)
 
     def _submit(self, identifier: int, data: bytes, ready: float) -> None:
         plain = identifier & ~EXTENDED

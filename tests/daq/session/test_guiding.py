@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+import pty
+import termios
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +15,10 @@ from servo_bench import servos
 from simulated_clock import SimulatedClock
 from true_results import true_result
 
+from daq.commands.hand_guiding import KeyAtTerminal
 from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
+from daq.recording.recording import HAND_GUIDED
 from daq.session.guiding import Compensation, Guiding, HandGate, load_compensation, require_guidable
 from daq.session.session import SessionReport, record
 from daq.session.supervisor import Limits, Supervisor
@@ -194,3 +199,68 @@ def test_servos_are_let_go_and_hold_again(clock: SimulatedClock):
         driver.stop()
         assert all(servo.get("torque_enable") for servo in bench.server.servos)
         assert not [notice for notice in driver.notices() if notice.level == "error"]
+
+
+class Typist(KeyAtTerminal):
+    """A person at a real terminal, who answers, and holds the space bar from then on until something happens."""
+
+    def __init__(self, clock: SimulatedClock, answer: bytes = b"y\n") -> None:
+        self.keyboard, screen = pty.openpty()
+        self.screen = os.fdopen(screen, "r+b", buffering=0)
+        reader, writer = (os.fdopen(screen, mode, closefd=False) for mode in ("r", "w"))
+        self.settings = termios.tcgetattr(screen)
+        self._typed_answer, self._time = answer, clock
+        self.then: Callable[[], None] = lambda: None
+        super().__init__((reader, writer), clock, asks=True)
+
+    def ask(self) -> None:
+        os.write(self.keyboard, b"y\n")  # typed before the question: it answers nothing
+        super().ask()
+        os.write(self.keyboard, self._typed_answer)
+        now = self._time.now()
+        if self._typed_answer == b"y\n":
+            for number in range(8):
+                self._time.call_at(now + 0.1 + 0.05 * number, self._press)
+            self._time.call_at(now + 0.5, lambda: self.then())
+
+    def _press(self) -> None:
+        os.write(self.keyboard, b" ")
+
+    def lose(self) -> None:
+        os.close(self.keyboard)
+        self.keyboard = -1
+
+    def close(self) -> None:
+        self.screen.close()
+        if self.keyboard >= 0:
+            os.close(self.keyboard)
+
+
+def test_the_arm_is_let_go_only_while_the_space_bar_is_held_at_a_terminal(clock: SimulatedClock, tmp_path, model):
+    carrying = load_compensation(robot_file(), model)
+    lasted = {}
+    for case in ("released", "another key", "terminal lost", "no"):
+        with motors(clock) as bench:
+            hand = Typist(clock, b"n\n" if case == "no" else b"y\n")
+            if case == "another key":
+                hand.then = lambda hand=hand: os.write(hand.keyboard, b" q")
+            elif case == "terminal lost":
+                hand.then = hand.lose
+            with hand:
+                report = led(bench, tmp_path / f"{case}.h5", hand, carrying)
+            if case != "terminal lost":
+                assert termios.tcgetattr(hand.screen) == hand.settings, case
+            hand.close()
+            if case == "no":
+                assert "not confirmed" in str(report.error)
+                assert not (tmp_path / "no.h5").exists()
+                continue
+            assert (report.error, report.stopped_by) == (None, None), case
+            assert all(motor.enabled for motor in bench.server.motors), case
+            assert bench.server.plant.arm.position == pytest.approx(HELD, abs=0.1), case
+            run = read_recording(tmp_path / f"{case}.h5")
+            times = {event.message.split(":")[0]: event.time for event in run.events}
+            lasted[case] = times["the key was released"] - times[HAND_GUIDED]
+    # Let go at the second press; 0.3 s without a press are a release, what else ends it does so at once.
+    assert lasted["another key"] == pytest.approx(lasted["terminal lost"], abs=0.03)
+    assert lasted["released"] - lasted["another key"] == pytest.approx(0.25, abs=0.1)

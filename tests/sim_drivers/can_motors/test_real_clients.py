@@ -103,6 +103,13 @@ def test_moteus(clock: SimulatedClock):
             clock.sleep(0.02)
         assert state[register.MODE] == package.Mode.POSITION
         assert state[register.POSITION] == pytest.approx(goal, abs=0.01)
+        moving = {"position": goal, "velocity": 0.1, "stop_position": goal + 0.04, "watchdog_timeout": math.nan}
+        told(client.make_position(**moving, query=True))
+        clock.sleep(0.3)
+        assert told(client.make_query())[register.VELOCITY] == pytest.approx(0.1, abs=0.05)
+        clock.sleep(0.5)
+        assert told(client.make_query())[register.POSITION] == pytest.approx(goal + 0.04, abs=0.01)
+        told(client.make_position(**command))
         clock.sleep(0.1)
         assert told(client.make_query())[register.MODE] == package.Mode.TIMEOUT
         assert told(client.make_stop(query=True))[register.MODE] == package.Mode.STOPPED
