@@ -1,8 +1,9 @@
 """Rows a second that six simulated CAN motors give, in simulated time, against what their bus carries.
 
-    python -m studies.motors.can_rates [SECONDS]
+    python -m studies.motors.can_rates [SECONDS [FAMILY HZ]]
 
-No computer is late in simulated time: what is lost is lost on the bus. 1 Mbit/s; moteus' data at 5 Mbit/s.
+With a family, its goals at one rate alone. No computer is late in simulated time: what is lost is lost on the bus.
+1 Mbit/s; moteus' data at 5 Mbit/s.
 """
 
 from __future__ import annotations
@@ -100,12 +101,13 @@ def main() -> None:
     file = arm()
     print("| motors | asked [Hz] | | rows [Hz] | lost | bus at worst [Hz] | reached of it |")
     print("|---|---|---|---|---|---|---|")
-    for family in MODELS:
-        for moves in (False, True):
+    for family in sys.argv[2:3] or MODELS:
+        for moves in (False, True) if len(sys.argv) < 4 else (True,):
             if family == "cubemars" and not moves:
                 continue  # they tell nothing unless they are commanded
             most = rows(file, family, 50.0, 0.05, moves=moves)[2]
-            for asked in dict.fromkeys((min(200.0, 0.92 * most), min(MOST, 0.92 * most))):
+            rates = (min(200.0, 0.92 * most), min(MOST, 0.92 * most))
+            for asked in dict.fromkeys(rates) if len(sys.argv) < 4 else (float(sys.argv[3]),):
                 reached, lost, most = rows(file, family, asked, seconds, moves=moves)
                 said = "goals" if moves else "read only"
                 print(

@@ -1,8 +1,9 @@
 """Rows a second that six simulated serial servos give, in simulated time, against what their wire carries.
 
-    python -m studies.servo.serial_rates [SECONDS]
+    python -m studies.servo.serial_rates [SECONDS [ARM HZ]]
 
-No computer is late in simulated time: what is lost is lost on the wire. Servos without return delay, 1 Mbit/s.
+With an arm, its goals at one rate alone. No computer is late in simulated time: what is lost is lost on the wire.
+Servos without return delay, 1 Mbit/s.
 """
 
 from __future__ import annotations
@@ -72,10 +73,13 @@ def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 5.0
     print("| arm | asked [Hz] | | rows [Hz] | lost | wire without pauses [Hz] |")
     print("|---|---|---|---|---|---|")
+    alone = sys.argv[2:]
     for name, wire in (("so101", "feetech"), ("koch", "dynamixel")):
+        if alone and name != alone[0]:
+            continue
         file = load_robot(name)
-        for moves in (False, True):
-            for rate in RATES:
+        for moves in (True,) if alone else (False, True):
+            for rate in (float(alone[1]),) if alone else RATES:
                 reached, lost, most = rows(file, wire, rate, seconds, moves=moves)
                 said = "goals sent, too" if moves else "read only"
                 print(f"| {name} | {rate:g} | {said} | {reached:.0f} | {lost} | {most:.0f} |")
