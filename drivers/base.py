@@ -77,7 +77,7 @@ class DeviceLimits:
         lowest, highest: position [rad].
         velocity: [rad/s].
         torque: [N·m].
-        sources: position, velocity, torque, … → where it is told, such as an object's index.
+        sources: position, velocity, torque, … → where it is read, such as an object's index.
         following_error: between the target and the measured position [rad].
         stopping: deceleration of their own stop [rad/s²].
         acceleration: [rad/s²].
@@ -134,7 +134,7 @@ class Driver(Protocol):
         """
 
     def command(self, position: FloatArray) -> None:
-        """Send a joint position (n,) [rad or m] to be reached within one period; takes control where nobody has.
+        """Send a joint position (n,) [rad or m] to be reached within one period; takes control first if need be.
 
         Raises:
             DriverStateError: this driver or this connection cannot move the arm.

@@ -204,7 +204,7 @@ class PolledArm(ABC):
             self._control.take()
 
     def command(self, position: FloatArray) -> None:
-        """Send a joint position (n,) [rad] to be reached within one period; takes control where nobody has.
+        """Send a joint position (n,) [rad] to be reached within one period; takes control first if need be.
 
         Raises:
             DriverStateError: it is not running, a position does not fit, or a first one is too far from the arm.

@@ -28,7 +28,7 @@ UNITS: Mapping[str, str] = {
 GOAL_AGE = "goal_age"
 """For how long [s] a goal that the motor takes in one step had been in force when its torque was measured."""
 COMMANDS = ("target_position", "target_velocity", "target_torque", "gain_p", "gain_d")
-"""Quantities that a controller was told: set points, feed-forward torque, gains of its loop."""
+"""Quantities that a controller was given: set points, feed-forward torque, gains of its loop."""
 
 
 @dataclass(frozen=True)

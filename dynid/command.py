@@ -165,7 +165,7 @@ def _status(as_json: bool) -> int:
 
 
 def _user_error(error: Exception) -> DynidError | None:
-    """What people are told of an error of the system, or of the command's usage; None of a bug."""
+    """The message for an error of the system, or of the command's usage; None for a bug."""
     if out_of_memory(error):
         return WorkError(
             "needs more memory than it may have", hint="close other programs, raise the limit, or give it less at once"

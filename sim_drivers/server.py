@@ -41,7 +41,7 @@ class Server(ABC):
     @property
     def failure(self) -> BaseException | None:
         """The error that ended it; None while it runs and after `stop`."""
-        return next((error for error in (self._failure, *(one.failure for one in self._beside)) if error), None)
+        return next((error for error in (self._failure, *(thread.failure for thread in self._beside)) if error), None)
 
     def __enter__(self) -> Self:
         self.start()

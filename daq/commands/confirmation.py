@@ -105,7 +105,7 @@ class Confirmation:
             ask_on(self._question, "Move the arm? [y/N] ")
 
     def answer(self) -> bool | None:
-        """As `answer_of`; yes where nobody is asked."""
+        """As `answer_of`; yes where no question is asked."""
         return True if self._question is None else answer_of(self._question)
 
 

@@ -1,4 +1,4 @@
-"""The person who leads an arm by hand, at a terminal: told what will happen, asked, and a key that is held."""
+"""The person who leads an arm by hand, at a terminal: what will happen, a question, and a key that is held."""
 
 from __future__ import annotations
 

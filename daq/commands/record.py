@@ -34,7 +34,7 @@ app = CommandApp("Record")
 
 @dataclass(frozen=True, kw_only=True)
 class SessionOptions(Options):
-    """What a session is told: a trajectory to play, or how long to watch what moves by itself."""
+    """Options of a session: a trajectory to play, or how long to watch what moves by itself."""
 
     robot: str = field(metadata=ROBOT_ARGUMENT)
     wire: str | None = option(None, "Connection of the robot file; its first one if absent.")
@@ -64,7 +64,7 @@ class SessionOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class RecordOptions(SessionOptions):
-    """What `record` is told: a session, and its file."""
+    """Options of `record`: a session, and its file."""
 
     out: Path = field(metadata=required("Recording to write (.h5).", short="-o"))
     hand_guided: bool = option(False, "Let the arm go while you hold a key, and record how you lead it by hand.")
@@ -155,7 +155,7 @@ def _key(options: RecordOptions, clock: Clock) -> KeyAtTerminal:
     """The key that a person holds while they lead the arm.
 
     Raises:
-        UsageError: nobody sits at a terminal.
+        UsageError: standard input is not a terminal.
     """
     from daq.commands.confirmation import terminal
     from daq.commands.hand_guiding import KeyAtTerminal
@@ -343,7 +343,7 @@ def recorded(
 
 
 def _to_mind(robot_file: RobotFile, driver: Driver, *, without_safety_status: bool) -> list[str]:
-    """What a person is told of an opened arm before it moves; refused before a file is made."""
+    """What is shown of an opened arm before it moves; refused before a file is made."""
     from daq.session.device_limits import before_a_motion
     from daq.session.play import motion_rate, unreported_safety
 
@@ -357,7 +357,7 @@ def _to_mind(robot_file: RobotFile, driver: Driver, *, without_safety_status: bo
 
 
 def _to_mind_by_hand(driver: Driver, guiding: Guiding) -> list[str]:
-    """What a person is told of an opened arm before it is let go; refused before a file is made."""
+    """What is shown of an opened arm before it is let go; refused before a file is made."""
     from daq.session.guiding import require_guidable
     from daq.session.play import motion_rate
 

@@ -1,4 +1,4 @@
-"""Commanded and measured positions of a recording: what a servo was told, and what its encoder showed."""
+"""Commanded and measured positions of a recording: the goals of a servo, and what its encoder showed."""
 
 from __future__ import annotations
 

@@ -439,9 +439,13 @@ class Recording:
         shown = [stream.channels[quantity] for quantity in quantities or _ordered(stream)]
         panels = [
             LinePanel(
-                one.quantity, stream.time, dict(zip(one.columns, one.values.T, strict=True)), "time [s]", one.unit
+                channel.quantity,
+                stream.time,
+                dict(zip(channel.columns, channel.values.T, strict=True)),
+                "time [s]",
+                channel.unit,
             )
-            for one in shown
+            for channel in shown
         ]
         return line_figure(panels, 1, backend, linked=True)
 

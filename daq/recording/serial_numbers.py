@@ -1,4 +1,4 @@
-"""Which arm a recording is of, as its controller told: recordings of two arms are used together by mistake only."""
+"""Which arm a recording is of, as its controller reported: recordings of two arms are used together by mistake only."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SERIAL_EVENT = "serial number of the controller: "
 
 
 def serial_number(recording: Recording) -> str:
-    """The controller's serial number; empty where it was not told."""
+    """The controller's serial number; empty where it is unknown."""
     told = [event.message for event in recording.events if event.message.startswith(SERIAL_EVENT)]
     return told[-1].removeprefix(SERIAL_EVENT) if told else ""
 

@@ -230,7 +230,7 @@ def _joint(joint: UrdfJoint, truth: JointTruth | None) -> str:
     if joint.kind == "continuous":
         notes.append("continuous: a turn to either side was written")
     if position is None and joint.position is not None:
-        notes.append(f"the URDF says {list(joint.position)}, which are no limits in {unit}")
+        notes.append(f"the URDF says {list(joint.position)}, which cannot be limits in {unit}")
     velocity = joint.velocity if joint.velocity is None or VELOCITY_LIMIT.holds(joint.velocity) else None
     if velocity is None:
         stated = "states no velocity" if joint.velocity is None else f"says {joint.velocity:g} {unit}/s"

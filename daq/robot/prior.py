@@ -90,8 +90,8 @@ class Prior(Section):
 
 def known_problems(known: Mapping[str, Known]) -> list[str]:
     """What contradicts itself in `known`, a sentence each: no body has these masses, moments and inertias at once."""
-    low = {name: one.min if one.value is None else one.value for name, one in known.items()}
-    high = {name: one.max if one.value is None else one.value for name, one in known.items()}
+    low = {name: number.min if number.value is None else number.value for name, number in known.items()}
+    high = {name: number.max if number.value is None else number.value for name, number in known.items()}
     links = sorted({int(match[1]) for name in known if (match := OF_LINK.fullmatch(name))})
     problems = [
         f"known.M{link}: a mass of {most:g} kg or less is no body's"
@@ -131,8 +131,8 @@ def _moment_problems(link: int, low: Mapping[str, float | None], high: Mapping[s
         if moment is None or mass is None or mass <= 0:
             continue
         across = [f"M{axis}{link}" for axis in "XYZ" if axis != "XYZ"[place]]
-        named = [name, f"M{link}", *(one for one in across if one in low)]
-        least = sum(_least_square(low.get(one), high.get(one)) for one in across) / mass
+        named = [name, f"M{link}", *(value for value in across if value in low)]
+        least = sum(_least_square(low.get(value), high.get(value)) for value in across) / mass
         if moment <= least:
             yield (
                 f"no body satisfies these at once: {', '.join(f'known.{one}' for one in named)}: the mass at its "

@@ -115,7 +115,9 @@ def read_urdf_arm(xml: str, file_name: str, where: str, *, one_arm: bool = False
         raise RobotFileError("has no movable joint", where=where)
     kept = _longest_chain(driven, joints) if one_arm else driven
     positions = {
-        joint.get("name", ""): _still(_joint(joint, where)) for joint in driven if all(joint is not one for one in kept)
+        joint.get("name", ""): _still(_joint(joint, where))
+        for joint in driven
+        if all(joint is not link for link in kept)
     }
     mimics = _mimics(mimicking, {joint.get("name", "") for joint in driven}, where)
     for mimic in mimics:

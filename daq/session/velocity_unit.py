@@ -11,7 +11,7 @@ SLOWEST = 0.1
 LEAST, MOST = 0.5, 2.0
 """The velocity over the change of position, from which or up to which it is the same quantity, but for its filter."""
 WINDOWS = 6
-"""So many stretches in a row must show it, all on the same side; a velocity that repeats in all of them hangs."""
+"""So many segments in a row must show it, all on the same side; a velocity that repeats in all of them is stale."""
 
 
 class VelocityUnit:
@@ -26,7 +26,7 @@ class VelocityUnit:
         self._below, self._above = np.zeros((2, joints), dtype=int)
         self._last, self._varied = np.full(joints, np.nan), np.zeros(joints, dtype=bool)
         self.mean, self.speed = np.zeros(joints), np.zeros(joints)
-        """Of the stretch that was compared last [rad/s or m/s]."""
+        """Of the segment that was compared last [rad/s or m/s]."""
 
     def add(self, velocity: FloatArray, speed: FloatArray) -> IndexArray:
         """Take samples; returns the joints whose velocity is another quantity.

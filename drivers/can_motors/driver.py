@@ -38,7 +38,7 @@ class MotorIdentity:
         driving: whether it drives; None where it does not say.
         fault: in words; empty without.
         velocity_range, torque_range: full scale of its frames [rad/s, N·m]; nan where they carry plain numbers.
-        torque_constant: [N·m/A], told by the motor, else of its table; nan where neither says.
+        torque_constant: [N·m/A], read from the motor, else from its table; nan where neither says.
     """
 
     joint: str

@@ -25,7 +25,7 @@ def table_budget(settings: DriverSettings) -> Budget:
     # The table says which bytes it needs, not how long a frame is: 8 at worst. What is not in the joints' stream is
     # taken to come at most once a cycle.
     samples = [(layout.identifier, FRAME_BYTES) for layout in bus.frame_layouts("joints")]
-    others = [(identifier, FRAME_BYTES) for identifier in sorted(bus.identifiers - {one for one, _ in samples})]
+    others = [(identifier, FRAME_BYTES) for identifier in sorted(bus.identifiers - {entry for entry, _ in samples})]
     cycle = group("samples", samples) + group("other samples", others)
     if bus.poll is not None:
         cycle += group("requests", [(frame.identifier, len(frame.data)) for frame in bus.poll.frames])

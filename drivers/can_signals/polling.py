@@ -43,7 +43,7 @@ class PollAnswers:
         if now - self._since < ANSWER_LIMIT:
             return 0
         lost, self._since = self._least, now
-        self._missing -= lost  # less than nothing: more answers than polls, which are no loss
+        self._missing -= lost  # less than nothing: more answers than polls, which are not a loss
         self._least = self._missing
         return max(0, lost)
 

@@ -294,7 +294,7 @@ _NO_VALUES = frozenset(
     {"and", "are", "as", "asks", "exclude", "for", "gives", "if", "in", "is", "names", "needs", "of", "or", "sets"}
     | {"takes", "to", "was", "with", "would"}
 )
-"""Words after an option that are no value of it."""
+"""Words after an option that are not its value."""
 
 
 def _described(docstring: str, options: Any) -> str:

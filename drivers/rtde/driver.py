@@ -172,7 +172,7 @@ class RtdeDriver:
                 f"the controller {f'has serial number {own}' if own else 'tells no serial number'}, but the robot file "
                 f"expects {expected}",
                 where=self._settings.host,
-                hint="is this the right arm? The key 'serial' is the connection's; the number is told on port 29999",
+                hint="is this the right arm? The key 'serial' is the connection's; port 29999 gives the number",
             )
         self._state = "open"
 
@@ -228,7 +228,7 @@ class RtdeDriver:
         return None
 
     def cautions(self) -> tuple[str, ...]:
-        """Whether `device_limits` was told none, and why; whether our own program moves the arm."""
+        """Why `device_limits` has none, or empty; whether our own program moves the arm."""
         own = self._take_control is MotionProcess and not has_ur_rtde()
         return (*self._cautions, OWN_PROGRAM) if own else self._cautions
 
@@ -328,7 +328,7 @@ class RtdeDriver:
             self._controlled()
 
     def command(self, position: FloatArray) -> None:
-        """Send a joint position (6,) [rad] to be reached within one period; takes control where nobody has.
+        """Send a joint position (6,) [rad] to be reached within one period; takes control first if need be.
 
         Raises:
             DriverStateError: as `take_control`, or a first position is too far from where the arm stands.

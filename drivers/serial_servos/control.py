@@ -138,7 +138,7 @@ class ServoControl:
         """Look at the next servo, in turn: its fault bits.
 
         Raises:
-            DriverStateError: its torque is off though nobody switched it off.
+            DriverStateError: its torque is off though no command switched it off.
             ConnectionFailedError: it does not answer.
             ConnectionLostError: the port is gone.
         """

@@ -70,7 +70,7 @@ class Instants:
         block: (N,) which of `BLOCKS` consecutive parts an instant belongs to.
         time: (N,) stamps [s].
         temperature: (n, N) [K]; None where none was recorded.
-        friction: (n, c, N) columns that are no link's, filtered like the torque; None where the positions are others.
+        friction: (n, c, N) columns of no link, filtered like the torque; None where the positions are others.
         friction_columns: (c,) standard columns of these.
         tracks: that the instants are taken from.
         track: (N,) index of each instant's.

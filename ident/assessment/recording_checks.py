@@ -137,7 +137,7 @@ def recording_checks(
     checks += stale_checks(recording, of) + unit_checks(recording, of) + column_checks(recording, of)
     for quantity, joints in unsigned_signals(recording).items():
         text = (
-            f"{of}{quantity} never changes its sign though it comes back to 0 and the joints turn round "
+            f"{of}{quantity} never changes its sign though it comes back to 0 and the joints reverse "
             f"({', '.join(joints)}): it is a magnitude; say so in the robot file (drives: signal: magnitude) and "
             "identify a servo model from commands and encoder (--method servo), or record it with its sign"
         )

@@ -33,7 +33,7 @@ COUNTED = 0.5
 """Share of a window's samples that must count for a joint."""
 
 MOST_TIME = 0.25
-"""Share of the time beyond which bursts are no exceptions, and the model is wrong."""
+"""Share of the time beyond which bursts are the rule, and the model is wrong."""
 
 APART = 0.5
 """[s]; bursts that are closer are one."""

@@ -27,7 +27,7 @@ POSES = 200
 """Random poses at which the inertia matrix is looked at."""
 
 SETTLING = 1.0
-"""[s] of a servo motion that do not count: nobody knows its state at the beginning."""
+"""[s] of a servo motion that do not count: its state at the beginning is unknown."""
 
 
 @dataclass(frozen=True)

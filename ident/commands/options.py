@@ -97,7 +97,7 @@ def refuse_options_but(taken: Collection[str], options: IdentifyOptions, mode: s
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions(Options):
-    """What `export` is told: a model, and the files to write of it."""
+    """Options of `export`: a model, and the files to write of it."""
 
     model: Path = field(metadata=argument("model", "Folder that identify wrote, or its result.json."))
     urdf: Path | None = option(None, "URDF to write: the robot's own, or a complete one from MDH.")

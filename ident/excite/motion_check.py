@@ -73,7 +73,7 @@ class ArmMotionCheck:
         Args:
             robot_file: the arm.
             prior: result.json whose parameters predict torque; those of the file's truth where None.
-            self_collision: whether links are kept apart; a design may be told to leave that to its user.
+            self_collision: whether links are kept apart; a design may leave that to its user.
 
         Raises:
             DynidError: the geometry or the result cannot be used.

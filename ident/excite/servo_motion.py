@@ -115,7 +115,7 @@ def servo_excitation(
     time = np.asarray(np.arange(len(position)) * PERIOD, dtype=np.float64)
     motion = SampledMotion(time, position.T)
     figures = check.trajectory(motion, "the motion for a servo model")
-    enough = bool(forecast) and all(one.then <= one.wanted for one in forecast)
+    enough = bool(forecast) and all(entry.then <= entry.wanted for entry in forecast)
     return ServoExcitation(motion, position, tuple(chosen), forecast, enough, figures)
 
 
@@ -172,9 +172,9 @@ def _clear_pieces(check: ArmMotionCheck, poses: FloatArray, room: Room, seed: in
         for number, pose in enumerate(poses)
         for kind in KINDS
     ]
-    stacked = np.concatenate([one.position[::4] for one in made])
+    stacked = np.concatenate([piece.position[::4] for piece in made])
     clear = np.all(check.clear(stacked.T).reshape(len(made), -1), axis=1).tolist()
-    pieces = [one for one, fine in zip(made, clear, strict=True) if fine]
+    pieces = [piece for piece, fine in zip(made, clear, strict=True) if fine]
     if not pieces:
         raise UsageError("every piece of motion comes too near to something", hint="correct 'workspace'")
     return pieces
@@ -186,7 +186,7 @@ def _seconds(pieces: Sequence[ServoSegment], poses: FloatArray, room: Room) -> f
 
 def _ladder(pieces: list[ServoSegment], poses: FloatArray, room: Room, length: float) -> list[ServoSegment]:
     """Pieces of all kinds in turn, pose after pose and amplitude after amplitude, as long as there is time."""
-    turns = [[one for one in pieces if one.kind == kind] for kind in KINDS]
+    turns = [[piece for piece in pieces if piece.kind == kind] for kind in KINDS]
     chosen: list[ServoSegment] = []
     for turn in range(round(length)):
         for own in turns:
@@ -243,7 +243,7 @@ class _Known:
     def shown_by(self, links: ServoLinks, pieces: Sequence[ServoSegment]) -> list[list[FloatArray]]:
         """Information (f, f) of each piece about each joint."""
         values, joints = self.result.values, len(self.result.joints)
-        motions = [_held_before(one.position) for one in pieces]
+        motions = [_held_before(piece.position) for piece in pieces]
         zero = values[:, INDEX["zero"]]
         loads = [motion_load(links, motion, motion.time, motion.position, zero) for motion in motions]
         lanes = lanes_of(motions, loads, None)
@@ -299,8 +299,8 @@ def _narrowing(
         before = known.cost(information)
         best: tuple[float, int] | None = None
         used = _seconds(chosen, poses, room)
-        for number, one in enumerate(pieces):
-            longer = _seconds([*chosen, one], poses, room)
+        for number, piece in enumerate(pieces):
+            longer = _seconds([*chosen, piece], poses, room)
             if longer > length:
                 continue
             after = known.cost([old + new for old, new in zip(information, shown[number], strict=True)])

@@ -18,7 +18,9 @@ from ident.friction.table import OPTIONS
 AUTO = "auto"
 BASES = ("none", "viscous", "coulomb", "coulomb-viscous")
 GROUPS = list(dict.fromkeys(option.group for option in OPTIONS))
-WORDS = {one.word: one for one in sorted(OPTIONS, key=lambda one: (GROUPS.index(one.group), one.word))}
+WORDS = {
+    option.word: option for option in sorted(OPTIONS, key=lambda option: (GROUPS.index(option.group), option.word))
+}
 """What each word asks for."""
 
 

@@ -63,7 +63,11 @@ class ArmHistory:
     @property
     def findings(self) -> tuple[ParameterHistory, ...]:
         """Parameters that changed or stepped."""
-        return tuple(one for one in self.parameters if one.significant or (one.trend is not None and one.trend.steps))
+        return tuple(
+            parameter
+            for parameter in self.parameters
+            if parameter.significant or (parameter.trend is not None and parameter.trend.steps)
+        )
 
 
 def arm_history(arm: str, entries: Sequence[HistoryEntry]) -> ArmHistory:
@@ -105,13 +109,15 @@ def _parameter(name: str, values: Sequence[tuple[float, KeptValue]], step_level:
 def _judged(parameters: Sequence[ParameterHistory]) -> list[ParameterHistory]:
     """By falling significance; what is below Holm's bound is a finding."""
 
-    def p_value(one: ParameterHistory) -> float:
-        return np.inf if one.trend is None else one.trend.p_value
+    def p_value(entry: ParameterHistory) -> float:
+        return np.inf if entry.trend is None else entry.trend.p_value
 
     ordered = sorted(parameters, key=p_value)
-    tested = sum(one.trend is not None for one in ordered)
+    tested = sum(entry.trend is not None for entry in ordered)
     judged, significant = [], True
-    for place, one in enumerate(ordered):
-        significant = significant and p_value(one) <= TREND_LEVEL / max(tested - place, 1)
-        judged.append(replace(one, significant=significant))
-    return sorted(judged, key=lambda one: not (one.significant or (one.trend is not None and bool(one.trend.steps))))
+    for place, entry in enumerate(ordered):
+        significant = significant and p_value(entry) <= TREND_LEVEL / max(tested - place, 1)
+        judged.append(replace(entry, significant=significant))
+    return sorted(
+        judged, key=lambda entry: not (entry.significant or (entry.trend is not None and bool(entry.trend.steps)))
+    )

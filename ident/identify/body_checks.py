@@ -66,12 +66,12 @@ def body_checks(
     checks += _centre_checks(model, masses, links[:, 6:9] / masses[:, None])
     assumed = [armature for armature in consistent.armatures if armature.source == ASSUMED]
     if assumed:
-        values = ", ".join(f"{one.joint} {one.value:.2g}" for one in assumed)
+        values = ", ".join(f"{body.joint} {body.value:.2g}" for body in assumed)
         text = (
             "the torque sensors do not see the motors' inertia, and simulation and MJCF assume one per joint "
             f"[kg·m²]: {values}; state it in the robot file (drives[].armature)"
         )
-        checks.append(raised("armature-assumed", text, [one.joint for one in assumed]))
+        checks.append(raised("armature-assumed", text, [body.joint for body in assumed]))
     return checks
 
 

@@ -88,13 +88,14 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     levels = torque_level_checks(identification.robot_file, identification.model, torque)
     # A torque beyond its limit that is another joint's is explained.
     exchanged = any(
-        "exchanged" in one.name or (one.name == "sign-or-column" and "exchanged" in one.text) for one in mistakes
+        "exchanged" in mistake.name or (mistake.name == "sign-or-column" and "exchanged" in mistake.text)
+        for mistake in mistakes
     )
     checks += [] if exchanged else levels
     checks += delay_checks(identification.delay)
     checks += cutoff_checks(identification.lowered)
     clipped = {joint for check in checks if check.name == "signal-clipped" for joint in check.joints}
-    named_already = unsound or bool(clipped) or any(one.severity == "serious" for one in mistakes)
+    named_already = unsound or bool(clipped) or any(mistake.severity == "serious" for mistake in mistakes)
     checks += [] if named_already else burst_checks(identification)
     checks += _size_checks(identification)
     checks += _convergence_checks(identification)
@@ -107,7 +108,9 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     model_errors = (*of_gains, *of_lengths, "joint-zero", "gravity-direction", "position-late")
     checks += idle
     checks += [
-        one for one in mistakes if one.name not in model_errors or not (idle or clipped.intersection(one.joints))
+        mistake
+        for mistake in mistakes
+        if mistake.name not in model_errors or not (idle or clipped.intersection(mistake.joints))
     ]
     checks += _reversal_checks(identification)
     share = _indefinite_share(identification)
@@ -131,7 +134,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     checks += [] if named or levels else _weight_checks(identification)
     if consistent is not None and (sliding := weights_in_offsets(identification.model, identification.base)):
         text = (
-            f"the data hold the sum of weight and constant friction of {', '.join(sliding)}; how much of it is weight, "
+            f"the data hold the sum of weight and constant friction of {', '.join(sliding)}; how much is weight, "
             "the physically consistent model says by its masses alone, which the prior decides with the data"
         )
         checks.append(raised("weight-not-separate", text))
@@ -325,8 +328,8 @@ def _convergence_checks(identification: Identification) -> list[Check]:
         beyond = int(np.sum(distance > WITHIN_95_PERCENT))
         reduction = identification.reduction
         costs = [
-            float(np.sqrt(np.sum(optimum.weights**2 * reduction.residual_sums(one.parameters))))
-            for one in (solution, optimum)
+            float(np.sqrt(np.sum(optimum.weights**2 * reduction.residual_sums(estimate.parameters))))
+            for estimate in (solution, optimum)
         ]
         above = costs[0] / max(costs[1], np.finfo(float).tiny) - 1.0
         if not beyond and above <= SEARCH_GAP:

@@ -97,7 +97,7 @@ def lowered_cutoffs(
         return None
     slowest = tried[-1][1]
     slow = parallel_filter(slowest.cutoffs, choices.filter, slowest.segments[0].rate)
-    errors = [_held_out_error(kernel, one, slow, torques) for _, one in tried]
+    errors = [_held_out_error(kernel, choice, slow, torques) for _, choice in tried]
     best = next(place for place, error in enumerate(errors) if error <= AS_GOOD * min(errors))
     if errors[best] > BETTER * errors[0]:
         return None
@@ -120,7 +120,7 @@ def cutoff_checks(lowered: LoweredCutoffs | None) -> list[Check]:
 
 def _jitters(prepared: Prepared, lower: Prepared, torques: Sequence[int]) -> bool:
     """Whether the acceleration of most motors grows with the cut-off."""
-    first, second = (_acceleration(one)[list(torques)] for one in (prepared, lower))
+    first, second = (_acceleration(run)[list(torques)] for run in (prepared, lower))
     moving = second > 0.0
     return bool(moving.any()) and float(np.median(first[moving] / second[moving])) > GROWTH
 

@@ -110,12 +110,12 @@ def experiment_terms(experiment: FrictionExperimentResult, robot: str, names: Se
     joints = {joint.joint: joint for joint in experiment.joints}
     measured: list[JointFrictionExperiment | None] = [joints.get(name) for name in names]
     terms = no_terms(len(names))
-    for motor, one in enumerate(measured):
-        if one is None:
+    for motor, held in enumerate(measured):
+        if held is None:
             continue
-        terms = terms.with_kinds(motor, [kind for kind in one.kinds if kind in FURTHER_KINDS])
+        terms = terms.with_kinds(motor, [kind for kind in held.kinds if kind in FURTHER_KINDS])
         for name in SHAPES:
-            value = one.shape_value(name)
+            value = held.shape_value(name)
             if value is not None:
                 terms = terms.with_shape(name, motor, value)
     return terms

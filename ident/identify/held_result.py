@@ -82,7 +82,10 @@ def _friction(friction: list[JointFrictionResult], held: HeldFriction) -> list[J
     names = held.model.joint_names
     held_joints = {names[joint.motor]: joint for joint in held.joints}
     return [
-        one.model_copy(update=_beta(held_joints[one.joint])) if one.joint in held_joints else one for one in friction
+        joint_friction.model_copy(update=_beta(held_joints[joint_friction.joint]))
+        if joint_friction.joint in held_joints
+        else joint_friction
+        for joint_friction in friction
     ]
 
 
@@ -122,7 +125,7 @@ def _estimate(estimate: EstimateResult, model: DynamicModel, held: HeldFriction)
     count, size = len(estimate.parameters), len(names)
     root, covariance = np.zeros((size, size)), np.zeros((size, size))
     root[:count, :count] = estimate.root
-    covariance[:count, :count] = [[np.inf if one is None else one for one in row] for row in estimate.covariance]
+    covariance[:count, :count] = [[np.inf if entry is None else entry for entry in row] for row in estimate.covariance]
     for block in blocks:
         part = slice(count, count + len(block))
         root[part, part] = np.linalg.cholesky(np.linalg.inv(block)).T

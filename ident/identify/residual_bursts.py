@@ -49,7 +49,7 @@ ROBUST = ("irls", "iirls")
 def burst_checks(identification: Identification) -> list[Check]:
     """Stretches of time in which something touched the arm; none for a method that fits no torques."""
     torques = identification.experiment.torques
-    errors = [one.relative_error for one in (identification.fit, identification.validation) if one is not None]
+    errors = [fit.relative_error for fit in (identification.fit, identification.validation) if fit is not None]
     small = max(errors) < LEAST_ERROR
     if identification.choices.estimator.equations == "energy" or not torques or small:
         return []
@@ -78,7 +78,7 @@ def burst_checks(identification: Identification) -> list[Check]:
             )
         ]
         for part, bursts in zip(series, suspect or [[] for _ in series], strict=True):
-            kept = part.counted & ~np.any([one.within(part.time) for one in bursts] or [np.zeros(1, bool)], axis=0)
+            kept = part.counted & ~np.any([burst.within(part.time) for burst in bursts] or [np.zeros(1, bool)], axis=0)
             squares += float(np.sum(np.where(kept, part.residual**2, 0.0)))
             power += float(np.sum(np.where(kept, part.measured**2, 0.0)))
         found = windows(_away_from_gaps(runs, series), torques, suspect or None)
@@ -145,5 +145,5 @@ def _texts(prepared: Prepared, first: float, place: Iterator[list[Burst]], label
     """The bursts of a run as times [s] after its first stamp."""
     before = f"{label}: " if label else ""
     return [
-        f"{before}{one.start - first:.1f}-{one.stop - first:.1f} s" for _ in prepared.segments for one in next(place)
+        f"{before}{span.start - first:.1f}-{span.stop - first:.1f} s" for _ in prepared.segments for span in next(place)
     ]

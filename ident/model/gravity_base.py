@@ -60,5 +60,5 @@ def gravity_rows(model: DynamicModel, base: BaseParameters, position: FloatArray
 
 
 def gravity_columns(base: BaseParameters) -> list[int]:
-    """Indices of the parameters that are no offset, and thus weigh."""
+    """Indices of the parameters other than offsets, which thus weigh."""
     return [index for index, kind in enumerate(base.kinds) if kind == "inertial"]

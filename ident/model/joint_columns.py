@@ -1,4 +1,4 @@
-"""Columns of the regressor that are no link's: motor inertia, friction and offset (SR400 eq. 6-8; AUBO eq. 3-6).
+"""Columns of the regressor that belong to no link: motor inertia, friction and offset (SR400 eq. 6-8; AUBO eq. 3-6).
 
 Each is one signal of the motion, put into one motor's row, or into several for the friction of a coupled pair. For a
 motor that several joints move, inertia and friction follow the motor: Ia on q̈m, Fvm on q̇m, Fsm on sign(q̇m), q̇m = R·q̇,

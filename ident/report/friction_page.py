@@ -72,7 +72,7 @@ LOAD_CAPTION = (
 def _tiles(result: FrictionExperimentResult) -> list[Tile]:
     torque = common_unit("N·m", [joint.sliding for joint in result.joints])
     heat = [joint.temperature_range for joint in result.joints if joint.temperature_range is not None]
-    widest = max((one.greatest - one.least for one in heat), default=None)
+    widest = max((span.greatest - span.least for span in heat), default=None)
     return [
         Tile("Joints", str(len(result.joints)), f"of {len(result.joints) + len(result.not_moved)}"),
         Tile("Recordings", str(len(result.recordings))),

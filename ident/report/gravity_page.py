@@ -35,9 +35,11 @@ def gravity_page(experiment: GravityExperiment) -> str:
 
 def _tiles(result: GravityResult) -> list[Tile]:
     unit = common_unit("N·m", result.sliding)
-    shares = [one.held_out_rms / one.gravity for one in result.of_joints if one.held_out_rms and one.gravity > 0]
-    worst = max((one.held_out_max for one in result.of_joints if one.held_out_max is not None), default=None)
-    determined = sum(one.value is not None for one in result.gravity_parameters)
+    shares = [
+        joint.held_out_rms / joint.gravity for joint in result.of_joints if joint.held_out_rms and joint.gravity > 0
+    ]
+    worst = max((joint.held_out_max for joint in result.of_joints if joint.held_out_max is not None), default=None)
+    determined = sum(parameter.value is not None for parameter in result.gravity_parameters)
     return [
         Tile("Error of gravity", percent_text(float(np.median(shares)), 2) if shares else "–", "median of the joints"),
         Tile("Largest error", "–" if worst is None else f"{number(worst, 2)} {unit}", "in a pose left out"),

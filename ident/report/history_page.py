@@ -45,13 +45,13 @@ def history_page(history: ArmHistory) -> str:
 
 def series_figure(history: ArmHistory) -> Figure:
     """Values and trends of the parameters over time, at most `MOST_PANELS`."""
-    panels = [_panel(one, place == 0) for place, one in enumerate(history.parameters[:MOST_PANELS])]
+    panels = [_panel(parameter, place == 0) for place, parameter in enumerate(history.parameters[:MOST_PANELS])]
     rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
     return panel_figure("series-plot", rows, CAPTION)
 
 
-def _panel(one: ParameterHistory, first: bool) -> Panel:
-    trend, series = one.trend, one.series
+def _panel(parameter: ParameterHistory, first: bool) -> Panel:
+    trend, series = parameter.trend, parameter.series
     times = [1000.0 * time for time in series.time]
     values = series.value if trend is None else trend.corrected
     traces: list[dict[str, Any]] = [
@@ -86,11 +86,11 @@ def _panel(one: ParameterHistory, first: bool) -> Panel:
     at = "" if trend is None or trend.mean_temperature is None else f", at {trend.mean_temperature:.1f} °C"
     steps = () if trend is None else trend.steps
     return Panel(
-        one.name,
-        f"<b>{plain(one.name)}</b> {plain(one.joint)}: {plain(one.kind)}{at}",
+        parameter.name,
+        f"<b>{plain(parameter.name)}</b> {plain(parameter.joint)}: {plain(parameter.kind)}{at}",
         traces,
         x={"type": "date", "nticks": 4},
-        y={"title": {"text": one.unit}},
+        y={"title": {"text": parameter.unit}},
         vertical=[(1000.0 * step.after, {"color": RESIDUAL, "width": 1, "dash": "dot"}) for step in steps],
         height=170,
     )

@@ -76,7 +76,7 @@ class JointFrictionResult(Stored):
     def coefficient(self, kind: str) -> float | None:
         """Value of a term that depends on the velocity alone, or on the load; None where the joint has none."""
         named: float | None = getattr(self, kind, None)
-        return next((one.value for one in self.further if one.kind == kind), named)
+        return next((term.value for term in self.further if term.kind == kind), named)
 
     def shape_value(self, name: str) -> float | None:
         """The shape of this name; None where the joint has none but the plain one."""

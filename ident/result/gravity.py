@@ -108,8 +108,16 @@ class GravityResult(Stored):
     def parameters(self) -> Table:
         """Every parameter with its 95 % interval."""
         rows: list[list[Cell]] = [
-            [one.name, one.joint, one.value, one.low, one.high, one.unit, one.note or one.expression]
-            for one in self.gravity_parameters
+            [
+                parameter.name,
+                parameter.joint,
+                parameter.value,
+                parameter.low,
+                parameter.high,
+                parameter.unit,
+                parameter.note or parameter.expression,
+            ]
+            for parameter in self.gravity_parameters
         ]
         headings = [(name, "") for name in ("name", "joint", "value", "low", "high", "unit", "meaning")]
         return table_of_rows(f"Gravity parameters of {self.robot}, 95 % intervals", headings, rows)
@@ -121,16 +129,18 @@ class GravityResult(Stored):
             (name, "")
             for name in ("joint", "gravity", "held_out_error", "worst", "friction", "friction_±", "offset", "unit")
         ]
-        known = [one.model_file_rms is not None for one in self.of_joints]
+        known = [joint.model_file_rms is not None for joint in self.of_joints]
         if any(known):
             headings.insert(4, ("robot_file", ""))
-        offsets = {one.joint: one.value for one in self.gravity_parameters if one.kind == "offset"}
+        offsets = {
+            parameter.joint: parameter.value for parameter in self.gravity_parameters if parameter.kind == "offset"
+        }
         rows: list[list[Cell]] = []
-        for one in self.of_joints:
-            row: list[Cell] = [one.joint, one.gravity, one.held_out_rms, one.held_out_max]
+        for joint in self.of_joints:
+            row: list[Cell] = [joint.joint, joint.gravity, joint.held_out_rms, joint.held_out_max]
             if any(known):
-                row.append(one.model_file_rms)
-            row += [one.friction, one.friction_interval, offsets.get(one.joint), one.unit]
+                row.append(joint.model_file_rms)
+            row += [joint.friction, joint.friction_interval, offsets.get(joint.joint), joint.unit]
             rows.append(row)
         return table_of_rows(f"Torques of {self.robot} in held-out poses (root mean square)", headings, rows)
 
@@ -144,7 +154,7 @@ class GravityResult(Stored):
             else zip(self.of_joints, self.validation.rms, self.validation.max, strict=True)
         )
         rows: list[list[Cell]] = [
-            [one.joint, one.gravity, rms, largest, one.friction, one.unit] for one, rms, largest in shown
+            [entry.joint, entry.gravity, rms, largest, entry.friction, entry.unit] for entry, rms, largest in shown
         ]
         return table_of_rows(f"Torques of {self.robot} on other recordings (root mean square)", headings, rows)
 

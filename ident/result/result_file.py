@@ -189,7 +189,7 @@ def stored_model(result: Result) -> StoredModel:
         raise ResultFileError("names no Coulomb parameter of this model", where="presliding.travels", hint=AGAIN)
     load = options.terms.load_torque
     if load is not None and not all(0 <= column < len(INERTIAL) * len(model.joints) for column in load.columns):
-        raise ResultFileError("names columns that are no link's", where="model_options.terms.load_torque", hint=AGAIN)
+        raise ResultFileError("names columns of no link", where="model_options.terms.load_torque", hint=AGAIN)
     experiments = tuple(
         stored.restored(model, f"experiments.{index}") for index, stored in enumerate(result.experiments)
     )

@@ -186,7 +186,7 @@ def table_of_rows(title: str, columns: Sequence[Column | tuple[str, str]], rows:
     """A table from rows; `columns` are without cells, or a name and a unit each."""
     empty = [column if isinstance(column, Column) else Column(column[0], unit=column[1]) for column in columns]
     cells = list(zip(*rows, strict=True)) if rows else [()] * len(empty)
-    return Table(title, tuple(replace(one, cells=tuple(own)) for one, own in zip(empty, cells, strict=True)))
+    return Table(title, tuple(replace(blank, cells=tuple(own)) for blank, own in zip(empty, cells, strict=True)))
 
 
 def table_of(title: str, columns: Sequence[Column], rows: Sequence[object]) -> Table:

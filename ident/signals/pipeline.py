@@ -226,9 +226,11 @@ def _outlier_step(signals: JointSignals) -> Step | None:
     """Step 'outliers': what was replaced when the signals were read, in the whole recording."""
     if not signals.replaced:
         return None
-    counts = ", ".join(f"{one.quantity} of {one.joint} {one.count}" for one in signals.replaced)
+    counts = ", ".join(f"{replaced.quantity} of {replaced.joint} {replaced.count}" for replaced in signals.replaced)
     text = f"single samples far from what their neighbours say, replaced by that: {counts}"
-    return Step("outliers", {f"{one.quantity}_{one.joint}": one.count for one in signals.replaced}, text)
+    return Step(
+        "outliers", {f"{replaced.quantity}_{replaced.joint}": replaced.count for replaced in signals.replaced}, text
+    )
 
 
 def _uniform(recorded: UniformSegment, irregularity: Irregularity) -> tuple[tuple[UniformSegment, ...], Step]:

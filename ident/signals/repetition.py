@@ -1,7 +1,7 @@
 """Where a motion repeats itself, within a recording or from one to the next.
 
 Excitation trajectories are periodic and are recorded for several periods. Noise averages out over them, but an error
-that depends on the motion (ripple, a missing friction term) repeats, too: repetitions are no new evidence
+that depends on the motion (ripple, a missing friction term) repeats, too: repetitions are not new evidence
 against it. Error bars must therefore treat samples of the same phase as one, which needs to be found in the data.
 """
 

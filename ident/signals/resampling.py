@@ -144,7 +144,7 @@ def shift_torque(torque: FloatArray, rate: float, delay: float) -> FloatArray:
     """The torque `delay` [s] later: `torque` (n, N) at `rate` [Hz] → (n, N), column k at time t_k + delay.
 
     Cubic through the four neighbours (Lagrange). Positive where the torque lags behind the position. Before the first
-    and after the last sample the end's value is held: those columns are no measurements, see `shiftable`.
+    and after the last sample the end's value is held: those columns are not measurements, see `shiftable`.
     """
     whole, fraction = _whole_and_fraction(delay * rate)
     last = torque.shape[1] - 1

@@ -76,11 +76,11 @@ def overlap(hashes: HashArray, others: Iterable[Sequence[int]]) -> float:
     kept = [other for other in others if len(other)]
     if not kept or not len(hashes):
         return 0.0
-    complete = min((max(one) for one in kept if len(one) >= KEPT), default=1 << BITS)
+    complete = min((max(of_run) for of_run in kept if len(of_run) >= KEPT), default=1 << BITS)
     comparable = hashes[hashes <= np.uint64(complete)]
     if not len(comparable):
         return 0.0
-    common = np.isin(comparable, np.concatenate([np.asarray(one, dtype=np.uint64) for one in kept]))
+    common = np.isin(comparable, np.concatenate([np.asarray(of_run, dtype=np.uint64) for of_run in kept]))
     share = float(np.mean(common))
     return 0.0 if share <= LEAST_OVERLAP else 1.0 if share >= SAME_DATA else share
 
@@ -222,14 +222,15 @@ def _aligned(
     need = SEGMENT * (FEWEST_SEGMENTS + 1) // 2
     if min(len(time), len(other_time)) < need or torque.shape[1] != other_torque.shape[1]:
         return None
-    step = max(float(np.median(np.diff(one))) for one in (time, other_time))
+    step = max(float(np.median(np.diff(stamps))) for stamps in (time, other_time))
     if not step > 0.0:
         return None
     first, second = _on_grid(time, torque, step, 0.0), _on_grid(other_time, other_torque, step, 0.0)
     if min(len(first), len(second)) < need:
         return None
     changes = [
-        np.diff(one, axis=0) / np.maximum(np.std(torque, axis=0), np.finfo(float).tiny) for one in (first, second)
+        np.diff(torques, axis=0) / np.maximum(np.std(torque, axis=0), np.finfo(float).tiny)
+        for torques in (first, second)
     ]
     pairs = zip(changes[0].T, changes[1].T, strict=True)
     match = np.sum([correlate(a, b, method="fft") for a, b in pairs], axis=0)
@@ -261,14 +262,17 @@ def _slopes(of: FloatArray, on: FloatArray, noise: FloatArray) -> FloatArray:
     window = np.hanning(SEGMENT)[:, None]
     spectra = [
         np.array(
-            [np.fft.rfft(window * (one[k : k + SEGMENT] - one[k : k + SEGMENT].mean(axis=0)), axis=0) for k in starts]
+            [
+                np.fft.rfft(window * (signal[k : k + SEGMENT] - signal[k : k + SEGMENT].mean(axis=0)), axis=0)
+                for k in starts
+            ]
         )
-        for one in (of, on)
+        for signal in (of, on)
     ]
     edges = np.round(np.linspace(*BAND, BANDS + 1) * SEGMENT).astype(int)
     slopes = np.full((of.shape[1] * BANDS, 4), np.nan)
     for joint in range(of.shape[1]):
-        y, x = (one[:, :, joint] for one in spectra)
+        y, x = (spectrum[:, :, joint] for spectrum in spectra)
         whole = float(np.sum(np.abs(x) ** 2))
         scale = float(np.sum((y * x.conj()).real)) / whole if whole > 0.0 else 0.0
         for band, (low, high) in enumerate(pairwise(edges)):

@@ -84,8 +84,8 @@ def held_out_of(runs: Runs | None) -> list[Recording]:
 
 def paths_of(*given: object) -> list[Path]:
     """The paths among arguments of a task, and in lists of them; recordings that were read already have none."""
-    flat = [one for part in given for one in (part if isinstance(part, (list, tuple)) else [part])]
-    return [Path(one) for one in flat if isinstance(one, (str, PathLike))]
+    flat = [run for part in given for run in (part if isinstance(part, (list, tuple)) else [part])]
+    return [Path(run) for run in flat if isinstance(run, (str, PathLike))]
 
 
 Limits = Mapping[str, Any] | str | PathLike[str]

@@ -138,31 +138,31 @@ def _servo_result(given: object) -> ServoResult | None:
     return None
 
 
-def _servo_difference(one: ServoResult, other: ServoResult) -> ModelDifference:
-    refuse_other_arm(one, other)
-    grades = [["simulation", one.verdict.grade, other.verdict.grade]]
-    checks = [result.verdict.checks for result in (one, other)]
+def _servo_difference(first: ServoResult, other: ServoResult) -> ModelDifference:
+    refuse_other_arm(first, other)
+    grades = [["simulation", first.verdict.grade, other.verdict.grade]]
+    checks = [result.verdict.checks for result in (first, other)]
     raised = [
         [check, *("raised" if check in own else None for own in checks)]
         for check in dict.fromkeys(checks[0] + checks[1])
     ]
     return ModelDifference(
-        parameters=parameter_differences(one, other),
-        errors=error_differences(one, other),
+        parameters=parameter_differences(first, other),
+        errors=error_differences(first, other),
         purposes=table_of_rows("Verdict", [(name, "") for name in ("purpose", "first", "second")], grades),
         checks=table_of_rows("Checks", [(name, "") for name in ("check", "first", "second")], raised),
-        test=parameters_agree(one, other),
-        shared=_shared(one, other),
+        test=parameters_agree(first, other),
+        shared=_shared(first, other),
         what="servo parameters",
     )
 
 
-def _check_comparable(one: Result, other: Result) -> None:
-    if one.robot != other.robot:
-        raise UsageError(f"the models are of different robots: {one.robot} and {other.robot}")
-    if one.joints != other.joints:
-        raise UsageError(f"the models have different joints: {', '.join(one.joints)}; {', '.join(other.joints)}")
-    texts = [{entry.name: entry.expression for entry in result.base_parameters} for result in (one, other)]
+def _check_comparable(first: Result, other: Result) -> None:
+    if first.robot != other.robot:
+        raise UsageError(f"the models are of different robots: {first.robot} and {other.robot}")
+    if first.joints != other.joints:
+        raise UsageError(f"the models have different joints: {', '.join(first.joints)}; {', '.join(other.joints)}")
+    texts = [{entry.name: entry.expression for entry in result.base_parameters} for result in (first, other)]
     apart = [name for name in {**texts[0], **texts[1]} if texts[0].get(name) != texts[1].get(name)]
     if apart:
         raise UsageError(
@@ -171,21 +171,21 @@ def _check_comparable(one: Result, other: Result) -> None:
         )
 
 
-def _parameters(one: Result, other: Result) -> Table:
+def _parameters(first: Result, other: Result) -> Table:
     second = {entry.name: entry for entry in other.base_parameters}
     rows: list[tuple[Cell, ...]] = []
-    for entry in one.base_parameters:
+    for entry in first.base_parameters:
         twin = second[entry.name]
         difference = None if entry.value is None or twin.value is None else twin.value - entry.value
         variance = None if entry.std is None or twin.std is None else entry.std**2 + twin.std**2
         score = None if difference is None or not variance else difference / variance**0.5
         rows.append((entry.name, entry.value, entry.std, twin.value, twin.std, difference, score, entry.unit))
     names = ("name", "first", "first_std", "second", "second_std", "difference", "z", "unit")
-    return table_of_rows(f"Base parameters of {one.robot}", [(name, "") for name in names], rows)
+    return table_of_rows(f"Base parameters of {first.robot}", [(name, "") for name in names], rows)
 
 
-def _errors(one: Result, other: Result) -> Table:
-    delivered = (one.delivered, other.delivered)
+def _errors(first: Result, other: Result) -> Table:
+    delivered = (first.delivered, other.delivered)
     fits = tuple(None if part is None else part.validation_all_samples for part in delivered)
     rows: list[tuple[Cell, ...]] = [
         (
@@ -193,12 +193,12 @@ def _errors(one: Result, other: Result) -> Table:
             *(_entry(fit, "rmse", i) for fit in fits),
             *(in_percent(_entry(fit, "joint_relative_error", i)) for fit in fits),
         )
-        for i, joint in enumerate(one.joints)
+        for i, joint in enumerate(first.joints)
     ]
     rows.append(("all", None, None, *(in_percent(None if fit is None else fit.relative_error) for fit in fits)))
-    unit = one.unit("N·m")
+    unit = first.unit("N·m")
     headings = [("joint", ""), ("first_rmse", unit), ("second_rmse", unit), ("first", "%"), ("second", "%")]
-    return table_of_rows(f"Held-out errors: {one.validation_source}; {other.validation_source}", headings, rows)
+    return table_of_rows(f"Held-out errors: {first.validation_source}; {other.validation_source}", headings, rows)
 
 
 def _entry(fit: Fit | None, quantity: str, joint: int) -> float | None:
@@ -206,16 +206,16 @@ def _entry(fit: Fit | None, quantity: str, joint: int) -> float | None:
     return values[joint] if joint < len(values) else None
 
 
-def _purposes(one: Result, other: Result) -> Table:
+def _purposes(first: Result, other: Result) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for purpose, words in PURPOSE_WORDS.items():
-        judged = [result.verdict.purposes.get(purpose) for result in (one, other)]
+        judged = [result.verdict.purposes.get(purpose) for result in (first, other)]
         rows.append((words, *(None if found is None else found.grade for found in judged)))
     return table_of_rows("Verdict", [(name, "") for name in ("purpose", "first", "second")], rows)
 
 
-def _checks(one: Result, other: Result) -> Table:
-    severities = [{check.name: check.severity for check in result.verdict.checks} for result in (one, other)]
+def _checks(first: Result, other: Result) -> Table:
+    severities = [{check.name: check.severity for check in result.verdict.checks} for result in (first, other)]
     rows: list[tuple[Cell, ...]] = [
         (name, severities[0].get(name), severities[1].get(name)) for name in {**severities[0], **severities[1]}
     ]
@@ -263,6 +263,6 @@ def _scaled_covariance(estimate: Estimate) -> FloatArray:
     return np.asarray(ratio * (inverse @ inverse.T))
 
 
-def _shared(one: Result | ServoResult, other: Result | ServoResult) -> tuple[str, ...]:
+def _shared(first: Result | ServoResult, other: Result | ServoResult) -> tuple[str, ...]:
     used = {use.sha256 for use in other.recordings if use.role == "identification"}
-    return tuple(use.file for use in one.recordings if use.role == "identification" and use.sha256 in used)
+    return tuple(use.file for use in first.recordings if use.role == "identification" and use.sha256 in used)

@@ -358,7 +358,7 @@ def design_servo_motion(options: ServoMotionOptions) -> tuple[ExcitationTrajecto
     )
     if designed.motion is None:
         return None, designed
-    kinds = ", ".join(f"{sum(one.kind == kind for one in designed.segments)} {kind}" for kind in KINDS)
+    kinds = ", ".join(f"{sum(segment.kind == kind for segment in designed.segments)} {kind}" for kind in KINDS)
     trajectory = SamplesTrajectory(
         robot=robot_file.robot.name,
         comment=f"designed by dynid excite --for servo: {kinds}",

@@ -107,9 +107,9 @@ class MonitoredRun:
         """The contacts: when, which joint felt them most, and how much."""
         start = float(self.time[0])
         rows = [
-            (one.time - start, (one.end if np.isfinite(one.end) else float(self.time[-1])) - one.time)
-            + (one.joint, one.torque, one.threshold, one.ratio)
-            for one in self.contacts
+            (contact.time - start, (contact.end if np.isfinite(contact.end) else float(self.time[-1])) - contact.time)
+            + (contact.joint, contact.torque, contact.threshold, contact.ratio)
+            for contact in self.contacts
         ]
         unit = common_unit("N·m", self.model.dynamics.model.sliding)
         headings = [
@@ -133,11 +133,11 @@ class MonitoredRun:
         if not self.detectors:
             return None
         rows = []
-        for one in self.detectors:
-            silent = found_at(one.points, 0.0)
-            chosen = one.chosen
+        for detector in self.detectors:
+            silent = found_at(detector.points, 0.0)
+            chosen = detector.chosen
             rows.append(
-                (one.name, 100.0 * chosen.found, chosen.false_per_hour, _number(1e3 * chosen.delay))
+                (detector.name, 100.0 * chosen.found, chosen.false_per_hour, _number(1e3 * chosen.delay))
                 + (100.0 * silent.found, _number(1e3 * silent.delay))
             )
         headings = [("detector", ""), ("found", "%"), ("false alarms", "1/h"), ("median delay", "ms")]
@@ -179,7 +179,10 @@ class MonitoredRun:
             "observer": self.thresholds.kind,
             "bandwidth": self.thresholds.bandwidth,
             "false_alarms_per_hour": self.thresholds.per_hour,
-            "contacts": [{**asdict(one), "time": one.time - first, "end": one.end - first} for one in self.contacts],
+            "contacts": [
+                {**asdict(contact), "time": contact.time - first, "end": contact.end - first}
+                for contact in self.contacts
+            ],
             "thresholds": {
                 "level": self.thresholds.level.tolist(),
                 "spread": self.thresholds.spread.tolist(),
@@ -187,15 +190,19 @@ class MonitoredRun:
                 "sources": self.thresholds.sources,
             },
             "smallest_force": {
-                one.link: {"moving": one.moving.tolist(), "worst": one.worst.tolist(), "resting": one.resting.tolist()}
-                for one in self.smallest
+                force.link: {
+                    "moving": force.moving.tolist(),
+                    "worst": force.worst.tolist(),
+                    "resting": force.resting.tolist(),
+                }
+                for force in self.smallest
             },
             "expected_delay": self.delay,
             "beyond": self.beyond,
             "load": None if self.load is None else {"mass": self.load.mass, "margin": self.load.margin},
             "detectors": {
-                one.name: {"chosen": asdict(one.chosen), "roc": [asdict(point) for point in one.points]}
-                for one in self.detectors
+                detector.name: {"chosen": asdict(detector.chosen), "roc": [asdict(point) for point in detector.points]}
+                for detector in self.detectors
             },
         }
 
@@ -271,7 +278,9 @@ def learnt_thresholds(
         DataError: they are too short for the rate, or of another arm.
     """
     quiet = recordings_of(options.quiet) if options.quiet else own_recordings(model, watched)
-    samples: list[tuple[str, JointSamples]] = [(one.label, joint_samples(model, one)) for one in quiet]
+    samples: list[tuple[str, JointSamples]] = [
+        (recording.label, joint_samples(model, recording)) for recording in quiet
+    ]
     samples = at_rate(samples, period or sample_period(samples[0][1]))
     thresholds = earned_thresholds(
         model,
@@ -281,7 +290,7 @@ def learnt_thresholds(
         per_hour=options.false_alarms,
         period=period,
     )
-    positions = np.concatenate([one.position for _, one in samples])
+    positions = np.concatenate([entry.position for _, entry in samples])
     return thresholds, positions[:: max(1, len(positions) // POSES)]
 
 
@@ -291,7 +300,7 @@ def at_rate(samples: list[tuple[str, JointSamples]], period: float) -> list[tupl
     Raises:
         DataError: there are none.
     """
-    alike = [(name, one) for name, one in samples if abs(sample_period(one) / period - 1.0) < SAME_RATE]
+    alike = [(name, entry) for name, entry in samples if abs(sample_period(entry) / period - 1.0) < SAME_RATE]
     if not alike:
         name, other = samples[0]
         raise DataError(
@@ -330,8 +339,8 @@ def forces_noticed(model: Model, thresholds: Thresholds, poses: FloatArray) -> t
 def sensitivity_table(smallest: Sequence[SmallestForce]) -> Table:
     """The smallest forces that are noticed, a row per link [N]."""
     rows = [
-        (one.link, *(_number(value) for part in (one.moving, one.worst, one.resting) for value in part))
-        for one in smallest
+        (force.link, *(_number(value) for part in (force.moving, force.worst, force.resting) for value in part))
+        for force in smallest
     ]
     names = [f"{axis}{way}" for way in ("", " worst pose", " near rest") for axis in "xyz"]
     title = "Smallest force noticed, either direction"
@@ -364,7 +373,7 @@ def _detectors(
     if not labelled:
         return ()
     time = residuals.intervals.time
-    hours = (float(time[-1] - time[0]) - sum(one.end - one.start for one in labelled)) / 3600.0
+    hours = (float(time[-1] - time[0]) - sum(contact.end - contact.start for contact in labelled)) / 3600.0
     if hours <= 0.0:
         raise UsageError("the labelled contacts leave no time without contact", where="--contacts")
     ways = {

@@ -63,7 +63,7 @@ def new_robot_file(
         joints: number of joints, where there is no URDF.
         out: the file to write; the arm's name in the current folder where None.
         overwrite: whether it may exist already.
-        progress: is told what is being done.
+        progress: called with the name of each step.
 
     Raises:
         UsageError: neither or both of `source` and `joints`; `out` exists, cannot be written or is no YAML file's name;

@@ -102,7 +102,7 @@ class ServoModel(GradedResult):
         return replace(recording, path=None, streams={**recording.streams, JOINTS_STREAM: played})
 
     def simulate(self, time: npt.ArrayLike, command: npt.ArrayLike, *, start: npt.ArrayLike | None = None) -> Recording:
-        """What the arm does with commands that nobody has recorded: a recording of `position` and `target_position`.
+        """What the arm does with commands that were not recorded: a recording of `position` and `target_position`.
 
         Args:
             time: (N,) [s], increasing; at least 3 s, from 8 Hz up.

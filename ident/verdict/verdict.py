@@ -184,7 +184,7 @@ def _joints(checks: Sequence[Check], evidence: Evidence) -> tuple[JointVerdict, 
         if figure is not None:
             grade = _grade(figure, GOOD_JOINT_ERROR, USABLE_JOINT_ERROR)
             reasons.append(_Reason(grade, f"its held-out error is {error.text}"))
-        worst = _worst(reasons) if reasons else _Reason("usable", "no held-out error of it is known")
+        worst = _worst(reasons) if reasons else _Reason("usable", "its held-out error is unknown")
         judged.append(JointVerdict(joint, worst.grade, worst.text, known(error.all_samples)))
     return tuple(sorted(judged, key=lambda one: _negative(_badness(one))))
 

@@ -36,8 +36,8 @@ def span_text(seconds: float) -> str:
 def trend_table(history: ArmHistory) -> Table:
     """A row per parameter: its value at first, its change and by the temperature, with half of the 95 % intervals."""
     rows: list[list[Cell]] = []
-    for one in history.parameters:
-        trend = one.trend
+    for parameter in history.parameters:
+        trend = parameter.trend
         cells: list[Cell] = [None] * 8
         if trend is not None:
             start = abs(trend.start)
@@ -45,13 +45,23 @@ def trend_table(history: ArmHistory) -> Table:
                 trend.start,
                 trend.change,
                 trend.change_half,
-                in_percent(trend.change / start) if _relative(one) else None,
+                in_percent(trend.change / start) if _relative(parameter) else None,
                 trend.p_value,
                 trend.scatter,
                 trend.per_kelvin,
                 len(trend.steps),
             ]
-        rows.append([one.name, one.joint, one.kind, len(one.series), *cells, one.unit, one.significant])
+        rows.append(
+            [
+                parameter.name,
+                parameter.joint,
+                parameter.kind,
+                len(parameter.series),
+                *cells,
+                parameter.unit,
+                parameter.significant,
+            ]
+        )
     columns = [
         Column("name"),
         Column("joint"),
@@ -120,32 +130,33 @@ def notes(history: ArmHistory) -> list[str]:
     return said
 
 
-def _relative(one: ParameterHistory) -> bool:
-    trend = one.trend
+def _relative(parameter: ParameterHistory) -> bool:
+    trend = parameter.trend
     return trend is not None and abs(trend.start) > LEAST_START * trend.change_half
 
 
-def _size(one: ParameterHistory, change: float, half: float) -> str:
-    if one.trend is None or not _relative(one):
-        return f"{with_error(abs(change), half / WITHIN_95_PERCENT)} {one.unit}"
-    scale = 100.0 / abs(one.trend.start)
+def _size(parameter: ParameterHistory, change: float, half: float) -> str:
+    if parameter.trend is None or not _relative(parameter):
+        return f"{with_error(abs(change), half / WITHIN_95_PERCENT)} {parameter.unit}"
+    scale = 100.0 / abs(parameter.trend.start)
     return f"{with_error(abs(change) * scale, half * scale / WITHIN_95_PERCENT)} %"
 
 
-def _sentence(one: ParameterHistory) -> str:
-    trend = one.trend
+def _sentence(parameter: ParameterHistory) -> str:
+    trend = parameter.trend
     assert trend is not None
-    name = f"{one.kind} {one.name}" if one.kind.endswith("parameter") else one.kind
-    subject = f"{one.joint}'s {name}"
-    steps = [_step_text(one, step) for step in trend.steps]
-    if not one.significant:
+    name = f"{parameter.kind} {parameter.name}" if parameter.kind.endswith("parameter") else parameter.kind
+    subject = f"{parameter.joint}'s {name}"
+    steps = [_step_text(parameter, step) for step in trend.steps]
+    if not parameter.significant:
         return f"{subject} stepped {' and '.join(steps)}."
     verb = "rose" if trend.change > 0 else "fell"
-    span = span_text(one.series.time[-1] - one.series.time[0])
-    whole = f"{subject} {verb} by {_size(one, trend.change, trend.change_half)} in {span}"
+    span = span_text(parameter.series.time[-1] - parameter.series.time[0])
+    whole = f"{subject} {verb} by {_size(parameter, trend.change, trend.change_half)} in {span}"
     return f"{whole}; it stepped {' and '.join(steps)}." if steps else f"{whole}."
 
 
-def _step_text(one: ParameterHistory, step: Step) -> str:
+def _step_text(parameter: ParameterHistory, step: Step) -> str:
     way = "up" if step.size > 0 else "down"
-    return f"{way} by {_size(one, step.size, step.half)} between {date_text(step.before)} and {date_text(step.after)}"
+    when = f"between {date_text(step.before)} and {date_text(step.after)}"
+    return f"{way} by {_size(parameter, step.size, step.half)} {when}"

@@ -99,7 +99,7 @@ def gains_tables(result: GainsResult | SlowGainsResult) -> list[Table]:
         if result.known.com is None:
             mass, load = result.known.mass, result.load
             figures = ([row.value for row in load], [row.std for row in load])
-            centre, std = ([None if one is None else one / mass for one in row] for row in figures)
+            centre, std = ([None if entry is None else entry / mass for entry in row] for row in figures)
             table = replace(table, note=f"Centre of mass of the load [m]: {_intervals(centre, std)}.")
         return [table]
     columns += [

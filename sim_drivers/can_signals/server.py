@@ -207,7 +207,7 @@ class ProprietaryCanServer(BusServer):
         multiplexed = {signal.identifier for signal in self.settings.signals if signal.multiplexer is not None}
         for frame in self._arm.cycle():
             identifier = frame.id | (EXTENDED if frame.extended else 0)
-            # The layouts of a multiplexed frame share an identifier but are no successors of each other.
+            # The layouts of a multiplexed frame share an identifier but do not follow each other.
             self._model.submit(frame, now, own=True, newest_wins=identifier not in multiplexed)
         self._status = replace(self._status, cycles=self._status.cycles + 1)
 

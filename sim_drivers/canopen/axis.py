@@ -197,7 +197,7 @@ class Axis:
 
     def _within_range(self, target: float) -> float:
         """A target within the software position limits (0x607D), which lie the home offset off; nearer where beyond."""
-        ends = [self.objects.number(one.index, one.subindex) for one in (LOWEST_POSITION, HIGHEST_POSITION)]
+        ends = [self.objects.number(entry.index, entry.subindex) for entry in (LOWEST_POSITION, HIGHEST_POSITION)]
         if ends[0] >= ends[1]:
             return target
         home = self.objects.number(HOME_OFFSET.index)
@@ -228,7 +228,7 @@ class Axis:
         self._motion = Profile(
             self.reference,
             target,
-            max(min(self.objects.number(one.index) for one in (PROFILE_VELOCITY, MAX_PROFILE_VELOCITY)), 1)
+            max(min(self.objects.number(entry.index) for entry in (PROFILE_VELOCITY, MAX_PROFILE_VELOCITY)), 1)
             / abs(self.setup.counts_per_radian),
             self._deceleration(PROFILE_ACCELERATION.index),
             self._deceleration(PROFILE_DECELERATION.index),

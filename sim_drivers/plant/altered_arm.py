@@ -96,12 +96,16 @@ def with_servos(
     """
     truth = robot_file.robot.truth
     joints = {
-        name: one
-        if one.servo is None
+        name: joint_truth
+        if joint_truth.servo is None
         else TruthJoint.model_validate(
-            {**one.model_dump(exclude={"servo"}), **(joint or {}), "servo": {**one.servo.model_dump(), **servo}}
+            {
+                **joint_truth.model_dump(exclude={"servo"}),
+                **(joint or {}),
+                "servo": {**joint_truth.servo.model_dump(), **servo},
+            }
         )
-        for name, one in truth.joints.items()
+        for name, joint_truth in truth.joints.items()
     }
     return _with_truth(robot_file, truth.model_copy(update={"joints": joints, "supply": supply or truth.supply}))
 
@@ -121,17 +125,17 @@ def another_unit(robot_file: RobotFile, spread: float, seed: int) -> RobotFile:
     generator = np.random.default_rng(seed)
     truth = robot_file.robot.truth
     joints = {}
-    for name, one in truth.joints.items():
+    for name, joint_truth in truth.joints.items():
         factors = np.exp(spread * generator.standard_normal(len(UNIT_DIFFERENCES) + 3)).tolist()
-        servo = one.servo and one.servo.model_copy(
+        servo = joint_truth.servo and joint_truth.servo.model_copy(
             update={
-                field: getattr(one.servo, field) * factor
+                field: getattr(joint_truth.servo, field) * factor
                 for field, factor in zip(UNIT_DIFFERENCES, factors, strict=False)
             }
         )
         own = ("motor_inertia", "viscous", "coulomb")
-        update = {field: getattr(one, field) * factor for field, factor in zip(own, factors[-3:], strict=True)}
-        joints[name] = one.model_copy(update={**update, "servo": servo})
+        update = {field: getattr(joint_truth, field) * factor for field, factor in zip(own, factors[-3:], strict=True)}
+        joints[name] = joint_truth.model_copy(update={**update, "servo": servo})
     return _with_truth(robot_file, truth.model_copy(update={"joints": joints}))
 
 

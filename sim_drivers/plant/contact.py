@@ -122,24 +122,24 @@ class Contacts:
 
     def torque(self, position: FloatArray, velocity: FloatArray, time: float) -> FloatArray:
         """External torque (n,) [N·m or N] at the joints with a motor, for their position and velocity (n,)."""
-        self._touching = [one for one in self._touching if isinstance(one, Wall) or one.end > time]
+        self._touching = [surface for surface in self._touching if isinstance(surface, Wall) or surface.end > time]
         total = np.zeros(len(position))
-        acting = [one for one in self._touching if one.start <= time]
+        acting = [surface for surface in self._touching if surface.start <= time]
         if not acting:
             return total
         if self._places is None:
             self._places = LinkJacobians(self._model)
         self._places.move(position)
-        for one in acting:
-            if isinstance(one, Push):
-                total += self._places.jacobian(one.link, one.point)[:3].T @ one.force
+        for surface in acting:
+            if isinstance(surface, Push):
+                total += self._places.jacobian(surface.link, surface.point)[:3].T @ surface.force
                 continue
             jacobian = self._places.jacobian(self._model.tool_link, self._tool)[:3]
-            depth = float(one.normal @ (one.point - self._places.point(self._model.tool_link, self._tool)))
+            depth = float(surface.normal @ (surface.point - self._places.point(self._model.tool_link, self._tool)))
             if depth > 0.0:
-                leaving = float(one.normal @ (jacobian @ velocity))
-                push = max(0.0, one.stiffness * depth - one.damping * leaving)  # a wall does not pull
-                total += jacobian.T @ (push * one.normal)
+                leaving = float(surface.normal @ (jacobian @ velocity))
+                push = max(0.0, surface.stiffness * depth - surface.damping * leaving)  # a wall does not pull
+                total += jacobian.T @ (push * surface.normal)
         return total
 
 

@@ -1,4 +1,4 @@
-"""Commands in a ROS 2 bag: the messages of the topic on which a controller was told what to do."""
+"""Commands in a ROS 2 bag: the messages of the topic that command a controller."""
 
 from __future__ import annotations
 

@@ -250,7 +250,7 @@ def _spans(calibration: Path, motors: Sequence[str]) -> dict[str, float]:
         least, most = (entry.get(key) if isinstance(entry, dict) else None for key in ("range_min", "range_max"))
         if not isinstance(least, int) or not isinstance(most, int) or not 0 < most - least <= 100 * COUNTS:
             raise ImportFileError(
-                f"range_min {printable(least)} and range_max {printable(most)} are no range of counts",
+                f"range_min {printable(least)} and range_max {printable(most)} are not a range of counts",
                 where=f"{where}: {printable(motor)}",
             )
         spans[motor] = (most - least) * 2.0 * math.pi / COUNTS

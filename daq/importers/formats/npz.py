@@ -103,7 +103,7 @@ def table_of_arrays(
         joints: the robot's joint names.
         choices: `columns` maps names without a meaning.
         where: the file, for messages.
-        unreadable: names of things in the file that are no arrays (pickled objects, cells, functions).
+        unreadable: names of entries of the file that are not arrays (pickled objects, cells, functions).
 
     Raises:
         ImportFileError: nothing usable in it, or arrays that do not fit.

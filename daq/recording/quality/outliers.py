@@ -38,7 +38,7 @@ STAMPS = 5.0
 """Distance of an outlier, in units of what the unevenness of the stamps around explains."""
 
 TOO_MANY = 0.02
-"""Share of a column's samples beyond which they are no exceptions; such a column is left as it is."""
+"""Share of a column's samples beyond which they are not exceptions; such a column is left as it is."""
 
 _NORMAL_QUANTILES = ((0.5, 0.6745), (0.7, 1.0364))  # of the size of a standard normal variable
 _CUBIC_ROUNDING = 1e-14  # of the largest value, what a constant signal seems to be from a cubic
@@ -71,7 +71,7 @@ def without_outliers(time: FloatArray, values: FloatArray) -> CleanSignal:
         time: (N,) [s]; repeated stamps are allowed.
         values: (N, n); a column with values that are not finite is left as it is.
 
-    Stamps that are no times in rising order are left to those who use the signal: nothing is replaced then.
+    Stamps that do not rise are left to those who use the signal: nothing is replaced then.
     """
     clean = values.copy()
     replaced, left = np.zeros(values.shape[1], dtype=np.int64), np.zeros(values.shape[1], dtype=np.int64)

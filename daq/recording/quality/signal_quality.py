@@ -150,14 +150,14 @@ OFTEN = 2e-3
 """… and the share of the samples that are so near, of a signal that reaches zero as a habit."""
 
 REVERSALS = 4
-"""So often a joint must turn round for the sign of its friction to show."""
+"""So often a joint must reverse for the sign of its friction to show."""
 
 LEAST_TRAVEL = 10.0
 """Encoder steps between two reversals that count."""
 
 
 def unsigned_joints(signal: FloatArray, position: FloatArray) -> tuple[int, ...]:
-    """Joints whose signal stays on one side of zero and reaches it, although they turn round again and again.
+    """Joints whose signal stays on one side of zero and reaches it, although they reverse again and again.
 
     Empty where any joint's signal has both signs: one kind of drive gives one kind of signal. A signed signal may stay
     on one side while gravity outweighs friction, but then it keeps away from zero, or noise takes it across.
@@ -180,7 +180,7 @@ def unsigned_joints(signal: FloatArray, position: FloatArray) -> tuple[int, ...]
 
 
 def _reversals(position: FloatArray) -> int:
-    """How often a position (N,) turns round by more than its noise and its encoder's steps."""
+    """How often a position (N,) reverses by more than its noise and its encoder's steps."""
     travel = max(LEAST_TRAVEL * resolution(position), 0.05 * float(np.ptp(position)))
     levels = np.round(position / travel) if np.isfinite(travel) and travel > 0.0 else np.zeros(0)
     steps = np.diff(levels)

@@ -51,7 +51,7 @@ EXPLAINED = 0.2
 """Relative error of the whole arm above which nothing is explained."""
 
 STEADY = 2.0
-"""Mean of a torque over its standard deviation; where all of an arm are steadier, these are no torques that grow."""
+"""Mean of a torque over its standard deviation; where all of an arm are steadier, their torques do not grow."""
 
 LEAST_ERROR = 0.005
 """Relative error of a joint below which a better fit says nothing more."""

@@ -41,7 +41,7 @@ def delay_and_lag(training: Training) -> ServoPredictor:
 
 
 def command_itself(training: Training) -> ServoPredictor:
-    """The arm is where it was told to be."""
+    """The arm is where it was commanded to be."""
     return ServoPredictor(lambda time, command, start: command)
 
 

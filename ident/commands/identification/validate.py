@@ -75,13 +75,13 @@ def _print_object(result: str, validation: Validation) -> None:
 
     from daq.commands.console import print_json
 
-    def fits(one: Validation | RecordingValidation) -> dict[str, Any]:
+    def fits(judged: Validation | RecordingValidation) -> dict[str, Any]:
         return {
-            "full": one.full.model_dump(),
-            "essential": one.essential.model_dump(),
-            "consistent": None if one.consistent is None else one.consistent.model_dump(),
-            "delivered": one.delivered.model_dump(mode="json"),
-            "verdict": asdict(one.verdict),
+            "full": judged.full.model_dump(),
+            "essential": judged.essential.model_dump(),
+            "consistent": None if judged.consistent is None else judged.consistent.model_dump(),
+            "delivered": judged.delivered.model_dump(mode="json"),
+            "verdict": asdict(judged.verdict),
         }
 
     print_json(
@@ -115,13 +115,13 @@ def _print_validation(validation: Validation, model: Path, *, verbose: bool) -> 
         ("recording", "error [%]", "in motion [%]", "worst joint", "its error [%]"),
         [
             (
-                labelled(one.recording, one.delivered.overlap),
-                in_percent(one.delivered.all_samples.relative_error),
-                in_percent(one.delivered.in_motion.relative_error),
-                one.verdict.joints[0].joint if one.verdict.joints else None,
-                None if not one.verdict.joints else in_percent(one.verdict.joints[0].error),
+                labelled(judged.recording, judged.delivered.overlap),
+                in_percent(judged.delivered.all_samples.relative_error),
+                in_percent(judged.delivered.in_motion.relative_error),
+                judged.verdict.joints[0].joint if judged.verdict.joints else None,
+                None if not judged.verdict.joints else in_percent(judged.verdict.joints[0].error),
             )
-            for one in validation.recordings
+            for judged in validation.recordings
         ],
     )
     if validation.acceptance is not None:

@@ -18,7 +18,7 @@ app = CommandApp("Robot")
 
 @dataclass(frozen=True, kw_only=True)
 class CheckOptions(Options):
-    """What `check` is told: an arm, and whether its connection is opened, too."""
+    """Options of `check`: an arm, and whether its connection is opened, too."""
 
     robot: str = field(metadata=ROBOT_ARGUMENT)
     connect: bool = option(False, "Open the connection and listen; nothing is enabled.")

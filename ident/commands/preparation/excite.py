@@ -157,16 +157,21 @@ def design_servo(options: ExciteCommandOptions, progress: Callable[[str], None])
     progress("pieces of motion")
     trajectory, designed = design_servo_motion(**vars(same_named(options, ServoMotionOptions)))
     rows: list[list[Any]] = [
-        [one.joint, one.parameter.replace("_", " "), one.now, one.then, one.wanted] for one in designed.forecast
+        [forecast.joint, forecast.parameter.replace("_", " "), forecast.now, forecast.then, forecast.wanted]
+        for forecast in designed.forecast
     ]
-    lines, counts = [], [f"{sum(one.kind == kind for one in designed.segments)} {kind}" for kind in KINDS]
+    lines, counts = [], [f"{sum(segment.kind == kind for segment in designed.segments)} {kind}" for kind in KINDS]
     if trajectory is not None:
         lines.append(f"{trajectory.duration:.0f} s: {', '.join(counts)}, of all joints at once")
     if designed.enough:
         after = "" if trajectory is None else " is expected after this motion: identify from all recordings together"
         lines.append(f"enough: every interval within {options.wanted:g} %{after}")
     elif designed.forecast:
-        loose = [f"{one.joint} {one.parameter.replace('_', ' ')}" for one in designed.forecast if one.then > one.wanted]
+        loose = [
+            f"{forecast.joint} {forecast.parameter.replace('_', ' ')}"
+            for forecast in designed.forecast
+            if forecast.then > forecast.wanted
+        ]
         lines.append(f"not enough for {', '.join(loose)}; identify from all recordings, and go on with --after")
     else:
         lines.append(
@@ -176,13 +181,16 @@ def design_servo(options: ExciteCommandOptions, progress: Callable[[str], None])
         trajectory,
         "95 % intervals, half-widths [%]" if rows else "Pieces",
         ("joint", "parameter", "now", "expected", "wanted") if rows else ("kind", "amplitude", "pose"),
-        rows or [[one.kind, one.amplitude, one.pose] for one in designed.segments],
+        rows or [[segment.kind, segment.amplitude, segment.pose] for segment in designed.segments],
         lines,
         {
             "duration": 0.0 if trajectory is None else trajectory.duration,
             "enough": designed.enough,
-            "forecast": [asdict(one) for one in designed.forecast],
-            "pieces": [{"kind": one.kind, "amplitude": one.amplitude, "pose": one.pose} for one in designed.segments],
+            "forecast": [asdict(forecast) for forecast in designed.forecast],
+            "pieces": [
+                {"kind": segment.kind, "amplitude": segment.amplitude, "pose": segment.pose}
+                for segment in designed.segments
+            ],
         },
     )
 
@@ -201,7 +209,7 @@ class ExciteCommandOptions(PoseCount, ServoMotionLength, ExciteOptions):
 
     purpose: str = option(
         FULL,
-        f"What the motion is for: {', '.join(f'{name} ({one.summary})' for name, one in PURPOSES.items())}.",
+        f"What the motion is for: {', '.join(f'{name} ({text.summary})' for name, text in PURPOSES.items())}.",
         flag="--for",
         one_of=tuple(PURPOSES),
         panel="",

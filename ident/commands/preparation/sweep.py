@@ -53,21 +53,21 @@ def sweep_velocities(
                 "page": None if page is None else str(page),
                 "robot": motion.robot_file.robot.name,
                 "duration": motion.duration,
-                "joints": [asdict(one) for one in done],
+                "joints": [asdict(sweep) for sweep in done],
                 "warnings": list(motion.warnings),
             }
         )
         return
     rows = [
         (
-            one.joint,
-            one.low if one.speeds else None,
-            one.high if one.speeds else None,
-            one.speeds[0] if one.speeds else None,
-            one.speeds[-1] if one.speeds else None,
-            one.refusal,
+            sweep.joint,
+            sweep.low if sweep.speeds else None,
+            sweep.high if sweep.speeds else None,
+            sweep.speeds[0] if sweep.speeds else None,
+            sweep.speeds[-1] if sweep.speeds else None,
+            sweep.refusal,
         )
-        for one in done
+        for sweep in done
     ]
     sliding = motion.robot_file.robot.sliding
     title = f"Strokes [{common_unit('rad', sliding)}] and their peak velocities [{common_unit('rad/s', sliding)}]"

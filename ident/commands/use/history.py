@@ -110,7 +110,7 @@ def show(
     if len(trends.sentences) > MOST_SENTENCES:
         print(f"  and {len(trends.sentences) - MOST_SENTENCES} more")
     shown = trends.trends.pick("name", "joint", "results", "start", "change", "change_half", "unit", "p_value")
-    rows = [row for row, one in enumerate(of_arm.parameters) if one.trend is not None]
+    rows = [row for row, parameter in enumerate(of_arm.parameters) if parameter.trend is not None]
     print_tables([shown.in_order(rows[:MOST_ROWS])])
     for note in trends.notes:
         print(note)

@@ -199,7 +199,7 @@ def _replay(
         print_json({**watched.to_dict(), "page": None if page is None else str(page)})
         return
     strongest = sorted(watched.contacts, key=lambda one: -one.ratio)[:SHOWN]
-    _print(watched.summary, [index for index, one in enumerate(watched.contacts) if one in strongest])
+    _print(watched.summary, [index for index, contact in enumerate(watched.contacts) if contact in strongest])
     if len(watched.contacts) > SHOWN:
         print(f"the strongest {SHOWN} of {len(watched.contacts)} contacts; --json has all")
     elif not watched.contacts:

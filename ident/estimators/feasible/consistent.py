@@ -186,7 +186,9 @@ def _contradicted(
         return (), None
     names = [parameter.name for parameter in model.parameters]
     values = dict(zip(names, zip(free.values, free.std, strict=True), strict=True))
-    numbers = {name: one.value for name, one in robot.known.items() if name in values and one.value is not None}
+    numbers = {
+        name: number.value for name, number in robot.known.items() if name in values and number.value is not None
+    }
     # A wrong value makes right ones look wrong, too, but less so.
     beyond = {n: abs(values[n][0] - known) / values[n][1] for n, known in numbers.items() if values[n][1] > 0.0}
     seen = [n for n, far in beyond.items() if far > max(WITHIN_95_PERCENT, NAMED_SHARE * max(beyond.values()))]
@@ -220,7 +222,7 @@ def _of_data(
         return ""
     link = LINK_SIZE * model.link_names.index(key.split(".")[2])
     centre = free.values[link + 6 : link + 9] / free.values[link + MASS]
-    return f" (without it the centre of mass is at {', '.join(f'{one:.3g}' for one in centre)} m)"
+    return f" (without it the centre of mass is at {', '.join(f'{coordinate:.3g}' for coordinate in centre)} m)"
 
 
 def bounded_precision(estimate: Estimate) -> Estimate:

@@ -175,8 +175,8 @@ class OutputErrorEstimator(TorqueEstimator):
                 ) from error
             factors = [QrAccumulator(plain.column_count + 1) for _ in plain.joints]
             for row in rows:
-                for one in row:
-                    factors[one.motor].add(np.vstack([one.regressor, one.torque]))
+                for entry in row:
+                    factors[entry.motor].add(np.vstack([entry.regressor, entry.torque]))
             position_weights = _inverse_rms(rows)
             system = triangular(
                 np.vstack([w * factor.factor() for w, factor in zip(position_weights, factors, strict=True)])

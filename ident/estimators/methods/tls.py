@@ -33,7 +33,7 @@ from ident.signals.prepared import Prepared, Segment
 from ident.signals.segments import central_difference
 
 END_PERIODS = 4.0
-"""Periods of the motion's highest harmonic at both ends of a segment, where what is left of it is the filter's end."""
+"""Periods of the motion's highest harmonic at both ends of a segment, where the filter's end dominates."""
 
 LEAST_BAND = 1.5
 """The positions' cut-off must be this many times the motion's and its harmonics' for noise to show between them."""
@@ -101,7 +101,7 @@ def regressor_noise(
             acceleration=segment.acceleration + central_difference(velocity, segment.rate),
         )
         nothing = np.empty((0, len(segment.time)))
-        of_both = (filtered_samples(kernel, one, run.parallel_filter, nothing) for one in (segment, noisy))
+        of_both = (filtered_samples(kernel, version, run.parallel_filter, nothing) for version in (segment, noisy))
         for clean, other in zip(*of_both, strict=True):
             for motor, rows in enumerate(kernel.joint_rows):
                 counts = clean.counts(motor)

@@ -27,7 +27,7 @@ BOUNDED = tuple(term for term in TERMS if term.needs in ("", "load"))
 
 @dataclass(frozen=True, eq=False)
 class FrictionBounds:
-    """Least and largest values (b,) of base parameters; infinite for those that are no friction of one joint."""
+    """Least and largest values (b,) of base parameters; infinite for those other than friction of one joint."""
 
     least: FloatArray
     most: FloatArray

@@ -176,7 +176,7 @@ class ParticleSwarm:
 
     def __post_init__(self) -> None:
         if self.particles < 2:
-            raise UsageError(f"{self.particles} particles are no swarm", hint="at least 2")
+            raise UsageError(f"{self.particles} particles are too few for a swarm", hint="at least 2")
         if not (0.0 <= self.cognitive < np.inf and 0.0 <= self.social < np.inf):
             raise UsageError(f"the learning factors {self.cognitive:g} and {self.social:g} are not both positive")
         if self.fastest is not None and not self.fastest > 0.0:

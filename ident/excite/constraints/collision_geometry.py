@@ -198,7 +198,7 @@ def arm_geometry(robot_file: RobotFile, model: DynamicModel) -> ArmGeometry:
     if found.hulls:
         for link in (BASE_INDEX, *range(len(model.joints))):
             hulls += found.hulls.get(link) or [hull_of_capsule(capsule) for capsule in capsules if capsule.link == link]
-        hulls += [hull_of_capsule(one) for one in tool if found.hulls.get(last)]
+        hulls += [hull_of_capsule(shape) for shape in tool if found.hulls.get(last)]
     unread = tuple(f"{link_name(model, link)}: {why}" for link, why in sorted(found.unread.items()))
     names = tuple(link_name(model, link) for link in sorted(shapes))
     return ArmGeometry(tuple(capsules), names, tuple(hulls), unread)

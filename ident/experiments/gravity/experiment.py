@@ -93,14 +93,14 @@ def analyse_gravity(
     if not np.any(base.projection[:, : LINK_SIZE * len(model.joints)]):
         raise DataError("gravity acts on no joint of this arm", where=file.robot.name, hint="there is nothing to find")
     signals = tuple(read_joint_signals(recording, file.robot) for recording in recordings)
-    found = [find_visits(one, model, base) for one in signals]
+    found = [find_visits(signal, model, base) for signal in signals]
     visits = [visit for one in found for visit in one.visits]
     refuse_wrong_size(visits, model, recordings[0].label)
     progress("gravity")
     fit = fit_gravity(visits, model)
     together = Visits(
         visits,
-        [one for part in found for one in part.unbalanced],
+        [pose for part in found for pose in part.unbalanced],
         np.max([part.moved for part in found], axis=0),
     )
     stuck = [name for name, moved in zip(model.joint_names, together.moved, strict=True) if not moved]
@@ -139,8 +139,8 @@ def analyse_gravity(
         ],
         recordings=[
             *(
-                _use(recording, "identification", len(one.visits))
-                for recording, one in zip(recordings, found, strict=True)
+                _use(recording, "identification", len(passes.visits))
+                for recording, passes in zip(recordings, found, strict=True)
             ),
             *(_use(recording, "validation", 0) for recording in held_out),
         ],
@@ -314,8 +314,8 @@ def _of_joints(
 
 def _errors(joints: Sequence[GravityJoint]) -> tuple[FloatArray, FloatArray]:
     return (
-        np.array([np.nan if one.held_out_rms is None else one.held_out_rms for one in joints]),
-        np.array([np.nan if one.held_out_max is None else one.held_out_max for one in joints]),
+        np.array([np.nan if joint.held_out_rms is None else joint.held_out_rms for joint in joints]),
+        np.array([np.nan if joint.held_out_max is None else joint.held_out_max for joint in joints]),
     )
 
 

@@ -1,6 +1,6 @@
 """Slow passes in a recording, and the pairs of them that go the same way forth and back.
 
-A pass is a stretch in which no joint changes its direction and none is fast. Two passes are a pair where they go
+A pass is a segment in which no joint changes its direction and none is fast. Two passes are a pair where they go
 through the same positions of all joints in opposite directions. Only samples in motion count: the friction of an arm
 that rests in its controller can be anything between the two breakaway torques.
 """
@@ -47,7 +47,7 @@ GRID = 15
 
 @dataclass(frozen=True, eq=False)
 class SlowPass:
-    """A stretch of a recording in one direction.
+    """A segment of a recording in one direction.
 
     Attributes:
         samples: first and last, exclusive.
@@ -114,20 +114,24 @@ def find_visits(signals: JointSignals, model: DynamicModel, base: BaseParameters
     sliding = np.array(model.sliding)
     passes = find_passes(signals, sliding)
     fastest, shortest = np.where(sliding, FASTEST_SLIDE, FASTEST), np.where(sliding, SHORTEST_SLIDE, SHORTEST)
-    slow = [one for one in passes if np.all(one.peak <= fastest) and np.any(np.abs(one.way) >= shortest)]
+    slow = [
+        each_pass
+        for each_pass in passes
+        if np.all(each_pass.peak <= fastest) and np.any(np.abs(each_pass.way) >= shortest)
+    ]
     visits, used = [], set[int]()
-    for first, one in enumerate(slow):
+    for first, slow_pass in enumerate(slow):
         if first in used:
             continue
         for second in range(first + 1, min(first + 1 + PARTNERS, len(slow))):
             if second in used:
                 continue
-            visit = _visit(signals, one, slow[second], shortest, model, base)
+            visit = _visit(signals, slow_pass, slow[second], shortest, model, base)
             if visit is not None:
                 visits.append(visit)
                 used |= {first, second}
                 break
-    alone = [one for index, one in enumerate(slow) if index not in used]
+    alone = [slow_pass for index, slow_pass in enumerate(slow) if index not in used]
     unbalanced = _unbalanced(signals, alone, [slow[index] for index in used], visits)
     if len(unbalanced) > len(visits) or not visits:
         raise DataError(
@@ -178,34 +182,34 @@ def find_passes(signals: JointSignals, sliding: FloatArray) -> list[SlowPass]:
 
 def _visit(
     signals: JointSignals,
-    one: SlowPass,
+    slow_pass: SlowPass,
     other: SlowPass,
     shortest: FloatArray,
     model: DynamicModel,
     base: BaseParameters,
 ) -> Visit | None:
     """The visit that two passes make; None where they do not go the same way forth and back."""
-    moving = np.abs(one.way) >= shortest
-    if np.any(np.sign(one.way[moving]) == np.sign(other.way[moving])) or not np.any(moving):
+    moving = np.abs(slow_pass.way) >= shortest
+    if np.any(np.sign(slow_pass.way[moving]) == np.sign(other.way[moving])) or not np.any(moving):
         return None
-    main = int(np.argmax(np.abs(one.way) / shortest))
-    ends = [np.sort(signals.position[part.samples][[0, -1], main]) for part in (one, other)]
+    main = int(np.argmax(np.abs(slow_pass.way) / shortest))
+    ends = [np.sort(signals.position[part.samples][[0, -1], main]) for part in (slow_pass, other)]
     low, high = max(end[0] for end in ends), min(end[1] for end in ends)
-    if high - low < max(shortest[main], 0.5 * min(abs(one.way[main]), abs(other.way[main]))):
+    if high - low < max(shortest[main], 0.5 * min(abs(slow_pass.way[main]), abs(other.way[main]))):
         return None
     share = (np.arange(GRID) + 0.5) / GRID
     grid, weight = low + (high - low) * share, _weight(share)
-    along = [_along(signals.position[part.samples], main, grid) for part in (one, other)]
+    along = [_along(signals.position[part.samples], main, grid) for part in (slow_pass, other)]
     length = np.abs(np.ptp(along[0], axis=0))
     if np.any(np.abs(along[0] - along[1]).max(axis=0) > np.maximum(shortest, SAME_WAY * length)):
         return None
-    means = [_mean_torque(signals, part, main, low, high) for part in (one, other)]
+    means = [_mean_torque(signals, part, main, low, high) for part in (slow_pass, other)]
     rows = np.stack([np.einsum("k,kmb->mb", weight / weight.sum(), gravity_rows(model, base, path)) for path in along])
-    common = one.way * (length / np.maximum(np.abs(one.way), 1e-12))
+    common = slow_pass.way * (length / np.maximum(np.abs(slow_pass.way), 1e-12))
     return Visit(
         pose=0.5 * (along[0][GRID // 2] + along[1][GRID // 2]),
         time=float(signals.time[other.samples.start] - signals.time[0]),
-        direction=np.where(np.abs(common) >= 0.5 * shortest, np.sign(one.way), 0.0).astype(np.int64),
+        direction=np.where(np.abs(common) >= 0.5 * shortest, np.sign(slow_pass.way), 0.0).astype(np.int64),
         torque=np.stack([mean for mean, _ in means]),
         rows=rows,
         noise=0.5 * np.sqrt(means[0][1] ** 2 + means[1][1] ** 2),
@@ -247,14 +251,14 @@ def _unbalanced(
 ) -> list[tuple[FloatArray, IntArray, float]]:
     """Passes without a partner that are of a kind with those that have one, or all where none has, by their middle."""
     found = []
-    length = np.median([np.abs(one.way).max() for one in paired]) if paired else 0.0
-    peak = np.median([one.peak.max() for one in paired]) if paired else np.inf
-    for one in alone:
-        pose = signals.position[(one.samples.start + one.samples.stop) // 2]
-        near = any(np.all(np.abs(pose - visit.pose) < 0.5 * np.abs(one.way) + 1e-3) for visit in visits)
-        alike = 0.5 * length <= np.abs(one.way).max() and one.peak.max() <= 1.3 * peak
-        if alike and not near and (not paired or np.abs(one.way).max() <= 2.0 * length):
-            found.append((pose, one.direction, float(signals.time[one.samples.start] - signals.time[0])))
+    length = np.median([np.abs(slow_pass.way).max() for slow_pass in paired]) if paired else 0.0
+    peak = np.median([slow_pass.peak.max() for slow_pass in paired]) if paired else np.inf
+    for slow_pass in alone:
+        pose = signals.position[(slow_pass.samples.start + slow_pass.samples.stop) // 2]
+        near = any(np.all(np.abs(pose - visit.pose) < 0.5 * np.abs(slow_pass.way) + 1e-3) for visit in visits)
+        alike = 0.5 * length <= np.abs(slow_pass.way).max() and slow_pass.peak.max() <= 1.3 * peak
+        if alike and not near and (not paired or np.abs(slow_pass.way).max() <= 2.0 * length):
+            found.append((pose, slow_pass.direction, float(signals.time[slow_pass.samples.start] - signals.time[0])))
     return found
 
 

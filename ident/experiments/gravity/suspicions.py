@@ -1,4 +1,4 @@
-"""What speaks against a fit of gravity: signs, units, the direction of gravity, drift, bad encoders."""
+"""What makes a fit of gravity doubtful: signs, units, the direction of gravity, drift, bad encoders."""
 
 from __future__ import annotations
 
@@ -121,10 +121,10 @@ def _wrong_sign(model: DynamicModel, visits: Sequence[Visit], fit: GravityFit) -
     least = min(costs[1:])
     if least > EXPLAINED**2 * costs[0]:
         return []
-    # Of two joints that gravity acts on, each fits the other with its sign turned round.
+    # Of two joints that gravity acts on, each fits the other with its sign reversed.
     names = [name for name, cost in zip(model.joint_names, costs[1:], strict=True) if cost <= ALIKE * least]
     text = (
-        f"the torque of {' or '.join(names)} fits the others with the opposite sign only: turn round the sign of "
+        f"the torque of {' or '.join(names)} fits the others with the opposite sign only: reverse the sign of "
         "its gain (drives), or of its encoder"
     )
     return [(True, text)]
@@ -196,7 +196,7 @@ def _drift(model: DynamicModel, visits: Sequence[Visit], fit: GravityFit) -> lis
             seconds = visits[last].time - visits[first].time
             text = (
                 f"{model.joint_names[joint]} needs {change[joint]:+.3g} {model.limits[joint].unit('N·m')} more in the "
-                f"same pose {seconds:.0f} s later: a load was taken up or put down, or the torque drifts; record again"
+                f"same pose {seconds:.0f} s later: a load was picked up or put down, or the torque drifts; record again"
             )
             found.append((True, text))
     return found

@@ -112,7 +112,7 @@ def consistent_load(pair: RunPair, load: LoadEstimate, known: KnownLoad | None) 
     free_values = np.zeros(base.count + len(load.columns.names))
     free_values[list(estimate.active)] = estimate.values
     effect = load_effect(pair.model, base, robot_file.robot)
-    deviations = np.maximum(*(_deviations(one, body_of(own), fixed) for one in (independent, common)))
+    deviations = np.maximum(*(_deviations(fitted, body_of(own), fixed) for fitted in (independent, common)))
     return ConsistentLoad(
         body=body_of(own),
         mass_std=float(deviations[MASS]),

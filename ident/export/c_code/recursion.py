@@ -198,6 +198,6 @@ def _moved(frame: JointFrame, body: Composite) -> Composite:
     return Composite((x, y, z), add(first, shift), body.mass)
 
 
-def _joined(one: Composite, other: Composite) -> Composite:
-    x, y, z = (add(row, other_row) for row, other_row in zip(one.inertia, other.inertia, strict=True))
-    return Composite((x, y, z), add(one.first_moment, other.first_moment), one.mass + other.mass)
+def _joined(composite: Composite, other: Composite) -> Composite:
+    x, y, z = (add(row, other_row) for row, other_row in zip(composite.inertia, other.inertia, strict=True))
+    return Composite((x, y, z), add(composite.first_moment, other.first_moment), composite.mass + other.mass)

@@ -18,9 +18,9 @@ def constant_vector(graph: Graph, values: Sequence[float] | FloatArray) -> Vecto
     return x, y, z
 
 
-def add(one: Vector, other: Vector) -> Vector:
+def add(left: Vector, other: Vector) -> Vector:
     """Sum."""
-    return one[0] + other[0], one[1] + other[1], one[2] + other[2]
+    return left[0] + other[0], left[1] + other[1], left[2] + other[2]
 
 
 def scale(vector: Sequence[Expression | float] | FloatArray, factor: Expression) -> Vector:
@@ -29,18 +29,18 @@ def scale(vector: Sequence[Expression | float] | FloatArray, factor: Expression)
     return x, y, z
 
 
-def cross(one: Vector, other: Vector) -> Vector:
+def cross(left: Vector, other: Vector) -> Vector:
     """Cross product one × other."""
     return (
-        one[1] * other[2] - one[2] * other[1],
-        one[2] * other[0] - one[0] * other[2],
-        one[0] * other[1] - one[1] * other[0],
+        left[1] * other[2] - left[2] * other[1],
+        left[2] * other[0] - left[0] * other[2],
+        left[0] * other[1] - left[1] * other[0],
     )
 
 
-def dot(one: Vector, other: Vector) -> Expression:
+def dot(left: Vector, other: Vector) -> Expression:
     """Scalar product."""
-    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
+    return left[0] * other[0] + left[1] * other[1] + left[2] * other[2]
 
 
 def apply(matrix: Matrix, vector: Vector) -> Vector:

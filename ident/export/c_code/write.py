@@ -48,7 +48,9 @@ def write_c(
     header_path, source_path = source_paths(path_of(path))
     check_outputs([header_path, source_path], overwrite=overwrite)
     graph = Graph()
-    functions = tuple(one for one in arm_functions(graph, dynamics) if names is None or one.name in names)
+    functions = tuple(
+        function for function in arm_functions(graph, dynamics) if names is None or function.name in names
+    )
     check_expressions(graph, functions, dynamics)
     prefix = identifier(dynamics.model.name)
     dialect = Dialect(real, f"{prefix}_real", f"{prefix}_sign", f"{prefix}_inverse")

@@ -142,7 +142,7 @@ def motion_folds(series: Sequence[TorqueSeries], segments: Sequence[int]) -> lis
     folds: list[npt.NDArray[np.int64]] = []
     for count in segments:
         own = indices[len(folds) : len(folds) + count]
-        places = {int(place) for one in own for place in one}
+        places = {int(place) for segment in own for place in segment}
         shared = [len(places & earlier) for earlier in known]
         if places and max(shared, default=0) > SAME_SHARE * len(places):
             motion = int(np.argmax(shared))
@@ -150,7 +150,7 @@ def motion_folds(series: Sequence[TorqueSeries], segments: Sequence[int]) -> lis
         else:
             motion = len(known)
             known.append(places)
-        folds += [np.full(len(one), motion % FOLDS) for one in own]
+        folds += [np.full(len(segment), motion % FOLDS) for segment in own]
     return folds
 
 

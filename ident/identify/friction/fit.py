@@ -238,9 +238,16 @@ class _Fit:
         """Squared errors (FOLDS,) of two consistent models on folds left out, and their root mean squares [σ]."""
         before, after = (
             delivered_errors(
-                self._rows, one.model, one.base, one.reduction, one.solution, robot_file, solved.solution.weights, folds
+                self._rows,
+                solve.model,
+                solve.base,
+                solve.reduction,
+                solve.solution,
+                robot_file,
+                solved.solution.weights,
+                folds,
             )
-            for one in (solved, self.solve(other))
+            for solve in (solved, self.solve(other))
         )
         size_before, size_after = (float(np.sqrt(np.sum(error) / solved.solution.rows)) for error in (before, after))
         return (before, after), (size_before, size_after)
@@ -335,7 +342,7 @@ class _Fit:
 
     def _shares(self, series: Sequence[TorqueSeries]) -> FloatArray:
         """How many independent equations each motor's are worth (n,), per equation."""
-        independent = [independent_share(one[None]) for one in residual_autocorrelation(series)]
+        independent = [independent_share(value[None]) for value in residual_autocorrelation(series)]
         return np.array(independent) * distinct_samples(series).share
 
     def settled(self, model: DynamicModel) -> FrictionFit:

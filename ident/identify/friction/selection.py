@@ -241,7 +241,7 @@ class FrictionSearch:
         """The chosen terms, shapes from the grid marked as free, beside those of `start`."""
         for (motor, group), addition in self._added.items():
             kept = [self._grams.candidates[motor][place] for place in addition.candidates]
-            kinds = {one.quantity for one in kept}
+            kinds = {candidate.quantity for candidate in kept}
             option = next(
                 one
                 for one in OPTIONS

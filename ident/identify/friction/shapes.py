@@ -202,5 +202,5 @@ def with_curvature(
     squares = WEIGHT * (np.square(outer[0]) + np.square(outer[1]))
     standard, joints = kernel.model.parameters, {kernel.model.active[motor] for _, motor in known}
     own = [standard[kernel.columns[place]] for place in active]
-    shaped = np.array([one.kind in FRICTION_KINDS and one.joint in joints for one in own])
+    shaped = np.array([column.kind in FRICTION_KINDS and column.joint in joints for column in own])
     return replace(corrected, curvature=np.where(shaped, np.sqrt(np.maximum(squares - np.square(linear), 0.0)), 0.0))

@@ -54,7 +54,7 @@ class InverseDynamics:
         base: its base parameters.
         parameters: (b,) their values.
         coupling: (n, n) R of q_motor = R·q_joint.
-        joint_columns: the columns that are no link's, with their values.
+        joint_columns: the columns that belong to no link, with their values.
         rotor_inertia: (n, n) of the motors, and of what turns with a coupled joint beside its motor [kg·m²].
         weight: (n,) constant gravity torque that is regrouped on offsets [N·m or N]; 0 where `standard` is not given.
         confounded: names of the joints whose weight and offset are one parameter that nothing splits.
@@ -268,7 +268,7 @@ def with_masses(
     """Inertial standard parameters (10·links,) with these dynamics but for extra point masses, link → [kg]."""
     standard = np.zeros(base.projection.shape[1])
     masses = {10 * link + INERTIAL.index("M"): link for link in range(len(model.joints))}
-    # The mass on a vertical slide may be regrouped on its motor inertia and offset: those are no link's.
+    # The mass on a vertical slide may be regrouped on its motor inertia and offset: those belong to no link.
     of_joints = [row for row, kind in enumerate(base.kinds) if kind != "inertial"]
     apart = [mass for mass in masses if mass not in base.columns and not np.any(base.projection[of_joints, mass])]
     standard[apart] = PLACEHOLDER_MASS

@@ -75,7 +75,7 @@ def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Tran
             robot,
             joints,
             (equations, right),
-            [(one, other) for one, other in ends],
+            [(end, other) for end, other in ends],
             _linear(robot, active, *nothing),
             where,
         )

@@ -91,14 +91,14 @@ def exported_arm(result: Result, kind: str, stored: StoredModel, dynamics: Inver
         dynamics: of the model.
 
     Raises:
-        UsageError: the model's parameters are no bodies.
+        UsageError: the model's parameters are not those of bodies.
         ResultFileError: parts of the result do not belong together.
         ModelError: some friction has neither a value nor an entry in the robot file's `known`.
     """
     consistent = result.consistent
     if kind != "consistent" or consistent is None:
         raise UsageError(
-            f"the {kind} parameters are no bodies, which an export needs",
+            f"the {kind} parameters are not those of bodies, which an export needs",
             where=result.robot,
             hint='load_model(…, parameters="consistent")',
         )
@@ -306,7 +306,7 @@ def _nearest(model: DynamicModel, value_of: dict[str, float]) -> dict[str, float
         if not plain or (len(own) == len(plain) and not bent):
             continue
         speed = np.linspace(0.0, model.limits[motor].velocity, SPEEDS + 1)[1:]
-        curve = np.sum([value_of[one.name] * _signal(model, one, motor, speed, load) for one in own], axis=0)
+        curve = np.sum([value_of[column.name] * _signal(model, column, motor, speed, load) for column in own], axis=0)
         columns = np.column_stack([np.ones_like(speed) if kind == "coulomb" else speed for kind in plain])
         found |= dict(zip(plain.values(), _not_negative(columns, curve), strict=True))
     return found

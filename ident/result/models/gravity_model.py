@@ -98,11 +98,11 @@ class GravityModel(Model):
         )
         model = resting_model(robot_file)
         base = gravity_base(model)
-        if [one.name for one in result.gravity_parameters] != list(base.names):
+        if [parameter.name for parameter in result.gravity_parameters] != list(base.names):
             raise ResultFileError("the parameters do not belong to the robot file beside them", hint=AGAIN)
         self._stored = StoredModel(robot_file, model, (), base)
         self._base = base
-        values = [np.nan if one.value is None else one.value for one in result.gravity_parameters]
+        values = [np.nan if parameter.value is None else parameter.value for parameter in result.gravity_parameters]
         self._values = np.array(values, dtype=np.float64)
         self._missing = [int(index) for index in np.flatnonzero(np.isnan(self._values))]
         self._dynamics = InverseDynamics(model, base, np.nan_to_num(self._values))
@@ -190,8 +190,14 @@ class GravityModel(Model):
         if missing:
             raise ModelError(f"{', '.join(missing)} has no value: no recorded pose determines it", where=self.name)
         parameters = [
-            Parameter(one.name, 0.0 if one.value is None else one.value, one.std, one.unit, one.expression)
-            for one in self.result.gravity_parameters
+            Parameter(
+                parameter.name,
+                0.0 if parameter.value is None else parameter.value,
+                parameter.std,
+                parameter.unit,
+                parameter.expression,
+            )
+            for parameter in self.result.gravity_parameters
         ]
         result = self.result
         recordings = [f"  {use.role}: {use.file}, SHA-256 {use.sha256}" for use in result.recordings]

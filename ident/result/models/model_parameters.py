@@ -1,4 +1,4 @@
-"""The parameters of an identified model of a whole arm, with their covariance: what every quantity of it is made of."""
+"""The parameters of an identified model of a whole arm, with their covariance, from which all else is computed."""
 
 from __future__ import annotations
 

@@ -205,7 +205,7 @@ def test_limits_that_are_none_are_left_to_do(urdf: Path) -> None:
     xml = URDF.replace('upper="2"', 'upper="360"').replace('velocity="3"', 'velocity="200"')
     text = new_robot_of_urdf(read_urdf_arm(xml, "arm.urdf", where="arm.urdf"), "arm.urdf")
     assert "position: [TODO, TODO], velocity: 1" in text
-    assert "the URDF says [-1.0, 360.0], which are no limits in rad; TODO (move): the URDF says 200 rad/s" in text
+    assert "the URDF says [-1.0, 360.0], which cannot be limits in rad; TODO (move): the URDF says 200 rad/s" in text
 
 
 def test_a_new_robot_is_one_arm_its_gripper_and_what_is_beside_it_are_locked(urdf: Path) -> None:

@@ -62,7 +62,7 @@ class ToyBusDriver:
 
     def start(self) -> None:
         require_state(self._state, "open", "start")
-        self._receiver.take()  # what came while nobody listened
+        self._receiver.take()  # what came before it was asked
         self._begin()
         self._state = "running"
 

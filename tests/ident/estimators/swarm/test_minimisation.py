@@ -128,7 +128,7 @@ def test_given_points_belong_to_the_initial_population() -> None:
         (lambda: FrogLeaping(leaps=0), "0 leaps"),
         (lambda: FrogLeaping(reach=float("nan")), "reach nan"),
         (lambda: FrogLeaping(largest_leap=0.0), "largest_leap 0"),
-        (lambda: ParticleSwarm(particles=1), "1 particles are no swarm"),
+        (lambda: ParticleSwarm(particles=1), "1 particles are too few for a swarm"),
         (lambda: ParticleSwarm(social=-1.0), "learning factors"),
         (lambda: ParticleSwarm(fastest=0.0), "velocity clamp 0"),
         (lambda: RandomWeight(0.9, 0.4), "no random weight"),
