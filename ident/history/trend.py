@@ -65,7 +65,7 @@ class Series:
 
 
 @dataclass(frozen=True)
-class Step:
+class TrendStep:
     """A step of a parameter beside its trend.
 
     Attributes:
@@ -108,7 +108,7 @@ class Trend:
     per_kelvin_half: float | None
     mean_temperature: float | None
     scatter: float
-    steps: tuple[Step, ...]
+    steps: tuple[TrendStep, ...]
     corrected: FloatArray
     line: FloatArray
 
@@ -149,7 +149,7 @@ def estimate_trend(series: Series, step_level: float) -> Trend | None:
     of_change[first_step:] = 1.0
     change, change_half = fit.estimate(of_change)
     found = [
-        Step(
+        TrendStep(
             float(points.time[place - 1]),
             float(points.time[place]),
             *fit.estimate(fit.unit(first_step + number)),

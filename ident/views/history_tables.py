@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 from drivers.core.text import in_percent
 from ident.history.arm import STEP_LEVEL, TREND_LEVEL, ArmHistory, ParameterHistory
-from ident.history.trend import LEAST_RESULTS, Step
+from ident.history.trend import LEAST_RESULTS, TrendStep
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.tables import Cell, Column, Table, table_of_rows
 from ident.views.number_text import with_error
@@ -156,7 +156,7 @@ def _sentence(parameter: ParameterHistory) -> str:
     return f"{whole}; it stepped {' and '.join(steps)}." if steps else f"{whole}."
 
 
-def _step_text(parameter: ParameterHistory, step: Step) -> str:
+def _step_text(parameter: ParameterHistory, step: TrendStep) -> str:
     way = "up" if step.size > 0 else "down"
     when = f"between {date_text(step.before)} and {date_text(step.after)}"
     return f"{way} by {_size(parameter, step.size, step.half)} {when}"

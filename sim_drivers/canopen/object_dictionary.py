@@ -44,7 +44,7 @@ class SdoAbortError(Exception):
 
 
 @dataclass(frozen=True)
-class Entry:
+class ObjectEntry:
     """One variable.
 
     Attributes:
@@ -96,17 +96,17 @@ def eds_text() -> str:
 
 
 @lru_cache(maxsize=128)
-def entries(node: int) -> dict[tuple[int, int], Entry]:
+def entries(node: int) -> dict[tuple[int, int], ObjectEntry]:
     """The variables of a node by index and subindex, as its EDS lists them."""
     from canopen.objectdictionary import SIGNED_TYPES, ODVariable, datatypes
     from canopen.objectdictionary.eds import import_eds
 
-    by_place: dict[tuple[int, int], Entry] = {}
+    by_place: dict[tuple[int, int], ObjectEntry] = {}
     read: Any = import_eds
     for index, item in read(StringIO(eds_text()), node).items():
         for variable in [item] if isinstance(item, ODVariable) else item.values():
             text = variable.data_type == datatypes.VISIBLE_STRING
-            by_place[index, variable.subindex] = Entry(
+            by_place[index, variable.subindex] = ObjectEntry(
                 name=variable.name,
                 size=0 if text else len(variable) // 8,
                 signed=variable.data_type in SIGNED_TYPES,
@@ -156,7 +156,7 @@ class ObjectDictionary:
         """Called before a value is stored; may raise SdoAbortError to refuse it."""
         self._checks[index, subindex] = check
 
-    def entry(self, index: int, subindex: int) -> Entry:
+    def entry(self, index: int, subindex: int) -> ObjectEntry:
         """The variable at a place.
 
         Raises:

@@ -18,7 +18,7 @@ class State(Enum):
     FAULT = 0x08
 
 
-class Command(Enum):
+class StateCommand(Enum):
     """Commands of a controlword."""
 
     DISABLE_VOLTAGE = "disable voltage"
@@ -39,33 +39,33 @@ STAY_IN_QUICK_STOP = (5, 6)
 
 # The numbers are those of the transitions in CiA 402-2. Missing ones are ignored, as in the profile.
 TRANSITIONS = {
-    (State.SWITCH_ON_DISABLED, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 2
-    (State.READY_TO_SWITCH_ON, Command.SWITCH_ON): State.SWITCHED_ON,  # 3
-    (State.READY_TO_SWITCH_ON, Command.ENABLE_OPERATION): State.OPERATION_ENABLED,  # 3, then 4
-    (State.SWITCHED_ON, Command.ENABLE_OPERATION): State.OPERATION_ENABLED,  # 4
-    (State.OPERATION_ENABLED, Command.SWITCH_ON): State.SWITCHED_ON,  # 5, "disable operation"
-    (State.SWITCHED_ON, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 6
-    (State.READY_TO_SWITCH_ON, Command.QUICK_STOP): State.SWITCH_ON_DISABLED,  # 7
-    (State.READY_TO_SWITCH_ON, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 7
-    (State.OPERATION_ENABLED, Command.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 8
-    (State.OPERATION_ENABLED, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 9
-    (State.SWITCHED_ON, Command.QUICK_STOP): State.SWITCH_ON_DISABLED,  # 10
-    (State.SWITCHED_ON, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 10
-    (State.OPERATION_ENABLED, Command.QUICK_STOP): State.QUICK_STOP_ACTIVE,  # 11
-    (State.QUICK_STOP_ACTIVE, Command.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 12
-    (State.QUICK_STOP_ACTIVE, Command.ENABLE_OPERATION): State.OPERATION_ENABLED,  # 16
+    (State.SWITCH_ON_DISABLED, StateCommand.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 2
+    (State.READY_TO_SWITCH_ON, StateCommand.SWITCH_ON): State.SWITCHED_ON,  # 3
+    (State.READY_TO_SWITCH_ON, StateCommand.ENABLE_OPERATION): State.OPERATION_ENABLED,  # 3, then 4
+    (State.SWITCHED_ON, StateCommand.ENABLE_OPERATION): State.OPERATION_ENABLED,  # 4
+    (State.OPERATION_ENABLED, StateCommand.SWITCH_ON): State.SWITCHED_ON,  # 5, "disable operation"
+    (State.SWITCHED_ON, StateCommand.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 6
+    (State.READY_TO_SWITCH_ON, StateCommand.QUICK_STOP): State.SWITCH_ON_DISABLED,  # 7
+    (State.READY_TO_SWITCH_ON, StateCommand.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 7
+    (State.OPERATION_ENABLED, StateCommand.SHUTDOWN): State.READY_TO_SWITCH_ON,  # 8
+    (State.OPERATION_ENABLED, StateCommand.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 9
+    (State.SWITCHED_ON, StateCommand.QUICK_STOP): State.SWITCH_ON_DISABLED,  # 10
+    (State.SWITCHED_ON, StateCommand.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 10
+    (State.OPERATION_ENABLED, StateCommand.QUICK_STOP): State.QUICK_STOP_ACTIVE,  # 11
+    (State.QUICK_STOP_ACTIVE, StateCommand.DISABLE_VOLTAGE): State.SWITCH_ON_DISABLED,  # 12
+    (State.QUICK_STOP_ACTIVE, StateCommand.ENABLE_OPERATION): State.OPERATION_ENABLED,  # 16
 }
 
 
-def command_of(controlword: int) -> Command:
-    """Command in bits 0–3 of a controlword."""
+def command_of(controlword: int) -> StateCommand:
+    """StateCommand in bits 0–3 of a controlword."""
     if not controlword & 0x02:
-        return Command.DISABLE_VOLTAGE
+        return StateCommand.DISABLE_VOLTAGE
     if not controlword & 0x04:
-        return Command.QUICK_STOP
+        return StateCommand.QUICK_STOP
     if not controlword & 0x01:
-        return Command.SHUTDOWN
-    return Command.ENABLE_OPERATION if controlword & 0x08 else Command.SWITCH_ON
+        return StateCommand.SHUTDOWN
+    return StateCommand.ENABLE_OPERATION if controlword & 0x08 else StateCommand.SWITCH_ON
 
 
 class StateMachine:
@@ -103,7 +103,7 @@ class StateMachine:
             return
         command = command_of(controlword)
         stays = self.quick_stop_option in STAY_IN_QUICK_STOP
-        if self.state is State.QUICK_STOP_ACTIVE and command is Command.ENABLE_OPERATION and not stays:
+        if self.state is State.QUICK_STOP_ACTIVE and command is StateCommand.ENABLE_OPERATION and not stays:
             return
         reached = TRANSITIONS.get((self.state, command), self.state)
         if reached is State.QUICK_STOP_ACTIVE and self.quick_stop_option == DISABLE_AT_ONCE:

@@ -56,7 +56,7 @@ exceed the limit."""
 
 
 @dataclass(frozen=True)
-class Watch:
+class Callbacks:
     """Callbacks of a solver; either may end it by raising.
 
     Attributes:
@@ -68,10 +68,10 @@ class Watch:
     visit: Callable[[FloatArray], bool]
 
 
-UNWATCHED = Watch(lambda: None, lambda variables: False)
+UNWATCHED = Callbacks(lambda: None, lambda variables: False)
 
 
-def solve(problem: DesignProblem, start: FloatArray, watch: Watch = UNWATCHED) -> Iterator[FloatArray]:
+def solve(problem: DesignProblem, start: FloatArray, watch: Callbacks = UNWATCHED) -> Iterator[FloatArray]:
     """Step from `start` towards a local optimum: the variables (size,) after every round."""
     variables = start
     for step in ROUNDS:
@@ -79,17 +79,17 @@ def solve(problem: DesignProblem, start: FloatArray, watch: Watch = UNWATCHED) -
         yield variables
 
 
-def open_search(problem: DesignProblem, feasible: FloatArray, watch: Watch = UNWATCHED) -> FloatArray:
+def open_search(problem: DesignProblem, feasible: FloatArray, watch: Callbacks = UNWATCHED) -> FloatArray:
     """A better motion near a feasible one; it may exceed the limits a little."""
     return _slsqp(_Evaluations(problem, OPENING, watch), feasible, OPENING, OPENING_REACH)
 
 
-def tighten(problem: DesignProblem, variables: FloatArray, watch: Watch = UNWATCHED) -> FloatArray:
+def tighten(problem: DesignProblem, variables: FloatArray, watch: Callbacks = UNWATCHED) -> FloatArray:
     """Another last round from `variables`, for a problem whose limits were narrowed."""
     return _round(problem, variables, ROUNDS[-1], watch)
 
 
-def _round(problem: DesignProblem, start: FloatArray, step: Round, watch: Watch) -> FloatArray:
+def _round(problem: DesignProblem, start: FloatArray, step: Round, watch: Callbacks) -> FloatArray:
     """Result of a round; with a shorter reach where it ends further outside the limits than it began."""
     before = max(problem.allowed, float(problem.use(start).max(initial=0.0)))
     for reach in REACHES:
@@ -102,7 +102,7 @@ def _round(problem: DesignProblem, start: FloatArray, step: Round, watch: Watch)
 class _Evaluations:
     """Smooth cost and slacks allowed − smooth use (m,), computed once for each point that a solver evaluates."""
 
-    def __init__(self, problem: DesignProblem, step: Round, watch: Watch) -> None:
+    def __init__(self, problem: DesignProblem, step: Round, watch: Callbacks) -> None:
         self._problem = problem
         self._step = step
         self._watch = watch

@@ -15,7 +15,7 @@ from ident.excite.choices import Solver
 from ident.excite.search.acceptance import LEAST_SHARE, UTILISATION_TOLERANCE, accepted, dense_use, shrunk_to_fit
 from ident.excite.search.poses import NoFeasiblePoseError, feasible_pose
 from ident.excite.search.problem import DesignProblem, ErrorBar
-from ident.excite.search.solve import Watch, open_search, solve, tighten
+from ident.excite.search.solve import Callbacks, open_search, solve, tighten
 
 FROGS = FrogLeaping(random="coordinate")
 """UP6 Table 2, but each coordinate leaps by a random share of its own: 18 and more variables need it."""
@@ -185,7 +185,7 @@ def run_start(  # noqa: C901 — the steps, in their order
         leap(problem, feasible, seed, offer, tick)
         report(Finished(start))
         return
-    watch = Watch(tick, visit)
+    watch = Callbacks(tick, visit)
     for _ in range(OPENINGS):
         offer_shrunk(open_search(problem, best_variables, watch))
     variables = opened = best_variables
@@ -243,7 +243,7 @@ def _worst(problem: DesignProblem, variables: FloatArray) -> str:
     return f"{percent_text(float(use[worst]), 4)} of the {problem.limits[worst]}"
 
 
-def _narrowed(problem: DesignProblem, variables: FloatArray, watch: Watch) -> Iterator[FloatArray]:
+def _narrowed(problem: DesignProblem, variables: FloatArray, watch: Callbacks) -> Iterator[FloatArray]:
     """Further rounds within narrower limits, until they are kept between the grid's points too."""
     if float(problem.use(variables).max(initial=0.0)) > problem.allowed + UTILISATION_TOLERANCE:
         return

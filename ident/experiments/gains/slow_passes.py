@@ -37,7 +37,7 @@ FEWEST_SAMPLES = 3
 
 
 @dataclass(frozen=True)
-class SlowPass:
+class JointPass:
     """One joint moving in one direction; M samples that count.
 
     Attributes:
@@ -74,12 +74,12 @@ class Sweep:
     speed: float
 
 
-def passes_of(segments: Sequence[Segment], rest_velocity: float) -> list[SlowPass]:
+def passes_of(segments: Sequence[Segment], rest_velocity: float) -> list[JointPass]:
     """All slow passes; `torque` of the segments is the motors' signal."""
     return [slow_pass for segment in segments for slow_pass in _passes(segment, rest_velocity)]
 
 
-def _passes(segment: Segment, rest_velocity: float) -> Iterator[SlowPass]:
+def _passes(segment: Segment, rest_velocity: float) -> Iterator[JointPass]:
     moving = np.abs(segment.velocity) >= rest_velocity
     alone = segment.used & (moving.sum(axis=0) == 1)
     joint = np.where(alone, np.argmax(moving, axis=0), -1)
@@ -93,7 +93,7 @@ def _passes(segment: Segment, rest_velocity: float) -> Iterator[SlowPass]:
         mover, whole = int(joint[start]), slice(start, stop)
         slow = np.abs(segment.acceleration[mover, whole]) <= LARGEST_ACCELERATION
         if slow.any():
-            yield SlowPass(
+            yield JointPass(
                 joint=mover,
                 upward=bool(upward[start]),
                 pose=np.median(segment.position[:, whole], axis=1),
@@ -103,7 +103,7 @@ def _passes(segment: Segment, rest_velocity: float) -> Iterator[SlowPass]:
             )
 
 
-def sweeps_of(free: Sequence[SlowPass], loaded: Sequence[SlowPass]) -> list[Sweep]:
+def sweeps_of(free: Sequence[JointPass], loaded: Sequence[JointPass]) -> list[Sweep]:
     """Sweeps for which both runs have passes in both directions, at the same speed, over shared positions."""
     poses: list[tuple[int, FloatArray]] = []
     for slow_pass in (*free, *loaded):
@@ -121,13 +121,13 @@ def sweeps_of(free: Sequence[SlowPass], loaded: Sequence[SlowPass]) -> list[Swee
     return sweeps
 
 
-def _same_pose(slow_pass: SlowPass, joint: int, pose: FloatArray) -> bool:
+def _same_pose(slow_pass: JointPass, joint: int, pose: FloatArray) -> bool:
     apart = np.abs(slow_pass.pose - pose)
     apart[joint] = 0.0
     return slow_pass.joint == joint and bool(np.max(apart) <= POSE_TOLERANCE)
 
 
-def _sweep(joint: int, pose: FloatArray, groups: Sequence[Sequence[SlowPass]]) -> Sweep | None:
+def _sweep(joint: int, pose: FloatArray, groups: Sequence[Sequence[JointPass]]) -> Sweep | None:
     """Bins of the groups free up, free down, loaded up, loaded down; None where they share no positions."""
     signals = [
         [np.concatenate([getattr(slow_pass, name) for slow_pass in group]) for name in _SIGNALS] for group in groups

@@ -40,7 +40,7 @@ class LinkMotion:
 
 
 @dataclass(frozen=True)
-class Wrench:
+class LinkWrench:
     """Force and moment at a frame's origin, in that frame."""
 
     force: Vector
@@ -92,7 +92,7 @@ def link_motion(velocity: Vector, acceleration: Vector, linear: Vector) -> LinkM
     return LinkMotion(velocity, acceleration, products, swing, linear)
 
 
-def link_wrench(motion: LinkMotion, inertial: Sequence[float] | FloatArray) -> Wrench:
+def link_wrench(motion: LinkMotion, inertial: Sequence[float] | FloatArray) -> LinkWrench:
     """What moves a link with ten parameters (10,), as the numbers of `INERTIAL`."""
     xx, xy, xz, yy, yz, zz, *_, mass = (float(value) for value in inertial)
     graph = motion.linear[0].graph
@@ -105,15 +105,15 @@ def link_wrench(motion: LinkMotion, inertial: Sequence[float] | FloatArray) -> W
         ay * yy + square["xz"] * (xx - zz) + swing[2][1] * xy - swing[0][1] * yz + (square["zz"] - square["xx"]) * xz,
         az * zz + square["xy"] * (yy - xx) - swing[1][2] * xz + swing[0][2] * yz + (square["xx"] - square["yy"]) * xy,
     )
-    return Wrench(force, add(moment, cross(first_moment, motion.linear)))
+    return LinkWrench(force, add(moment, cross(first_moment, motion.linear)))
 
 
-def unit_wrench(motion: LinkMotion, kind: int) -> Wrench:
+def unit_wrench(motion: LinkMotion, kind: int) -> LinkWrench:
     """What moves a link whose parameter number `kind` of ten is 1 and the others 0."""
     return link_wrench(motion, [float(kind == number) for number in range(len(INERTIAL))])
 
 
-def tree_torques(frames: Sequence[JointFrame], wrenches: Sequence[Wrench]) -> list[Expression]:
+def tree_torques(frames: Sequence[JointFrame], wrenches: Sequence[LinkWrench]) -> list[Expression]:
     """Torques or forces of the tree's joints from what moves each link."""
     totals = list(wrenches)
     torques: list[Expression] = []
@@ -123,17 +123,19 @@ def tree_torques(frames: Sequence[JointFrame], wrenches: Sequence[Wrench]) -> li
         parent = frame.joint.parent
         if parent != BASE_INDEX:
             passed = to_parent(frame, own)
-            totals[parent] = Wrench(add(totals[parent].force, passed.force), add(totals[parent].moment, passed.moment))
+            totals[parent] = LinkWrench(
+                add(totals[parent].force, passed.force), add(totals[parent].moment, passed.moment)
+            )
     return torques[::-1]
 
 
-def to_parent(frame: JointFrame, wrench: Wrench) -> Wrench:
+def to_parent(frame: JointFrame, wrench: LinkWrench) -> LinkWrench:
     """The same wrench at the origin of the parent's frame."""
     force = frame.to_parent(wrench.force)
-    return Wrench(force, add(frame.to_parent(wrench.moment), cross(frame.translation, force)))
+    return LinkWrench(force, add(frame.to_parent(wrench.moment), cross(frame.translation, force)))
 
 
-def along_axis(frame: JointFrame, wrench: Wrench) -> Expression:
+def along_axis(frame: JointFrame, wrench: LinkWrench) -> Expression:
     """What the joint's drive must give of a wrench."""
     axis = constant_vector(wrench.force[0].graph, frame.joint.axis)
     return dot(axis, wrench.force if frame.joint.prismatic else wrench.moment)
@@ -161,9 +163,9 @@ def tree_inertia(
     for index, (frame, body) in enumerate(zip(frames, bodies, strict=True)):
         axis = constant_vector(graph, frame.joint.axis)
         if frame.joint.prismatic:
-            wrench = Wrench(scale(axis, body.mass), cross(body.first_moment, axis))
+            wrench = LinkWrench(scale(axis, body.mass), cross(body.first_moment, axis))
         else:
-            wrench = Wrench(cross(axis, body.first_moment), apply(body.inertia, axis))
+            wrench = LinkWrench(cross(axis, body.first_moment), apply(body.inertia, axis))
         below = index
         while True:
             entries[index, below] = along_axis(frames[below], wrench)

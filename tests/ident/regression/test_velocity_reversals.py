@@ -1,4 +1,4 @@
-"""Motors that turn round: their equations are left out, nothing else, and friction that sticks there does no harm."""
+"""Motors that reverse: their equations are left out, nothing else, and friction that sticks there does no harm."""
 
 from __future__ import annotations
 

@@ -105,7 +105,7 @@ def test_a_urdf_of_the_wild_runs_or_is_refused_in_one_line(tmp_path: Path) -> No
         ),
         "a placeholder of an effort": (PLAIN.replace('effort="60"', 'effort="1"'), "gravity alone needs"),
         "no limits": (PLAIN.replace(LIMIT, ""), "position: [TODO, TODO]"),
-        "degrees": (PLAIN.replace('"-2" upper="2"', '"-90" upper="90"'), "no limits in rad"),
+        "degrees": (PLAIN.replace('"-2" upper="2"', '"-90" upper="90"'), "cannot be limits in rad"),
         "limits in the wrong order": (PLAIN.replace('"-2" upper="2"', '"2" upper="-2"'), "[TODO, TODO]"),
         "windows": (PLAIN.replace(">", ">\r\n").encode(), "name: arm"),
         "comments": (PLAIN.replace("<joint", "<!-- <joint name='${x}'> --><joint"), "name: arm"),

@@ -182,7 +182,7 @@ def test_mistakes_are_named():
         ("torque of L or U fits the others with the opposite sign", {"torque": lambda tau, t: tau * [1.0, 1.0, -1.0]}),
         ("opposite to what the robot file's masses need", {"torque": lambda tau, t: -tau}),
         ("U was commanded to move, and its position never", {"position": lambda q, t: q * [1, 1, 0] + [0, 0, 0.5]}),
-        ("a load was taken up", {"torque": lambda tau, t: tau + np.where(t > half, 300.0, 0.0)[:, None]}),
+        ("a load was picked up", {"torque": lambda tau, t: tau + np.where(t > half, 300.0, 0.0)[:, None]}),
     )
     for words, change in cases:
         found = dynid.identify_gravity(_changed(**change))
