@@ -75,6 +75,10 @@ RIVAL_LIKELIHOOD = 9.0
 LEAST_FALL = 0.3
 """Mean over the equations of the fall of log ε² from which on several lengths are blamed: the error falls by 14 %."""
 
+CLEAR_FALL = 1.0
+"""The same from which on a deviation is judged as if the equations were enough: the error falls by 40 %, and what a
+poor fit leaves hides how many of them are independent."""
+
 REFINED_UNKNOWNS = 4
 """Unknowns that are linearised anew where their estimate is, those that explain most."""
 
@@ -177,7 +181,10 @@ def most_likely(
     ]
     width = len(deviations[0].parameters)
     after = min(total, independent * shares[1] / shares[0])
-    if after < INDEPENDENT_PER_PARAMETER * width:  # too few to judge by
+    needed = INDEPENDENT_PER_PARAMETER * width
+    if deviations[0].likelihood > CLEAR_FALL * total:
+        after = max(after, min(total, needed))
+    if after < needed:  # too few to judge by
         return []
     worth = (after - width) / total
     judged = [_judged(deviation, worth) for deviation in deviations]

@@ -38,10 +38,10 @@ LIKELIHOOD, OF_LOAD = 100.0, 150.0
 RIVAL = 1.5
 """Factor by which it must exceed that of friction, which changes as gears warm up."""
 
-LEAST_FALL = 1.8
-"""Factor by which a joint's squared residuals must fall: that of the gain, else the joint whose fall most. Parts of the
-Panda's recording reach likelihoods of 133 to 200 and factors of 1.0 to 1.6 of a gain's own joint; a gain times 1.1 from
-the middle on 2.7, a zero of 5° 1.9."""
+LEAST_FALL, FALL_OF_OTHERS = 1.8, 4.0
+"""Factor by which a joint's squared residuals must fall: that of the gain; else the joint whose fall most. Parts of the
+Panda's recording reach likelihoods of 133 to 262, and factors of 1.0 to 1.6 of a gain's own joint, 2.2 of a zero (4.2°)
+and 2.3 of a load; a gain times 1.1 from the middle on reaches 2.7 there."""
 
 LEAST_GAIN = 0.08
 LEAST_ZERO = float(np.deg2rad(3.0))
@@ -319,7 +319,8 @@ def _clear(one: FittedChange, rival: float) -> bool:
     """Whether a change is one that is reported, against friction of a likelihood."""
     least = {"zero": LEAST_ZERO, "load": 0.0, "friction": np.inf}.get(one.change.what, LEAST_GAIN)
     likely = OF_LOAD if one.change.what == "load" else LIKELIHOOD
-    return abs(one.value) >= least and one.fall >= LEAST_FALL and one.likelihood > max(likely, RIVAL * rival)
+    fall = LEAST_FALL if one.change.what == "gain" else FALL_OF_OTHERS
+    return abs(one.value) >= least and one.fall >= fall and one.likelihood > max(likely, RIVAL * rival)
 
 
 def change_check(model: DynamicModel, found: FittedChange, times: FloatArray) -> Check:
