@@ -27,6 +27,7 @@ from daq.recording.recording import JOINTS_STREAM
 from daq.robot.arm_lengths import joint_axes
 from daq.robot.loader import RobotFile
 from daq.session.course import View
+from daq.session.realtime import ordinary_priority
 from drivers.core.child_process import started_without_interrupt
 from drivers.core.errors import UsageError
 from drivers.core.text import json_text
@@ -153,7 +154,7 @@ def _server(rows: SharedRows, about: str, token: str, listening: socket.socket) 
     reader, writer = context.Pipe(duplex=False)
     arguments = (reader, rows.handle, about, token, listening)
     process = context.Process(target=serve, args=arguments, name="dynid live page", daemon=True)
-    with started_without_interrupt():
+    with ordinary_priority(), started_without_interrupt():
         process.start()
     reader.close()
     listening.close()

@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING
 
 from daq.live.envelope import Envelope
 from daq.live.shared_rows import RowsHandle, SharedRows
-from daq.session.realtime import give_realtime_back
 
 if TYPE_CHECKING:
     import uvicorn
@@ -160,7 +159,6 @@ def serve(pipe: Connection, handle: RowsHandle, about: str, token: str, listenin
         listening: the server's socket, on loopback.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    give_realtime_back()
     import uvicorn
 
     rows = SharedRows.attach(handle)

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from daq.recording.recording import JOINTS_STREAM
-from daq.session.realtime import give_realtime_back
+from daq.session.realtime import ordinary_priority
 from daq.session.supervisor import Limits
 from daq.session.unrecorded import SampleKeeper
 from daq.session.watch import Watch
@@ -209,7 +209,7 @@ def live_view(
     reader, writer = context.Pipe(duplex=False)
     process = context.Process(target=draw, args=(reader,), name="dynid live view", daemon=True)
     try:
-        with started_without_interrupt():
+        with ordinary_priority(), started_without_interrupt():
             process.start()
         started = True
     except OSError:  # no room for another process: a recording goes on without a display
@@ -233,7 +233,6 @@ def _leave(process: BaseProcess) -> None:
 def draw(reader: Connection) -> None:
     """Draw on stderr every picture that arrives, until the pipe ends; the display's process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    give_realtime_back()
     from rich.console import Console
     from rich.live import Live
 

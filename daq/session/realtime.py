@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from drivers.core.errors import UsageError
 
@@ -44,7 +46,19 @@ def may_have_realtime() -> bool:
     return not refusals
 
 
-def give_realtime_back() -> None:
-    """Ordinary priority again for this thread; a display must not disturb what it shows."""
-    if hasattr(os, "sched_setscheduler"):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+@contextmanager
+def ordinary_priority() -> Iterator[None]:
+    """Start processes in this context that need no real-time priority: a display must not disturb what it shows.
+
+    To give it back themselves would be too late: the second in which a process imports its modules is as much as the
+    kernel allows real-time threads before it halts all of them for 50 ms (sched_rt_runtime_us).
+    """
+    if not hasattr(os, "sched_setscheduler"):
+        yield
+        return
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, *before)

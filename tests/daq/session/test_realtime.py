@@ -1,4 +1,4 @@
-"""Real-time priority: asked for, refused in words, and handed on to threads."""
+"""Real-time priority: asked for, refused in words, handed on to threads, and not to a display."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from drivers.core.errors import UsageError
 linux = pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="Linux only")
 
 PROBE = """
-import os, threading
-from daq.session.realtime import ask_for_realtime, give_realtime_back
+import os, subprocess, sys, threading
+from daq.session.realtime import ask_for_realtime, ordinary_priority
 ask_for_realtime()
 seen = []
 thread = threading.Thread(target=lambda: seen.append(os.sched_getscheduler(0)))
 thread.start(); thread.join()
 assert seen == [os.SCHED_FIFO], seen
-give_realtime_back()
-assert os.sched_getscheduler(0) == os.SCHED_OTHER
+with ordinary_priority():
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER
+    assert int(subprocess.check_output([sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"])) == 0
+assert os.sched_getscheduler(0) == os.SCHED_FIFO
 print("done")
 """
 
@@ -50,7 +52,8 @@ def test_a_system_without_it_says_so(monkeypatch):
     monkeypatch.delattr(os, "sched_setscheduler", raising=False)
     with pytest.raises(UsageError, match="no real-time priority"):
         realtime.ask_for_realtime()
-    realtime.give_realtime_back()
+    with realtime.ordinary_priority():
+        pass
 
 
 @linux
