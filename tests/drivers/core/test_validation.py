@@ -1,0 +1,31 @@
+from __future__ import annotations
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.core.validation import load_yaml
+
+PIECES = list("\n:-a1'\"[]{},#µ") + ["  ", "- ", ": ", "&a ", "*a", "!!int ", "a: |\n", "- >-\n"]
+
+
+def outcome(text: str, patch: pytest.MonkeyPatch, *, compiled: bool) -> object:
+    patch.setattr(yaml, "__with_libyaml__", compiled)
+    try:
+        return load_yaml(text)
+    except (yaml.YAMLError, RecursionError) as error:
+        return str(error)
+
+
+@pytest.mark.skipif(not yaml.__with_libyaml__, reason="PyYAML without libyaml")
+@given(st.lists(st.sampled_from(PIECES), max_size=30).map("".join))
+def test_the_compiled_parser_reads_and_refuses_as_the_plain_one(text: str) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        assert outcome(text, patch, compiled=True) == outcome(text, patch, compiled=False)
+
+
+@pytest.mark.parametrize("opening", ["[", "- ", "{a: "])
+def test_deep_nesting_is_an_error_and_no_crash(opening: str) -> None:
+    with pytest.raises(RecursionError):
+        load_yaml(opening * 100_000)
