@@ -23,6 +23,7 @@ from hypothesis.database import DirectoryBasedExampleDatabase
 from hypothesis.internal.conjecture import providers
 from simulated_clock import SimulatedClock, simulated_time
 
+from drivers.core import reading_process
 from drivers.core.clock import Clock
 
 if TYPE_CHECKING:
@@ -35,6 +36,8 @@ FrictionSearch = dict[str, Callable[..., bool]]
 """The methods of an identification's choices that begin the search for friction terms and pre-sliding, by name."""
 
 REPOSITORY = Path(__file__).resolve().parents[1]
+READ_APART = ("drivers/core", "daq/importers", "daq/recording", "daq/robot", "found", "realdata")
+"""Whose tests read damaged files, and those of others."""
 
 # "ci", the default, draws the same examples in every run; "soak" (`make soak`) new ones, and keeps those that fail.
 # A busy computer makes any single example slow: time is no property that a test of values may fail by.
@@ -86,6 +89,16 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.unfreeze = lambda: None
     gc.enable()
+    gc.set_threshold(20_000)  # objects; looking after each 700 takes a hundredth of all tests' time
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Read files in a process of their own where that is what is tested.
+
+    To copy the process that has imported everything takes 20 ms and more, once or twice for each command.
+    """
+    reading_process.APART = any(item.nodeid.startswith(f"tests/{room}/") for room in READ_APART)
 
 
 @pytest.fixture(scope="session")

@@ -62,13 +62,16 @@ class StuckChannel:
             way: (m,) what should change them, at the last sample [rad, m or s].
             speed: (m,) of the joints [rad/s or m/s], where it is a new one, else NaN.
         """
-        changes = np.abs(np.diff(values, axis=0, prepend=self._last[np.newaxis]))
-        changed = ~(changes == 0.0).all(axis=0)
+        before = np.concatenate([self._last[np.newaxis], values[:-1]]) if len(values) > 1 else self._last
+        changes = np.abs(values - before)
+        changed = (changes != 0.0).any(axis=0)
         self._last = values[-1].copy()
         self._low, self._high = np.fmin(self._low, way), np.fmax(self._high, way)
-        self._speeds += ~np.isnan(speed)
-        own = np.where(self._speeds > 1, speed, np.nan)  # the first one is that of a time before, too
-        self._slow, self._fast = np.fmin(self._slow, own), np.fmax(self._fast, own)
+        known = ~np.isnan(speed)
+        if known.any():
+            self._speeds += known
+            own = np.where(self._speeds > 1, speed, np.nan)  # the first one is that of a time before, too
+            self._slow, self._fast = np.fmin(self._slow, own), np.fmax(self._fast, own)
         stood = self._high - self._low
         if changed.any():
             ended = np.flatnonzero(changed)
@@ -80,9 +83,11 @@ class StuckChannel:
             self._slow[ended] = self._fast[ended] = np.nan
             self._speeds[ended] = 0
             self._since[ended], self._hangs[ended] = np.nan, False
-        hangs = ~changed & ~self._hangs & (self._changes >= STANDS) & (stood > self._limits())
-        if self._quantity not in ("position", "temperature"):
-            hangs &= self._fast - self._slow > SPEED_CHANGE
+        hangs = ~changed & ~self._hangs & (self._changes >= STANDS)
+        if hangs.any():
+            hangs &= stood > self._limits()
+            if self._quantity not in ("position", "temperature"):
+                hangs &= self._fast - self._slow > SPEED_CHANGE
         if hangs.any():
             self._since[hangs & np.isnan(self._since)] = time
             for column in np.flatnonzero(hangs & (time - self._since >= self._patience)).tolist():

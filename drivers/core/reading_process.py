@@ -24,6 +24,8 @@ from drivers.core.files import GB, size_text
 if sys.platform == "linux":
     import resource
 
+APART = sys.platform == "linux"
+"""Whether files are read in a process of their own."""
 Result = TypeVar("Result")
 Progress = Callable[[str], None]
 """Tells a user what is being done."""
@@ -70,7 +72,7 @@ def read_apart(
     Raises:
         InputError: `refusal`, where reading took too much time or memory, or crashed; or what `read` raises.
     """
-    if sys.platform != "linux":
+    if not APART:
         return read(progress)
     if waiting_limit is None:
         waiting_limit = max(WAITING_LIMIT, 4 * time_limit)

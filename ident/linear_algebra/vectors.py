@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -28,9 +29,16 @@ def cross_matrix(vector: FloatArray) -> FloatArray:
 
 def axis_rotation(axis: FloatArray, angle: npt.ArrayLike) -> FloatArray:
     """Rotations (3, 3, …) about a unit vector (3,) by angles (…) [rad], by Rodrigues' formula."""
-    angle, matrix = np.asarray(angle), cross_matrix(axis)
-    turned = np.multiply.outer(matrix, np.sin(angle)) + np.multiply.outer(matrix @ matrix, 1.0 - np.cos(angle))
-    return np.asarray(np.eye(3).reshape(3, 3, *[1] * angle.ndim) + turned)
+    angle, (unit, matrix, square) = np.asarray(angle), _turning(*axis.tolist())
+    turned = np.multiply.outer(matrix, np.sin(angle)) + np.multiply.outer(square, 1.0 - np.cos(angle))
+    return np.asarray(unit.reshape(3, 3, *[1] * angle.ndim) + turned)
+
+
+@functools.lru_cache(1024)
+def _turning(x: float, y: float, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The unit matrix, [v]× and its square, of an axis; a search asks for those of the same arm thousands of times."""
+    matrix = cross_matrix(np.array([x, y, z]))
+    return np.eye(3), matrix, matrix @ matrix
 
 
 def rotation_of(roll: float, pitch: float, yaw: float) -> FloatArray:

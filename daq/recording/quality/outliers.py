@@ -18,7 +18,6 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.stride_tricks import sliding_window_view
 
 from daq.recording.quality.quantisation import quantisation_step, resolution
 from drivers.core.arrays import BoolArray, FloatArray, IntArray
@@ -40,7 +39,7 @@ STAMPS = 5.0
 TOO_MANY = 0.02
 """Share of a column's samples beyond which they are not exceptions; such a column is left as it is."""
 
-_NORMAL_QUANTILES = ((0.5, 0.6745), (0.7, 1.0364))  # of the size of a standard normal variable
+_QUANTILES, _OF_A_NORMAL = (0.5, 0.7), (0.6745, 1.0364)  # of the size of a standard normal variable
 _CUBIC_ROUNDING = 1e-14  # of the largest value, what a constant signal seems to be from a cubic
 _ROUNDING_SHARE = 1e-9  # of the largest value
 _SAME_STAMP = 1e-9  # [s] to the one before
@@ -121,7 +120,7 @@ def _noise(distance: FloatArray, largest: float) -> float:
     sizes = sizes[sizes > _CUBIC_ROUNDING * largest]
     if len(sizes) == 0:
         return _ROUNDING_SHARE * largest
-    noise = max(float(np.quantile(sizes, quantile)) / normal for quantile, normal in _NORMAL_QUANTILES)
+    noise = float(np.max(np.quantile(sizes, _QUANTILES) / _OF_A_NORMAL))
     return max(noise, _ROUNDING_SHARE * largest)
 
 
@@ -295,22 +294,22 @@ def position_jumps(
     jumps = np.zeros_like(change, dtype=np.bool_)
     for column in range(len(joints)):
         own = change[:, column]
-        # The change itself stands in the middle of its window.
-        windows = sliding_window_view(own, 2 * AROUND + 1)
-        others = np.delete(windows, AROUND, axis=1)
         inner = slice(AROUND, len(own) - AROUND)
         step = resolution(position[:, column])
         if not np.isfinite(step):
             continue
-        least = np.maximum(LARGER * others.max(axis=1), STEPS * step)
+        # Of the changes on both sides of each.
+        before, after = _largest_of(own[: -AROUND - 1], AROUND), _largest_of(own[AROUND + 1 :], AROUND)
+        largest = np.maximum(before, after)
+        least = np.maximum(LARGER * largest, STEPS * step)
         jumps[inner, column] = own[inner] > np.maximum(least, FASTEST * np.quantile(own, 0.95))
         # Rows that were not read anew for a while end in a jump, too.
-        stood = (others[:, :AROUND].max(axis=1) > 0) != (others[:, AROUND:].max(axis=1) > 0)
-        jumps[inner, column] &= ~stood | (others.max(axis=1) < SLOW * step)
-        signed = sliding_window_view(moved[:, column], 2 * AROUND + 1)
-        usual = np.abs(np.diff(signed, axis=1))
-        usual = np.delete(usual, [AROUND - 1, AROUND], axis=1).max(axis=1)
-        departure = np.abs(signed[:, AROUND] - 0.5 * (signed[:, AROUND - 1] + signed[:, AROUND + 1]))
+        stood = (before > 0) != (after > 0)
+        jumps[inner, column] &= ~stood | (largest < SLOW * step)
+        signed = moved[:, column]
+        turns = np.abs(np.diff(signed))
+        usual = np.maximum(_largest_of(turns[: -AROUND - 1], AROUND - 1), _largest_of(turns[AROUND + 1 :], AROUND - 1))
+        departure = np.abs(signed[inner] - 0.5 * (signed[AROUND - 1 : -AROUND - 1] + signed[AROUND + 1 : 1 - AROUND]))
         excess[inner, column] = departure / np.maximum(usual, 2.0 * step)
     jumps[near] = False
     rows = np.flatnonzero(jumps.any(axis=1))
@@ -328,6 +327,14 @@ def position_jumps(
             cause = "turn"
         found.append(PositionJump(joints[column], row + 1, float(time[row + 1]), size, cause))
     return tuple(found)
+
+
+def _largest_of(values: FloatArray, count: int) -> FloatArray:
+    """(N - count + 1,) the largest of each `count` consecutive values (N,)."""
+    largest = values[: len(values) - count + 1].copy()
+    for shift in range(1, count):
+        np.maximum(largest, values[shift : len(values) - count + 1 + shift], out=largest)
+    return largest
 
 
 def beside_jumps(time: FloatArray, jumps: tuple[PositionJump, ...]) -> BoolArray:
