@@ -117,6 +117,7 @@ def no_filter(factor: int = 1) -> ZeroPhaseFilter:
     return ZeroPhaseFilter(np.empty((0, 6)), factor, "no filter" + _keeping(factor))
 
 
+@lru_cache(maxsize=64)
 def butterworth(cutoff_hz: float, rate_hz: float, order: int = 4, factor: int = 1) -> ZeroPhaseFilter:
     """Butterworth low-pass, run forward and backward; its gain is 1/(1 + (f/f_c)^(2·order)): one half at the cut-off.
 
@@ -143,6 +144,7 @@ def butterworth(cutoff_hz: float, rate_hz: float, order: int = 4, factor: int = 
     return ZeroPhaseFilter(sos, factor, f"zero-phase Butterworth {order}, {cutoff_hz:.4g} Hz" + _keeping(factor))
 
 
+@lru_cache(maxsize=64)
 def chebyshev_decimation(factor: int, order: int = 8) -> ZeroPhaseFilter:
     """The filter of scipy.signal.decimate and MATLAB's `decimate` (SR400 .4.3): Chebyshev I, 0.8 of the new Nyquist.
 

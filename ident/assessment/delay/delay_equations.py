@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -67,6 +68,16 @@ class DelayEquations:
     def blocks(self) -> int:
         """B."""
         return len(self.every_rows)
+
+    @cached_property
+    def every_total(self) -> tuple[FloatArray, ...]:
+        """Of each joint (w_j + 5, w_j + 5), the sum over the blocks of `every`."""
+        return tuple(gram.sum(axis=0) for gram in self.every)
+
+    @cached_property
+    def sliding_total(self) -> tuple[FloatArray, ...]:
+        """The same of `sliding`."""
+        return tuple(gram.sum(axis=0) for gram in self.sliding)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +199,7 @@ def fit_delays(
         weights: (n,) of the joints' equations; iterated from equal relative ones where None. 0 leaves a joint out.
         drift: whether a drift that all joints share is estimated, too.
     """
-    grams = _totals(equations.sliding, without)
+    grams = _without(equations.sliding_total, equations.sliding, without)
     rows = equations.sliding_rows.sum(axis=0)
     iterated = weights is None
     if weights is None:
@@ -205,15 +216,14 @@ def fit_delays(
         if drift:
             matrix[DRIFTING - _TORQUES, -1] = -1.0
         design.append(matrix)
+    projected = [matrix.T @ gram for matrix, gram in zip(design, grams, strict=True)]
+    normals = np.stack([part @ matrix for part, matrix in zip(projected, design, strict=True)])
+    right_sides = np.stack([part[:, SHIFTED - _TORQUES] for part in projected])
     curvature = np.zeros((count, count))
     solution = np.zeros(base + count)
     for _ in range(_WEIGHT_STEPS if iterated else 2):
-        normal, right = np.zeros((base + count, base + count)), np.zeros(base + count)
-        for matrix, gram, weight in zip(design, grams, weights, strict=True):
-            weighted = weight**2 * matrix.T @ gram
-            normal += weighted @ matrix
-            right += weighted[:, SHIFTED - _TORQUES]
-        solution = _newton_step(normal, right, curvature)
+        squares = weights**2
+        solution = _newton_step(np.tensordot(squares, normals, 1), squares @ right_sides, curvature)
         residuals = [_unit(gram, SHIFTED) - matrix @ solution for gram, matrix in zip(grams, design, strict=True)]
         if iterated:
             sums = np.array([_square(gram, residual) for gram, residual in zip(grams, residuals, strict=True)])
@@ -254,7 +264,7 @@ def held_out_errors(equations: DelayEquations, delays: FloatArray | None, weight
     """
     errors = []
     for block in range(equations.blocks):
-        grams = _totals(equations.every, block)
+        grams = _without(equations.every_total, equations.every, block)
         combined = [
             _unit(gram, RECORDED)
             if delays is None
@@ -273,7 +283,7 @@ def held_out_errors(equations: DelayEquations, delays: FloatArray | None, weight
 
 def recorded_weights(equations: DelayEquations, used: npt.NDArray[np.bool_]) -> FloatArray:
     """(n,) one over each joint's residual over all equations, torque as recorded; 0 for joints not `used` (n,)."""
-    grams = _totals(equations.every, None)
+    grams = equations.every_total
     rows = equations.every_rows.sum(axis=0)
     weights = np.where(used, _weights(grams, rows, RECORDED), 0.0)
     recorded = [_unit(gram, RECORDED) for gram in grams]
@@ -290,7 +300,7 @@ def recorded_weights(equations: DelayEquations, used: npt.NDArray[np.bool_]) -> 
 
 def torque_slopes(equations: DelayEquations) -> FloatArray:
     """(n,) sum of τ̇² over the sliding equations; 0 where a joint's torque shows no delay."""
-    return np.array([_square(gram, _unit(gram, SLOPE)) for gram in _totals(equations.sliding, None)])
+    return np.array([_square(gram, _unit(gram, SLOPE)) for gram in equations.sliding_total])
 
 
 def _parameters(
@@ -306,8 +316,12 @@ def _parameters(
     return np.asarray(_inverse(normal) @ right)
 
 
-def _totals(grams: Sequence[FloatArray], without: int | None) -> list[FloatArray]:
-    return [gram.sum(axis=0) - (0.0 if without is None else gram[without]) for gram in grams]
+def _without(
+    totals: tuple[FloatArray, ...], grams: tuple[FloatArray, ...], block: int | None
+) -> tuple[FloatArray, ...]:
+    if block is None:
+        return totals
+    return tuple(total - gram[block] for total, gram in zip(totals, grams, strict=True))
 
 
 def _unit(gram: FloatArray, torque: int) -> FloatArray:
