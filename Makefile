@@ -3,7 +3,8 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v p
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
-WORKERS ?= 2
+# One more than processors: some tests wait for a browser or by the computer's clock.
+WORKERS ?= 3
 # How long each measurement of `make realtime` lasts, and how long `make soak` tries [s].
 REALTIME ?= 60
 SOAK ?= 600

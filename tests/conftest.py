@@ -36,7 +36,15 @@ FrictionSearch = dict[str, Callable[..., bool]]
 """The methods of an identification's choices that begin the search for friction terms and pre-sliding, by name."""
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-READ_APART = ("drivers/core", "daq/importers", "daq/recording", "daq/robot", "found", "realdata")
+READ_APART = (
+    "drivers/core",
+    "daq/importers",
+    "daq/recording",
+    "daq/robot",
+    "ident/excite/constraints",
+    "found",
+    "realdata",
+)
 """Whose tests read damaged files, and those of others."""
 
 # "ci", the default, draws the same examples in every run; "soak" (`make soak`) new ones, and keeps those that fail.
