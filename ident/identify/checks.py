@@ -32,6 +32,7 @@ from ident.estimators.feasible.consistent import ConsistentParameters, found_con
 from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.body_checks import body_checks, with_opposite_torques
 from ident.identify.cutoff_search import cutoff_checks
+from ident.identify.data_split import distinct
 from ident.identify.identification import Identification
 from ident.identify.residual_bursts import burst_checks
 from ident.model.dynamics.inverse_dynamics import weights_in_offsets
@@ -281,9 +282,7 @@ def _differing_run_checks(identification: Identification) -> list[Check]:
     runs = list({id(run.signals): run for run in (*identification.validation_runs, *identification.runs)}.values())
     if len(runs) < 2:
         return []
-    labels = [run.signals.label for run in runs]
-    if len(set(labels)) < len(runs):
-        labels = [f"{label} ({number})" for number, label in enumerate(labels, start=1)]
+    labels = distinct([run.signals.label for run in runs])
     kernel, torques = identification.estimation.kernel, identification.experiment.torques
     reductions = [reduce_torques(kernel, [run.prepared], torques) for run in runs]
     return differing_run_checks(

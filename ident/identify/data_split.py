@@ -148,6 +148,13 @@ def copied(run: RunWindow, others: Sequence[RunWindow]) -> bool:
     return any(same_noise(run.time, run.torque, other.time, other.torque) for other in others)
 
 
+def distinct(labels: Sequence[str]) -> list[str]:
+    """The labels of recordings, numbered where some are alike, as those of recordings in memory are."""
+    if len(set(labels)) == len(labels):
+        return list(labels)
+    return [f"{label} ({number})" for number, label in enumerate(labels, start=1)]
+
+
 def labelled(label: str, overlap: float) -> str:
     """A held-out recording's name; says so where it is not held out.
 

@@ -13,7 +13,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from drivers.core.units import joint_unit
 from ident.assessment.validation import Fit, fit_errors, overfitting_checks
-from ident.identify.data_split import labelled
+from ident.identify.data_split import distinct, labelled
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
@@ -218,6 +218,8 @@ def model_verdict(result: Result, checks: Sequence[Check], runs: Sequence[HeldOu
         runs: the delivered model on recordings.
     """
     counted = [run for run in runs if run.overlap < 1.0] or runs
+    labels = distinct([run.recording for run in counted])
+    counted = [run.model_copy(update={"recording": label}) for run, label in zip(counted, labels, strict=True)]
     basis = _basis(result, counted)
     if not counted:
         missing = raised("not-validated", "nothing was held out to validate the model with (--validate)")
