@@ -176,8 +176,8 @@ def wire_of(robot_file: RobotFile) -> str:
                 if back_end.arm:
                     return back_end.wire
     turning = None if any(robot.sliding) else robot.dof
-    fitting = [one for one in _back_ends() if one.stands_in and one.turning in (turning, None)]
-    return min(fitting, key=lambda one: one.turning is None).wire  # one for just such arms before one for all
+    fitting = [candidate for candidate in _back_ends() if candidate.stands_in and candidate.turning in (turning, None)]
+    return min(fitting, key=lambda back_end: back_end.turning is None).wire  # one for just such arms before one for all
 
 
 def _back_ends() -> list[SimulatedBackEnd]:
@@ -235,7 +235,7 @@ def served_arm(
     plant = Plant(robot_file, seed=options.seed, position=position)
     served: Served = named(back_end.serve)(robot_file, plant, options, clock)
     if options.thermometer and back_end.arm:
-        for beside in filter(None, (one.beside for one in _back_ends())):
+        for beside in filter(None, (candidate.beside for candidate in _back_ends())):
             served = named(beside)(served, robot_file, plant, options, clock)
     if options.contact is not None:
         require_contacts(robot_file)

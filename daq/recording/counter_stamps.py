@@ -24,7 +24,7 @@ def counter_range(time: FloatArray, sample: int) -> float | None:
     back = float(time[sample - 1] - time[sample])
     ranges = (2.0**bits * unit for bits in COUNTER_BITS for unit in COUNTER_UNITS)
     likely = (entry for entry in ranges if entry >= LEAST_PERIODS * period)
-    return next((one for one in likely if 0.0 < one - back <= NEAR_PERIODS * period), None)
+    return next((counter for counter in likely if 0.0 < counter - back <= NEAR_PERIODS * period), None)
 
 
 def unwrapped(time: FloatArray) -> FloatArray:

@@ -101,7 +101,9 @@ def _of_urdf(xml: str, where: str) -> dict[str, Axis]:
         before = joints.get(link_of(joint, "parent"))
         stated = joint.find("axis")
         with suppress(ValueError):  # an axis that is no number
-            axis = np.array([float(one) for one in ("1 0 0" if stated is None else stated.get("xyz", "1 0 0")).split()])
+            axis = np.array(
+                [float(text) for text in ("1 0 0" if stated is None else stated.get("xyz", "1 0 0")).split()]
+            )
             if axis.shape == (3,) and (size := float(np.linalg.norm(axis))) > 0.0:
                 parent = "" if before is None else before.get("name", "")
                 axes[joint.get("name", "")] = (frame(link)[:3, 3], frame(link)[:3, :3] @ axis / size, parent)

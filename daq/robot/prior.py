@@ -135,7 +135,7 @@ def _moment_problems(link: int, low: Mapping[str, float | None], high: Mapping[s
         least = sum(_least_square(low.get(value), high.get(value)) for value in across) / mass
         if moment <= least:
             yield (
-                f"no body satisfies these at once: {', '.join(f'known.{one}' for one in named)}: the mass at its "
+                f"no body satisfies these at once: {', '.join(f'known.{key}' for key in named)}: the mass at its "
                 f"centre alone has a moment of inertia of {least:g} kg·m²"
             )
 

@@ -92,7 +92,7 @@ def _name_problem(root: ElementTree.Element) -> str:
         for key in ("name", "link", "joint"):
             if (name := element.get(key)) and (unfit := unfit_name(name)):
                 return f"has a {element.tag} whose {key} {unfit}; change it"
-    nameless = next((one.tag for one in root if one.tag in ("joint", "link") and not one.get("name")), "")
+    nameless = next((child.tag for child in root if child.tag in ("joint", "link") and not child.get("name")), "")
     return f"has a {nameless} without a name; give it one" if nameless else ""
 
 

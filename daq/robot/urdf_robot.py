@@ -156,7 +156,7 @@ def _longest_chain(driven: list[ElementTree.Element], joints: list[ElementTree.E
         for _ in joints:
             if joint is None:
                 break
-            chain += [one for one in driven if one is joint]
+            chain += [link_joint for link_joint in driven if link_joint is joint]
             joint = by_child.get(link_of(joint, "parent"))
         if len(chain) > len(longest):
             longest = chain[::-1]

@@ -74,4 +74,4 @@ def joint_unit(unit: str, *, sliding: bool) -> str:
 def common_unit(unit: str, sliding: Iterable[bool]) -> str:
     """Unit of a column of several joints, "N·m or N" where some slide and others turn."""
     units = {joint_unit(unit, sliding=slides) for slides in sliding} or {unit}
-    return " or ".join(sorted(units, key=lambda one: one != unit))
+    return " or ".join(sorted(units, key=lambda candidate: candidate != unit))

@@ -258,7 +258,7 @@ def locate(schema: type[BaseModel], location: Sequence[int | str]) -> tuple[str,
             path += f"[{part}]" if isinstance(part, int) and get_origin(annotation) is tuple else f".{part}"
             arguments = [get_arg for get_arg in get_args(annotation) if get_arg is not Ellipsis]
             annotation = plain_type(arguments[-1])
-        elif part in (choices := {one.__name__: one for one in _sections(annotation)}):
+        elif part in (choices := {choice.__name__: choice for choice in _sections(annotation)}):
             annotation = choices[str(part)]  # a tagged union: the tag is the section's name
         else:  # a member of a union, or pydantic's name of a validator
             break

@@ -279,9 +279,9 @@ def _free_way(
     """Candidates that a free way leads through; none where the straight one is free; None where there is no way."""
     share = np.linspace(0.0, 1.0, _LINE)[:, None]
 
-    def free(one: int, other: int) -> bool:
-        line = candidates[one] + share * (candidates[other] - candidates[one])
-        beside = [line + side for half in (toward[one], toward[other]) for side in (-half, half)]
+    def free(pose: int, other: int) -> bool:
+        line = candidates[pose] + share * (candidates[other] - candidates[pose])
+        beside = [line + side for half in (toward[pose], toward[other]) for side in (-half, half)]
         return bool(np.all(check.clear(np.concatenate(beside).T)))
 
     if free(begin, end):

@@ -158,7 +158,7 @@ def joined(segments: Sequence[ServoSegment], poses: FloatArray, room: Room) -> F
     """Positions (K, n) of pieces one after the other, from the first pose and back to it, with rests at both ends."""
     rest = round(0.5 / PERIOD)
     parts = [np.repeat(poses[:1], rest, axis=0)]
-    for one in segments:
-        parts += [way(parts[-1][-1], poses[one.pose], room), one.position[1:]]
+    for piece in segments:
+        parts += [way(parts[-1][-1], poses[piece.pose], room), piece.position[1:]]
     parts += [way(parts[-1][-1], poses[0], room), np.repeat(poses[:1], rest, axis=0)]
     return np.concatenate(parts)

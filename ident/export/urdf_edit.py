@@ -170,7 +170,7 @@ def _exact_right_angles(
         for joint, rounded, full in zip(chain, angles, exact, strict=True):
             if rounded != full:
                 next(iter(_children(joint, "origin"))).setAttribute("rpy", numbers(full))
-            if max(abs(one - other) for one, other in zip(rounded, full, strict=True)) > VISIBLE:
+            if max(abs(written - other) for written, other in zip(rounded, full, strict=True)) > VISIBLE:
                 changed.append(joint.getAttribute("name"))
     return changed
 

@@ -87,7 +87,7 @@ def with_opposite_torques(identification: Identification, check: Check) -> Check
     if found is None or opposite is None:
         return check
     errors = found.fit.relative_error, _error(identification, -opposite.base)
-    masses = [_kilograms(float(_links(one)[:, MASS].sum())) for one in (found.parameters, opposite)]
+    masses = [_kilograms(float(_links(bodies)[:, MASS].sum())) for bodies in (found.parameters, opposite)]
     text = (
         f"{check.text}; with −τ the torque error of the consistent model falls from {percent_text(errors[0], 2)} to "
         f"{percent_text(errors[1], 2)}, and its mass is {masses[1]} instead of {masses[0]}: import with --repair "

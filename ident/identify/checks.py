@@ -261,7 +261,10 @@ def _mistake_checks(identification: Identification) -> list[Check]:
             identification.corrected.effective_rows,
             _whole_recording(identification),
         )
-        return [with_opposite_torques(identification, one) if one.name == "torques-opposite" else one for one in found]
+        return [
+            with_opposite_torques(identification, check) if check.name == "torques-opposite" else check
+            for check in found
+        ]
     opposite = np.any(identification.model.gravity) and _fits_opposite_gravity(identification)
     return [opposite_gravity()] if opposite else []
 
@@ -272,7 +275,7 @@ def _whole_recording(identification: Identification) -> list[Prepared]:
     if len({id(run.signals) for run in runs}) > 1:
         return []
     filled = [run.prepared for run in runs if run.prepared.segments]
-    return sorted(filled, key=lambda one: float(one.segments[0].time[0]))
+    return sorted(filled, key=lambda run: float(run.segments[0].time[0]))
 
 
 def _differing_run_checks(identification: Identification) -> list[Check]:

@@ -170,8 +170,8 @@ def consistency_cost(joints: Sequence[str], delivered: Fit, full: Fit) -> list[C
     """Whether the consistent model predicts clearly worse than the full one, on the whole or for some joint."""
     worse = [
         joint
-        for joint, one, other in zip(joints, delivered.joint_relative_error, full.joint_relative_error, strict=True)
-        if _costly(one, other)
+        for joint, ours, free in zip(joints, delivered.joint_relative_error, full.joint_relative_error, strict=True)
+        if _costly(ours, free)
     ]
     if not worse and not _costly(delivered.relative_error, full.relative_error):
         return []
@@ -180,7 +180,7 @@ def consistency_cost(joints: Sequence[str], delivered: Fit, full: Fit) -> list[C
         (joint, delivered.joint_relative_error[index[joint]], full.joint_relative_error[index[joint]])
         for joint in worse
     ]
-    text = "; ".join(f"{name}: {percent_text(one, 2)} against {percent_text(other, 2)}" for name, one, other in figures)
+    text = "; ".join(f"{name}: {percent_text(ours, 2)} against {percent_text(free, 2)}" for name, ours, free in figures)
     return [
         raised(
             "consistency-costs",

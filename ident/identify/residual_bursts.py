@@ -86,7 +86,7 @@ def burst_checks(identification: Identification) -> list[Check]:
         for run in runs:
             first = float(run.signals.time[0])
             shown += _texts(run.prepared, first, place, run.signals.label if several else "")
-        larger = max([larger, *(float(one.larger[one.deviation > CONFIRMED].max(initial=0.0)) for one in found)])
+        larger = max([larger, *(float(part.larger[part.deviation > CONFIRMED].max(initial=0.0)) for part in found)])
     if not shown or squares > MOST_ERROR**2 * power:
         return []
     more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""

@@ -118,7 +118,7 @@ def used_share(result: Result, recording: Recording, window: RunWindow) -> float
         return float(any(use.sha256 == file_sha256(recording.path) for use in used))
     share = overlap(window.hashes, [use.sample_hashes for use in used])
     return (
-        1.0 if share == 0.0 and any(copied(window, [one]) for one in _still_there(result, recording, used)) else share
+        1.0 if share == 0.0 and any(copied(window, [own]) for own in _still_there(result, recording, used)) else share
     )
 
 

@@ -251,7 +251,7 @@ def _presliding_step(identification: Identification) -> tuple[Step, ...]:
     text += f"held-out error of joints slower than {LOW_SPEED:g} {common_unit('rad/s', sliding)} "
     text += f"{percent_text(presliding.error)} with it, "
     text += f"{percent_text(presliding.static_error)} without"
-    return (Step("presliding", {one.parameter: one.travel for one in presliding.travels}, text),)
+    return (Step("presliding", {entry.parameter: entry.travel for entry in presliding.travels}, text),)
 
 
 def _options(identification: Identification) -> dict[str, float | int | str | bool | list[float] | None]:

@@ -162,9 +162,9 @@ class EstimateResult(Stored):
     def _shape_covariance(self, model: DynamicModel) -> FloatArray:
         """(s, a + s); empty where no shape was estimated."""
         names, width = model.joint_names, len(self.parameters) + len(self.shapes)
-        for one in self.shapes:
-            free = one.joint in names and model.terms.is_free(one.kind, names.index(one.joint))
-            if not free or len(one.covariance) != width:
+        for free_shape in self.shapes:
+            free = free_shape.joint in names and model.terms.is_free(free_shape.kind, names.index(free_shape.joint))
+            if not free or len(free_shape.covariance) != width:
                 raise ResultFileError("does not fit the model's friction", where="estimate.shapes", hint=AGAIN)
         rows = [[np.inf if value is None else value for value in shape.covariance] for shape in self.shapes]
         return np.array(rows, dtype=np.float64).reshape(len(rows), width)

@@ -82,7 +82,7 @@ class JointFrictionResult(Stored):
         """The shape of this name; None where the joint has none but the plain one."""
         named: float | None = getattr(self, name, None)
         kinds = [term.kind for term in TERMS if term.shape is not None and term.shape.name == name]
-        return next((one.shape for one in self.further if one.kind in kinds), named)
+        return next((further.shape for further in self.further if further.kind in kinds), named)
 
     @property
     def repeatability_text(self) -> str:
@@ -114,13 +114,13 @@ class JointFrictionResult(Stored):
             deviations = self.temperature_std or [None] * len(self.temperature)
             beta = (_with_interval(*pair) for pair in zip(self.temperature, deviations, strict=True))
             parts.append(f"β {', '.join(beta)}{held}")
-        for one in self.further:
-            term = TERM[one.kind]
-            shape = "" if one.shape is None else f", shape {_with_interval(one.shape, one.shape_std)}"
+        for further in self.further:
+            term = TERM[further.kind]
+            shape = "" if further.shape is None else f", shape {_with_interval(further.shape, further.shape_std)}"
             if term.needs == "position":
-                shape = f" of {one.shape:g} per turn"
-            unit = joint_unit(term.unit(one.shape or 1.0), sliding=self.sliding)
-            parts.append(f"{term.words} {_with_interval(one.value, one.std)} {unit}{shape}")
+                shape = f" of {further.shape:g} per turn"
+            unit = joint_unit(term.unit(further.shape or 1.0), sliding=self.sliding)
+            parts.append(f"{term.words} {_with_interval(further.value, further.std)} {unit}{shape}")
         return "; ".join(parts)
 
 

@@ -173,7 +173,9 @@ def _copied(slopes: FloatArray, slow: bool) -> bool:
     else:
         weights, known_together = np.ones(len(noisy)), True
     if known_together:
-        slope, share = (float(weights @ one / weights.sum()) for one in (noisy[:, 0], np.minimum(noisy[:, 1], 1.0)))
+        slope, share = (
+            float(weights @ values / weights.sum()) for values in (noisy[:, 0], np.minimum(noisy[:, 1], 1.0))
+        )
         return slope > 1.0 - 0.5 * share
     if slow or len(known) < least:
         return False

@@ -222,16 +222,16 @@ def _checks(first: Result, other: Result) -> Table:
     return table_of_rows("Checks", [(name, "") for name in ("check", "first", "second")], rows)
 
 
-def _test(one: Result, other: Result) -> SignificanceTest | None:
+def _test(result: Result, other: Result) -> SignificanceTest | None:
     """Whether the parameters that both estimate with a known variance differ significantly.
 
     Where the jackknives have too few blocks for the test, their variances count by their mean alone, as in merging.
     """
     from scipy.stats import chi2
 
-    if one.estimate is None or other.estimate is None:
+    if result.estimate is None or other.estimate is None:
         return None
-    estimates = [stored_estimate(result, stored_model(result)) for result in (one, other)]
+    estimates = [stored_estimate(each, stored_model(each)) for each in (result, other)]
     places = [_known_places(estimate) for estimate in estimates]
     common = [column for column in places[0] if column in places[1]]
     if not common:

@@ -75,7 +75,7 @@ def declared_bench(
     """
     robot, declaration = robot_file.robot, declared(driver)
     keys = keys_of_driver(robot, driver) or {}
-    (back_end,) = [one for one in declaration.simulated if one.wire == wire] or declaration.simulated[:1]
+    (back_end,) = [end for end in declaration.simulated if end.wire == wire] or declaration.simulated[:1]
     plants: list[Plant] = []
     with simulated_time() as clock:
 

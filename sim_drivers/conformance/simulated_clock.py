@@ -203,7 +203,7 @@ class SimulatedClock(Clock):
                 names = ", ".join(sorted(self._members.values()))
                 self._failure = f"every thread waits without a time limit for something that never comes: {names}"
         if self._failure is not None:  # the test itself fails by it
-            waiter = next(one for one in self._waiters if one.thread == self._test)
+            waiter = next(candidate for candidate in self._waiters if candidate.thread == self._test)
         assert waiter is not None
         self._waiters.remove(waiter)
         return waiter
@@ -288,7 +288,7 @@ class _Condition(threading.Condition):
             return self._clock.wait(lambda: signal[0], timeout)
         finally:
             if signal in self._signals:
-                self._signals = [one for one in self._signals if one is not signal]
+                self._signals = [other for other in self._signals if other is not signal]
             self._own.acquire()
 
     def wait_for(self, predicate: Callable[[], Any], timeout: float | None = None) -> Any:

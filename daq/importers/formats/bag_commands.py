@@ -111,7 +111,7 @@ def read_commands(
     for path in files:
         with parsing(path, "a ROS 2 bag"), Reader(path) as reader:
             types |= {connection.topic: connection.msgtype for connection in reader.connections}
-            chosen = [one for one in reader.connections if one.topic == topic and one.msgtype in TYPES]
+            chosen = [entry for entry in reader.connections if entry.topic == topic and entry.msgtype in TYPES]
             for connection, stamp, raw in reader.messages(chosen) if chosen else ():
                 message: Any = store.deserialize_cdr(raw, connection.msgtype)
                 names, fields, header = TYPES[connection.msgtype](message)

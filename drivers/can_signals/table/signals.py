@@ -135,11 +135,11 @@ def check_overlaps(signals: Sequence[Signal]) -> None:
             for other in multiplexed[:1]:
                 if other.multiplexer is not None and signal.field.bits & other.multiplexer.bits:
                     raise ValueError(f"{signal.label} overlaps the multiplexer {where}")
-        for one, other in combinations(members, 2):
-            apart = one.selector is not None and other.selector is not None and one.selector != other.selector
-            shared = one.field.bits & other.field.bits
+        for signal, other in combinations(members, 2):
+            apart = signal.selector is not None and other.selector is not None and signal.selector != other.selector
+            shared = signal.field.bits & other.field.bits
             if shared and not apart:
-                raise ValueError(f"{one.label} and {other.label} overlap {where}, bit {min(shared)}")
+                raise ValueError(f"{signal.label} and {other.label} overlap {where}, bit {min(shared)}")
 
 
 def _place(field: BitField | None) -> frozenset[int] | None:

@@ -252,7 +252,7 @@ class DriveWatch:
     def _report_states(self, time: float, statusword: IntArray) -> None:
         states = [drive_state(int(word)) for word in statusword]
         for state in dict.fromkeys(states):
-            who = [joint for joint, one in zip(self._joints, states, strict=True) if one is state]
+            who = [joint for joint, own in zip(self._joints, states, strict=True) if own is state]
             level: Level = "warning" if state in FAULTY else "info"
             self._notices.append(Notice(time, level, f"{self._who(who)}: {state.value}"))
 

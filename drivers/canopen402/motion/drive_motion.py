@@ -372,7 +372,7 @@ class DriveMotion:
                 raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
             self._check_faults()
             heard = [self.heard(index) for index in range(len(self._ids))]
-            behind = [index for index, one in enumerate(heard) if one is None or not met(one)]
+            behind = [index for index, answer in enumerate(heard) if answer is None or not met(answer)]
             if not behind:
                 return
             if self._clock.now() > deadline:

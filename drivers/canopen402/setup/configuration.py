@@ -200,11 +200,11 @@ def configure(  # noqa: C901 — the steps, in their order
     for message in blind:
         report("warning", message)
     scaling = Scaling(
-        counts_per_turn=np.array([one.counts_per_turn for one in identities]),
+        counts_per_turn=np.array([drive.counts_per_turn for drive in identities]),
         direction=np.array([float(node.direction) for node in settings.nodes]),
         zero=np.array([node.zero for node in settings.nodes]),
-        rated_current=np.array([one.rated_current for one in identities]),
-        rated_torque=np.array([one.rated_torque for one in identities]),
+        rated_current=np.array([drive.rated_current for drive in identities]),
+        rated_torque=np.array([drive.rated_torque for drive in identities]),
     )
     cautions = (*blind, *cautions_of([drive.joint for drive in drives], limits))
     return Configured(tuple(identities), scaling, tuple(controls), limits, cautions, tuple(notices))

@@ -180,7 +180,7 @@ def export_servo_command(options: ExportOptions, *, force: bool, as_json: bool) 
         from daq.commands.console import print_json
 
         print_json(
-            {"model": str(options.model), "files": [{k: v for k, v in one.items() if k != "text"} for one in files]}
+            {"model": str(options.model), "files": [{k: v for k, v in entry.items() if k != "text"} for entry in files]}
         )
         return
     for file in files:

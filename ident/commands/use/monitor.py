@@ -198,7 +198,7 @@ def _replay(
     if as_json:
         print_json({**watched.to_dict(), "page": None if page is None else str(page)})
         return
-    strongest = sorted(watched.contacts, key=lambda one: -one.ratio)[:SHOWN]
+    strongest = sorted(watched.contacts, key=lambda contact: -contact.ratio)[:SHOWN]
     _print(watched.summary, [index for index, contact in enumerate(watched.contacts) if contact in strongest])
     if len(watched.contacts) > SHOWN:
         print(f"the strongest {SHOWN} of {len(watched.contacts)} contacts; --json has all")

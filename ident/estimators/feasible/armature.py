@@ -85,5 +85,5 @@ class _OfJoint(Protocol):
 
 def armature_vector(model: DynamicModel, found: Sequence[_OfJoint]) -> FloatArray:
     """(n,) [kg·m² or kg], 0 of the others."""
-    values = {one.joint: one.value for one in found}
+    values = {of_joint.joint: of_joint.value for of_joint in found}
     return np.array([values.get(name, 0.0) for name in model.joint_names])

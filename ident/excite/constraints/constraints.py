@@ -104,7 +104,7 @@ def pairs_by_hull(robot_file: RobotFile, model: DynamicModel) -> tuple[str, ...]
 
 
 def _named(model: DynamicModel, pairs: Iterable[Pair]) -> tuple[str, ...]:
-    return tuple(f"{link_name(model, one)} and {link_name(model, other)}" for one, other in pairs)
+    return tuple(f"{link_name(model, first)} and {link_name(model, second)}" for first, second in pairs)
 
 
 def criterion_within_limits(model: DynamicModel, criterion: Criterion) -> Criterion:

@@ -227,10 +227,10 @@ class HullDistances:
                 for side, link in enumerate(pair)
                 for rotation, origin in [(placements.rotation[link, :, :, sample], placements.origin[link, :, sample])]
             ]
-            for one, at_one in placed[0]:
+            for hull, at_hull in placed[0]:
                 for other, at_other in placed[1]:
                     answer.clear()
-                    distance = coal.distance(one, at_one, other, at_other, asked, answer)
+                    distance = coal.distance(hull, at_hull, other, at_other, asked, answer)
                     nearest[sample] = min(nearest[sample], distance)
         return nearest - DISTANCE_TOLERANCE
 

@@ -127,13 +127,13 @@ class _PairDistances:
         of_link = {link: np.flatnonzero(geometry.links == link) for link in (BASE_INDEX, *range(len(model.joints)))}
         moves = moved_by(model.joints)
         first, second, sizes, relative = [], [], [], []
-        for one, other in pairs:
-            mine, theirs = np.meshgrid(of_link[one], of_link[other], indexing="ij")
+        for link, other in pairs:
+            mine, theirs = np.meshgrid(of_link[link], of_link[other], indexing="ij")
             first.append(mine.ravel())
             second.append(theirs.ravel())
             sizes.append(mine.size)
             # A joint below both links moves them together: their distance stays.
-            relative.append(moves[one] - moves[other])
+            relative.append(moves[link] - moves[other])
         nothing = [np.zeros(0, dtype=np.intp)]
         self.first, self.second = np.concatenate(first or nothing), np.concatenate(second or nothing)
         self.starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.intp)

@@ -94,7 +94,7 @@ def analyse_gravity(
         raise DataError("gravity acts on no joint of this arm", where=file.robot.name, hint="there is nothing to find")
     signals = tuple(read_joint_signals(recording, file.robot) for recording in recordings)
     found = [find_visits(signal, model, base) for signal in signals]
-    visits = [visit for one in found for visit in one.visits]
+    visits = [visit for of_run in found for visit in of_run.visits]
     refuse_wrong_size(visits, model, recordings[0].label)
     progress("gravity")
     fit = fit_gravity(visits, model)

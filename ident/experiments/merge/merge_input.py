@@ -138,15 +138,15 @@ def _first_difference(mine: str, theirs: str) -> str:
 
 def _check_disjoint(results: Sequence[tuple[str, Result]]) -> None:
     """Raise where two results used the same torques: they would count twice."""
-    for (label, one), (other_label, other) in combinations(results, 2):
-        for use in used_recordings(one):
+    for (label, result), (other_label, other) in combinations(results, 2):
+        for use in used_recordings(result):
             for again in used_recordings(other):
-                torques = set(use.torques_of or one.joints) & set(again.torques_of or other.joints)
+                torques = set(use.torques_of or result.joints) & set(again.torques_of or other.joints)
                 overlap = max(use.window[0], again.window[0]) < min(use.window[1], again.window[1])
                 if use.sha256 and use.sha256 == again.sha256 and torques and overlap:
                     raise UsageError(
                         f"{label} and {other_label} were both identified from the torques of "
-                        f"{', '.join(joint for joint in one.joints if joint in torques)} in {use.file}: "
+                        f"{', '.join(joint for joint in result.joints if joint in torques)} in {use.file}: "
                         "they would count twice",
                         hint="choose different motors with --torques-of, or another recording",
                     )

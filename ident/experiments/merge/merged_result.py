@@ -275,7 +275,7 @@ def _consistency(inputs: Sequence[MergeInput], merged: MergedEstimate) -> Consis
         )
         if abs(deviation) > CONTRADICTING
     ]
-    contradictions.sort(key=lambda one: -abs(one.deviations))
+    contradictions.sort(key=lambda combination: -abs(combination.deviations))
     shared = f"the {test.freedom} combination{'s' if test.freedom > 1 else ''} of parameters that several models share"
     outcome = f"χ² = {test.statistic:.1f}, {test.p_text}"
     if test.passed:

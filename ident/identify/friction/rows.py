@@ -200,7 +200,7 @@ class FrictionRows:
                 for motor, factor in column.rows:
                     of_motor[motor].append((place, factor * row))
         for motor, found in enumerate(of_motor):
-            ordered = sorted(found, key=lambda one: one[0])
+            ordered = sorted(found, key=lambda entry: entry[0])
             yield tuple(place for place, _ in ordered), np.array([*(row for _, row in ordered), part.torque[motor]])
 
     def _conditions(self, model: DynamicModel, part: _SegmentRows) -> FrictionConditions:

@@ -88,7 +88,7 @@ class FrictionSearch:
     def ways(self, motor: int, term: str) -> list[_Addition]:
         """The ways to add a term to a motor: one, or one per shape on the grid; none where it is not to be had."""
         option, of = OPTION[term], self._grams.candidates[motor]
-        places = [[at for at, one in enumerate(of) if one.quantity == kind] for kind in option.kinds]
+        places = [[at for at, candidate in enumerate(of) if candidate.quantity == kind] for kind in option.kinds]
         shape = TERM[option.kinds[0]].shape
         if shape is None:
             found = tuple(place for of_kind in places for place in of_kind)
@@ -134,7 +134,7 @@ class FrictionSearch:
         plain = {self._viscous[motor], self._coulomb[motor]} - dropped - {None}
         columns = [column for column in plain if column is not None]
         return all(
-            parameters[column] >= 0.0 for column in (*columns, *(self._grams.index(motor, one) for one in added))
+            parameters[column] >= 0.0 for column in (*columns, *(self._grams.index(motor, place) for place in added))
         )
 
     def held_out(self, motor: int, ways: Sequence[_Addition]) -> FloatArray:
@@ -243,9 +243,9 @@ class FrictionSearch:
             kept = [self._grams.candidates[motor][place] for place in addition.candidates]
             kinds = {candidate.quantity for candidate in kept}
             option = next(
-                one
-                for one in OPTIONS
-                if one.group == group and kinds == set(one.kinds) and one.shape in (None, kept[0].shape)
+                choice
+                for choice in OPTIONS
+                if choice.group == group and kinds == set(choice.kinds) and choice.shape in (None, kept[0].shape)
             )
             start = start.with_option(option, motor)
             shape = TERM[option.kinds[0]].shape

@@ -163,7 +163,7 @@ def section(data: ReportData) -> ReportSection:
             for joint, residual in residuals.items()
         ],
         "residuals": result.residuals,
-        "assumptions": sorted(result.residuals.assumptions, key=lambda one: order.index(one.joint)),
+        "assumptions": sorted(result.residuals.assumptions, key=lambda assumption: order.index(assumption.joint)),
         "p_text": lambda value: "–" if value is None else p_text(value),
         "limits": {
             "curvature": LARGEST_CURVATURE,
