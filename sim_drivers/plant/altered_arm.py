@@ -1,4 +1,4 @@
-"""A simulated arm that differs from its robot file: a load on its tool, unknown drive gains, other servos.
+"""A simulated arm that differs from its robot file: a load on its tool.
 
 Only `RobotFile.robot`, from which recordings are computed, is changed. The text, which recordings carry, stays as it
 was: an identification sees the arm that the user believes to have.
@@ -6,12 +6,12 @@ was: an identification sees the arm that the user believes to have.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from daq.robot.loader import RobotFile
-from daq.robot.schema import Truth, TruthJoint, TruthLink, TruthSupply
+from daq.robot.schema import Truth, TruthLink
 from drivers.core.errors import RobotFileError, UsageError
 from ident.model.dynamic_model import build_model
 
@@ -68,75 +68,6 @@ def with_payload(robot_file: RobotFile, text: str) -> RobotFile:
         raise UsageError(f"'{text}' is not a payload", hint="--payload MASS@X,Y,Z in kg and m, such as 2.0@0,0,0.05")
     com = np.array(values[1:]) - np.array(robot_file.robot.workspace.tool)
     return with_load(robot_file, values[0], com.tolist(), [0.0] * 6)
-
-
-def with_gains(robot_file: RobotFile, factors: Mapping[str, float]) -> RobotFile:
-    """The arm whose true drive gains are those of the file times `factors` (joint → factor; 1 where none is given)."""
-    robot = robot_file.robot
-    for name in factors:
-        if name not in robot.joint_names:
-            raise RobotFileError(f"no joint is called '{name}'", where=robot.name)
-    drives = tuple(
-        drive if drive.gain is None else drive.model_copy(update={"gain": drive.gain * factors.get(drive.joint, 1.0)})
-        for drive in robot.drives
-    )
-    return robot_file.model_copy(update={"robot": robot.model_copy(update={"drives": drives})})
-
-
-def with_servos(
-    robot_file: RobotFile, supply: TruthSupply | None = None, joint: Mapping[str, float] | None = None, **servo: float
-) -> RobotFile:
-    """The arm with other truths of all its servos: fields of `TruthServo`, and of `TruthJoint` in `joint`.
-
-    Args:
-        robot_file: its truth has a servo for every joint.
-        supply: of all servos; that of the file where None.
-        joint: fields of every joint, such as `stribeck`.
-        servo: fields of every servo, such as `backlash`.
-    """
-    truth = robot_file.robot.truth
-    joints = {
-        name: joint_truth
-        if joint_truth.servo is None
-        else TruthJoint.model_validate(
-            {
-                **joint_truth.model_dump(exclude={"servo"}),
-                **(joint or {}),
-                "servo": {**joint_truth.servo.model_dump(), **servo},
-            }
-        )
-        for name, joint_truth in truth.joints.items()
-    }
-    return _with_truth(robot_file, truth.model_copy(update={"joints": joints, "supply": supply or truth.supply}))
-
-
-UNIT_DIFFERENCES = ("stiffness", "torque_limit", "load_friction", "gain_d")
-"""Fields of a servo that differ from one unit of a type to the next; and, of its joint: motor inertia and friction."""
-
-
-def another_unit(robot_file: RobotFile, spread: float, seed: int) -> RobotFile:
-    """Another unit of the same type of servo arm: gains, inertias and friction differ by a factor each.
-
-    Args:
-        robot_file: its truth has a servo for every joint.
-        spread: standard deviation of the factors' logarithms.
-        seed: of the factors.
-    """
-    generator = np.random.default_rng(seed)
-    truth = robot_file.robot.truth
-    joints = {}
-    for name, joint_truth in truth.joints.items():
-        factors = np.exp(spread * generator.standard_normal(len(UNIT_DIFFERENCES) + 3)).tolist()
-        servo = joint_truth.servo and joint_truth.servo.model_copy(
-            update={
-                field: getattr(joint_truth.servo, field) * factor
-                for field, factor in zip(UNIT_DIFFERENCES, factors, strict=False)
-            }
-        )
-        own = ("motor_inertia", "viscous", "coulomb")
-        update = {field: getattr(joint_truth, field) * factor for field, factor in zip(own, factors[-3:], strict=True)}
-        joints[name] = joint_truth.model_copy(update={**update, "servo": servo})
-    return _with_truth(robot_file, truth.model_copy(update={"joints": joints}))
 
 
 def _with_truth(robot_file: RobotFile, truth: Truth) -> RobotFile:

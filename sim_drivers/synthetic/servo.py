@@ -192,36 +192,3 @@ def _goals(servos: list[TruthServo], arrived: FloatArray, command: FloatArray, c
             goal += step * pace
             goals[index, joint] = goal - 0.5 * step * pace  # the sum is half a step ahead of the profile
     return goals
-
-
-def true_values(file: RobotFile) -> dict[str, dict[str, float]]:
-    """True parameters of `ident.servo.terms` per joint, in a cold arm at the supply's voltage without load.
-
-    Backlash, steps of the loop's encoder and jitter have no such parameter: of jitter, the mean delay is in `delay`.
-
-    Args:
-        file: its truth has a servo for every joint.
-    """
-    truth, supply = file.robot.truth, file.robot.truth.supply
-    values = {}
-    servos = true_servos(file.robot, file.where)
-    for name, servo in zip(file.robot.joint_names, servos, strict=True):
-        joint = truth.joints[name]
-        fast = servo.no_load_speed
-        share = supply.voltage / supply.nominal if supply is not None and fast is not None else 1.0
-        back = 0.0 if fast is None else servo.torque_limit / fast
-        values[name] = {
-            "stiffness": share * servo.stiffness,
-            "damping": joint.viscous + servo.gain_d + back,
-            "armature": joint.motor_inertia,
-            "coulomb": joint.coulomb,
-            "bias": servo.bias,
-            "delay": servo.delay + servo.jitter / 2,
-            "acceleration_limit": servo.acceleration,
-            "load_friction": servo.load_friction,
-            "breakaway": joint.stribeck,
-            "stribeck_velocity": joint.stribeck_velocity,
-            "torque_limit": share * servo.torque_limit,
-            "dead_band": servo.dead_band,
-        }
-    return values

@@ -34,8 +34,9 @@ from ident.model.dynamic_model import build_model
 from ident.model.parameters import INERTIAL, link_parameters
 from ident.model.true_parameters import truth_vector
 from ident.regression.systematic_errors import gain_sensitivity, relative_gain_std
-from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
+from studies.synthetic.altered_arms import with_gains
 from studies.synthetic.random_points import random_points_motion
 
 LOAD = np.array([0.454, -0.02, -0.09, 0.445, -0.115, 0.065, 0.48, 0.6, 2.0, 10.9])

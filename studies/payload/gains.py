@@ -25,8 +25,9 @@ from ident.experiments.run_pair import LOADED, widened
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, load_effect
-from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.altered_arms import with_gains
 
 INTERVAL = 1.96
 DURATION = 20.0

@@ -34,9 +34,10 @@ from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
-from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
 from studies.payload.gains import HIDDEN, LOAD, SLOW_DURATION, slow_motion
+from studies.synthetic.altered_arms import with_gains
 
 INTERVAL = 1.96
 RATE = 50.0

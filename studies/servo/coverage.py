@@ -21,8 +21,8 @@ import dynid
 from daq.robot.loader import load_robot
 from ident.servo.fit import TORQUES
 from ident.servo.links import servo_links
-from sim_drivers.plant.altered_arm import with_servos
-from sim_drivers.synthetic.servo import simulate_servo, true_values
+from sim_drivers.synthetic.servo import simulate_servo
+from studies.synthetic.altered_arms import true_values, with_servos
 
 ARMS = ("so101", "koch", "openarm")
 COUNTED = ("stiffness", "damping", "armature", "coulomb", "bias", "delay", "acceleration_limit", "load_friction")

@@ -19,8 +19,8 @@ import numpy as np
 import dynid
 from daq.robot.loader import load_robot
 from ident.servo.ranges import unit_ranges
-from sim_drivers.plant.altered_arm import another_unit
-from sim_drivers.synthetic.servo import simulate_servo, true_values
+from sim_drivers.synthetic.servo import simulate_servo
+from studies.synthetic.altered_arms import another_unit, true_values
 
 UNITS, SPREAD = 20, 0.1
 COUNTED = ("stiffness", "damping", "armature", "coulomb", "load_friction")

@@ -11,8 +11,9 @@ from ident.experiments.load.payload import identify_payload
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, load_columns, load_effect
-from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.altered_arms import with_gains
 
 TABLE_3 = np.array([0.454, -0.02, -0.09, 0.445, -0.115, 0.065, 0.48, 0.6, 2.0, 10.9])
 PRINTED = [

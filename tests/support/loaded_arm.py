@@ -9,8 +9,9 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
-from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.synthetic.altered_arms import with_gains
 
 ROBOT = "ur10e"
 LOAD = KnownLoad(2.8, (0.03, -0.02, 0.08), (0.01, 0.001, 0.0, 0.012, 0.0, 0.009))

@@ -12,7 +12,7 @@ from ident.servo.result import (
     ServoResult,
 )
 from ident.servo.terms import INDEX, TERMS
-from sim_drivers.synthetic.servo import true_values
+from studies.synthetic.altered_arms import true_values
 
 
 def true_servo_result(file: RobotFile, sigma: float = 0.05) -> ServoResult:

@@ -28,8 +28,8 @@ from ident.servo.links import servo_links
 from ident.servo.rollout import profile_goals
 from ident.servo.terms import INDEX
 from ident.servo.usd import read_usd, usd_installed
-from sim_drivers.plant.altered_arm import with_servos
 from sim_drivers.synthetic.servo import record_servo, servo_commands
+from studies.synthetic.altered_arms import with_servos
 
 PERIOD = 0.02
 

@@ -9,7 +9,8 @@ from daq.robot.loader import load_robot
 from drivers.core.errors import RobotFileError, UsageError
 from ident.model.parameters import link_parameters
 from ident.model.true_parameters import truth_vector
-from sim_drivers.plant.altered_arm import with_gains, with_load, with_payload
+from sim_drivers.plant.altered_arm import with_load, with_payload
+from studies.synthetic.altered_arms import with_gains
 
 COM, INERTIA = (0.03, -0.02, 0.08), (0.01, 0.001, 0.0, 0.012, 0.0, 0.009)
 

@@ -8,9 +8,9 @@ import pytest
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import TruthSupply
 from drivers.core.errors import RobotFileError
-from sim_drivers.plant.altered_arm import another_unit, with_servos
 from sim_drivers.plant.servo import ServoArm
-from sim_drivers.synthetic.servo import record_servo, true_values
+from sim_drivers.synthetic.servo import record_servo
+from studies.synthetic.altered_arms import another_unit, true_values, with_servos
 
 PAN, LIFT = 0, 1
 

@@ -18,8 +18,9 @@ from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
 from ident.model.true_parameters import truth_vector
-from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
+from studies.synthetic.altered_arms import with_gains
 
 SEEDS = range(4)
 TRUE = np.array([load_robot("ur10e").robot.drive(name).gain * factor for name, factor in HIDDEN.items()])

@@ -29,8 +29,9 @@ from ident.model.load import KnownLoad
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from ident.signals.prepared import Segment
-from sim_drivers.plant.altered_arm import with_gains, with_load
+from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
+from studies.synthetic.altered_arms import with_gains
 
 LOAD = KnownLoad(2.0, (0.08, 0.03, 0.05), (0.004, 0.0, 0.0, 0.004, 0.0, 0.003))
 HIDDEN = {"j1": 1.1, "j2": 0.9, "j3": 1.05}
