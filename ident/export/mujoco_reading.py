@@ -191,13 +191,13 @@ def _fall(arm: ExportedArm, model: Any) -> Simulation:
     data.qpos[_order(arm, model)] = arm.model.tree_position(released(arm)[:, None])[:, 0]
     data.ctrl[:] = arm.motors.offset
     model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
-    energies = []
-    for _ in range(round(DURATION / model.opt.timestep)):
+    energies = np.empty((round(DURATION / model.opt.timestep), 2))
+    for sample in range(len(energies)):
         mujoco.mj_step(model, data)
-        energies.append(np.array(data.energy))
-        if not _finite(data):
-            return Simulation("unpowered", finite=False)
-    potential, kinetic = np.array(energies).T
+        energies[sample] = data.energy
+    if not _finite(data):
+        return Simulation("unpowered", finite=False)
+    potential, kinetic = energies.T
     return Simulation("unpowered", finite=True, energy_gain=energy_gain(potential + kinetic, kinetic))
 
 
@@ -219,8 +219,8 @@ def _track(arm: ExportedArm, model: Any) -> Simulation:
         away, slower = q[:, sample] - positions[:, sample], dq[:, sample] - data.qvel[active]
         data.ctrl[:] = to_motors @ (torque[:, sample] + stiffness @ away + damping @ slower)
         mujoco.mj_step(model, data)
-        if not _finite(data):
-            return Simulation("tracking", finite=False)
+    if not _finite(data):
+        return Simulation("tracking", finite=False)
     return Simulation("tracking", finite=True, tracking_error=tracking_error(positions, q))
 
 
@@ -238,7 +238,7 @@ def _without_log_file() -> Iterator[None]:
 
 
 def _finite(data: Any) -> bool:
-    """Whether the state is finite; MuJoCo itself starts anew, with a warning, where it is not."""
+    """Whether all states were finite so far; MuJoCo starts anew, and counts a warning, where one is not."""
     import mujoco
 
     bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)

@@ -82,20 +82,20 @@ class Graph:
 
     def __init__(self) -> None:
         self.nodes: list[Node] = []
-        self._numbers: dict[Node, int] = {}
+        self._numbers: dict[tuple[Kind, tuple[int, ...], float, str], int] = {}
 
     def constant(self, value: float) -> Expression:
         """A number."""
         magnitude = abs(float(value))
-        return Expression(self, self._number(Node("constant", value=magnitude)), value < 0.0)
+        return Expression(self, self._number("constant", (), magnitude), value < 0.0)
 
     def symbol(self, name: str) -> Expression:
         """An input."""
-        return Expression(self, self._number(Node("symbol", name=name)))
+        return Expression(self, self._number("symbol", (), 0.0, name))
 
     def operation(self, kind: Kind, *operands: int) -> int:
         """Number of the node of an operation."""
-        return self._number(Node(kind, operands))
+        return self._number(kind, operands)
 
     def live(self, outputs: Sequence[Expression]) -> list[int]:
         """Numbers of the nodes that the outputs need, each behind its operands."""
@@ -130,10 +130,11 @@ class Graph:
                 values[number] = _NUMERIC[node.kind](*operands)
         return np.array([-values[output.node] if output.negative else values[output.node] for output in outputs])
 
-    def _number(self, node: Node) -> int:
-        number = self._numbers.setdefault(node, len(self.nodes))
+    def _number(self, kind: Kind, operands: tuple[int, ...], value: float = 0.0, name: str = "") -> int:
+        key = (kind, operands, value, name)  # most nodes are there already, and to make one takes 2 µs
+        number = self._numbers.setdefault(key, len(self.nodes))
         if number == len(self.nodes):
-            self.nodes.append(node)
+            self.nodes.append(Node(*key))
         return number
 
 
