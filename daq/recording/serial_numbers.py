@@ -14,8 +14,8 @@ SERIAL_EVENT = "serial number of the controller: "
 
 def serial_number(recording: Recording) -> str:
     """The controller's serial number; empty where it is unknown."""
-    told = [event.message for event in recording.events if event.message.startswith(SERIAL_EVENT)]
-    return told[-1].removeprefix(SERIAL_EVENT) if told else ""
+    numbers = [event.message for event in recording.events if event.message.startswith(SERIAL_EVENT)]
+    return numbers[-1].removeprefix(SERIAL_EVENT) if numbers else ""
 
 
 def warn_of_other_arms(recordings: Sequence[Recording]) -> None:
@@ -25,9 +25,9 @@ def warn_of_other_arms(recordings: Sequence[Recording]) -> None:
         if number := serial_number(recording):
             of_number.setdefault(number, recording.label)
     if len(of_number) > 1:
-        told = ", ".join(f"{label} of {number}" for number, label in of_number.items())
+        listed = ", ".join(f"{label} of {number}" for number, label in of_number.items())
         warnings.warn(
-            f"these recordings are of different arms, by the serial numbers of their controllers: {told}",
+            f"these recordings are of different arms, by the serial numbers of their controllers: {listed}",
             DynidWarning,
             stacklevel=3,
         )

@@ -98,7 +98,7 @@ def _configuration_in(package: bytes) -> Configuration | None:
             sensible = np.isfinite(limits).all() and (limits[0] < limits[1]).all() and (limits[2:] > 0.0).all()
             a, d = values[29:41].reshape(2, 6)
             lengths = np.abs([a[1], a[2], d[1] + d[2] + d[3], d[4]])
-            told = bool(np.isfinite(lengths).all() and (lengths < LONGEST_LINK).all() and (lengths[:2] > 0.0).all())
-            return Configuration(limits, lengths if told else None) if sensible else None
+            sound = bool(np.isfinite(lengths).all() and (lengths < LONGEST_LINK).all() and (lengths[:2] > 0.0).all())
+            return Configuration(limits, lengths if sound else None) if sensible else None
         at += length
     return None

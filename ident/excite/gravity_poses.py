@@ -102,16 +102,16 @@ def gravity_motion(
     deviation = prior.noise / np.sqrt(_independent_values(prior.rate, pass_time))
     weighted = rows[:, moving] / deviation[moving][:, None]
     scale = np.sqrt(np.mean(weighted**2, axis=(0, 1)))
-    told = np.flatnonzero(scale > 0.0)
-    chosen = _d_optimal(weighted[:, :, told] / scale[told], min(choices.poses, len(candidates)))
+    weighed = np.flatnonzero(scale > 0.0)
+    chosen = _d_optimal(weighted[:, :, weighed] / scale[weighed], min(choices.poses, len(candidates)))
     route, via, dropped = _route(check, candidates, chosen, toward)
     motion = _motion(robot_file, candidates, route, via, toward, pass_time)
     figures = check.trajectory(motion, "the motion for gravity")
-    seen = weighted[route][:, :, told].reshape(-1, len(told)) / scale[told]
+    seen = weighted[route][:, :, weighed].reshape(-1, len(weighed)) / scale[weighed]
     covariance, lost = _covariance(seen)
-    predicted = rows[:, :, told] / scale[told]
+    predicted = rows[:, :, weighed] / scale[weighed]
     sigma = np.sqrt(np.mean(np.einsum("knb,bc,knc->kn", predicted, covariance, predicted), axis=0))
-    names = [base.names[index] for index in told[lost]]
+    names = [base.names[index] for index in weighed[lost]]
     silent_columns = gravity_columns(base)
     silent = [
         name
@@ -124,7 +124,7 @@ def gravity_motion(
         half_stroke=half,
         pass_time=pass_time,
         sigma=sigma,
-        undetermined=(*(base.names[index] for index in range(base.count) if index not in told), *names),
+        undetermined=(*(base.names[index] for index in range(base.count) if index not in weighed), *names),
         silent=tuple(silent),
         dropped=dropped,
         figures=figures,

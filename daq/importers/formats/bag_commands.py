@@ -130,9 +130,9 @@ def read_commands(
                 check_count(len(logged) * len(joints) * len(rows), path)
     if len(logged) < 2:
         said = f"carries {printable(types[topic])}" if topic in types else "is not in the bag"
-        told = f"holds {len(logged)} command(s); at least 2 are needed" if logged else said
+        shortage = f"holds {len(logged)} command(s); at least 2 are needed" if logged else said
         allowed = listed(sorted(name for name, kind in types.items() if kind in TYPES))
-        raise ImportFileError(f"{told}; topics that may hold commands: {allowed or 'none'}", where=place)
+        raise ImportFileError(f"{shortage}; topics that may hold commands: {allowed or 'none'}", where=place)
     if not any(stamped):
         notes.append(Note("info", "commands have no stamps of their own; those of their arrival were taken"))
     stamps = np.array(stamped if any(stamped) else logged, dtype=np.int64)

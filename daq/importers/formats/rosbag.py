@@ -73,7 +73,7 @@ def read_rosbag(
         UsageError: `columns` are something else than commands; a bag has none.
         ImportFileError: damaged, no such topic, a joint missing, a message whose fields differ in length.
     """
-    told = command_topic(choices.columns, joints)
+    command_source = command_topic(choices.columns, joints)
     if path.name == METADATA:
         path = path.parent
     where = str(path)
@@ -83,7 +83,7 @@ def read_rosbag(
     if path.is_dir() and (path / METADATA).exists():
         check_input(path / METADATA, BAG_METADATA, ImportFileError)
     files = _openable(path, notes)
-    beside = "" if told is None else told[0]
+    beside = "" if command_source is None else command_source[0]
     read = [_read_messages(file, choices.topic, beside, where, progress) for file in files]
     topics = sorted({messages.topic for messages in read})
     if len(topics) > 1:
@@ -109,9 +109,9 @@ def read_rosbag(
         if values is not None:
             quantities[field] = QuantityColumns(values, labels, ("",) * len(joints), labels)
     table = ForeignTable("ROS 2 bag", seconds, "s", quantities, tuple(notes))
-    if told is None:
+    if command_source is None:
         return table
-    commands = read_commands(files, *told, joints, by_order=choices.by_order, where=where)
+    commands = read_commands(files, *command_source, joints, by_order=choices.by_order, where=where)
     return replace(
         table,
         quantities={**quantities, **commands.quantities},
