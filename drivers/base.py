@@ -24,6 +24,9 @@ from drivers.core.errors import DriverStateError
 from drivers.gains import DriveGain
 from drivers.streams import Batch, StreamLayout
 
+SILENCE_LIMIT = 0.5
+"""A connection counts as lost after this long [s] without a sample, whatever its bus; a slow one after some periods."""
+
 _Item = TypeVar("_Item")
 State = Literal["closed", "open", "running"]
 Level = Literal["info", "warning", "error"]

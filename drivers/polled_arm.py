@@ -10,16 +10,15 @@ from typing import Protocol
 
 import numpy as np
 
-from drivers.base import DriverSettings, Level, Notice, State, drained, require_state
+from drivers.base import SILENCE_LIMIT, DriverSettings, Level, Notice, State, drained, require_state
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
 from drivers.polled_rows import PolledRows
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
-SILENCE_LIMIT = 0.5
-"""Without a row for so long [s], or for `SILENT_PERIODS`, the connection counts as lost."""
 SILENT_PERIODS = 20
+"""Without a row for so many periods, at least `SILENCE_LIMIT`, the connection counts as lost."""
 
 
 class Control(Protocol):

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import can
 
-from drivers.base import DriverSettings, Notice, State, drained, require_state
+from drivers.base import SILENCE_LIMIT, DriverSettings, Notice, State, drained, require_state
 from drivers.can.bus import RETURNED, Sender, close_bus, confirms_sending, open_bus
 from drivers.can.receiver import Receiver
 from drivers.can_signals.polling import Poller
@@ -24,9 +24,8 @@ from drivers.first_step import check_first_step, finite_position
 from drivers.standstill import REST_WINDOW, StandstillWatch
 from drivers.streams import Batch, StreamLayout
 
-SILENCE_LIMIT = 0.5
-"""Without a row for so long [s], or for `SILENT_PERIODS`, the connection counts as lost."""
 SILENT_PERIODS = 20
+"""Without a row for so many periods, at least `SILENCE_LIMIT`, the connection counts as lost."""
 STOP_INTERVAL = 0.01
 """The stop frames are sent every so many seconds until the arm is at rest: it may have missed the first ones."""
 STOP_ATTEMPTS = 3

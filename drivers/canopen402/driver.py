@@ -14,7 +14,7 @@ from dataclasses import replace
 import can
 import numpy as np
 
-from drivers.base import DeviceLimits, DriverSettings, Notice, State, drained, require_state
+from drivers.base import SILENCE_LIMIT, DeviceLimits, DriverSettings, Notice, State, drained, require_state
 from drivers.can.bus import Sender, close_bus, keep_quiet, open_bus, returns_own_frames, sends_in_kernel
 from drivers.can.receiver import Receiver
 from drivers.canopen402.monitor.drives import DriveWatch
@@ -38,9 +38,8 @@ from drivers.first_step import check_first_step, finite_position
 from drivers.standstill import StandstillWatch
 from drivers.streams import Batch, StreamLayout
 
-SILENCE_LIMIT = 0.5
-"""Without a complete row for this long [s], or ten periods, the connection counts as lost."""
 SILENCE_PERIODS = 10
+"""Without a complete row for so many periods, at least `SILENCE_LIMIT`, the connection counts as lost."""
 FIRST_ROW_LIMIT = 1.0
 """How long [s] the first complete row may take."""
 STANDSTILL = 0.01

@@ -19,15 +19,13 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from drivers.base import Level, Notice, drained
+from drivers.base import SILENCE_LIMIT, Level, Notice, drained
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
 from drivers.rtde import protocol as wire
 from drivers.rtde.protocol import Connect, connect_tcp
 
-SILENCE_LIMIT = 0.5
-"""Without a fresh data package for this long [s] the connection counts as lost."""
 BUFFER_SECONDS = 60.0
 """How long [s] `take` may stay away before the oldest packages are dropped."""
 CHUNK_BYTES = 1 << 18
