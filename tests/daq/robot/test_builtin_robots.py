@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -282,3 +283,10 @@ def test_rocr6_regrouped_first_moments_have_the_size_of_table_2() -> None:
 def inertia_matrix(link: TruthLink) -> np.ndarray:
     xx, xy, xz, yy, yz, zz = link.inertia
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def test_a_port_or_folder_of_a_robot_s_name_hides_no_robot(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("so101")
+    (tmp_path / "koch").mkdir()
+    assert [load_robot(name).robot.name for name in ("so101", "koch")] == ["so101", "koch"]
