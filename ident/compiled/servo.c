@@ -29,7 +29,7 @@ void servo_roll_out(long rows, long lanes, double step, const double *values, co
                     const double *loads, const double *slopes, const double *start, const double *goals, long free,
                     const long *term, const double *d_goals, double *path, double *tangents)
 {
-    double h = step;
+    double h = 0.5 * step;
     for (long lane = 0; lane < lanes; lane++) {
         double p[TERMS], d_position[TERMS] = {0}, d_velocity[TERMS] = {0}, position = start[lane], velocity = 0;
         for (int index = 0; index < TERMS; index++)
@@ -44,14 +44,17 @@ void servo_roll_out(long rows, long lanes, double step, const double *values, co
             double linear = outside ? p[STIFFNESS] * (error - side * p[DEAD_BAND]) : 0;
             double torque = fmin(fmax(linear, -p[TORQUE_LIMIT]), p[TORQUE_LIMIT]), loaded = fabs(torque);
             double acting = outside && torque == linear ? p[STIFFNESS] : 0, inertia = p[ARMATURE] + inertias[here];
-            double divisor = inertia + h * p[DAMPING] + h * h * acting;
             double momentum = inertia * velocity + h * (torque - loads[here] - p[ZERO] * slopes[here]);
             double share = velocity / p[STRIBECK_VELOCITY], faded = exp(-share * share);
             double breakaway = p[BREAKAWAY] + p[LOAD_BREAKAWAY] * loaded;
             double friction = h * (p[COULOMB] + p[LOAD_FRICTION] * loaded + breakaway * faded);
             int moving = fabs(momentum) > friction;
-            double against = sign(momentum), after = moving ? (momentum - against * friction) / divisor : 0;
-            double per_torque = sign(torque) * (p[LOAD_FRICTION] + p[LOAD_BREAKAWAY] * faded);
+            double against = sign(momentum), per_torque = p[LOAD_FRICTION] + p[LOAD_BREAKAWAY] * faded;
+            double passed = fmax(1 - against * sign(torque) * per_torque, 0);
+            double divisor = inertia + h * p[DAMPING] + h * h * acting * passed;
+            double after = moving ? (momentum - against * friction) / divisor : 0, left = torque - h * acting * after;
+            loaded = sign(torque) * left;
+            breakaway = p[BREAKAWAY] + p[LOAD_BREAKAWAY] * loaded;
             double fading = h * breakaway * faded * 2 * share; /* by the logarithm of the velocity where it fades: × share */
             for (long f = 0; f < free; f++) {
                 if (!moving) {
@@ -60,7 +63,7 @@ void servo_roll_out(long rows, long lanes, double step, const double *values, co
                 }
                 double d_torque = acting * (d_goals[f * rows * lanes + here] - d_position[f]), d_friction = 0, push = 0;
                 switch (term[f]) {
-                case STIFFNESS: d_torque += acting > 0 ? torque : 0; push = -h * h * acting * after; break;
+                case STIFFNESS: d_torque += acting > 0 ? left : 0; break;
                 case DAMPING: push = -h * p[DAMPING] * after; break;
                 case ARMATURE: push = p[ARMATURE] * (velocity - after); break;
                 case COULOMB: d_friction = h * p[COULOMB]; break;
@@ -73,13 +76,13 @@ void servo_roll_out(long rows, long lanes, double step, const double *values, co
                 case TORQUE_LIMIT: d_torque += outside && !(acting > 0) ? torque : 0; break;
                 case DEAD_BAND: d_torque -= acting * side * p[DEAD_BAND]; break;
                 }
-                d_friction += h * per_torque * d_torque - fading / p[STRIBECK_VELOCITY] * d_velocity[f];
-                d_velocity[f] = (inertia * d_velocity[f] + h * d_torque + push - against * d_friction) / divisor;
+                d_friction -= fading / p[STRIBECK_VELOCITY] * d_velocity[f];
+                double middle = (inertia * d_velocity[f] + h * passed * d_torque + push - against * d_friction) / divisor;
+                d_velocity[f] = 2 * middle - d_velocity[f];
+                d_position[f] += step * middle;
             }
-            for (long f = 0; f < free; f++)
-                d_position[f] += h * d_velocity[f];
-            velocity = after;
-            position += h * velocity;
+            velocity = moving ? 2 * after - velocity : 0;
+            position += step * after;
         }
     }
 }

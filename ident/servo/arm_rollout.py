@@ -16,23 +16,21 @@ from drivers.core.arrays import FloatArray
 from ident.servo.contact import Contact
 from ident.servo.links import ServoLinks
 from ident.servo.motion import SETTLING, MotionLoad, ServoMotion, lanes_of, motion_load, motion_touch, with_coupling
-from ident.servo.rollout import at_samples, roll_out
+from ident.servo.rollout import Lanes, at_samples, roll_out
 from ident.servo.terms import INDEX
 
 AT_ONCE = 16
 """Motions side by side."""
 
-PASSES = 8
+PASSES = 12
 """At most."""
 
 SETTLED = 5e-4
 """[rad or m] Mean change of a path between two passes at which the passes end."""
 
-EVERY = 4
-"""Links' torques are evaluated at every fourth step of the grid."""
-
-COUPLING_SPAN = 0.04
-"""[s] over which accelerations are averaged for coupling: those of a stick-slip step are impulses."""
+COUPLING_SPANS = (0.005, 0.04)
+"""[s] over which accelerations are averaged for coupling: joints that weigh more on each other than on themselves make
+the passes part, by the quickest accelerations first. From then on the wider span holds."""
 
 DELAY_AND_LAG = ((0.02, 0.03), (0.02, 0.1), (0.08, 0.03))
 """[s] Starts of the search."""
@@ -62,17 +60,45 @@ def touched_paths(
     return found
 
 
+def grid_paths(
+    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Contact | None
+) -> list[FloatArray]:
+    """Positions (K, n) of each motion on its grid, rolled out likewise."""
+    found: list[FloatArray] = []
+    for first in range(0, len(motions), AT_ONCE):
+        found += _settled(motions[first : first + AT_ONCE], links, values, contact)[0]
+    return found
+
+
 def _side_by_side(
     motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Contact | None
 ) -> list[tuple[FloatArray, FloatArray]]:
+    joints = len(values)
+    _, lanes, new, force = _settled(motions, links, values, contact)
+    sampled, times = at_samples(lanes, new), np.arange(len(new)) * lanes.step
+    return [
+        (
+            sampled[: len(motion.time), number * joints : (number + 1) * joints],
+            np.zeros(len(motion.time)) if contact is None else np.interp(motion.time, times, force[:, number]),
+        )
+        for number, motion in enumerate(motions)
+    ]
+
+
+def _settled(
+    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Contact | None
+) -> tuple[list[FloatArray], Lanes, FloatArray, FloatArray]:
+    """Paths on the motions' grids, and the lanes of the last pass with their positions and forces."""
     zero, joints = values[:, INDEX["zero"]], len(values)
     paths = []
     for motion in motions:
         paths.append(motion.command[motion.history :].copy())
         paths[-1][0] = motion.position[0]
-    moving, surface = False, None if contact is None else contact.surface(len(motions))
+    span, moving, before = 0, False, np.inf
+    surface = None if contact is None else contact.surface(len(motions))
     for _ in range(PASSES):
-        loads = [path_load(links, motion, path, zero, moving) for motion, path in zip(motions, paths, strict=True)]
+        over = COUPLING_SPANS[span] if moving else None
+        loads = [path_load(links, motion, path, zero, over) for motion, path in zip(motions, paths, strict=True)]
         touches = (
             []
             if contact is None
@@ -83,37 +109,50 @@ def _side_by_side(
         )
         lanes = lanes_of(motions, loads, None, touches)
         new, _, force = roll_out(lanes, np.tile(values.T, (1, len(motions))), surface=surface)
-        times, changes = np.arange(len(new)) * lanes.step, []
+        times, changes, settling = np.arange(len(new)) * lanes.step, [], []
         for number, motion in enumerate(motions):
             own = new[:, number * joints : (number + 1) * joints]
             grid = motion.grid
             settled = np.stack([np.interp(grid, times, column) for column in own.T], axis=1)
             changes.append(float(np.mean(np.abs(settled - paths[number]).max(axis=1))))
-            paths[number] = settled
+            settling.append(settled)
+        if max(changes) > before:
+            if span == len(COUPLING_SPANS) - 1:
+                break
+            span, before = span + 1, np.inf
+            continue
+        paths, found = settling, (lanes, new, force)
+        if moving:
+            before = max(changes)
         moving = True
         if max(changes) < SETTLED:
             break
-    sampled = at_samples(lanes, new)
-    return [
-        (
-            sampled[: len(motion.time), number * joints : (number + 1) * joints],
-            np.zeros(len(motion.time)) if contact is None else np.interp(motion.time, times, force[:, number]),
-        )
-        for number, motion in enumerate(motions)
-    ]
+    return paths, *found
 
 
-def path_load(links: ServoLinks, motion: ServoMotion, path: FloatArray, zero: FloatArray, moving: bool) -> MotionLoad:
-    """The links along a path (K, n) on a motion's grid; with the torques between the joints where it is `moving`."""
-    thin = np.unique(np.append(np.arange(0, len(path), EVERY), len(path) - 1))
-    times = motion.grid[thin]
-    load = motion_load(links, motion, times, path[thin], zero)
-    if not moving or path.shape[1] < 2:
+def path_load(
+    links: ServoLinks,
+    motion: ServoMotion,
+    path: FloatArray,
+    zero: FloatArray,
+    span: float | None,
+    measured: bool = False,
+) -> MotionLoad:
+    """The links along a path (K, n) on a motion's grid; gravity and inertia of the path, or as `measured`.
+
+    The torques between the joints are in it where there is a span [s] over which accelerations are averaged.
+    """
+    times = motion.grid
+    if measured:
+        load = motion_load(links, motion, motion.time, motion.position, zero)
+    else:
+        load = motion_load(links, motion, times, path, zero)
+    if span is None or path.shape[1] < 2:
         return load
-    span = max(1, round(COUPLING_SPAN / motion.step))
+    span = max(1, round(span / motion.step))
     velocity = _averaged(np.gradient(path, motion.step, axis=0), span)
     acceleration = _averaged(np.gradient(velocity, motion.step, axis=0), span)
-    return with_coupling(links, motion, load, times, (path[thin] + zero, velocity[thin], acceleration[thin]))
+    return with_coupling(links, motion, load, times, (path + zero, velocity, acceleration))
 
 
 def rollout_errors(motions: Sequence[ServoMotion], paths: Sequence[FloatArray]) -> FloatArray:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
+from ident.servo.arm_rollout import COUPLING_SPANS, grid_paths, path_load
 from ident.servo.contact import Contact, away, find_contact, in_contact
 from ident.servo.links import ServoLinks
-from ident.servo.motion import PIECE, ServoMotion, lanes_with_touch
+from ident.servo.motion import PIECE, ServoMotion, halves, lanes_with_touch, some_pieces
 from ident.servo.rollout import Lanes, repeated
 from ident.servo.search import (
     BLOCKED_LITTLE,
@@ -26,7 +27,6 @@ from ident.servo.terms import (
     GROUPS,
     INDEX,
     TERMS,
-    from_search,
     members,
     start_values,
     to_search,
@@ -70,8 +70,11 @@ LATE = ("load_breakaway", "stribeck_velocity")
 """Terms that are held in the first fit: a joint that breaks away from a large friction within a small velocity jumps,
 and no search comes back from there."""
 
-FIRST_GROUP = "profile"
-"""The optional term that is settled with those that every joint has."""
+SATURATIONS = (0.1, 0.2, 0.4)
+"""Starts of a drive's limit, over the torque that the largest position error would ask for."""
+
+FIRST_GROUPS = ("profile", "saturation")
+"""Optional terms of which one is settled with those that every joint has: either limits how fast a joint follows."""
 
 FRICTION = ("load", "breakaway")
 """Groups that are fitted from the beginning, and taken away where nothing asks for them: without them all torques of a
@@ -86,6 +89,9 @@ RESTING = 5.0
 
 TORQUES = ("stiffness", "damping", "armature", "coulomb", "breakaway", "torque_limit")
 """Terms that grow together where nothing ties the torques of a joint to N·m."""
+
+LEAST_MOTOR = 0.1
+"""Share of a joint's inertia that is its motor's, at least: gears make it count."""
 
 MOVING = 0.02
 """[rad/s] of a joint in the regression that gives the start."""
@@ -165,20 +171,21 @@ def fit_servo(
     centre = to_search(values)
     least = float(np.min(resolution))
     weighted = set(links.weighted(np.concatenate([motion.position for motion in motions]).T).tolist())
-    chosen, judged = _split(away(lanes, tool[1]), PIECES)
+    chosen, judged = halves(away(lanes, tool[1]), PIECES)
     progress("first fit")
     gains: list[dict[str, float]] = [{} for _ in range(joints)]
     values, free = _first_fit(chosen, judged, values, free, centre, np.flatnonzero(moving), held, least, gains)
     free |= late
     heavy = np.array([joint in weighted for joint in range(joints)])
     scaled = (heavy & moving) | held[:, [INDEX[name] for name in TORQUES]].any(axis=1)
-    values, free, held, assumed = _tied(values, free, held, centre, scaled, moving, given)
+    inertia = np.array([lanes.inertia[:, lanes.joint == joint].mean() for joint in range(joints)])
+    values, free, held, assumed = _tied(values, free, held, centre, (scaled, moving), inertia, given)
     values = search(chosen, values, free, _scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
     state = _State(lanes, lanes, values, free, None, gains)
-    told = np.array([joint in weighted for joint in range(joints)])
-    _settle_terms(state, (chosen, judged), motions, links, (centre, held, told, moving), tool, least, progress)
-    lanes, values, free, contact = state.lanes, state.values, state.free, state.contact
-    final = _pieces(state.kept, FINAL_PIECES)
+    _settle_terms(state, (chosen, judged), motions, links, (centre, held, heavy, moving), tool, least, progress)
+    _coupled_again(state, motions, links, tool[0])
+    values, free, contact = state.values, state.free, state.contact
+    final = some_pieces(state.kept, FINAL_PIECES)
     progress("final fit")
     values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
     longer = _longer_pieces(state, final, motions, links, tool[0])
@@ -189,7 +196,7 @@ def fit_servo(
     seen = intervals(final, values, free, least)[2][:, INDEX["stiffness"]]
     loose = free[:, INDEX["stiffness"]] & ~seen
     if loose.any():
-        values, free, held, more = _tied(values, free, held, centre, ~loose, moving, given)
+        values, free, held, more = _tied(values, free, held, centre, (~loose, moving), inertia, given)
         assumed |= more
         progress("final fit of joints whose torques nothing ties to N·m")
         values = search(longer, values, free, _scale(longer, values, least), centre, 20, BLOCKED_LITTLE)
@@ -197,7 +204,7 @@ def fit_servo(
     pieces = len(np.unique(final.piece))
     if contact is not None:
         progress("contact")
-        contact = find_contact(lanes, values, *tool, least, contact)
+        contact = find_contact(state.lanes, values, *tool, least, contact)
     return ServoFit(values, low, high, free, seen, held, assumed, moving, covariance, tuple(gains), pieces, contact)
 
 
@@ -238,17 +245,19 @@ def _settle_terms(
     centre, held, weighted, moving = joints
     chosen, judged = parts
     progress("are the servos alike?")
-    _like_the_others(state, chosen, judged, centre, moving & ~held.any(axis=1), least)
+    _like_the_others(state, chosen, judged, centre, held, moving, least)
     progress("does the arm touch something?")
     state.contact = find_contact(state.lanes, state.values, *tool, least)
-    chosen, judged = _left(state)
+    chosen, judged = _coupled_again(state, motions, links, tool[0])
     scale = _scale(chosen, state.values, least)
     state.values = search(chosen, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
     for group in GROUPS:
-        if group == FIRST_GROUP or group in FRICTION:
+        if group in FRICTION:
             continue
         offered = moving & weighted if group == "zero" else moving
-        able = np.flatnonzero(offered & ~held[:, members(group)].any(axis=1))
+        if group == "profile":
+            offered = moving & state.free[:, INDEX["torque_limit"]]
+        able = np.flatnonzero(offered & ~(held | state.free)[:, members(group)].any(axis=1))
         if not len(able):
             continue
         progress(f"is there a {group}?")
@@ -262,35 +271,48 @@ def _settle_terms(
         for joint, saving in saved.items():
             state.gains[joint][group] = saving
         if group == "zero" and saved:
-            state.lanes = lanes_with_touch(motions, links, state.values[:, INDEX["zero"]], tool[0])
-            chosen, judged = _left(state)
+            chosen, judged = _coupled_again(state, motions, links, tool[0])
     if state.contact is not None:
         state.contact = find_contact(state.lanes, state.values, *tool, least, state.contact)
         _left(state)
 
 
 def _like_the_others(
-    state: _State, chosen: Lanes, judged: Lanes, centre: FloatArray, able: BoolArray, least: float
+    state: _State,
+    chosen: Lanes,
+    judged: Lanes,
+    centre: FloatArray,
+    held: BoolArray,
+    able: BoolArray,
+    least: float,
 ) -> None:
-    """Begin again with what the other joints have, and keep it where other pieces are nearer, in place.
+    """Begin again with what the nearest joint has, and keep it where pieces that were not fitted are nearer, in place.
 
-    Servos of one arm are mostly of one kind, and a search may have ended in a minimum that is none of theirs.
+    Servos of one arm are mostly of one kind, and a search may have ended in a minimum that is none of theirs: an
+    inertia that a delay stands for, say. Such a joint would spoil a median of all.
     """
     rows = np.flatnonzero(able)
     if len(rows) <= LIKE:
         return
-    torques = [INDEX[name] for name in TORQUES]
-    kind, scaled = state.values[rows].copy(), state.values.copy()
-    kind[:, torques] /= kind[:, [INDEX["stiffness"]]]
-    common = from_search(np.median(to_search(kind), axis=0))
-    stiffness = float(np.exp(np.median(np.log(state.values[rows, INDEX["stiffness"]]))))
-    common[torques] *= stiffness
-    scaled[rows] = np.where(state.free[rows], common, scaled[rows])
+    torques, optional = [INDEX[name] for name in TORQUES], np.array([bool(term.group) for term in TERMS])
+    scaled, free, prior = state.values.copy(), state.free.copy(), centre.copy()
+    residual = evaluate(judged, state.values)[0]
+    nearest = rows[np.argmin(joint_cost(residual, judged, np.full(len(scaled), least), EVERY_ERROR)[rows])]
+    common = np.tile(state.values[nearest], (len(rows), 1))
+    present = [term for term in torques if state.values[nearest, term] != TERMS[term].absent]
+    ratio = state.values[rows, INDEX["stiffness"]] / state.values[nearest, INDEX["stiffness"]]
+    common[:, present] *= ratio[:, None]
+    free[rows] = np.where(optional, state.free[nearest], free[rows]) & ~held[rows]
+    scaled[rows] = np.where(held[rows], scaled[rows], common)
+    prior[rows] = np.where(optional & free[rows], to_search(common), prior[rows])
     for shape in (EVERY_ERROR, BLOCKED_LITTLE):
-        scaled = search(chosen, scaled, state.free, _scale(chosen, scaled, least), centre, 15, shape)
+        scaled = search(chosen, scaled, free, _scale(chosen, scaled, least), prior, 15, shape)
     state.values = search(chosen, state.values, state.free, _scale(chosen, state.values, least), centre, 15, shape)
     saved = _savings(judged, state.values, scaled, rows.tolist(), least, BLOCKED_LITTLE)
-    _taken(state, centre, (scaled, state.free, centre), list(saved))
+    _taken(state, centre, (scaled, free, prior), list(saved))
+    for joint, share in saved.items():
+        kept = [group for group in FIRST_GROUPS if state.free[joint, members(group)].any()]
+        state.gains[joint] = {group: state.gains[joint].get(group, share) for group in kept}
 
 
 def _taken(
@@ -301,13 +323,29 @@ def _taken(
     state.values[joints], state.free[joints], centre[joints] = trial[0][joints], trial[1][joints], trial[2][joints]
 
 
+def _coupled_again(
+    state: _State, motions: Sequence[ServoMotion], links: ServoLinks, link: int, piece: float = PIECE
+) -> tuple[Lanes, Lanes]:
+    """Lanes anew, with torques between the joints as the fit moves them; pieces to fit and to judge.
+
+    Accelerations of measured positions are those of a smooth line through them, which has too little of a step's.
+    """
+    zero = state.values[:, INDEX["zero"]]
+    loads = [
+        path_load(links, motion, path, zero, COUPLING_SPANS[0], measured=True)
+        for motion, path in zip(motions, grid_paths(motions, links, state.values, state.contact), strict=True)
+    ]
+    state.lanes = lanes_with_touch(motions, links, zero, link, piece, loads)
+    return _left(state)
+
+
 def _left(state: _State) -> tuple[Lanes, Lanes]:
     """Pieces to fit and to judge, without the samples that the contact bends."""
     state.kept = state.lanes
     if state.contact is not None:
         bent = in_contact(state.lanes, state.values, state.contact)
         state.kept = replace(state.lanes, measured=np.where(bent, np.nan, state.lanes.measured))
-    return _split(state.kept, PIECES)
+    return halves(state.kept, PIECES)
 
 
 def _longer_pieces(state: _State, final: Lanes, motions: Sequence[ServoMotion], links: ServoLinks, link: int) -> Lanes:
@@ -315,8 +353,7 @@ def _longer_pieces(state: _State, final: Lanes, motions: Sequence[ServoMotion], 
     piece = min(sum(float(motion.time[-1]) for motion in motions) / WANTED_PIECES, LONGEST_PIECE)
     if piece <= PIECE:
         return final
-    state.lanes = lanes_with_touch(motions, links, state.values[:, INDEX["zero"]], link, piece)
-    _left(state)
+    _coupled_again(state, motions, links, link, piece)
     return state.kept
 
 
@@ -357,38 +394,6 @@ def _start(motions: Sequence[ServoMotion], links: ServoLinks) -> FloatArray:
     return values
 
 
-def _split(lanes: Lanes, most: int) -> tuple[Lanes, Lanes]:
-    """Every other piece to fit, the others to judge."""
-    pieces = _chosen(lanes, most)
-    if len(pieces) < 2:
-        return lanes, lanes
-    return tuple(lanes.of(np.flatnonzero(np.isin(lanes.piece, pieces[part::2]))) for part in range(2))  # type: ignore[return-value]
-
-
-def _pieces(lanes: Lanes, most: int) -> Lanes:
-    return lanes.of(np.flatnonzero(np.isin(lanes.piece, _chosen(lanes, most))))
-
-
-def _chosen(lanes: Lanes, most: int) -> IndexArray:
-    """Pieces: half of them evenly spread, half those whose commands change fastest, which show the limits."""
-    pieces = np.unique(lanes.piece)
-    if len(pieces) <= most:
-        return pieces
-    even = pieces[np.linspace(0, len(pieces) - 1, most // 2).astype(np.intp)]
-    quickest = np.zeros(len(pieces))
-    change = np.abs(np.diff(lanes.command, axis=0)).mean(axis=0)
-    np.maximum.at(quickest, np.searchsorted(pieces, lanes.piece), change / np.maximum(_typical(change, lanes), 1e-12))
-    others = np.setdiff1d(np.arange(len(pieces)), np.searchsorted(pieces, even))
-    quick = pieces[others[np.argsort(-quickest[others], kind="stable")[: most - len(even)]]]
-    return np.sort(np.concatenate([even, quick]))
-
-
-def _typical(change: FloatArray, lanes: Lanes) -> FloatArray:
-    """(L,) mean over each lane's joint."""
-    sums = np.bincount(lanes.joint, weights=change)
-    return np.asarray((sums / np.bincount(lanes.joint))[lanes.joint], dtype=np.float64)
-
-
 def _scale(lanes: Lanes, values: FloatArray, least: float) -> FloatArray:
     return robust_scale(evaluate(lanes, values)[0], lanes, len(values), least)
 
@@ -403,15 +408,10 @@ def _tried(
     least: float,
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
     """Values, free terms and prior (n, terms) with a group added to some joints, fitted."""
-    scale = _scale(chosen, values, least)
     trial, trial_free = with_group(values, free, able, group)
     if group == "saturation":
-        reach = np.zeros(len(values))
-        error = np.abs(chosen.command[chosen.history :] - chosen.start)
-        np.maximum.at(reach, chosen.joint, error.max(axis=0))
-        limit = 0.5 * values[:, INDEX["stiffness"]] * np.maximum(reach, 1e-3)
-        trial[able, INDEX["torque_limit"]] = limit[able]
-    trial_centre = np.where(trial_free & ~free, to_search(trial), centre)
+        trial[able, INDEX["torque_limit"]] = 0.5 * _largest_torques(chosen, values)[able]
+    trial_centre, scale = np.where(trial_free & ~free, to_search(trial), centre), _scale(chosen, values, least)
     return search(chosen, trial, trial_free, scale, trial_centre, 12, BLOCKED_LITTLE), trial_free, trial_centre
 
 
@@ -443,50 +443,70 @@ def _first_fit(
     least: float,
     gains: list[dict[str, float]],
 ) -> tuple[FloatArray, BoolArray]:
-    """Values of the terms that every joint has, without a profile and with each of several, whichever fits best.
+    """Values of the terms that every joint has, without a limit and with each of several, whichever fits best.
 
-    A profile changes what all other terms have to explain: it is settled before they are.
+    What limits how fast a joint follows changes what all other terms have to explain: it is settled before they are. A
+    profile that is the wrong answer to a drive's limit stays the best one, once they have made up for it.
     """
     limit = INDEX["acceleration_limit"]
-    able = moving[~held[moving, limit]]
-    scale = _scale(chosen, values, least)
-    plain = search(chosen, values, free, scale, centre, 10, EVERY_ERROR)
+    plain = search(chosen, values, free, _scale(chosen, values, least), centre, 10, EVERY_ERROR)
     plain = search(chosen, plain, free, _scale(chosen, plain, least), centre, 15, EVERY_ERROR)
     scale = _scale(chosen, plain, least)
-    trial, trial_free = with_group(values, free, able.tolist(), FIRST_GROUP)
-    # All starts side by side. The limit is held at first: all other terms would make up for a wrong one.
-    starts, many = np.tile(trial, (len(ACCELERATIONS), 1)), len(ACCELERATIONS)
-    rows = (np.arange(many)[:, None] * len(values) + able).ravel()
-    starts[rows, limit] = np.repeat(ACCELERATIONS, len(able))
-    wide = repeated(_pieces(chosen, STARTING_PIECES), many, len(values))
-    centres = np.where(np.tile(trial_free & ~free, (many, 1)), to_search(starts), np.tile(centre, (many, 1)))
-    starts = search(wide, starts, np.tile(free, (many, 1)), np.tile(scale, many), centres, 8, EVERY_ERROR)
-    costs = joint_cost(evaluate(wide, starts)[0], wide, np.tile(scale, many), EVERY_ERROR).reshape(many, -1)
-    cheapest = np.argmin(costs, axis=0) * len(values) + np.arange(len(values))
-    best, trial_centre = starts[cheapest], centres[cheapest]
-    best = search(chosen, best, trial_free, scale, trial_centre, 10, EVERY_ERROR)
-    best = search(chosen, best, trial_free, _scale(chosen, best, least), trial_centre, 15, EVERY_ERROR)
-    saved = _savings(judged, plain, best, able.tolist(), least, EVERY_ERROR)
-    left = np.array([joint for joint in able.tolist() if joint not in saved], dtype=np.intp)
-    if len(left) and len(saved) >= LIKE:
-        # Servos of one arm are mostly of one kind: those that found no profile begin again with that of the others.
-        own, alike = chosen.of(np.flatnonzero(np.isin(chosen.joint, left))), trial.copy()
+    starts, searched, frees, able = [], [], [], []
+    for group, levels in zip(FIRST_GROUPS, (ACCELERATIONS, SATURATIONS), strict=True):
+        able.append(moving[~held[np.ix_(moving, members(group))].any(axis=1)])
+        trial, trial_free = with_group(values, free, able[-1].tolist(), group)
+        for level in levels:
+            start = trial.copy()
+            start[able[-1], members(group)] = level
+            if group == "saturation":
+                start[able[-1], members(group)] *= _largest_torques(chosen, values)[able[-1]]
+            starts.append(start)
+            # a profile is held at first: all other terms would make up for a wrong one
+            searched.append(free if group == "profile" else trial_free)
+            frees.append(trial_free)
+    # all starts side by side
+    begun, many = np.concatenate(starts), len(starts)
+    wide, every_free = repeated(some_pieces(chosen, STARTING_PIECES), many, len(values)), np.concatenate(frees)
+    centres = np.where(every_free & ~np.tile(free, (many, 1)), to_search(begun), np.tile(centre, (many, 1)))
+    begun = search(wide, begun, np.concatenate(searched), np.tile(scale, many), centres, 8, EVERY_ERROR)
+    costs = joint_cost(evaluate(wide, begun)[0], wide, np.tile(scale, many), EVERY_ERROR).reshape(many, -1)
+    which = np.argmin(costs, axis=0)
+    cheapest = which * len(values) + np.arange(len(values))
+    best, best_free, best_centre = begun[cheapest], every_free[cheapest], centres[cheapest]
+    best = search(chosen, best, best_free, scale, best_centre, 10, EVERY_ERROR)
+    best = search(chosen, best, best_free, _scale(chosen, best, least), best_centre, 15, EVERY_ERROR)
+    offered = np.union1d(able[0], able[1]).tolist()
+    saved = _savings(judged, plain, best, offered, least, EVERY_ERROR)
+    profiled = [joint for joint in saved if best_free[joint, limit]]
+    left = np.array([joint for joint in able[0].tolist() if joint not in saved], dtype=np.intp)
+    if len(left) and len(profiled) >= LIKE:
+        # Servos of one arm are mostly of one kind: those that found no limit begin again with the others' profile.
+        own = chosen.of(np.flatnonzero(np.isin(chosen.joint, left)))
+        alike, alike_free = with_group(values, free, left.tolist(), "profile")
         for name in ("acceleration_limit", "delay"):
-            alike[left, INDEX[name]] = np.median(best[list(saved), INDEX[name]])
-        only = trial_free & np.isin(np.arange(len(values)), left)[:, None]
-        trial_centre[left, limit] = to_search(alike)[left, limit]
+            alike[left, INDEX[name]] = np.median(best[profiled, INDEX[name]])
+        only = alike_free & np.isin(np.arange(len(values)), left)[:, None]
+        best_centre[left, limit] = to_search(alike)[left, limit]
         held_limit = only.copy()
         held_limit[:, limit] = False
         for freed in (held_limit, only):
-            alike = search(own, alike, freed, scale, trial_centre, 12, EVERY_ERROR)
-        best[left] = alike[left]
-        saved = _savings(judged, plain, best, able.tolist(), least, EVERY_ERROR)
+            alike = search(own, alike, freed, scale, best_centre, 12, EVERY_ERROR)
+        best[left], best_free[left] = alike[left], alike_free[left]
+        saved = _savings(judged, plain, best, offered, least, EVERY_ERROR)
     rows = list(saved)
     values, free = plain.copy(), free.copy()
-    values[rows], free[rows], centre[rows] = best[rows], trial_free[rows], trial_centre[rows]
+    values[rows], free[rows], centre[rows] = best[rows], best_free[rows], best_centre[rows]
     for joint, share in saved.items():
-        gains[joint][FIRST_GROUP] = share
+        gains[joint]["profile" if best_free[joint, limit] else "saturation"] = share
     return values, free
+
+
+def _largest_torques(lanes: Lanes, values: FloatArray) -> FloatArray:
+    """(n,) torques that the largest position errors of any piece would ask for, if the joint stood still."""
+    reach = np.zeros(len(values))
+    np.maximum.at(reach, lanes.joint, np.abs(lanes.command[lanes.history :] - lanes.start).max(axis=0))
+    return np.asarray(values[:, INDEX["stiffness"]] * np.maximum(reach, 1e-3), dtype=np.float64)
 
 
 def _savings(
@@ -538,16 +558,18 @@ def _tied(
     free: BoolArray,
     held: BoolArray,
     centre: FloatArray,
-    scaled: BoolArray,
-    moving: BoolArray,
+    which: tuple[BoolArray, BoolArray],
+    inertia: FloatArray,
     given: Mapping[tuple[int, str], float],
 ) -> tuple[FloatArray, BoolArray, BoolArray, frozenset[tuple[int, int]]]:
     """Joints whose torque scale nothing shows get the stiffness of those that show it, the others' geometric mean.
 
     Only gravity, or a term that is known, ties a position loop to N·m: without it, all of a joint's torques can grow
-    together. A joint that never moves gets all terms of the others.
+    together, and with them the sum of its motor's inertia and the links' (n,), which is known: a stiffness that would
+    leave less than `LEAST_MOTOR` of that sum to the motor is not assumed. A joint that never moves gets all terms of
+    the others. `which` joints show their scale, and which move.
     """
-    stiffness = INDEX["stiffness"]
+    stiffness, motor, (scaled, moving) = INDEX["stiffness"], INDEX["armature"], which
     torques = [INDEX[name] for name in TORQUES]
     showing = np.flatnonzero(scaled & moving & free[:, stiffness])
     showing = np.flatnonzero(scaled & moving) if not len(showing) else showing
@@ -567,8 +589,14 @@ def _tied(
         if held[joint, stiffness] and (joint, TERMS[stiffness].name) in given:
             continue
         ratio = common / values[joint, stiffness]
-        values[joint, torques] *= ratio
-        centre[joint, torques] += np.log(ratio)
+        whole = ratio * (values[joint, motor] + inertia[joint])
+        if moving[joint] and whole - inertia[joint] < LEAST_MOTOR * whole:
+            continue
+        present = [term for term in torques if values[joint, term] != TERMS[term].absent]
+        values[joint, present] *= ratio
+        centre[joint, present] += np.log(ratio)
+        if moving[joint]:
+            values[joint, motor] = whole - inertia[joint]
         free[joint, stiffness], held[joint, stiffness] = False, True
         assumed.add((joint, stiffness))
     return values, free, held, frozenset(assumed)

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from daq.recording.commanded_motion import TARGET, CommandedMotion
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import FloatArray, IndexArray
 from drivers.core.errors import DataError
 from ident.servo.links import ServoLinks
 from ident.servo.rollout import Lanes, Touch
@@ -262,7 +262,9 @@ def lanes_of(
         command[:, lanes] = motion.command[before] * (1.0 - part) + motion.command[before + 1] * part
         rows = np.rint(place).astype(np.intp)
         own = np.clip(rows[history:] - motion.history, 0, len(load.torque) - 1)
-        torque[:, lanes], slope[:, lanes], inertia[:, lanes] = load.torque[own], load.slope[own], load.inertia[own]
+        after = np.minimum(own + 1, len(load.torque) - 1)
+        for on_steps, on_grid in ((torque, load.torque), (slope, load.slope), (inertia, load.inertia)):
+            on_steps[:, lanes] = 0.5 * (on_grid[own] + on_grid[after])
         if touches:
             touch = touches[source]
             reference[:, lanes], lever[:, :, lanes] = touch.reference[own], touch.lever[:, own]
@@ -288,10 +290,15 @@ def lanes_of(
 
 
 def lanes_with_touch(
-    motions: Sequence[ServoMotion], links: ServoLinks, zero: FloatArray, link: int, piece: float = PIECE
+    motions: Sequence[ServoMotion],
+    links: ServoLinks,
+    zero: FloatArray,
+    link: int,
+    piece: float = PIECE,
+    loads: Sequence[MotionLoad] | None = None,
 ) -> Lanes:
-    """Pieces [s] of measured motions, with what a link may touch."""
-    loads = [measured_load(links, motion, zero) for motion in motions]
+    """Pieces [s] of measured motions, with what a link may touch; the links along the measured ones without `loads`."""
+    loads = [measured_load(links, motion, zero) for motion in motions] if loads is None else loads
     touches = [motion_touch(links, link, motion, motion.time, motion.position) for motion in motions]
     return lanes_of(motions, loads, piece, touches)
 
@@ -309,3 +316,36 @@ def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray) -> M
         savgol_filter(motion.position, window, 3, deriv=order, delta=period, axis=0) for order in (1, 2)
     )
     return with_coupling(links, motion, load, motion.time, (motion.position + zero, velocity, acceleration))
+
+
+def halves(lanes: Lanes, most: int) -> tuple[Lanes, Lanes]:
+    """Every other of so many pieces at most, and the others."""
+    pieces = _chosen(lanes, most)
+    if len(pieces) < 2:
+        return lanes, lanes
+    return tuple(lanes.of(np.flatnonzero(np.isin(lanes.piece, pieces[part::2]))) for part in range(2))  # type: ignore[return-value]
+
+
+def some_pieces(lanes: Lanes, most: int) -> Lanes:
+    """Pieces, as many at most."""
+    return lanes.of(np.flatnonzero(np.isin(lanes.piece, _chosen(lanes, most))))
+
+
+def _chosen(lanes: Lanes, most: int) -> IndexArray:
+    """Pieces: half of them evenly spread, half those whose commands change fastest, which show the limits."""
+    pieces = np.unique(lanes.piece)
+    if len(pieces) <= most:
+        return pieces
+    even = pieces[np.linspace(0, len(pieces) - 1, most // 2).astype(np.intp)]
+    quickest = np.zeros(len(pieces))
+    change = np.abs(np.diff(lanes.command, axis=0)).mean(axis=0)
+    np.maximum.at(quickest, np.searchsorted(pieces, lanes.piece), change / np.maximum(_typical(change, lanes), 1e-12))
+    others = np.setdiff1d(np.arange(len(pieces)), np.searchsorted(pieces, even))
+    quick = pieces[others[np.argsort(-quickest[others], kind="stable")[: most - len(even)]]]
+    return np.sort(np.concatenate([even, quick]))
+
+
+def _typical(change: FloatArray, lanes: Lanes) -> FloatArray:
+    """(L,) mean over each lane's joint."""
+    sums = np.bincount(lanes.joint, weights=change)
+    return np.asarray((sums / np.bincount(lanes.joint))[lanes.joint], dtype=np.float64)

@@ -1,8 +1,9 @@
 """Roll-out of servo joints on commands, many pieces of motion side by side, with derivatives by their parameters.
 
 Every joint is one equation, with the rigid body's torques known along the motion: gear ratios are high, and the other
-joints act through gravity and coupling, which `ident.servo.arm_rollout` brings up to date between two roll-outs. The
-step is implicit in damping, stiffness and friction (soft threshold), so that sticking is exact and any step is stable.
+joints act through gravity and coupling, which `ident.servo.arm_rollout` brings up to date between two roll-outs. A step
+is the implicit midpoint rule: half a step implicit in damping, stiffness and friction (soft threshold, so that sticking
+is exact), and its velocity over the whole step. It is stable with any step, and neither ahead of the joint nor damped.
 """
 
 from __future__ import annotations
@@ -145,8 +146,9 @@ def roll_out(
         return *_compiled(library, lanes, values, free, goals, d_goals), np.zeros((len(goals), 0))
     inertia = p["armature"] + lanes.inertia
     offset = p["zero"] * lanes.load_slope
-    resistance = inertia + lanes.step * p["damping"]
     h, (count, width) = lanes.step, lanes.load.shape
+    half = 0.5 * h
+    resistance = inertia + half * p["damping"]
     position, velocity = lanes.start.copy(), np.zeros(width)
     path, velocities = np.empty((count, width)), np.empty((count, width))
     contact = None if surface is None or lanes.touch is None else _Surface(lanes, lanes.touch, surface)
@@ -156,15 +158,15 @@ def roll_out(
         path[index], velocities[index] = position, velocity
         error = goals[index] - position - p["bias"]
         step = _step(
-            h, p, inertia[index], resistance[index], lanes.load[index], offset[index], error, velocity, present
+            half, p, inertia[index], resistance[index], lanes.load[index], offset[index], error, velocity, present
         )
         if contact is not None:
             step = contact.pushed(step, index, position, force[index])
-        velocity = step.velocity
-        position = position + h * velocity
+        velocity = np.where(step.moving, 2.0 * step.velocity - velocity, 0.0)
+        position = position + h * step.velocity
     if not len(free):
         return path, np.zeros((0, count, width)), force
-    step = _step(h, p, inertia, resistance, lanes.load, offset, goals - path - p["bias"], velocities)
+    step = _step(half, p, inertia, resistance, lanes.load, offset, goals - path - p["bias"], velocities)
     return path, _tangents(lanes, p, rows, inertia, step, velocities, d_goals), force
 
 
@@ -227,7 +229,7 @@ class _Step(NamedTuple):
     acting: FloatArray
     divisor: FloatArray
     faded: FloatArray
-    static: FloatArray
+    passed: FloatArray
     momentum: FloatArray
     friction: FloatArray
     moving: BoolArray
@@ -246,9 +248,9 @@ def _step(
     velocity: FloatArray,
     present: _Present = _ALL,
 ) -> _Step:
-    """A step of h [s], or all steps of a path, from position errors and velocities (…, L) before it.
+    """Half a step, of h [s], or those of a path's steps, from position errors and velocities (…, L) before it.
 
-    `resistance` is the inertia with what damping adds in a step; `offset` the load that the encoder's zero adds. What
+    `resistance` is the inertia with what damping adds in it; `offset` the load that the encoder's zero adds. What
     the derivatives need of terms that are not `present` has no meaning.
     """
     if present.dead_band:
@@ -261,21 +263,23 @@ def _step(
         acting = np.where(outside & (torque == linear), p["stiffness"], 0.0)
     else:
         torque, acting = linear, p["stiffness"] * outside
-    divisor = resistance + h * h * acting
     momentum = inertia * velocity + h * (torque - load - offset)
     loaded = np.abs(torque) if present.load or present.breakaway else torque
-    friction = p["coulomb"]
+    friction, share = p["coulomb"], np.zeros_like(p["coulomb"])
     if present.load:
-        friction = friction + p["load_friction"] * loaded
-    static = faded = velocity
+        friction, share = friction + p["load_friction"] * loaded, p["load_friction"]
+    faded = velocity
     if present.breakaway:
-        static = p["breakaway"] + p["load_breakaway"] * loaded
         faded = np.exp(-((velocity / p["stribeck_velocity"]) ** 2))
-        friction = friction + static * faded
+        friction = friction + (p["breakaway"] + p["load_breakaway"] * loaded) * faded
+        share = share + p["load_breakaway"] * faded
     friction = h * friction
     moving, direction = np.abs(momentum) > friction, np.sign(momentum)
+    # friction follows the torque that is left after the step, as the drive does
+    passed = np.maximum(1.0 - direction * np.sign(torque) * share, 0.0)
+    divisor = resistance + h * h * acting * passed
     after = np.where(moving, (momentum - direction * friction) / divisor, 0.0)
-    return _Step(outside, side, torque, acting, divisor, faded, static, momentum, friction, moving, direction, after)
+    return _Step(outside, side, torque, acting, divisor, faded, passed, momentum, friction, moving, direction, after)
 
 
 class _Surface:
@@ -294,7 +298,7 @@ class _Surface:
 
     def pushed(self, step: _Step, index: int, position: FloatArray, force: FloatArray) -> _Step:
         """The step with what the surface adds; its forces (P,) are written into `force`."""
-        lever, h = self._lever[index], self._step
+        lever, h = self._lever[index], 0.5 * self._step
         clear = self._clear[index] + self._sum(lever * (position - self._reference[index]))
         if np.all(clear > 0.02):
             return step
@@ -330,15 +334,18 @@ def _tangents(
 ) -> FloatArray:
     """Derivatives (F, K, L) of the positions on the grid.
 
-    Along a known path they are linear in each other: of a step's velocity, from those of position and velocity before
-    it, d_velocity' = kept·d_velocity + pulled·d_position + driven. The coefficients of all steps are computed at once.
+    Along a known path they are linear in each other: of the velocity in the middle of a step, from those of position
+    and velocity before it, d_middle = kept·d_velocity + pulled·d_position + driven. The coefficients of all steps are
+    computed at once.
     """
-    h, loaded = lanes.step, np.abs(step.torque)
+    h = 0.5 * lanes.step
     freely = step.acting > 0
     gate = step.moving / step.divisor
-    share = p["load_friction"] + p["load_breakaway"] * step.faded
-    pull = gate * h * (1.0 - step.direction * np.sign(step.torque) * share)
-    slope = h * step.static * step.faded * 2.0 * velocity / p["stribeck_velocity"] ** 2
+    torque = step.torque - h * step.acting * step.velocity
+    loaded = np.sign(step.torque) * torque
+    pull = gate * h * step.passed
+    static = (p["breakaway"] + p["load_breakaway"] * loaded) * step.faded
+    slope = h * static * 2.0 * velocity / p["stribeck_velocity"] ** 2
     kept, pulled = gate * (inertia + step.direction * slope), -pull * step.acting
     opposed = -gate * step.direction * h
     driven = np.zeros((len(rows), *velocity.shape))
@@ -351,30 +358,25 @@ def _tangents(
         driven[row] = -pulled * derivative
     add("bias", lambda: pulled)
     add("dead_band", lambda: pulled * step.side * p["dead_band"])
-    add(
-        "stiffness",
-        lambda: pull * np.where(freely, step.torque, 0.0) - gate * (h * h * step.acting * step.velocity),
-    )
+    add("stiffness", lambda: pull * np.where(freely, torque, 0.0))
     add("torque_limit", lambda: pull * np.where(step.outside & ~freely, step.torque, 0.0))
     add("coulomb", lambda: opposed * p["coulomb"])
     add("load_friction", lambda: opposed * p["load_friction"] * loaded)
     add("breakaway", lambda: opposed * p["breakaway"] * step.faded)
     add("load_breakaway", lambda: opposed * p["load_breakaway"] * loaded * step.faded)
-    add(
-        "stribeck_velocity",
-        lambda: opposed * step.static * step.faded * 2.0 * (velocity / p["stribeck_velocity"]) ** 2,
-    )
+    add("stribeck_velocity", lambda: opposed * static * 2.0 * (velocity / p["stribeck_velocity"]) ** 2)
     add("zero", lambda: -gate * h * lanes.load_slope)
     add("armature", lambda: gate * p["armature"] * (velocity - step.velocity))
     add("damping", lambda: -gate * h * p["damping"] * step.velocity)
     d_position, d_velocity = np.zeros_like(driven[:, 0]), np.zeros_like(driven[:, 0])
     change = np.empty_like(d_position)
     for index in range(len(velocity)):
-        d_velocity *= kept[index]
-        d_velocity += np.multiply(d_position, pulled[index], out=change)
-        d_velocity += driven[:, index]
+        d_middle = kept[index] * d_velocity
+        d_middle += np.multiply(d_position, pulled[index], out=change)
+        d_middle += driven[:, index]
         driven[:, index] = d_position  # what this step was driven by is needed no more
-        d_position += np.multiply(d_velocity, h, out=change)
+        d_velocity = np.subtract(2.0 * d_middle, d_velocity, out=d_velocity) * step.moving[index]
+        d_position += np.multiply(d_middle, lanes.step, out=change)
     return driven
 
 
@@ -390,14 +392,17 @@ def at_samples(lanes: Lanes, path: FloatArray) -> FloatArray:
 def _goals(
     lanes: Lanes, delay: FloatArray, steepest: FloatArray, rows: dict[str, int]
 ) -> tuple[FloatArray, dict[int, FloatArray]]:
-    """Goals (K, L) of the servos' profiles after each step, and their derivatives by the rows that are asked for.
+    """Goals (K, L) of the servos' profiles in each step, and their derivatives by the rows that are asked for.
 
-    A profile starts at once, however small a part of a command has come: goals are delayed, not commands. A profile
+    A profile starts at once, however small a part of a command has come: goals are delayed, not commands. Goals are
+    means over the step, as commands are. A profile
     that switches between its limits has no smooth derivative by them: differences over a finite span stand for it.
     """
     limit, factor = "acceleration_limit", np.exp(STEEPNESS_SPAN)
     limits = [steepest, *([steepest * factor, steepest / factor] if limit in rows else [])]
-    wide = profile_goals(np.tile(lanes.command, (1, len(limits))), lanes.step, np.concatenate(limits))
+    wide, steep = np.tile(lanes.command, (1, len(limits))), np.concatenate(limits)
+    ends = profile_goals(wide, lanes.step, steep)
+    wide[1:] = np.where(steep < UNLIMITED, 0.5 * (ends[1:] + ends[:-1]), wide[1:])
     lateness = delay / lanes.step
     whole = np.floor(lateness)
     newer = lanes.history - whole.astype(np.intp)

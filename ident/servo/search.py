@@ -197,8 +197,6 @@ def intervals(
             term = TERMS[index]
             ends = np.tile(point, (2, 1))
             ends[:, index] += np.array([-1.0, 1.0]) * min(float(half), 50.0)
-            if term.name == "delay":
-                ends[0, index] -= lanes.step  # by so much an implicit step is ahead, where inertia outweighs damping
             low[joint, index], high[joint, index] = from_search(ends)[:, index]
             seen[joint, index] = half < (np.log(WIDEST) if term.positive else term.spread)
         single = _pieces_that_tell(tangents, residual, lanes, joint, columns, own) < FEWEST_PIECES

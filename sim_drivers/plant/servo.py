@@ -9,8 +9,10 @@ Joint j, with duty d, share s of the supply's nominal voltage, winding and housi
 
 A servo without `no_load_speed` controls its current: r and s do not matter, and there is no back-EMF. The voltage
 sags by the current that the duty cycles draw. Where a joint has play, motor and joint are two bodies, which a stiff
-gear holds together at its ends; the encoder is the joint's. Each step solves all bodies together, implicitly in
-stiffness and damping, with dry friction exact (`ident.simulation.dry_friction`).
+gear holds together at its ends; the encoder is the joint's. Each step solves all bodies together to its middle,
+implicitly in stiffness and damping, with dry friction exact (`ident.simulation.dry_friction`), and goes on from there
+with the velocity of the middle: of an implicit step to the end, so much damping and inertia would be the step's own
+that an underdamped servo's truth would not be its own.
 """
 
 from __future__ import annotations
@@ -142,10 +144,12 @@ class ServoArm:
         return self._bodies[self._driven]
 
     def advance(self, goal: FloatArray) -> None:
-        """One step with the goals (n,) of the servos' profiles at its end [rad or m]."""
-        h, n = self.step, self._dof
+        """One step with the means (n,) of the servos' profiles over it [rad or m]."""
+        h, n = 0.5 * self.step, self._dof
         position, velocity = self._bodies[:n], self._rates[:n]
-        seen = np.where(self._encoder > 0, _quantised(position, self._encoder), position)
+        middle = position + h * velocity
+        behind_play = np.where(self._implicit > 0, position, middle)
+        seen = np.where(self._encoder > 0, _quantised(position, self._encoder), behind_play)
         error = goal - seen - self._bias
         acting = np.abs(error) > self._dead_band
         linear = self._stiffness * np.where(acting, error - np.sign(error) * self._dead_band, 0.0) + self.push
@@ -153,9 +157,9 @@ class ServoArm:
         strength = self._strength * np.where(self._voltage, self.supply, 1.0)
         torque = strength * self._limit * duty
         stiffness = np.where(acting & (np.abs(duty) < self.effort), strength * self._implicit, 0.0)
-        matrix = self._matrix(position)
+        matrix = self._matrix(middle)
         momentum = matrix @ self._rates
-        momentum[:n] -= h * self._arm.bias(position, velocity)
+        momentum[:n] -= h * self._arm.bias(middle, velocity)
         momentum[self._driven] += h * torque
         diagonal = np.zeros(len(self._rates))
         diagonal[self._driven] += h * (self._damping_now + self._gain_d)
@@ -164,16 +168,17 @@ class ServoArm:
         self._close_play(matrix, momentum)
         response = np.linalg.inv(matrix)
         free, weights = np.asarray(response @ momentum, dtype=np.float64), np.asarray(h * response, dtype=np.float64)
-        self._guess = dry_friction(weights, free, self._friction(torque), self._guess)
-        before = self._rates
-        self._rates = free - weights @ self._guess
-        self._bodies = self._bodies + h * self._rates
-        self.torque = torque - self._back_now * self._rates[self._driven]
+        limits = self._friction(torque - h * stiffness * velocity)
+        self._guess = dry_friction(weights, free, limits, self._guess)
+        rates = free - weights @ self._guess
+        self._bodies = self._bodies + self.step * rates
+        self._rates = np.where(np.abs(self._guess) < limits, 0.0, 2.0 * rates - self._rates)
+        self.torque = torque - self._back_now * rates[self._driven]
         self.current = self.torque / (self._limit * self._constant) * self._stall
         drawn = float(np.sum(np.maximum(self.current * duty, 0.0)))
         sagging = max(self._supply.voltage - self._supply.resistance * drawn, 0.1 * self._supply.voltage)
         self.supply = sagging / self._supply.nominal
-        rubbing = np.abs(self._guess * before)
+        rubbing = np.abs(self._guess * rates)
         self._warmth += self._copper * (self.torque / self._constant) ** 2, rubbing[self._driven]
         self._steps += 1
         if self._steps % HEATING_STEPS == 0:
@@ -212,8 +217,8 @@ class ServoArm:
         return matrix
 
     def _close_play(self, matrix: FloatArray, momentum: FloatArray) -> None:
-        """Add the gears whose play will be used up at the end of the step."""
-        h, n = self.step, self._dof
+        """Add the gears whose play will be used up in the middle of the step."""
+        h, n = 0.5 * self.step, self._dof
         for index, joint in enumerate(self._loose.tolist()):
             motor = n + index
             gap = self._bodies[motor] - self._bodies[joint]

@@ -20,6 +20,7 @@ from drivers.core.errors import UsageError
 from drivers.core.options import check_kind
 from drivers.core.software import software_versions
 from drivers.streams import UNITS
+from ident.servo.rollout import UNLIMITED
 from sim_drivers.plant.sensors import quantised
 from sim_drivers.plant.servo import ServoArm, true_servos
 
@@ -28,6 +29,9 @@ REACH = 0.45
 
 TONES = 4
 """Sines of a joint's slow motion."""
+
+PARTS = 4
+"""Parts of a step that is divided between two commands."""
 
 
 def simulate_servo(
@@ -176,19 +180,26 @@ def _arrived(servos: list[TruthServo], time: FloatArray, seed: int) -> FloatArra
 
 
 def _goals(servos: list[TruthServo], arrived: FloatArray, command: FloatArray, count: int, step: float) -> FloatArray:
-    """Goals (count, n) of the servos' profiles, which stop at the latest command as fast as they may."""
+    """Means (count, n) over each step of the servos' profiles, which stop at the latest command as fast as they may."""
     goals = np.empty((count, len(servos)))
+    times = (np.arange(count * PARTS) + 0.5) * step / PARTS
     for joint, servo in enumerate(servos):
         goal, pace, most = float(command[0, joint]), 0.0, servo.acceleration * step
         # A command that a later one overtakes has no effect.
         order = np.argsort(arrived[:, joint], kind="stable")
         newest = np.maximum.accumulate(order)
-        latest = np.searchsorted(arrived[order, joint], (np.arange(count) + 0.5) * step, side="right") - 1
+        latest = np.searchsorted(arrived[order, joint], times, side="right") - 1
         chosen = np.where(latest < 0, 0, newest[np.maximum(latest, 0)])
-        for index, target in enumerate(command[chosen, joint].tolist()):
+        goals[:, joint] = command[chosen, joint].reshape(count, PARTS).mean(axis=1)
+        if servo.acceleration >= UNLIMITED:
+            continue
+        before = goal
+        for index, target in enumerate(goals[:, joint].tolist()):
             distance = abs(target - goal)
             speed = min((2 * servo.acceleration * distance + most**2 / 4) ** 0.5 - most / 2, distance / step)
             pace = min(max(speed if target > goal else -speed, pace - most), pace + most)
             goal += step * pace
-            goals[index, joint] = goal - 0.5 * step * pace  # the sum is half a step ahead of the profile
+            after = goal - 0.5 * step * pace  # the sum is half a step ahead of the profile
+            goals[index, joint] = 0.5 * (before + after)
+            before = after
     return goals
