@@ -60,7 +60,7 @@ def connection_keys(robot: Robot, name: str, *, moves: bool = True) -> dict[str,
 
 def keys_of_driver(robot: Robot, driver: str) -> dict[str, object] | None:
     """The keys of a robot's first connection with a driver, without those of the session; None where there is none."""
-    return next((_without_session(one) for one in robot.connections.values() if one.driver == driver), None)
+    return next((_without_session(keys) for keys in robot.connections.values() if keys.driver == driver), None)
 
 
 def _without_session(connection: Connection) -> dict[str, object]:

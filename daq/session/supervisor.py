@@ -238,7 +238,7 @@ class Supervisor:
         self._unseen[batch.stream] = float(batch.time[-1]), []
         found = []
         for quantity in WATCHED:
-            parts = [part for one in batches if (part := self._part(one, quantity)) is not None]
+            parts = [part for batch in batches if (part := self._part(batch, quantity)) is not None]
             if not parts:
                 continue
             values, joints = np.concatenate([rows for rows, _ in parts]), parts[0][1]

@@ -45,10 +45,10 @@ def motor_budget(settings: DriverSettings, family: str) -> Budget:
     goals: list[FrameGroup] = []
     readings: list[FrameGroup] = []
     if not keys.read_only:
-        sent = [frame for one in codecs for frame in one.goal(0.0)]
+        sent = [frame for codec in codecs for frame in codec.goal(0.0)]
         goals = groups("goals", sent, len(sent) if codec.answers_goals else 0)
     if keys.read_only or not codec.answers_goals:
-        polls = [frame for one in codecs for frame in one.poll(read_only=keys.read_only)]
+        polls = [frame for codec in codecs for frame in codec.poll(read_only=keys.read_only)]
         polls += codec.slow_poll()
         readings = groups("readings", polls, len(polls))
     return Budget(keys.bitrate, keys.rate, (*goals, *readings), worst=WORST)

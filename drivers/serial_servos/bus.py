@@ -172,7 +172,7 @@ class ServoBus:
             if self.fast:
                 request = protocol.sync_read(address, size, self._ids, fast=True)
                 heard = self.line.exchange(request, protocol.fast_answer_size(size, count), 1)
-                packets = [one for packet in heard.answers for one in protocol.fast_answers(packet, size)]
+                packets = [answer for packet in heard.answers for answer in protocol.fast_answers(packet, size)]
                 return _feedback(packets, [heard], self._ids, size)
             if self._sync:
                 request = protocol.sync_read(address, size, self._ids)
@@ -219,5 +219,5 @@ def _feedback(packets: Sequence[Packet], heard: Sequence[Heard], ids: Sequence[i
     answers = {packet.motor: packet for packet in packets if packet.motor in ids and len(packet.data) == size}
     sent = heard[0].sent if heard else math.nan
     received = heard[-1].received if heard else math.nan
-    strange = sum(one.strange for one in heard)
+    strange = sum(answer.strange for answer in heard)
     return Feedback(answers, strange, 0.5 * (sent + received), received)

@@ -141,9 +141,9 @@ def check_connection(
         identities: tuple[Mapping[str, Any], ...] = ()
         if isinstance(driver, Identifying):
             identities = tuple(
-                dataclasses.asdict(one)
-                for one in driver.identify()
-                if dataclasses.is_dataclass(one) and not isinstance(one, type)
+                dataclasses.asdict(identity)
+                for identity in driver.identify()
+                if dataclasses.is_dataclass(identity) and not isinstance(identity, type)
             )
         own = driver.device_limits() if isinstance(driver, Limiting) else None
         to_mind = [*before_a_motion(robot, driver), *declaration.check_open(driver)]

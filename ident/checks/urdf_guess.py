@@ -100,7 +100,10 @@ def _joints(model: DynamicModel, arm: RigidArm, positions: FloatArray) -> Iterat
     still, signs = np.zeros(model.dof), np.random.default_rng(1).choice([-1.0, 1.0], positions.shape)
     acceleration = np.array([limits.acceleration for limits in model.limits])
     needed = np.max(
-        [np.abs(arm.inverse(one, still, sign * acceleration)) for one, sign in zip(positions.T, signs.T, strict=True)],
+        [
+            np.abs(arm.inverse(candidate, still, sign * acceleration))
+            for candidate, sign in zip(positions.T, signs.T, strict=True)
+        ],
         axis=0,
     )
     gravity = np.max([np.abs(arm.gravity(position)) for position in positions.T], axis=0)
@@ -141,7 +144,7 @@ def _poses(
 
     def load(candidates: FloatArray) -> FloatArray:
         """The largest share (N,) of a joint's strength that holds the arm."""
-        return np.array([np.max(np.abs(arm.gravity(one)) / strength) for one in candidates.T])
+        return np.array([np.max(np.abs(arm.gravity(candidate)) / strength) for candidate in candidates.T])
 
     zero, middle = positions[:, [0]], positions[:, [1]]
     if first_clear(zero) is not None:

@@ -58,7 +58,8 @@ class Fleet:
         """A row per result: held-out error over all samples, grade for torque prediction, worst joint, CPU time."""
         headings = [("name", ""), ("arm", ""), ("error", "%"), ("grade", ""), ("worst_joint", ""), ("cpu_time", "s")]
         rows: list[tuple[Cell, ...]] = [
-            (one.name, one.arm, in_percent(one.error), one.grade, one.worst_joint, one.seconds) for one in self.done
+            (outcome.name, outcome.arm, in_percent(outcome.error), outcome.grade, outcome.worst_joint, outcome.seconds)
+            for outcome in self.done
         ]
         return table_of_rows(f"Results in {self.folder}", headings, rows)
 
@@ -90,7 +91,7 @@ class Fleet:
         """The overview with a link to each report; while it is `running` it loads itself again."""
         tiles = [
             Tile("Results", f"{len(self.done)} of {self.total}", f"{len(self.failures)} failed"),
-            *(Tile(grade.title(), str(sum(one.grade == grade for one in self.done))) for grade in GRADES),
+            *(Tile(grade.title(), str(sum(outcome.grade == grade for outcome in self.done))) for grade in GRADES),
         ]
         content: dict[str, Any] = {"fleet": self, "tiles": tiles, "report": REPORT_FILE}
         refresh = int(REFRESH) if running else 0

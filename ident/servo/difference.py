@@ -14,16 +14,16 @@ from ident.servo.result import ServoResult
 from ident.servo.terms import INDEX, TERMS, to_search
 
 
-def refuse_other_arm(one: ServoResult, other: ServoResult) -> None:
+def refuse_other_arm(first: ServoResult, other: ServoResult) -> None:
     """Refuse models that are not of one arm.
 
     Raises:
         UsageError: other robots or joints.
     """
-    if one.robot != other.robot:
-        raise UsageError(f"the models are of different robots: {one.robot} and {other.robot}")
-    if one.joints != other.joints:
-        raise UsageError(f"the models have different joints: {', '.join(one.joints)}; {', '.join(other.joints)}")
+    if first.robot != other.robot:
+        raise UsageError(f"the models are of different robots: {first.robot} and {other.robot}")
+    if first.joints != other.joints:
+        raise UsageError(f"the models have different joints: {', '.join(first.joints)}; {', '.join(other.joints)}")
 
 
 def parameter_differences(one: ServoResult, other: ServoResult) -> Table:
@@ -46,35 +46,36 @@ def parameter_differences(one: ServoResult, other: ServoResult) -> Table:
     return table_of_rows(f"Servo parameters of {one.robot}", columns, rows)
 
 
-def parameters_agree(one: ServoResult, other: ServoResult) -> SignificanceTest | None:
+def parameters_agree(first: ServoResult, other: ServoResult) -> SignificanceTest | None:
     """χ² of all parameters that both determine, joint by joint; None where there is none."""
     from scipy.stats import chi2
 
     statistic, freedom = 0.0, 0
-    points = [to_search(result.values) for result in (one, other)]
-    known = [set(_spread(result)) for result in (one, other)]
-    for row in range(len(one.joints)):
+    points = [to_search(result.values) for result in (first, other)]
+    known = [set(_spread(result)) for result in (first, other)]
+    for row in range(len(first.joints)):
         common = [term.name for term in TERMS if (row, term.name) in known[0] & known[1]]
         if not common:
             continue
-        total = np.sum([_covariance(result, row, common) for result in (one, other)], axis=0)
+        total = np.sum([_covariance(result, row, common) for result in (first, other)], axis=0)
         apart = (points[1] - points[0])[row, [INDEX[term] for term in common]]
         statistic += float(apart @ np.linalg.lstsq(total, apart, rcond=None)[0])
         freedom += len(common)
     return SignificanceTest(statistic, freedom, float(chi2.sf(statistic, freedom))) if freedom else None
 
 
-def error_differences(one: ServoResult, other: ServoResult) -> Table:
+def error_differences(first: ServoResult, other: ServoResult) -> Table:
     """Roll-out errors of each joint, of each model's own validation, and what the encoder resolves."""
-    shown = [result.validation or result.fit for result in (one, other)]
-    unit = "mm" if all(one.sliding) else "mrad, mm" if any(one.sliding) else "mrad"
+    shown = [result.validation or result.fit for result in (first, other)]
+    unit = "mm" if all(first.sliding) else "mrad, mm" if any(first.sliding) else "mrad"
     parts: list[Sequence[float]] = [fit.rollout_error for fit in shown]
     rows: list[list[Cell]] = [
-        [name, *(1e3 * part[row] for part in parts), 1e3 * one.resolution[row]] for row, name in enumerate(one.joints)
+        [name, *(1e3 * part[row] for part in parts), 1e3 * first.resolution[row]]
+        for row, name in enumerate(first.joints)
     ]
     rows.append(["mean", *(1e3 * fit.rollout_mean for fit in shown), None])
     columns = [("joint", ""), ("first", unit), ("second", unit), ("encoder_step", unit)]
-    return table_of_rows(f"Roll-out errors: {one.validation_source}; {other.validation_source}", columns, rows)
+    return table_of_rows(f"Roll-out errors: {first.validation_source}; {other.validation_source}", columns, rows)
 
 
 def _spread(result: ServoResult) -> dict[tuple[int, str], float]:

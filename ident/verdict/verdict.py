@@ -156,17 +156,17 @@ def together(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
         return verdicts[0][1]
     purposes = {}
     for purpose in PURPOSES:
-        label, worst = max(verdicts, key=lambda one: GRADES.index(one[1].purposes[purpose].grade))
+        label, worst = max(verdicts, key=lambda labelled: GRADES.index(labelled[1].purposes[purpose].grade))
         judged = worst.purposes[purpose]
         purposes[purpose] = PurposeVerdict(judged.grade, f"on {label} {judged.because}")
     joints: dict[str, JointVerdict] = {}
     for label, verdict in verdicts:
-        for one in verdict.joints:
-            if one.joint not in joints or _badness(one) > _badness(joints[one.joint]):
-                joints[one.joint] = JointVerdict(one.joint, one.grade, f"on {label} {one.because}", one.error)
+        for joint in verdict.joints:
+            if joint.joint not in joints or _badness(joint) > _badness(joints[joint.joint]):
+                joints[joint.joint] = JointVerdict(joint.joint, joint.grade, f"on {label} {joint.because}", joint.error)
     checks = _most_serious_first(check for _, verdict in verdicts for check in verdict.checks)
     basis = " ".join(dict.fromkeys(verdict.basis for _, verdict in verdicts if verdict.basis))
-    worst_first = tuple(sorted(joints.values(), key=lambda one: _negative(_badness(one))))
+    worst_first = tuple(sorted(joints.values(), key=lambda joint: _negative(_badness(joint))))
     return Verdict(_headline(purposes, worst_first), purposes, worst_first, checks, basis)
 
 
@@ -186,7 +186,7 @@ def _joints(checks: Sequence[Check], evidence: Evidence) -> tuple[JointVerdict, 
             reasons.append(_Reason(grade, f"its held-out error is {error.text}"))
         worst = _worst(reasons) if reasons else _Reason("usable", "its held-out error is unknown")
         judged.append(JointVerdict(joint, worst.grade, worst.text, known(error.all_samples)))
-    return tuple(sorted(judged, key=lambda one: _negative(_badness(one))))
+    return tuple(sorted(judged, key=lambda joint: _negative(_badness(joint))))
 
 
 def _purpose(purpose: Purpose, checks: Sequence[Check], evidence: Evidence | None) -> PurposeVerdict:
@@ -262,8 +262,8 @@ def _grade(error: float, good: float, usable: float) -> Grade:
     return "good" if error < good else "usable" if error < usable else "poor"
 
 
-def _badness(one: JointVerdict) -> tuple[int, float]:
-    return GRADES.index(one.grade), one.error if one.error is not None else -1.0
+def _badness(joint: JointVerdict) -> tuple[int, float]:
+    return GRADES.index(joint.grade), joint.error if joint.error is not None else -1.0
 
 
 def _negative(badness: tuple[int, float]) -> tuple[int, float]:

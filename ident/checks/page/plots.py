@@ -208,7 +208,7 @@ def _colours(recording: Recording) -> dict[str, str]:
 
 def _shown_time(recording: Recording, stream: Stream) -> FloatArray:
     """Stamps [s] from the recording's first sample: the host's clock places the streams, each keeps its own pace."""
-    begin = min(float(one.host_time[0]) for one in recording.streams.values() if len(one.host_time))
+    begin = min(float(stream.host_time[0]) for stream in recording.streams.values() if len(stream.host_time))
     return np.asarray(stream.time - stream.time[0] + (stream.host_time[0] - begin))
 
 
