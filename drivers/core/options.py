@@ -291,8 +291,9 @@ def _of_a_command(found: re.Match[str]) -> bool:
 
 
 _NO_VALUES = frozenset(
-    {"and", "are", "as", "asks", "exclude", "for", "gives", "if", "in", "is", "names", "needs", "of", "or", "sets"}
-    | {"takes", "to", "was", "with", "would"}
+    {"and", "apply", "are", "as", "asks", "does", "exclude", "for", "gives", "goes", "has", "if", "in", "is", "must"}
+    | {"names", "need", "needs", "of", "only", "or", "out", "sets", "take", "takes", "the", "to", "tolerates", "use"}
+    | {"was", "widen", "with", "without", "would"}
 )
 """Words after an option that are not its value."""
 

@@ -41,6 +41,10 @@ WHOLE_ARM = 5
 UNKNOWN_END = 6.0
 """Factor by which it may weigh more: the first three joints of a Motoman UP6 weigh 19 times the law's."""
 
+LEAST_END = 0.05
+"""Share of its length that a part of an arm must have between its last two joints: with none, as of three axes through
+one point, the size of what is beyond them is anything, and the mass that the torques show is, too."""
+
 PER_PAYLOAD = (2.0, 60.0)
 """Mass of an arm over its payload, a little beyond those of the table."""
 
@@ -86,6 +90,14 @@ def mass_of_length(length: float, part: bool) -> ArmMass:
 def part_of_arm(model: DynamicModel) -> bool:
     """Whether the joints' frames may show a part of the arm's length only."""
     return len(model.joints) < WHOLE_ARM or any(joint.prismatic for joint in model.joints)
+
+
+def end_shown(model: DynamicModel) -> bool:
+    """Whether the frames of an arm, or of a part of one, show how far its last links reach from the joints before."""
+    lengths = [float(np.linalg.norm(joint.translation)) for joint in model.joints]
+    inner = {joint.parent for joint in model.joints}
+    last = max((lengths[n] for n in range(len(lengths)) if n not in inner), default=0.0)
+    return not part_of_arm(model) or last > LEAST_END * arm_length(model)
 
 
 def arm_length(model: DynamicModel) -> float:

@@ -12,7 +12,7 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
 from drivers.core.text import percent_text
-from ident.assessment.arm_mass import PER_PAYLOAD, ArmMass, arm_length, mass_of_size
+from ident.assessment.arm_mass import PER_PAYLOAD, ArmMass, arm_length, end_shown, mass_of_size
 from ident.assessment.validation import fit_errors
 from ident.estimators.feasible.armature import ASSUMED
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
@@ -56,11 +56,12 @@ def body_checks(
         model: the arm.
         robot_file: its file, for the URDF's bodies.
         consistent: what was found.
-        whole: whether all joints moved and all torques were used; else they do not show the arm's mass.
+        whole: whether all joints moved and all torques were used; else they do not show the arm's mass. Frames that do
+            not show how far the last links reach do not either.
     """
     links = _links(consistent)
     masses = links[:, MASS]
-    apparent = consistent.apparent_mass if whole else None
+    apparent = consistent.apparent_mass if whole and end_shown(model) else None
     checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), robot_file.robot.payload, apparent)
     checks += _link_checks(model, masses)
     checks += _centre_checks(model, masses, links[:, 6:9] / masses[:, None])

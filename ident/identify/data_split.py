@@ -126,7 +126,7 @@ def split_data(
                 raise UsageError(
                     f"{run.signals.label} holds the data of the identification: nothing is held out",
                     where="--validate",
-                    hint="validate with another recording; without --validate the last 30 % are held out",
+                    hint="validate with another recording; without any, the last 30 % are held out",
                 )
         held_out = tuple(
             replace(run, overlap=1.0) if run.overlap == 0.0 and copied(run, runs) else run for run in held_out
