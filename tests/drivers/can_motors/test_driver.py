@@ -157,6 +157,18 @@ def test_what_is_small_is_lost_and_counted(clock: SimulatedClock, tmp_path):
         assert 1 <= report.lost["joints"] <= 10
 
 
+def test_answers_that_come_in_the_next_period_are_rows(clock: SimulatedClock, tmp_path, monkeypatch):
+    answering = "sim_drivers.can_motors.server.ANSWERING"  # 100 Hz
+    with motors(clock, "moteus") as bench:
+        for begun in (1.0, 1.2):
+            clock.call_at(clock.now() + begun, lambda: monkeypatch.setattr(answering, 0.013))
+            clock.call_at(clock.now() + begun + 0.1, lambda: monkeypatch.setattr(answering, 50e-6))
+        report = bench.session(tmp_path / "run.h5", GOAL)
+    assert (report.stopped_by, report.lost["joints"]) == (None, 0)
+    steps = np.diff(read_recording(tmp_path / "run.h5").streams["joints"].time)
+    assert np.sum(steps > 0.0115) > 8  # late, and there
+
+
 def test_limp_on_stop(clock: SimulatedClock):
     for wire in WIRES:
         with motors(clock, wire, on_stop="limp") as bench, bench.opened() as driver:
