@@ -326,7 +326,7 @@ MAGIC = {
 
 
 @pytest.mark.parametrize("suffix", list(MAGIC))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(data=st.data())
 def test_any_bytes_are_refused_in_our_words(suffix: str, data: st.DataObject) -> None:
     content = data.draw(st.sampled_from(MAGIC[suffix])) + data.draw(st.binary(max_size=200))
@@ -336,7 +336,7 @@ def test_any_bytes_are_refused_in_our_words(suffix: str, data: st.DataObject) ->
         accept_or_refuse(path, TORQUE)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(content=st.text(st.sampled_from("tq123 ,;\t\n\"#[].-e0nadeg'_/\r\ufeff€"), max_size=80), degrees=st.booleans())
 def test_any_text_is_refused_in_our_words(content: str, degrees: bool) -> None:
     with tempfile.TemporaryDirectory() as folder:
@@ -351,7 +351,7 @@ KINDS = st.sampled_from([np.float64, np.int8, np.uint64, np.complex128, np.bool_
 KEYS = st.sampled_from(["t", "q", "qd", "torque", "effort", "current", "q1", "temperature", "joints", "meta", "a.q"])
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(data=st.data())
 def test_any_arrays_are_refused_in_our_words(data: st.DataObject) -> None:
     arrays = {}

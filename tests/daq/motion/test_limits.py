@@ -81,7 +81,7 @@ def looked_up(motion: Motion, generator: np.random.Generator) -> np.ndarray:
     return np.array([(-position).max(1), position.max(1), np.abs(velocity).max(1), np.abs(acceleration).max(1)])
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=20)
 @given(MOTIONS | SCALED, SEEDS)
 def test_no_value_lies_beyond_the_bounds_and_the_bounds_are_reached(motion, seed):
     extremes = motion_extremes(motion)
@@ -95,7 +95,7 @@ def test_no_value_lies_beyond_the_bounds_and_the_bounds_are_reached(motion, seed
         np.testing.assert_allclose(values, extremes.found[row], rtol=1e-12, atol=1e-12)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=20)
 @given(MOTIONS | SCALED, SEEDS, exponents(-3, 3))
 def test_a_motion_that_is_accepted_keeps_its_limits_at_any_time(motion, seed, share):
     """Limits near the motion's own extremes, above or below."""

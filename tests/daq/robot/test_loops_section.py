@@ -201,7 +201,7 @@ def text_with_a_hole(section: str) -> str:
     return yaml.safe_dump({key: robot[key] for key in ("name", "model", "joints")})
 
 
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(section=st.sampled_from(["loops", "coupling", "lengths"]), content=anything, as_list=st.booleans())
 def test_whatever_stands_there_is_taken_or_refused_in_words(section: str, content: object, as_list: bool) -> None:
     text = yaml.safe_dump([content] if as_list else content, default_flow_style=True, width=1e9)

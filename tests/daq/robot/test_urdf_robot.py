@@ -130,7 +130,7 @@ def elements(draw: st.DrawFn, depth: int = 2) -> str:
     return f"<{tag}{attributes}>{inner}</{tag}>"
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.lists(elements(), max_size=3).map(lambda inner: f"<robot>{''.join(inner)}</robot>") | st.text(max_size=60))
 def test_any_xml_is_an_arm_or_refused(xml: str) -> None:
     try:
@@ -167,7 +167,7 @@ arms = st.builds(
 )
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(arms, words)
 def test_a_new_robot_file_of_a_urdf_needs_position_limits_alone(arm: UrdfArm, path: str) -> None:
     text, unknown = new_robot_of_urdf(arm, path), unknown_positions(arm)

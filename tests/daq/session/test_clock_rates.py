@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_clock import simulated_time
 from table_arm_bench import KEYS, PERIOD, POSE, ROBOT, TIME, connection_of, opened, served, session
@@ -42,6 +42,7 @@ def test_jumps_are_nothing(jumps: list[tuple[int, float]]) -> None:
         assert rates.add(0.01 * tick + ahead, 0.01 * tick) == ""
 
 
+@settings(max_examples=20)
 @given(st.lists(st.tuples(st.floats(0.002, 0.3), st.floats(0.0, 1.0)), min_size=50, max_size=200))
 def test_an_arm_that_stalls_and_catches_up_in_part_is_nothing(stalls: list[tuple[float, float]]) -> None:
     """A simulated arm on a computer that is busy: it stands, then goes on faster for a while."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from simulated_clock import simulated_time
 
@@ -228,6 +228,7 @@ def plans(draw: st.DrawFn) -> MotionSequence:
     return MotionSequence([slow_move(np.zeros(2), start, JOINTS), motion], rate)
 
 
+@settings(max_examples=20)
 @given(
     path=plans(),
     stalls=st.lists(st.tuples(st.floats(0.0, 3.0), st.floats(0.0, 0.12)), max_size=4),

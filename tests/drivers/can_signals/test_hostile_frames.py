@@ -13,7 +13,7 @@ from drivers.can.bus import close_bus, open_bus
 OTHERS = [0x000, 0x080, 0x123, 0x581, 0x7FF]
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(frames=hostile_frames(OTHERS))
 def test_driver_and_simulated_arm_survive(frames: list[can.Message]) -> None:
     with simulated_time() as clock, served(clock) as server:

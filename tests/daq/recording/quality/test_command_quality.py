@@ -28,7 +28,7 @@ def motion(seed: int = 0, lag: float = 0.08) -> CommandedMotion:
     return CommandedMotion(JOINTS, time, np.round(behind / STEP) * STEP, stamps, {TARGET: command})
 
 
-@settings(max_examples=15)
+@settings(max_examples=8)
 @given(st.integers(0, 10**6), st.floats(0.0, 0.2), st.sampled_from([-0.3, 0.3]), st.permutations([0, 1, 2]))
 def test_wrong_clocks_and_orders_are_told_from_a_lag(seed: int, lag: float, shift: float, order: list[int]) -> None:
     sound = motion(seed, lag)
@@ -73,7 +73,7 @@ def test_damaged_values_and_long_recordings_are_no_obstacle(value: float) -> Non
     command_quality(replace(sound, time=later))
 
 
-@settings(max_examples=25)
+@settings(max_examples=12)
 @given(st.integers(0, 10**6), st.floats(-2.0, 2.0), st.floats(0.01, 0.3))
 def test_a_magnitude_is_told_from_a_signal_under_gravity(seed: int, gravity: float, noise: float) -> None:
     generator = np.random.default_rng(seed)
