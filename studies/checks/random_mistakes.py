@@ -280,6 +280,17 @@ def all_mistakes(count: int, sliding: Sequence[bool], generator: np.random.Gener
     def jittering(run: Recording) -> Recording:
         return mistakes.jittering_position(mistakes.sampled(run, 2), 0.015, seed)
 
+    def late(run: Recording) -> Recording:
+        values = signals(run)
+        moved_late = {name: np.where(gain > 0.0, np.roll(values[name], 6, axis=0), values[name]) for name in moved}
+        return with_signals(run, **moved_late)
+
+    def coupled(run: Recording) -> Recording:
+        values = signals(run)
+        changed = {name: values[name] - (np.eye(count)[first] * values[name][:, [first + 1]]) for name in moved}
+        added = np.eye(count)[first + 1] * values["torque"][:, [first]]
+        return with_signals(run, **changed, torque=values["torque"] + added)
+
     opposite, contact = ("torques-opposite",), ("residual-bursts",)
     found = [
         Mistake("nothing", (), ()),
@@ -297,6 +308,8 @@ def all_mistakes(count: int, sliding: Sequence[bool], generator: np.random.Gener
         Mistake("all gains left at 1 (× 0.1)", SCALE, (), torque_times(0.1)),
         Mistake("all torques × 10", SCALE, (), torque_times(10.0)),
         Mistake("current in mA (× 1000)", SCALE, (), torque_times(1000.0)),
+        Mistake("a position 60 ms late", ("position-late",), (one,), late),
+        Mistake("coupled motors not declared", ("motors-coupled",), pair, coupled),
         Mistake("zero off by 5°", ("joint-zero",), (angle,), shifted),
         Mistake("torques without sign", ("unsigned-signal", "unsigned-torque"), (), unsigned),
         Mistake("positions in degrees", ("position-unit",), (), position_times(degrees), SCALE),
