@@ -207,7 +207,7 @@ def planned(
     from daq.recording.recorder import require_room
     from daq.robot.assumptions import assumed_limits
     from daq.robot.loader import changed_since, load_robot
-    from daq.session.bus_room import session_warnings
+    from daq.session.connections import session_warnings
     from daq.session.session import load_driver
 
     robot_file, trajectory = load_robot(options.robot), options.trajectory

@@ -17,8 +17,7 @@ from drivers.core.reading_process import Progress
 from drivers.core.units import common_unit
 from ident.assessment.command_checks import command_checks
 from ident.assessment.delay.delay import DelaySearch, delay_checks, search_delay
-from ident.assessment.excitation import ExcitationReached, excitation_reached
-from ident.assessment.recorded_motion import RecordedMotion, recorded_motion
+from ident.assessment.excitation import ExcitationReached, RecordedMotion, excitation_reached, recorded_motion
 from ident.assessment.recording_checks import (
     column_qualities,
     recording_checks,

@@ -10,8 +10,7 @@ import numpy as np
 from daq.motion.motion_check import UNCHECKED
 from daq.robot.assumptions import assumptions
 from daq.robot.loader import RobotFile
-from daq.session.bus_room import bus_budget, tight_bus
-from daq.session.connections import connection_keys, driver_settings
+from daq.session.connections import bus_budget, connection_keys, driver_settings, tight_bus
 from daq.session.session import load_driver
 from drivers.bus_budget import TIGHT_SHARE, Budget
 from drivers.core.errors import InputError

@@ -10,8 +10,7 @@ import numpy as np
 
 from drivers.core.errors import DynidError
 from drivers.core.text import percentage_text
-from ident.assessment.excitation import excited_base_columns
-from ident.assessment.recorded_motion import RecordedMotion
+from ident.assessment.excitation import RecordedMotion, excited_base_columns
 from ident.excite.forecast import Forecast, forecast
 from ident.excite.prior import PriorKnowledge, find_prior, least_noise
 from ident.regression.comparison import compare_torques

@@ -18,8 +18,14 @@ from ident.result.models.model import Model, result_path
 from ident.result.result_file import SERVO, kind_of, stored_estimate, stored_model
 from ident.result.schema import Result
 from ident.result.tables import Cell, Table, table_of_rows
-from ident.servo.difference import error_differences, parameter_differences, parameters_agree, refuse_other_arm
-from ident.servo.result import ServoResult, read_servo_result
+from ident.servo.result import (
+    ServoResult,
+    error_differences,
+    parameter_differences,
+    parameters_agree,
+    read_servo_result,
+    refuse_other_arm,
+)
 from ident.tasks.arguments import GradedResult
 from ident.tasks.identification import IdentificationResult
 from ident.tasks.validation import result_of

@@ -1,416 +1,12 @@
-"""Every check that there is: its severity, the purposes that it spoils, its meaning and its remedy (docs/checks.md)."""
+"""Every check that there is (docs/checks.md): those of recordings stand in `recording_kinds`, those of models here."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Literal
 
-from ident.verdict.check import PURPOSES, Check, Purpose, Severity
-
-Subject = Literal["mistake", "data", "model"]
-"""`mistake`: recording or robot file say something wrong, which other checks may follow from. `data`: what was recorded
-does not show all that is asked. `model`: what was found."""
-
-
-@dataclass(frozen=True)
-class CheckKind:
-    """What all checks of one name have in common.
-
-    Attributes:
-        name: stable; part of result.json.
-        subject: what it speaks of.
-        severity: of every check of this name.
-        purposes: that it spoils; none exactly where it is a note.
-        meaning: what it says, as a clause.
-        remedy: what to do, as a sentence.
-    """
-
-    name: str
-    subject: Subject
-    severity: Severity
-    purposes: tuple[Purpose, ...]
-    meaning: str
-    remedy: str
-
-
-def _note(name: str, subject: Subject, meaning: str, remedy: str) -> CheckKind:
-    return CheckKind(name, subject, "note", (), meaning, remedy)
-
-
-ALL = PURPOSES
-PREDICTION: tuple[Purpose, ...] = ("torque_prediction", "collision_detection")
-PARAMETERS: tuple[Purpose, ...] = ("simulation", "payload_estimation")
-"""Purposes that take the parameters one by one: wrong values that cancel in the torque spoil these only."""
-
-_RECORDING = (
-    _note(
-        "recording-not-closed",
-        "data",
-        "the recording was stopped before its end, or not closed properly",
-        "Its end may be missing; `dynid recover` rescues what a crash left.",
-    ),
-    CheckKind(
-        "hand-guided",
-        "mistake",
-        "serious",
-        ALL,
-        "a hand led the arm: its forces are in no torque",
-        "Identify from a motion that dynid plays; a recording of leading by hand shows where the arm was.",
-    ),
-    _note("import-warning", "data", "the import assumed or repaired something", "Read the sentence and import again."),
-    _note(
-        "samples-lost",
-        "mistake",
-        "samples of a stream are missing",
-        "Segments end at gaps, and nothing is filled in; see the bus budget and the computer's load.",
-    ),
-    _note(
-        "repeated-stamps",
-        "mistake",
-        "time stamps do not increase",
-        "Import with --repair, or see the clock of the source.",
-    ),
-    CheckKind(
-        "jittering-stamps",
-        "mistake",
-        "warning",
-        PREDICTION,
-        "the time stamps jitter",
-        "Use the stamps of the robot's controller, not those of the receiving computer.",
-    ),
-    CheckKind(
-        "position-unit",
-        "mistake",
-        "serious",
-        ALL,
-        "positions are in degrees or millimetres",
-        "Convert them to rad (or m), or import with --degrees; else correct the limits of the robot file.",
-    ),
-    CheckKind(
-        "position-jump",
-        "mistake",
-        "serious",
-        ALL,
-        "a position jumps between two samples",
-        "The encoder lost counts or its zero: identify from the part before or after it, or record again.",
-    ),
-    CheckKind(
-        "motion-as-torque",
-        "mistake",
-        "serious",
-        ALL,
-        "the torque is the position or the velocity",
-        "Another column was taken for the torque or current: --column torque=NAME.",
-    ),
-    CheckKind(
-        "steady-torque",
-        "mistake",
-        "serious",
-        ALL,
-        "no torque changes with the motion",
-        "Another column, as a temperature, was taken for the torque or current: --column torque=NAME.",
-    ),
-    CheckKind(
-        "same-column",
-        "mistake",
-        "serious",
-        ALL,
-        "two joints have one and the same torque",
-        "One column was taken for both: see the columns' names.",
-    ),
-    CheckKind(
-        "position-velocity-exchanged",
-        "mistake",
-        "serious",
-        ALL,
-        "position and velocity are exchanged",
-        "See the columns' names: --column position=NAME --column velocity=NAME.",
-    ),
-    _note(
-        "rows-missing",
-        "mistake",
-        "positions jump while the stamps go on: rows are missing or stand twice",
-        "Segments end there, and nothing is filled in; write the source's own stamps.",
-    ),
-    _note(
-        "position-wraps",
-        "mistake",
-        "angles are wrapped at a whole turn",
-        "Segments end there; write angles that go on.",
-    ),
-    CheckKind(
-        "wrong-time-axis",
-        "mistake",
-        "serious",
-        ALL,
-        "the time stamps are off by a constant factor",
-        "Import again with the right --time-unit or --rate; the factor is in the sentence.",
-    ),
-    _note(
-        "velocity-scale",
-        "mistake",
-        "the recorded velocity of some joints is not the change of their position",
-        "It is not used unless --measured-velocity is given; check its unit and gear ratio.",
-    ),
-    CheckKind(
-        "clocks-drift",
-        "mistake",
-        "warning",
-        ALL,
-        "two clocks drift apart",
-        "Use one clock for all signals, or correct the stamps by the factor in the sentence.",
-    ),
-    CheckKind(
-        "torque-ahead",
-        "mistake",
-        "warning",
-        PARAMETERS,
-        "the torque is ahead of its motion, which no drive can bring about",
-        "Check the clocks of position and torque, a filter of the positions in the controller, and friction.",
-    ),
-    CheckKind(
-        "unsigned-signal",
-        "mistake",
-        "serious",
-        ALL,
-        "a motor signal has lost its sign",
-        "Record it with its sign; or identify a servo model from commands and encoder, --method servo.",
-    ),
-    CheckKind(
-        "no-torque",
-        "data",
-        "serious",
-        ("torque_prediction", "collision_detection", "payload_estimation"),
-        "no torque or current is recorded with its sign",
-        "Commands and encoder give a servo model: --method servo. Torques need a signed current or torque.",
-    ),
-    CheckKind(
-        "positions-alone",
-        "data",
-        "serious",
-        ALL,
-        "neither torque nor commands are recorded",
-        "Record torque or current with its sign, or the commanded positions: --column target_position=NAME.",
-    ),
-    CheckKind(
-        "commands-short",
-        "data",
-        "warning",
-        ("simulation",),
-        "the commands do not cover the motion",
-        "The rest of the motion has no known command: record both together.",
-    ),
-    CheckKind(
-        "command-clock",
-        "mistake",
-        "serious",
-        ("simulation",),
-        "the stamps of commands and positions do not belong together",
-        "Use one clock for both; a servo follows its command after some 0.05 to 0.2 s, and never before.",
-    ),
-    CheckKind(
-        "command-order",
-        "mistake",
-        "serious",
-        ("simulation",),
-        "joints follow commands of other joints, or move against their own",
-        "Match the columns again: --column, the robot file's aliases, or the order of its joints; check the signs.",
-    ),
-    CheckKind(
-        "command-unit",
-        "mistake",
-        "serious",
-        ("simulation",),
-        "commands and positions differ by a constant factor",
-        "State the unit of both in the file, or import with --degrees.",
-    ),
-    _note(
-        "joint-at-rest",
-        "data",
-        "some joints are neither commanded to move nor do",
-        "Nothing of them can be identified from commands and encoder; other motions may move them.",
-    ),
-    CheckKind(
-        "signal-clipped",
-        "mistake",
-        "warning",
-        ALL,
-        "a motor signal is clipped",
-        "Use a slower motion, or a wider range of the signal.",
-    ),
-    _note(
-        "outliers-replaced",
-        "data",
-        "single samples are far from what their neighbours say, and are replaced by that",
-        "Spikes and encoder glitches: see the encoder, its cable and the bus.",
-    ),
-    CheckKind(
-        "many-outliers",
-        "mistake",
-        "warning",
-        ALL,
-        "too many samples are far from what their neighbours say to be replaced",
-        "The fit uses them as they are: find what disturbs the signal and record again.",
-    ),
-    _note(
-        "rows-repeated",
-        "mistake",
-        "rows or positions repeat those before them while the arm moves, and are left out",
-        "Read the controller no faster than it measures, or import with --repair drop-repeats.",
-    ),
-    CheckKind(
-        "encoder-stuck",
-        "mistake",
-        "warning",
-        ALL,
-        "an encoder stands still while its joint moves",
-        "These samples are left out: check the encoder, its cable and the bus.",
-    ),
-    CheckKind(
-        "filled-with-zeros",
-        "mistake",
-        "serious",
-        ALL,
-        "drop-outs of a signal were filled with zeros",
-        "Leave these samples out, or write nan and import with --repair drop-nan.",
-    ),
-    _note(
-        "positions-jitter",
-        "mistake",
-        "positions jitter, and the cut-offs that their spectrum would give were lowered",
-        "Record the controller's own stamps and positions; --position-cutoff and --torque-cutoff set others.",
-    ),
-    CheckKind("no-motion", "data", "serious", ALL, "there is no motion to analyse", "Record an excitation trajectory."),
-    _note(
-        "high-condition",
-        "data",
-        "the condition number of the observation matrix is high",
-        "Record a motion that `dynid excite` designed.",
-    ),
-    _note("slow-motion", "data", "joints use little of their velocity limit", "Record a faster motion."),
-    CheckKind(
-        "torque-beyond-limits",
-        "mistake",
-        "serious",
-        ALL,
-        "recorded torques are far beyond the joints' limits",
-        "Check the unit of the current (A, not mA), the drive gains, and the torque limits of the robot file.",
-    ),
-    CheckKind(
-        "torque-far-below-limits",
-        "mistake",
-        "serious",
-        ALL,
-        "recorded torques are orders below the joints' limits",
-        "Check the unit of the current (A, not kA), the drive gains (joint side, gear ratio included), and the limits.",
-    ),
-    CheckKind(
-        "implausible-load",
-        "mistake",
-        "serious",
-        ALL,
-        "recorded torques would hold a mass that no arm of this size has",
-        "Check the unit of the current (A, not mA) and the drive gains.",
-    ),
-    CheckKind(
-        "idle-joints",
-        "data",
-        "warning",
-        PARAMETERS,
-        "static friction of resting joints enters the fit",
-        "Move all joints at once, or identify each run with --torques-of its moving joints and merge the models.",
-    ),
-)
-
-_EXCITATION = (
-    CheckKind(
-        "residual-bursts",
-        "mistake",
-        "warning",
-        PARAMETERS,
-        "the residual has a few short bursts",
-        "Something touched the arm, or a signal failed: leave these times out, or compare --method irls.",
-    ),
-    _note(
-        "few-equations",
-        "data",
-        "there are few equations per parameter",
-        "Record longer.",
-    ),
-    CheckKind(
-        "weights-not-settled",
-        "model",
-        "warning",
-        PARAMETERS,
-        "weights do not settle",
-        "Compare --method ols, or record longer: the values are those of the last iterate.",
-    ),
-    CheckKind(
-        "search-gap",
-        "model",
-        "warning",
-        ALL,
-        "a search ended away from the optimum of its own cost",
-        "Take --method wls, which is that optimum, or give the search more generations and a wider box.",
-    ),
-    _note(
-        "few-independent-samples",
-        "data",
-        "there are few independent equations per parameter",
-        "Record longer, and other motions rather than more of the same.",
-    ),
-    _note(
-        "few-blocks",
-        "data",
-        "the error bars rest on few blocks",
-        "Record longer: the standard deviations are themselves uncertain.",
-    ),
-    CheckKind(
-        "unexcited-parameters",
-        "data",
-        "warning",
-        PARAMETERS,
-        "the motion does not excite some base parameters",
-        "Record a motion that `dynid excite` designed.",
-    ),
-    _note(
-        "insignificant-parameters",
-        "data",
-        "many base parameters are smaller than their standard deviation",
-        "Record a more exciting motion.",
-    ),
-    CheckKind(
-        "few-parameters-determined",
-        "data",
-        "warning",
-        ALL,
-        "the motion determines few of the base parameters",
-        "Record a more exciting motion, or longer.",
-    ),
-    _note(
-        "few-moves-for-energy",
-        "data",
-        "the energy model has one equation for all joints together",
-        "Record many different moves rather than a periodic motion, or use --method wls.",
-    ),
-    CheckKind(
-        "joints-locked",
-        "data",
-        "warning",
-        ALL,
-        "the model holds with some joints fixed where they were",
-        "Move all joints, or name what is locked on purpose with --locked.",
-    ),
-    CheckKind(
-        "resting-motor-torque",
-        "data",
-        "warning",
-        PARAMETERS,
-        "the torque of a motor at rest is used",
-        "Leave it out with --torques-of: static friction or a brake may carry any share of it.",
-    ),
-)
+from ident.verdict.check import Check
+from ident.verdict.check_kind import ALL, PARAMETERS, CheckKind, note
+from ident.verdict.recording_kinds import EXCITATION, RECORDING
 
 _MODEL = (
     CheckKind(
@@ -421,7 +17,7 @@ _MODEL = (
         "friction came out negative (not dissipative)",
         "Check the sign of the drive gain; the model may lack a friction term.",
     ),
-    _note(
+    note(
         "negative-motor-inertia",
         "model",
         "a motor inertia of the unconstrained parameters came out negative",
@@ -571,7 +167,7 @@ _MODEL = (
         "the drive gain of a joint does not agree with the other joints",
         "Identify the drive gains with a known load (`dynid gains`).",
     ),
-    _note(
+    note(
         "lengths-unchecked",
         "data",
         "the data do not show whether the lengths of the robot file are right",
@@ -593,7 +189,7 @@ _MODEL = (
         "the friction of the delivered model changes with more equations left out near velocity reversals",
         "Compare --reversals with the share in the sentence.",
     ),
-    _note(
+    note(
         "indefinite-inertia",
         "model",
         "the inertia matrix of the unconstrained parameters is not positive definite",
@@ -639,19 +235,19 @@ _MODEL = (
         "the data contradict what the robot file says of the links",
         "Correct `known` or `prior` of the robot file, or check gains and geometry.",
     ),
-    _note(
+    note(
         "weight-not-separate",
         "model",
         "no motion separates a joint's weight from its constant friction",
         "The torque is right, gravity alone as right as the masses: state them under `known` or `prior.links`.",
     ),
-    _note(
+    note(
         "consistency-rejected",
         "model",
         "no bodies explain the data as well as the unconstrained parameters do",
         "Large errors of the model make this, too; see how much the error rises, and geometry, gains and signs.",
     ),
-    _note(
+    note(
         "armature-assumed",
         "model",
         "motor inertia that the torque sensors do not see was assumed for simulation and MJCF",
@@ -674,13 +270,13 @@ _MODEL = (
         "the physically consistent model could not be simulated along the held-out motion",
         "Read the reason; a prior for links at the boundary keeps their inertia away from zero.",
     ),
-    _note(
+    note(
         "links-on-boundary",
         "model",
         "links lie at the boundary of what can exist",
         "Their inertia comes from the condition rather than from the data: excite them more, or give a prior.",
     ),
-    _note(
+    note(
         "range-hit",
         "model",
         "a range of the robot file holds a parameter",
@@ -689,25 +285,25 @@ _MODEL = (
 )
 
 _RESIDUALS = (
-    _note(
+    note(
         "residuals-curved",
         "model",
         "the residuals bend with torque or velocity: the model lacks a nonlinear term",
         "Try --friction auto; see the friction in the report: Stribeck, or friction that grows less than velocity.",
     ),
-    _note(
+    note(
         "residuals-autocorrelated",
         "model",
         "the residuals are autocorrelated beyond the parallel filter: the model lacks something",
         "The error bars take it into account; look for what repeats with position, such as ripple of the gears.",
     ),
-    _note(
+    note(
         "residuals-uneven",
         "model",
         "the residuals grow with torque or velocity",
         "Parameters that show at low torque could be had more precisely than WLS weights them.",
     ),
-    _note(
+    note(
         "residuals-not-normal",
         "model",
         "the residuals have other tails than a normal distribution",
@@ -716,7 +312,7 @@ _RESIDUALS = (
 )
 
 _VALIDATION = (
-    _note(
+    note(
         "errors-near-standstill",
         "model",
         "the validation's errors are larger than the identification's below 0.1 rad/s (or m/s) only",
@@ -781,7 +377,7 @@ _MERGE = (
         "the experiments show only some of the arm's base parameters",
         "Record an experiment with the other joints moving, and merge it, too.",
     ),
-    _note("checks-of-a-part", "model", "a merged model has checks of its own", "Read them in its own result."),
+    note("checks-of-a-part", "model", "a merged model has checks of its own", "Read them in its own result."),
 )
 
 _EXPORT = (
@@ -820,7 +416,7 @@ _EXPORT = (
 )
 
 CATALOGUE: dict[str, CheckKind] = {
-    kind.name: kind for kind in (*_RECORDING, *_EXCITATION, *_MODEL, *_RESIDUALS, *_VALIDATION, *_MERGE, *_EXPORT)
+    kind.name: kind for kind in (*RECORDING, *EXCITATION, *_MODEL, *_RESIDUALS, *_VALIDATION, *_MERGE, *_EXPORT)
 }
 """Every check by its name."""
 

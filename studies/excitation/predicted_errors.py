@@ -19,7 +19,7 @@ import numpy as np
 from daq.motion.trajectories import RestToRest
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
-from ident.assessment.recorded_motion import recorded_motion
+from ident.assessment.excitation import recorded_motion
 from ident.excite.forecast import excitation_figures
 from ident.excite.prior import PriorKnowledge, find_prior
 from ident.excite.sufficiency import motion_sufficiency

@@ -12,7 +12,7 @@ from daq.recording.recording import Recording, Stream
 from drivers.core.arrays import FloatArray
 from drivers.core.units import common_unit
 from drivers.streams import UNITS
-from ident.assessment.recorded_motion import RecordedMotion
+from ident.assessment.excitation import RecordedMotion
 from ident.report.figures.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import TIME_AXIS, Line, Panel, panel_figure
 from ident.report.figures.traces import broken_line, curve_trace, envelope_indices, points_trace

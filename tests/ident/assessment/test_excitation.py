@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from daq.recording.recording import JOINTS_STREAM
-from ident.assessment.excitation import ExcitationReached, excitation_reached
-from ident.assessment.recorded_motion import recorded_motion
+from ident.assessment.excitation import ExcitationReached, excitation_reached, recorded_motion
 from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 

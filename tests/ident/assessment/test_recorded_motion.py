@@ -10,8 +10,7 @@ import pytest
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot
 from ident.assessment.delay.delay import search_delay
-from ident.assessment.excitation import excitation_reached
-from ident.assessment.recorded_motion import recorded_motion
+from ident.assessment.excitation import excitation_reached, recorded_motion
 from ident.checks.recording_check import recording_info
 from ident.excite.sufficiency import OWN_TORQUE, motion_sufficiency
 from ident.model.dynamic_model import build_model
@@ -72,9 +71,9 @@ def test_a_recording_is_prepared_and_reduced_once(recording, three_joint, monkey
 
         return call
 
-    monkeypatch.setattr("ident.assessment.recorded_motion.prepare", counted("prepare", prepare))
+    monkeypatch.setattr("ident.assessment.excitation.prepare", counted("prepare", prepare))
     monkeypatch.setattr("ident.excite.sufficiency.prepare", counted("prepare", prepare))
-    monkeypatch.setattr("ident.assessment.recorded_motion.reduce_segments", counted("reduce", reduce_segments))
+    monkeypatch.setattr("ident.assessment.excitation.reduce_segments", counted("reduce", reduce_segments))
     monkeypatch.setattr("ident.checks.recording_check.search_delay", counted("delay", search_delay))
     info = recording_info(recording, three_joint)
     assert info.sufficiency.source == OWN_TORQUE

@@ -15,7 +15,7 @@ from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import UsageError
 from dynid import command
-from ident.assessment.recorded_motion import recorded_motion
+from ident.assessment.excitation import recorded_motion
 from ident.excite.sufficiency import OWN_TORQUE, Sufficiency, motion_sufficiency, times_needed
 from ident.model.dynamic_model import build_model
 from ident.regression.options import SIGNIFICANT_RSD
