@@ -1,4 +1,4 @@
-"""The result of a servo identification (result.json, kind "servo"; DESIGN.md "The result"), and two of them compared."""
+"""A servo identification's result (result.json, kind "servo"; DESIGN.md "The result"), and two of them compared."""
 
 from __future__ import annotations
 
