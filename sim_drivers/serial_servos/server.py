@@ -265,16 +265,17 @@ class SerialServoServer(FaultyServer):
                     break
                 rows.append((motor, servo.answer_code, servo.read(address, size)))
             whole = self._protocol.fast_answer(rows) if rows else b""
+            if self._twice & {motor for motor, _, _ in rows}:
+                whole = _with_others(whole, self._protocol.fast_answer([(m, e, _other(d)) for m, e, d in rows]))
             return whole if len(rows) == len(rest) else whole[:-2], sum(self._delay(by_id[row[0]]) for row in rows)
         return b"", 0.0
 
     def _answer(self, servo: SimulatedServo, error: int, data: bytes) -> bytes:
         answer = self._protocol.answer(servo.motor.id, servo.answer_code | error, data)
         if servo.motor.id in self._twice:
-            # Both pull the line down, where either sends a 0; the other one's encoder shows something else.
-            other = bytes(value ^ 0x2A for value in data)
-            both = self._protocol.answer(servo.motor.id, servo.answer_code | error, other)
-            answer = bytes(one & two for one, two in zip(answer, both, strict=False))
+            answer = _with_others(
+                answer, self._protocol.answer(servo.motor.id, servo.answer_code | error, _other(data))
+            )
         return answer
 
     def _written(self, servo: SimulatedServo, address: int, data: bytes, now: float) -> int:
@@ -353,3 +354,13 @@ class SerialServoServer(FaultyServer):
             os.write(self._line.fileno(), data)
         except OSError:  # nobody reads
             return
+
+
+def _other(data: bytes) -> bytes:
+    """What another servo with the same id tells: its encoder shows something else."""
+    return bytes(value ^ 0x2A for value in data)
+
+
+def _with_others(answer: bytes, other: bytes) -> bytes:
+    """Two answers at once: both pull the line down, where either sends a 0."""
+    return bytes(mine & its for mine, its in zip(answer, other, strict=False))

@@ -105,7 +105,11 @@ FAULTS = {
 @pytest.mark.parametrize("wire", WIRES)
 def test_faults_end_a_motion_and_are_named(clock: SimulatedClock, tmp_path, wire):
     wrong = {}
-    tried = FAULTS if wire == "feetech" else {line: FAULTS[line] for line in ("die bend", "power-cycle bend")}
+    tried = (
+        FAULTS
+        if wire == "feetech"
+        else {line: FAULTS[line] for line in ("die bend", "same-id bend", "power-cycle bend")}
+    )
     for line, (said, more) in tried.items():
         with servos(clock, wire) as bench:
             clock.call_at(clock.now() + 1.2, lambda bench=bench, line=line: bench.server.cause(fault(line)))
