@@ -65,7 +65,7 @@ def state(bench: MotorBench | ServoBench) -> str:
     else:
         on = sum(motor.enabled for motor in bench.server.motors)
     speed = float(np.max(np.abs(bench.server.plant.arm.velocity)))
-    said = {len(JOINTS): "holds", 0: "limp"}.get(on, f"{on} of {len(JOINTS)} hold")
+    said = {len(JOINTS): "holds", 0: "limp"}.get(on, f"{on} of {len(JOINTS)} motors hold")
     return said if speed < 0.05 else f"{said}, still moves at {speed:.2f} rad/s"
 
 
