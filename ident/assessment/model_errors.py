@@ -86,7 +86,10 @@ MOST_SAMPLES = 100_000
 """Samples of a recording whose residuals are compared."""
 
 LATE = (0.03, 0.06, 0.12)
-"""Times [s] from which it is estimated by how much a position is late, beside 0, where the fit is poor."""
+"""Times [s] from which it is estimated by how much a position is late, beside 0."""
+
+LATE_ERROR = 0.02
+"""Relative error of a joint's torque below which, in a good fit, its position is not tried from these."""
 
 STARTS = (0.01, 0.1, 10.0, 100.0)
 """Factors on a gain from which it is estimated, beside 1, where the fit is poor: a gain that was left at 1."""
@@ -132,17 +135,19 @@ def candidates(refit: Refit, independent: float, poor: bool) -> list[Deviation]:
     total = float(refit.rows.sum())
     if not deviations:
         return []
-    if not poor and deviations[0].likelihood * independent / total < WORTH_A_LOOK:
+    least = WORTH_A_LOOK * total / max(independent, 1.0)
+    late = _late_positions(refit, poor, least)
+    if not poor and not late and deviations[0].likelihood < least:
         return []
     tried = list(
         dict.fromkeys([*(deviation.unknown for deviation in deviations[:REFINED_UNKNOWNS]), Unknown("gravity")])
     )
-    finer = [refit.deviation(unknown) for unknown in tried] + _other_directions(refit)
+    finer = [refit.deviation(unknown) for unknown in tried] + _other_directions(refit) + late
     together = refit.lengths()
     if together is not None and together.likelihood > LEAST_FALL * total:
         finer.append(together)
     if poor:
-        finer += _far_gains(refit) + _late_positions(refit)
+        finer += _far_gains(refit)
     return [one for one in finer if one is not None and _plausible(refit.model, one)]
 
 
@@ -228,11 +233,20 @@ def _far_gains(refit: Refit) -> list[Deviation | None]:
     return [refit.deviation(unknown, start=start) for unknown in gains for start in STARTS]
 
 
-def _late_positions(refit: Refit) -> list[Deviation | None]:
-    """Late positions, estimated from the two of `LATE` that fit best: from none at all the way there is too long."""
+def _late_positions(refit: Refit, poor: bool, least: float) -> list[Deviation | None]:
+    """Late positions, estimated from the two of `LATE` that fit best: from none at all the way there is too long.
+
+    Args:
+        refit: equations of the recording.
+        poor: whether the fit is poor, so that any joint may be late, else the one whose torque fits worst.
+        least: doubled log-likelihood ratio, the equations being independent, below which none is looked at.
+    """
+    errors = refit.relative_errors
     late = [unknown for unknown in refit.unknowns() if unknown.kind == "late"]
-    once = [(refit.deviation(unknown, 1, start), start) for unknown in late for start in LATE]
-    nearest = sorted(((one, start) for one, start in once if one is not None), key=lambda pair: -pair[0].likelihood)[:2]
+    tried = [one for one in late if poor or errors[one.joint] == errors.max() > LATE_ERROR]
+    once = [(refit.deviation(unknown, 1, start), start) for unknown in tried for start in LATE]
+    known = [(one, start) for one, start in once if one is not None and one.likelihood > least]
+    nearest = sorted(known, key=lambda pair: -pair[0].likelihood)[:2]
     return [refit.deviation(one.unknown, start=start) for one, start in nearest]
 
 

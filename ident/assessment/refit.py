@@ -140,6 +140,12 @@ class Refit:
         self._plain = self._blocks(self.regressor, self.active, np.empty((0, *instants.torque.shape)))
         self._file_fit = _settled(self._plain, self.rows, 0)
 
+    @property
+    def relative_errors(self) -> FloatArray:
+        """(n,) of each joint's equations at the robot file's values; 0 where none are used."""
+        power = np.sum(np.where(self.instants.counted, self.instants.torque, 0.0) ** 2, axis=1)
+        return np.asarray(np.sqrt(np.where(self.rows > 0, self._file_fit.sums / np.maximum(power, TINY), 0.0)))
+
     def as_believed(self, unknown: Unknown) -> Deviation:
         """An unknown at the robot file's value."""
         parameters = self._all(self._file_fit.parameters)
@@ -365,7 +371,10 @@ class Refit:
             model, _ = self.shifted(unknown, value)
         parameters = solved.parameters if unknown.kind == "gravity" else self._all(solved.parameters)
         likelihood = self._likelihood(solved)
-        return Deviation(unknown, value, float(np.sqrt(variance)), likelihood, parameters, model, self.columns)
+        std = float(np.sqrt(variance))
+        if unknown.kind == "late" and likelihood > 0.0:  # slopes do not show that dry friction changes sign later
+            std = min(std, abs(value) / float(np.sqrt(likelihood)))
+        return Deviation(unknown, value, std, likelihood, parameters, model, self.columns)
 
     def _likelihood(self, solved: _Solved) -> float:
         """Doubled log-likelihood ratio against the file's values."""
