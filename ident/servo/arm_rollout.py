@@ -60,21 +60,37 @@ def touched_paths(
     return found
 
 
-def grid_paths(
-    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Contact | None
-) -> list[FloatArray]:
-    """Positions (K, n) of each motion on its grid, rolled out likewise."""
-    found: list[FloatArray] = []
+def coupled_loads(
+    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, loads: Sequence[MotionLoad]
+) -> list[MotionLoad]:
+    """The links along measured motions, with torques between the joints as a roll-out on such loads moves them.
+
+    Accelerations of measured positions are those of a smooth line through them, which has too little of a step's.
+    """
+    found: list[MotionLoad] = []
     for first in range(0, len(motions), AT_ONCE):
-        found += _settled(motions[first : first + AT_ONCE], links, values, contact)[0]
+        own = motions[first : first + AT_ONCE]
+        lanes = lanes_of(own, loads[first : first + AT_ONCE], None)
+        path = roll_out(lanes, np.tile(values.T, (1, len(own))))[0]
+        for motion, moved in zip(own, _on_grids(own, lanes, path), strict=True):
+            found.append(path_load(links, motion, moved, values[:, INDEX["zero"]], COUPLING_SPANS[0], measured=True))
     return found
+
+
+def _on_grids(motions: Sequence[ServoMotion], lanes: Lanes, path: FloatArray) -> list[FloatArray]:
+    """Positions (K, n) of each motion on its own grid."""
+    times, joints = np.arange(len(path)) * lanes.step, motions[0].position.shape[1]
+    return [
+        np.stack([np.interp(motion.grid, times, column) for column in own.T], axis=1)
+        for motion, own in zip(motions, np.split(path, path.shape[1] // joints, axis=1), strict=True)
+    ]
 
 
 def _side_by_side(
     motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Contact | None
 ) -> list[tuple[FloatArray, FloatArray]]:
     joints = len(values)
-    _, lanes, new, force = _settled(motions, links, values, contact)
+    lanes, new, force = _settled(motions, links, values, contact)
     sampled, times = at_samples(lanes, new), np.arange(len(new)) * lanes.step
     return [
         (
@@ -87,9 +103,9 @@ def _side_by_side(
 
 def _settled(
     motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, contact: Contact | None
-) -> tuple[list[FloatArray], Lanes, FloatArray, FloatArray]:
-    """Paths on the motions' grids, and the lanes of the last pass with their positions and forces."""
-    zero, joints = values[:, INDEX["zero"]], len(values)
+) -> tuple[Lanes, FloatArray, FloatArray]:
+    """The lanes of the last pass, with their positions and forces."""
+    zero = values[:, INDEX["zero"]]
     paths = []
     for motion in motions:
         paths.append(motion.command[motion.history :].copy())
@@ -109,25 +125,20 @@ def _settled(
         )
         lanes = lanes_of(motions, loads, None, touches)
         new, _, force = roll_out(lanes, np.tile(values.T, (1, len(motions))), surface=surface)
-        times, changes, settling = np.arange(len(new)) * lanes.step, [], []
-        for number, motion in enumerate(motions):
-            own = new[:, number * joints : (number + 1) * joints]
-            grid = motion.grid
-            settled = np.stack([np.interp(grid, times, column) for column in own.T], axis=1)
-            changes.append(float(np.mean(np.abs(settled - paths[number]).max(axis=1))))
-            settling.append(settled)
-        if max(changes) > before:
+        settling = _on_grids(motions, lanes, new)
+        change = max(float(np.mean(np.abs(own - last).max(axis=1))) for own, last in zip(settling, paths, strict=True))
+        if change > before:
             if span == len(COUPLING_SPANS) - 1:
                 break
             span, before = span + 1, np.inf
             continue
         paths, found = settling, (lanes, new, force)
         if moving:
-            before = max(changes)
+            before = change
         moving = True
-        if max(changes) < SETTLED:
+        if change < SETTLED:
             break
-    return paths, *found
+    return found
 
 
 def path_load(

@@ -8,10 +8,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
-from ident.servo.arm_rollout import COUPLING_SPANS, grid_paths, path_load
+from ident.servo.arm_rollout import coupled_loads
 from ident.servo.contact import Contact, away, find_contact, in_contact
 from ident.servo.links import ServoLinks
-from ident.servo.motion import PIECE, ServoMotion, halves, lanes_with_touch, some_pieces
+from ident.servo.motion import (
+    PIECE,
+    MotionLoad,
+    ServoMotion,
+    halves,
+    lanes_with_touch,
+    measured_load,
+    some_pieces,
+)
 from ident.servo.rollout import Lanes, repeated
 from ident.servo.search import (
     BLOCKED_LITTLE,
@@ -150,17 +158,16 @@ def fit_servo(
         progress: called with the name of each step.
     """
     joints = motions[0].position.shape[1]
-    zero = np.zeros(joints)
     progress("links along the motion")
-    lanes = lanes_with_touch(motions, links, zero, tool[0])
+    loads = [measured_load(links, motion, np.zeros(joints)) for motion in motions]
+    lanes = lanes_with_touch(motions, links, loads, tool[0])
     values, held = _start(motions, links), np.zeros((joints, len(TERMS)), dtype=np.bool_)
     for (joint, name), value in given.items():
         values[joint, INDEX[name]], held[joint, INDEX[name]] = value, True
     free = np.zeros_like(held)
     free[:, members("")] = True
     free &= ~held
-    reach = np.array([max(np.ptp(motion.command[:, joint]) for motion in motions) for joint in range(joints)])
-    moving = reach > RESTING * resolution
+    moving = np.max([np.ptp(motion.command, axis=0) for motion in motions], axis=0) > RESTING * resolution
     free[~moving] = False
     for group in FRICTION:
         able = np.flatnonzero(moving & ~held[:, members(group)].any(axis=1)).tolist()
@@ -168,25 +175,24 @@ def fit_servo(
         values = _beside_coulomb(values, able, group)
     late = free & np.isin(np.arange(len(TERMS)), [INDEX[name] for name in LATE])
     free &= ~late
-    centre = to_search(values)
-    least = float(np.min(resolution))
-    weighted = set(links.weighted(np.concatenate([motion.position for motion in motions]).T).tolist())
+    centre, least = to_search(values), float(np.min(resolution))
+    weighted = links.weighted(np.concatenate([motion.position for motion in motions]).T)
     chosen, judged = halves(away(lanes, tool[1]), PIECES)
     progress("first fit")
     gains: list[dict[str, float]] = [{} for _ in range(joints)]
     values, free = _first_fit(chosen, judged, values, free, centre, np.flatnonzero(moving), held, least, gains)
     free |= late
-    heavy = np.array([joint in weighted for joint in range(joints)])
+    heavy = np.isin(np.arange(joints), weighted)
     scaled = (heavy & moving) | held[:, [INDEX[name] for name in TORQUES]].any(axis=1)
     inertia = np.array([lanes.inertia[:, lanes.joint == joint].mean() for joint in range(joints)])
     values, free, held, assumed = _tied(values, free, held, centre, (scaled, moving), inertia, given)
     values = search(chosen, values, free, _scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
-    state = _State(lanes, lanes, values, free, None, gains)
+    state = _State(lanes, lanes, loads, values, free, None, gains)
     _settle_terms(state, (chosen, judged), motions, links, (centre, held, heavy, moving), tool, least, progress)
     _coupled_again(state, motions, links, tool[0])
     values, free, contact = state.values, state.free, state.contact
-    final = some_pieces(state.kept, FINAL_PIECES)
     progress("final fit")
+    final = some_pieces(state.kept, FINAL_PIECES)
     values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
     longer = _longer_pieces(state, final, motions, links, tool[0])
     values = search(longer, values, free, _scale(longer, values, least), centre, 20, BLOCKED_LITTLE)
@@ -210,10 +216,11 @@ def fit_servo(
 
 @dataclass(eq=False)
 class _State:
-    """A fit under way: all lanes, those without contact, values and free terms, the contact, and what terms saved."""
+    """A fit under way: lanes, those without contact, motions' loads, values, free terms, contact, what terms saved."""
 
     lanes: Lanes
     kept: Lanes
+    loads: list[MotionLoad]
     values: FloatArray
     free: BoolArray
     contact: Contact | None
@@ -326,16 +333,9 @@ def _taken(
 def _coupled_again(
     state: _State, motions: Sequence[ServoMotion], links: ServoLinks, link: int, piece: float = PIECE
 ) -> tuple[Lanes, Lanes]:
-    """Lanes anew, with torques between the joints as the fit moves them; pieces to fit and to judge.
-
-    Accelerations of measured positions are those of a smooth line through them, which has too little of a step's.
-    """
-    zero = state.values[:, INDEX["zero"]]
-    loads = [
-        path_load(links, motion, path, zero, COUPLING_SPANS[0], measured=True)
-        for motion, path in zip(motions, grid_paths(motions, links, state.values, state.contact), strict=True)
-    ]
-    state.lanes = lanes_with_touch(motions, links, zero, link, piece, loads)
+    """Lanes anew, with torques between the joints as the fit moves them; pieces to fit and to judge."""
+    state.loads = coupled_loads(motions, links, state.values, state.loads)
+    state.lanes = lanes_with_touch(motions, links, state.loads, link, piece)
     return _left(state)
 
 
@@ -428,8 +428,7 @@ def _beside_coulomb(values: FloatArray, able: Sequence[int], group: str) -> Floa
 
 def _piece_costs(residual: FloatArray, lanes: Lanes, scale: FloatArray, shape: float) -> list[FloatArray]:
     """Robust cost of each joint's pieces."""
-    lane = lane_cost(residual, lanes, scale, shape)
-    return [lane[lanes.joint == joint] for joint in range(len(scale))]
+    return [lane_cost(residual, lanes, scale, shape)[lanes.joint == joint] for joint in range(len(scale))]
 
 
 def _first_fit(
@@ -570,7 +569,6 @@ def _tied(
     the others. `which` joints show their scale, and which move.
     """
     stiffness, motor, (scaled, moving) = INDEX["stiffness"], INDEX["armature"], which
-    torques = [INDEX[name] for name in TORQUES]
     showing = np.flatnonzero(scaled & moving & free[:, stiffness])
     showing = np.flatnonzero(scaled & moving) if not len(showing) else showing
     common = float(np.exp(np.mean(np.log(values[showing, stiffness])))) if len(showing) else TERMS[stiffness].start
@@ -592,7 +590,7 @@ def _tied(
         whole = ratio * (values[joint, motor] + inertia[joint])
         if moving[joint] and whole - inertia[joint] < LEAST_MOTOR * whole:
             continue
-        present = [term for term in torques if values[joint, term] != TERMS[term].absent]
+        present = [INDEX[name] for name in TORQUES if values[joint, INDEX[name]] != TERMS[INDEX[name]].absent]
         values[joint, present] *= ratio
         centre[joint, present] += np.log(ratio)
         if moving[joint]:

@@ -23,7 +23,7 @@ from ident.identify.summary import provenance, recording_sha256
 from ident.result.graded import Grade
 from ident.servo.arm_rollout import command_paths, delay_and_lag, delayed_paths, rollout_errors, touched_paths
 from ident.servo.contact import PRESSING, Contact, tool_point
-from ident.servo.fit import TORQUES, ServoFit, fit_servo
+from ident.servo.fit import ServoFit, fit_servo
 from ident.servo.links import ServoLinks, servo_links
 from ident.servo.mjcf import model_paths, read_model_file
 from ident.servo.motion import ServoMotion, servo_motions
@@ -38,7 +38,7 @@ from ident.servo.result import (
     ServoRecording,
     ServoResult,
 )
-from ident.servo.terms import INDEX, TERMS
+from ident.servo.terms import TERMS
 
 HELD_OUT = 0.3
 """Share at the end of each recording that validates, where no other recording does."""
@@ -345,7 +345,7 @@ def _contact_words(contact: Contact, stretches: Sequence[ContactStretch]) -> str
 
 
 def _joint(fitted: ServoFit, row: int, name: str, sliding: bool) -> ServoJoint:
-    parameters, scaled = {}, (row, INDEX["stiffness"]) in fitted.assumed  # of its torques, only ratios are seen
+    parameters = {}
     for index, term in enumerate(TERMS):
         free, held = bool(fitted.free[row, index]), bool(fitted.held[row, index])
         if not free and not held:
@@ -357,8 +357,7 @@ def _joint(fitted: ServoFit, row: int, name: str, sliding: bool) -> ServoJoint:
             value=float(fitted.values[row, index]),
             unit=unit,
             interval=(float(fitted.low[row, index]), float(fitted.high[row, index])) if free else None,
-            unidentifiable=(free and not (fitted.seen[row, index] and not (scaled and term.name in TORQUES)))
-            or (held and (row, index) in fitted.assumed),
+            unidentifiable=(free and not bool(fitted.seen[row, index])) or (held and (row, index) in fitted.assumed),
             origin="data" if free else "assumed" if (row, index) in fitted.assumed else "given",
         )
     note = "" if fitted.moving[row] else "does not move in these recordings"

@@ -290,15 +290,9 @@ def lanes_of(
 
 
 def lanes_with_touch(
-    motions: Sequence[ServoMotion],
-    links: ServoLinks,
-    zero: FloatArray,
-    link: int,
-    piece: float = PIECE,
-    loads: Sequence[MotionLoad] | None = None,
+    motions: Sequence[ServoMotion], links: ServoLinks, loads: Sequence[MotionLoad], link: int, piece: float = PIECE
 ) -> Lanes:
-    """Pieces [s] of measured motions, with what a link may touch; the links along the measured ones without `loads`."""
-    loads = [measured_load(links, motion, zero) for motion in motions] if loads is None else loads
+    """Pieces [s] of measured motions, with what a link may touch."""
     touches = [motion_touch(links, link, motion, motion.time, motion.position) for motion in motions]
     return lanes_of(motions, loads, piece, touches)
 

@@ -25,6 +25,9 @@ WIDEST = 3.0
 FEWEST_PIECES = 1.2
 """Pieces of motion that must determine a term: with a single one, its error at the optimum is 0 by construction."""
 
+TIMING = 0.1
+"""Steps by which a roll-out may be early or late of its own: intervals of a delay reach so much further."""
+
 CONFIDENCE = 0.95
 
 BIAS = 3e-4
@@ -197,6 +200,8 @@ def intervals(
             term = TERMS[index]
             ends = np.tile(point, (2, 1))
             ends[:, index] += np.array([-1.0, 1.0]) * min(float(half), 50.0)
+            if term.name == "delay":
+                ends[:, index] += np.array([-TIMING, TIMING]) * lanes.step
             low[joint, index], high[joint, index] = from_search(ends)[:, index]
             seen[joint, index] = half < (np.log(WIDEST) if term.positive else term.spread)
         single = _pieces_that_tell(tangents, residual, lanes, joint, columns, own) < FEWEST_PIECES
