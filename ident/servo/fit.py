@@ -544,7 +544,7 @@ def _pruned(
     values, free, pruned = values.copy(), free.copy(), False
     for group in GROUPS:
         own = members(group)
-        for joint in range(len(values)):
+        for joint in range(len(values)) if group != "load" else ():  # without it Coulomb friction would take its part
             if free[joint, own].any() and wide[joint, own][free[joint, own]].all():
                 without_group(values, free, [joint], group)
                 gains[joint].pop(group, None)
