@@ -15,7 +15,7 @@ from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.repeatability import RunDeviations, repeatability
 from ident.result.friction import friction_note
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
-from tests.ident.identify.test_friction import ARM
+from tests.ident.identify.friction.test_friction import ARM
 
 JOINTS, SEEDS = 6, 200
 
