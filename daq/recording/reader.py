@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import math
+from bisect import bisect_left
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import h5py
 import numpy as np
@@ -15,21 +18,24 @@ from daq.recording.hdf5_bounds import Hdf5Bounds, hdf5_reason
 from daq.recording.recording import SCHEMA_VERSION, Channel, Event, Recording, Stream
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RecordingError, UsageError
-from drivers.core.files import RECORDING_FILE, check_input
+from drivers.core.files import LONG_RECORDING_FILE, RECORDING_FILE, InputKind, check_input
 from drivers.core.ranges import STAMP
 from drivers.core.reading_process import read_apart
 from drivers.core.terminal import hidden_character
 
+_Read = TypeVar("_Read")
 
-def read_recording(path: str | Path) -> Recording:
-    """Read a whole recording.
+
+def read_recording(path: str | Path, part: tuple[float, float] | None = None) -> Recording:
+    """Read a recording, or a part of one that is too long for the memory.
 
     Args:
         path: of the file (.h5).
+        part: from and until [s] after the first stamp; all of a file of up to 2 GB where None.
 
     Raises:
-        RecordingError: no such file; not HDF5; truncated; not written by dynid; newer schema; half-written streams;
-            damaged so that HDF5 loops, crashes or takes too much memory over it.
+        RecordingError: no sample in the part; no such file; not HDF5; truncated; not written by dynid; newer schema;
+            half-written streams; damaged so that HDF5 loops, crashes or takes too much memory over it.
 
     Example:
         >>> import dynid
@@ -40,20 +46,37 @@ def read_recording(path: str | Path) -> Recording:
     if not isinstance(path, (str, PathLike)):
         raise UsageError(f"a {type(path).__name__} is no path of a recording", hint='dynid.read_recording("run.h5")')
     path = Path(path)
-    where = str(path)
     hint = (
         f"one of this name was not closed: dynid recover {path}" if not path.exists() and unfinished_files(path) else ""
     )
-    if check_input(path, RECORDING_FILE, RecordingError, hint) == 0:
+    _check_file(path, RECORDING_FILE if part is None else LONG_RECORDING_FILE, hint)
+    return read_apart(
+        lambda progress: _opened(path, lambda file: read_open_recording(file, path, part)), path, RecordingError
+    )
+
+
+def recording_seconds(path: Path) -> float:
+    """How long a recording lasts [s], however large its file.
+
+    Raises:
+        RecordingError: as `read_recording`.
+    """
+    _check_file(path, LONG_RECORDING_FILE)
+    return read_apart(lambda progress: _opened(path, lambda file: _seconds(file, path)), path, RecordingError)
+
+
+def _check_file(path: Path, kind: InputKind, hint: str = "") -> None:
+    where = str(path)
+    if check_input(path, kind, RecordingError, hint) == 0:
         raise RecordingError("is empty (0 bytes)", where=where, hint="copy it again from its source")
     if not _has_hdf5_signature(path):
         raise RecordingError(
             "is not an HDF5 file", where=where, hint="convert another format with: dynid import FILE --robot ROBOT"
         )
-    return read_apart(lambda progress: _read_file(path), path, RecordingError)
 
 
-def _read_file(path: Path) -> Recording:
+def _opened(path: Path, read: Callable[[Any], _Read]) -> _Read:
+    """What a function reads from the file."""
     where = str(path)
     try:
         file = h5py.File(path, "r")
@@ -70,17 +93,17 @@ def _read_file(path: Path) -> Recording:
             hint=f"copy it again from its source; if its writer crashed: dynid recover {path}",
         ) from error
     with file:
-        return read_open_recording(file, path)
+        return read(file)
 
 
-def read_open_recording(file: Any, path: Path) -> Recording:
-    """Read a whole recording from an open HDF5 file.
+def read_open_recording(file: Any, path: Path, part: tuple[float, float] | None = None) -> Recording:
+    """Read a recording, or a part, from an open HDF5 file.
 
     Raises:
         RecordingError: as `read_recording`, once the file is open.
     """
     try:
-        return _read(file, path)
+        return _read(file, path, part)
     except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError) as error:
         # h5py raises any of these on objects of another kind or on broken structures.
         raise RecordingError(
@@ -96,7 +119,16 @@ def _has_hdf5_signature(path: Path) -> bool:
         raise RecordingError(f"cannot be read: {error.strerror}", where=str(path)) from error
 
 
-def _read(file: Any, path: Path) -> Recording:
+def _seconds(file: Any, path: Path) -> float:
+    """Longest of its streams."""
+    try:
+        ends = [group["time"][[0, -1]] for group in file["streams"].values() if len(group["time"]) > 1]
+        return max((float(last - first) for first, last in ends), default=0.0)
+    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError) as error:
+        raise RecordingError("is not a recording of dynid, or damaged", where=str(path)) from error
+
+
+def _read(file: Any, path: Path, part: tuple[float, float] | None) -> Recording:
     where = str(path)
     attributes = file.attrs
     if "dynid_schema" not in attributes:
@@ -123,8 +155,19 @@ def _read(file: Any, path: Path) -> Recording:
         for dataset in bounds.items(group).values() if isinstance(group, h5py.Group) else ():
             if isinstance(dataset, h5py.Dataset):
                 bounds.check_dataset(dataset)
+    within = (-math.inf, math.inf)
+    if part is not None:
+        clocks = [group["time"] for group in members["streams"].values()]
+        begin = min((float(clock[0]) for clock in clocks if len(clock)), default=0.0)
+        within = (begin + part[0], begin + part[1])
+    streams = {
+        name: _read_stream(group, f"{where}: /streams/{name}", within) for name, group in members["streams"].items()
+    }
+    if part is not None and not any(len(stream.time) for stream in streams.values()):
+        raise RecordingError(f"has no sample from {part[0]:g} to {part[1]:g} s", where=where)
     return Recording(
         path=path,
+        part=part,
         robot_text=str(attributes.get("robot", "")),
         urdf_text=str(attributes.get("urdf", "")),
         created=str(attributes.get("created", "")),
@@ -134,8 +177,10 @@ def _read(file: Any, path: Path) -> Recording:
         host=str(attributes.get("host", "")),
         comment=str(attributes.get("comment", "")),
         complete=bool(attributes.get("complete", False)),
-        streams={name: _read_stream(group, f"{where}: /streams/{name}") for name, group in members["streams"].items()},
-        events=_read_events(members.get("events"), bounds),
+        streams=streams,
+        events=tuple(
+            event for event in _read_events(members.get("events"), bounds) if part is None or _is_in(event.time, within)
+        ),
     )
 
 
@@ -156,7 +201,12 @@ def _read_versions(text: Any) -> dict[str, str]:
     return {str(key): str(value) for key, value in versions.items()} if isinstance(versions, dict) else {}
 
 
-def _read_stream(group: Any, where: str) -> Stream:  # noqa: C901, PLR0912 — a branch per mistake
+def _is_in(time: float, within: tuple[float, float]) -> bool:
+    """Whether an event belongs to a part; those without a time belong to all."""
+    return math.isnan(time) or within[0] <= time < within[1]
+
+
+def _read_stream(group: Any, where: str, within: tuple[float, float]) -> Stream:  # noqa: C901, PLR0912 — a branch per mistake
     if not isinstance(group, h5py.Group) or "time" not in group:
         raise RecordingError("has no dataset 'time'", where=where)
     for name, dataset in group.items():
@@ -172,8 +222,11 @@ def _read_stream(group: Any, where: str) -> Stream:  # noqa: C901, PLR0912 — a
     for clock in ("time", "host_time"):
         if clock in group and group[clock].ndim != 1:
             raise RecordingError(f"'{clock}' has shape {group[clock].shape}; (N,) expected", where=where)
-    time = _read_clock(group, "time", count, where)
-    host_time = _read_clock(group, "host_time", count, where) if "host_time" in group else time
+    rows = slice(0, count)
+    if math.isfinite(within[0]):  # a search in the file: the stamps of a week take a gigabyte
+        rows = slice(*(bisect_left(group["time"], border, 0, count) for border in within))
+    time = _read_clock(group, "time", rows, where)
+    host_time = _read_clock(group, "host_time", rows, where) if "host_time" in group else time
     channels = {}
     for name, dataset in group.items():
         if name in ("time", "host_time"):
@@ -192,7 +245,7 @@ def _read_stream(group: Any, where: str) -> Stream:  # noqa: C901, PLR0912 — a
             )
         channels[name] = Channel(
             quantity=name,
-            values=np.asarray(dataset[:count], dtype=np.float64),
+            values=np.asarray(dataset[rows], dtype=np.float64),
             unit=str(dataset.attrs.get("unit", "")),
             columns=columns,
             description=str(dataset.attrs.get("description", "")),
@@ -201,12 +254,13 @@ def _read_stream(group: Any, where: str) -> Stream:  # noqa: C901, PLR0912 — a
     return Stream(name=group.name.rsplit("/", 1)[-1], time=time, host_time=host_time, channels=channels)
 
 
-def _read_clock(group: Any, name: str, count: int, where: str) -> FloatArray:
-    stamps = np.asarray(group[name][:count], dtype=np.float64)
+def _read_clock(group: Any, name: str, rows: slice, where: str) -> FloatArray:
+    stamps = np.asarray(group[name][rows], dtype=np.float64)
     absurd = np.flatnonzero(np.abs(stamps) > STAMP.most)
     if len(absurd):
         raise RecordingError(
-            f"the '{name}' of sample {absurd[0]}, {stamps[absurd[0]]:g} s, is not within {STAMP}", where=where
+            f"the '{name}' of sample {rows.start + absurd[0]}, {stamps[absurd[0]]:g} s, is not within {STAMP}",
+            where=where,
         )
     return stamps
 

@@ -121,6 +121,7 @@ class Recording:
         speed_scale: share of its speed at which it was played: all of its times are divided by it.
         host: name of the recording computer.
         comment: the user's own words.
+        part: from and until [s] after the file's first stamp, where only so much of it was read; None for all of it.
 
     Example:
         >>> import dynid
@@ -143,6 +144,7 @@ class Recording:
     speed_scale: float = 1.0
     host: str = ""
     comment: str = ""
+    part: tuple[float, float] | None = None
 
     @classmethod
     def from_arrays(
@@ -543,7 +545,8 @@ class Recording:
     @property
     def label(self) -> str:
         """Name of this recording in messages."""
-        return str(self.path) if self.path is not None else "recording in memory"
+        name = str(self.path) if self.path is not None else "recording in memory"
+        return name if self.part is None else f"{name}, {self.part[0]:g} to {self.part[1]:g} s"
 
     @property
     def stopped_by(self) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from drivers.core.files import path_of
 from drivers.core.reading_process import Progress
 from drivers.core.text import in_percent
 from ident.fleet.job import JobOutcome, finished
-from ident.fleet.plan import read_fleet
+from ident.fleet.plan import Job, merges, read_fleet
 from ident.fleet.workers import outcomes
 from ident.report.html_file import page_templates
 from ident.report.section import Tile
@@ -148,28 +149,47 @@ def identify_fleet(
     goes_on = _is_of_a_fleet(folder / FLEET_RESULT)
     check_output_folder(folder, (FLEET_RESULT, REPORT_FILE), [path_of(file)], overwrite=overwrite or goes_on)
     jobs = read_fleet(path_of(file))
+    levels = list(merges(jobs))
+    names = [job.name for stage in (jobs, *levels) for job in stage]
     folder.mkdir(parents=True, exist_ok=True)
     known = {job.name: outcome for job in jobs if (outcome := finished(job, folder)) is not None}
     missing = [job for job in jobs if job.name not in known]
-    names = [job.name for job in jobs]
+    repeated = 0
 
     def fleet() -> Fleet:
-        return Fleet(folder, tuple(known[name] for name in names if name in known), len(jobs), len(missing))
+        return Fleet(folder, tuple(known[name] for name in names if name in known), len(names), repeated)
 
     written = SYSTEM_CLOCK.now()
     fleet().write(running=bool(missing))
     progress(f"{len(missing)} of {len(jobs)} results to do")
-    for outcome in outcomes(missing, str(folder.resolve()), count, scheduler):
-        known[outcome.name] = outcome
-        progress(f"{100 * len(known) // len(jobs)} %: {outcome.name} {outcome.failure or outcome.grade}")
-        if SYSTEM_CLOCK.now() - written > REFRESH:
-            written = SYSTEM_CLOCK.now()
-            fleet().write(running=True)
+    for level in ([], *levels):
+        if level:
+            missing = [job for job in (_of_what_stands(job, known) for job in level) if not _kept(job, folder, known)]
+        repeated += len(missing)
+        for outcome in outcomes(missing, str(folder.resolve()), count, scheduler):
+            known[outcome.name] = outcome
+            progress(f"{100 * len(known) // len(names)} %: {outcome.name} {outcome.failure or outcome.grade}")
+            if SYSTEM_CLOCK.now() - written > REFRESH:
+                written = SYSTEM_CLOCK.now()
+                fleet().write(running=True)
     ended = fleet()
     ended.write()
     if history is not None and ended.done:
         History(history).add(*(folder / outcome.name for outcome in ended.done))
     return ended
+
+
+def _of_what_stands(job: Job, known: Mapping[str, JobOutcome]) -> Job:
+    """The merge of those parts that have a result."""
+    return replace(job, merged=tuple(name for name in job.merged if name in known and not known[name].failure))
+
+
+def _kept(job: Job, folder: Path, known: dict[str, JobOutcome]) -> bool:
+    """Whether an earlier call has done a merge already; its outcome is then among those known."""
+    outcome = finished(job, folder)
+    if outcome is not None:
+        known[job.name] = outcome
+    return outcome is not None
 
 
 def _is_of_a_fleet(file: Path) -> bool:

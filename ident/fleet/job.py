@@ -10,11 +10,15 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from daq.output_files import RESULT_FILE, replace_files
+from daq.recording.reader import read_recording
 from drivers.core.errors import DynidError, UsageError
 from ident.fleet.plan import Job, is_url
+
+if TYPE_CHECKING:
+    from ident.tasks.identification import IdentificationResult
 
 if sys.platform != "win32":
     import resource
@@ -104,7 +108,14 @@ def finished(job: Job, out: Path) -> JobOutcome | None:
 def _identified(job: Job, folder: Path) -> dict[str, Any]:
     from ident.tasks.identification import identify
     from ident.tasks.servo import identify_servo
+    from ident.tasks.validation import merge
 
+    if job.merged:
+        top = folder.parents[job.name.count("/")]
+        validation = Path(job.validation[0]) if job.validation else None
+        found = merge([top / name for name in job.merged], validation=validation)
+        found.save(folder, overwrite=True)
+        return _figures(found)
     with local_copies((*job.recordings, *job.validation)) as paths:
         runs, validation = paths[: len(job.recordings)], paths[len(job.recordings) :]
         if job.method == "servo":
@@ -113,8 +124,18 @@ def _identified(job: Job, folder: Path) -> dict[str, Any]:
             servo = identify_servo(runs, validation=validation, robot=job.robot)
             servo.save(folder, overwrite=True)
             return {"grade": servo.result.verdict.grade, "headline": servo.verdict.split("\n")[0]}
-        found = identify(runs, validation=validation, robot=job.robot, method=job.method, **dict(job.options))
+        found = identify(
+            runs if job.part is None else [read_recording(path, job.part) for path in runs],
+            validation=validation,
+            robot=job.robot,
+            method=job.method,
+            **dict(job.options),
+        )
         found.save(folder, overwrite=True)
+    return _figures(found)
+
+
+def _figures(found: IdentificationResult) -> dict[str, Any]:
     verdict, errors = found.verdict, found.delivered and found.delivered.validation_all_samples
     return {
         "grade": verdict.purposes["torque_prediction"].grade,

@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from glob import glob, has_magic
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from daq.recording.reader import recording_seconds
 from drivers.core.errors import DynidError, UsageError
 from drivers.core.files import FLEET_FILE, read_text
 from drivers.core.text import did_you_mean
 from drivers.core.validation import read_mapping, validated
 from ident.tasks.options import IdentifyOptions
 
+PARTS_FRICTION = "coulomb-viscous"
+"""Friction terms of parts where the file names none."""
+FAN_IN = 32
+"""Results that one job merges."""
 EXAMPLE = "arms: [{name: cell-1, recordings: [cell-1/*.h5]}]"
 
 _FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]{0,99}$")]
@@ -36,6 +43,15 @@ class FleetArm(BaseModel):
     together: bool = Field(default=False, description="whether the recordings are stacked into one result")
     validation: list[str] = Field(default=[], description="held-out recordings; the last 30 % without any")
     robot: str | None = Field(default=None, description="robot file in place of the recordings' own")
+    parts: float | None = Field(
+        default=None, ge=10.0, description="seconds of a job: long recordings, merged in the end"
+    )
+
+    @model_validator(mode="after")
+    def _parts_alone(self) -> FleetArm:
+        if self.parts is not None and self.together:
+            raise ValueError("parts are merged, and not stacked: leave out together")
+        return self
 
 
 class FleetFile(BaseModel):
@@ -59,6 +75,8 @@ class Job:
         robot: path or built-in name; None for the recordings' own.
         method: as identify takes it.
         options: further options of identify, as pairs.
+        part: from and until [s], of the one recording; None for all of it.
+        merged: folders of the results that are merged in place of an identification.
     """
 
     name: str
@@ -68,12 +86,14 @@ class Job:
     robot: str | None
     method: str
     options: tuple[tuple[str, Any], ...]
+    part: tuple[float, float] | None = None
+    merged: tuple[str, ...] = ()
 
     def key(self) -> str:
         """What its result depends on, as hexadecimal digits: files by path, size and time, options, dynid's version."""
         content = [
             [_state(path) for path in (*self.recordings, *self.validation, self.robot or "")],
-            [self.method, self.options, version("dynid")],
+            [self.method, self.options, self.part, self.merged, version("dynid")],
         ]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
@@ -120,12 +140,72 @@ def _jobs(fleet: FleetFile, arm: FleetArm, folder: Path, where: str) -> Iterator
     robot = arm.robot
     if robot is not None and (folder / robot).is_file():
         robot = str((folder / robot).resolve())
+    if arm.parts is not None:
+        yield from _parts(fleet, arm, recordings, validation, robot, where)
+        return
     groups = [tuple(recordings)] if arm.together else [(recording,) for recording in recordings]
     for group in groups:
         stem = Path(group[0]).stem if len(group) == 1 else "all"
         for method in fleet.methods:
-            name = "/".join((arm.name, stem, re.sub(r"[^A-Za-z0-9.]+", "-", method).strip("-")))
+            name = f"{arm.name}/{stem}/{_folder(method)}"
             yield Job(name, arm.name, group, validation, robot, method, tuple(sorted(fleet.options.items())))
+
+
+def _parts(
+    fleet: FleetFile,
+    arm: FleetArm,
+    recordings: Sequence[str],
+    validation: tuple[str, ...],
+    robot: str | None,
+    where: str,
+) -> Iterator[Job]:
+    """Jobs of the parts of long recordings; terms that each would choose for itself could not be merged."""
+    options = tuple(sorted({"friction": PARTS_FRICTION, **fleet.options}.items()))
+    for place in recordings:
+        if is_url(place):
+            raise UsageError(f"arm {arm.name}: parts need files, not {place}", where=where, hint="fetch it first")
+        seconds = recording_seconds(Path(place))
+        count = max(1, round(seconds / arm.parts))  # type: ignore[operator]  # not None here
+        borders = [*(seconds * number / count for number in range(count)), math.floor(seconds) + 1.0]
+        for number, part in enumerate(pairwise(borders), start=1):
+            for method in fleet.methods:
+                name = f"{arm.name}/{Path(place).stem}-part-{number:04d}/{_folder(method)}"
+                yield Job(name, arm.name, (place,), validation, robot, method, options, part=part)
+
+
+def merges(fleet_jobs: Sequence[Job]) -> Iterator[list[Job]]:
+    """Jobs that merge the results of parts, a level of the tree at a time; `ARM/merged/METHOD` is the last.
+
+    Args:
+        fleet_jobs: all jobs of the fleet.
+    """
+    groups: dict[tuple[str, str], list[Job]] = {}
+    for job in fleet_jobs:
+        if job.part is not None:
+            groups.setdefault((job.arm, job.method), []).append(job)
+    level = 0
+    while groups := {key: jobs for key, jobs in groups.items() if len(jobs) > 1}:
+        level += 1
+        for key, jobs in groups.items():
+            batches = [jobs[first : first + FAN_IN] for first in range(0, len(jobs), FAN_IN)]
+            if len(batches) > 1 and len(batches[-1]) == 1:
+                batches[-2:] = [batches[-2][:-1], batches[-2][-1:] + batches[-1]]
+            groups[key] = [
+                replace(
+                    jobs[0],
+                    name=f"{jobs[0].arm}/{'merged' if len(batches) == 1 else f'merged-{level}-{number:04d}'}/"
+                    f"{_folder(jobs[0].method)}",
+                    recordings=tuple(dict.fromkeys(place for job in batch for place in job.recordings)),
+                    part=None,
+                    merged=tuple(job.name for job in batch),
+                )
+                for number, batch in enumerate(batches, start=1)
+            ]
+        yield [job for jobs in groups.values() for job in jobs]
+
+
+def _folder(method: str) -> str:
+    return re.sub(r"[^A-Za-z0-9.]+", "-", method).strip("-")
 
 
 def _found(place: str, folder: Path, arm: FleetArm, where: str) -> list[str]:

@@ -340,8 +340,8 @@ def _plain(values: object) -> dict[str, Any]:
 
 
 def recording_sha256(recording: Recording) -> str:
-    """SHA-256 of a recording's file, or of its values where it has none, as hexadecimal digits."""
-    if recording.path is not None:
+    """SHA-256 of a recording's file, or of its values where they are not all of one, as hexadecimal digits."""
+    if recording.path is not None and recording.part is None:
         return file_sha256(recording.path)
     digest = sha256()
     for stream in recording.streams.values():

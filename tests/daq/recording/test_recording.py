@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from daq.recording.reader import read_recording
+from daq.recording.reader import read_recording, recording_seconds
 from daq.recording.recording import JOINTS_STREAM, SCHEMA_VERSION, Channel, Event, Recording, Stream
 from daq.recording.writer import RecordingWriter, write_recording
 from daq.robot.loader import RobotFile, parse_robot
@@ -325,3 +325,27 @@ def test_recordings_cut_anywhere_are_refused_in_our_words(share: float, tail: by
         with pytest.raises(RecordingError, match=r"is truncated|is not an HDF5 file|is empty") as caught:
             read_recording(path)
         assert caught.value.where == str(path)
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(borders=st.lists(st.integers(0, 40), min_size=2, max_size=2, unique=True).map(sorted))
+def test_a_part_of_a_recording_is_that_part_of_the_whole(tmp_path: Path, borders: list[int]) -> None:
+    path = tmp_path / "run.h5"
+    if not path.exists():
+        recording = make_recording(20, events=tuple(Event(t, "info", "test", "") for t in (0.0, 0.02, 0.5)))
+        stream = recording.streams[JOINTS_STREAM]
+        later = replace(stream, time=stream.time + 7.0)  # stamps begin anywhere
+        write_recording(path, replace(recording, streams={JOINTS_STREAM: later}))
+    begin, end = (0.001 * border for border in borders)
+    inside = (np.arange(20) * 0.002 >= begin - 1e-9) & (np.arange(20) * 0.002 < end - 1e-9)
+    if not np.any(inside):
+        with pytest.raises(RecordingError, match="has no sample from"):
+            read_recording(path, (begin, end))
+        return
+    whole, part = read_recording(path), read_recording(path, (begin, end))
+    for name, channel in whole.streams[JOINTS_STREAM].channels.items():
+        assert np.array_equal(part.streams[JOINTS_STREAM].channels[name].values, channel.values[inside])
+    assert np.array_equal(part.time, whole.time[inside])
+    assert part.events == ()
+    assert part.label == f"{path}, {begin:g} to {end:g} s"
+    assert recording_seconds(path) == pytest.approx(0.038)

@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ from drivers.core.errors import ConnectionFailedError, UsageError
 from ident.fleet import workers
 from ident.fleet.fleet import FLEET_RESULT, identify_fleet
 from ident.fleet.job import local_copies, run_job
-from ident.fleet.plan import read_fleet
+from ident.fleet.plan import FAN_IN, Job, merges, read_fleet
 
 FLEET = """
 arms:
@@ -65,6 +66,9 @@ def test_each_recording_with_each_method_is_a_job(tmp_path):
         ("arms: [{name: a, recordings: [a.h5]}]\noptions: {decimat: 2}", "did you mean 'decimate'"),
         ("arms: [{name: a, recordings: [a.h5]}]\noptions: {runs: 2}", "no option of identify"),
         ("arms: [{name: a, recordings: [a.h5]}]\noptions: {decimate: -2}", "decimate"),
+        ("arms: [{name: a, recordings: [a.h5], parts: 5}]", "parts"),
+        ("arms: [{name: a, recordings: [a.h5, b.h5], parts: 60, together: true}]", "leave out together"),
+        ("arms: [{name: a, recordings: ['s3://x/a.h5'], parts: 60}]", "parts need files"),
         ("- 1", "mapping"),
     ],
 )
@@ -152,3 +156,42 @@ def test_a_folder_of_another_kind_is_left_alone(tmp_path, run):
     (tmp_path / "report.html").write_text("of something else")
     with pytest.raises(UsageError, match="exists already"):
         identify_fleet(written(tmp_path, f"arms: [{{name: a, recordings: [{run}]}}]"), tmp_path)
+
+
+@pytest.mark.usefixtures("estimate_alone", "in_this_process")
+def test_a_long_recording_is_identified_in_parts_that_are_merged(tmp_path):
+    dynid.simulate("ur5e", duration=34.0, rate=50.0, seed=1).save(tmp_path / "week.h5")
+    out = tmp_path / "out"
+    text = "arms: [{name: a, recordings: [week.h5], parts: 11}]\nmethods: [ols]"
+    fleet = identify_fleet(written(tmp_path, text), out)
+    assert [outcome.name for outcome in fleet.outcomes] == [
+        *(f"a/week-part-000{number}/ols" for number in (1, 2, 3)), "a/merged/ols",
+    ]  # fmt: skip
+    assert not fleet.failures
+    assert (fleet.total, fleet.repeated) == (4, 4)
+    used = dynid.load_model(out / "a" / "merged" / "ols").result.recordings
+    assert [use.file for use in used if use.role == "identification"] == [
+        "week.h5, 0 to 11.3267 s", "week.h5, 11.3267 to 22.6533 s", "week.h5, 22.6533 to 34 s",
+    ]  # fmt: skip
+    assert identify_fleet(tmp_path / "fleet.yaml", out).repeated == 0
+    # A part that is lost is done again, and the merge that it belongs to.
+    (out / "a" / "week-part-0002" / "ols" / "job.json").unlink()
+    assert identify_fleet(tmp_path / "fleet.yaml", out).repeated == 1
+    (out / "a" / "week-part-0002" / "ols" / "job.json").unlink()
+    (out / "a" / "merged" / "ols" / "job.json").unlink()
+    assert identify_fleet(tmp_path / "fleet.yaml", out).repeated == 2
+
+
+def test_merging_is_a_tree_of_which_every_part_is_a_leaf(tmp_path):
+    part = Job("a/x-part-0001/wls", "a", ("x.h5",), (), None, "wls", (), (0.0, 1.0))
+    for count in (1, 2, FAN_IN, FAN_IN + 1, 3 * FAN_IN, FAN_IN**2 + 1):
+        parts = [replace(part, name=f"a/x-part-{number:04d}/wls") for number in range(count)]
+        levels = list(merges(parts))
+        below = [job.name for job in parts]
+        for level in levels:
+            assert sorted(name for job in level for name in job.merged) == sorted(below)
+            assert all(2 <= len(job.merged) <= FAN_IN for job in level)
+            below = [job.name for job in level]
+        assert below == (["a/merged/wls"] if count > 1 else ["a/x-part-0000/wls"])
+    whole = Job("a/x/wls", "a", ("x.h5",), (), None, "wls", ())
+    assert list(merges([whole])) == []
