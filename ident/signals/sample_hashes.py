@@ -117,6 +117,10 @@ SEGMENT = 128
 FEWEST_SEGMENTS = 12
 """Segments that the runs must have in common."""
 
+SAME_MOTION = 0.8
+"""Share of a run's power that the other one explains, from which on they may be of one motion: simulated arms of one
+seed have the same noise in different motions."""
+
 NO_NOISE, WHITE = 0.1, 2.0
 """Share of the other run's noise below which a run counts as free of it, and power of what both differ by at the
 motion's frequencies, over that of white noise: another run differs there by friction, a copy by added noise alone."""
@@ -277,6 +281,8 @@ def _slopes(of: FloatArray, on: FloatArray, noise: FloatArray) -> FloatArray:
         y, x = (spectrum[:, :, joint] for spectrum in spectra)
         whole = float(np.sum(np.abs(x) ** 2))
         scale = float(np.sum((y * x.conj()).real)) / whole if whole > 0.0 else 0.0
+        if scale**2 * whole < SAME_MOTION * float(np.sum(np.abs(y) ** 2)):
+            continue
         for band, (low, high) in enumerate(pairwise(edges)):
             part, other = x[:, low:high], y[:, low:high]
             power, own = float(np.sum(np.abs(part) ** 2)), float(np.sum(np.abs(other) ** 2))
