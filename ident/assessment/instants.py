@@ -193,5 +193,5 @@ def instants(kernel: RegressorKernel, runs: Sequence[Prepared]) -> Instants:
         friction=taken["friction"].reshape(kernel.model.dof, len(others.columns), len(chosen)),
         friction_columns=others.columns,
         tracks=tuple(tracks),
-        track=taken["track"],
+        track=taken["track"].astype(np.int64),
     )

@@ -112,8 +112,8 @@ def _identified(job: Job, folder: Path) -> dict[str, Any]:
 
     if job.merged:
         top = folder.parents[job.name.count("/")]
-        validation = Path(job.validation[0]) if job.validation else None
-        found = merge([top / name for name in job.merged], validation=validation)
+        held_out = Path(job.validation[0]) if job.validation else None
+        found = merge([top / name for name in job.merged], validation=held_out)
         found.save(folder, overwrite=True)
         return _figures(found)
     with local_copies((*job.recordings, *job.validation)) as paths:

@@ -453,7 +453,7 @@ def _first_fit(
     scale = _scale(chosen, plain, least)
     starts, searched, frees, able = [], [], [], []
     for group, levels in zip(FIRST_GROUPS, (ACCELERATIONS, SATURATIONS), strict=True):
-        able.append(moving[~held[np.ix_(moving, members(group))].any(axis=1)])
+        able.append(moving[~held[moving][:, members(group)].any(axis=1)])
         trial, trial_free = with_group(values, free, able[-1].tolist(), group)
         for level in levels:
             start = trial.copy()

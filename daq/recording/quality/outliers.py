@@ -319,11 +319,11 @@ def position_jumps(
     for row in rows.tolist():
         column = int(np.argmax(np.where(jumps[row], excess[row], -1.0)))
         size = float(moved[row, column])
-        turns = size / (2.0 * np.pi)
+        whole_turns = size / (2.0 * np.pi)
         cause: Cause = "zero"
         if np.count_nonzero(excess[row] > UNEVEN) > 1:
             cause = "rows"
-        elif round(turns) and abs(turns - round(turns)) < NEAR_TURN:
+        elif round(whole_turns) and abs(whole_turns - round(whole_turns)) < NEAR_TURN:
             cause = "turn"
         found.append(PositionJump(joints[column], row + 1, float(time[row + 1]), size, cause))
     return tuple(found)
