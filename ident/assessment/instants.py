@@ -174,7 +174,7 @@ def instants(kernel: RegressorKernel, runs: Sequence[Prepared]) -> Instants:
             acting = np.any(packed != 0.0, axis=1)
             if acting.any():
                 rows["friction"][acting] = run.parallel_filter.apply(packed[acting])
-            shape = (kernel.model.dof, len(others.columns), -1)
+            shape = (kernel.model.dof, len(others.columns), rows["friction"].shape[1])
             tracks.append(Track(segment, rows["time"], rows["friction"].reshape(shape)))
             if segment.temperature is not None:
                 rows["temperature"] = segment.temperature[:, every]

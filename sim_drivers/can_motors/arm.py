@@ -129,8 +129,7 @@ class MotorPlant:
                     share[index] = min((self._time - since) / step, 1.0) if driving[index] else 1.0
             self._move_goals(step)
             acting = self._goal - 0.5 * step * self._speed
-            # A step is implicit: its spring acts as at the end, which damps as if by kp·step/2.
-            self.arm.set_gains(self._kp.copy(), np.maximum(self._kd - 0.5 * step * self._kp, 0.0))
+            self.arm.set_gains(self._kp.copy(), self._kd.copy())
             self.arm.effort = self._effort()
             self.arm.push = self._kd * self._speed + self._pushing
             self.arm.advance(before + share * (acting - before))

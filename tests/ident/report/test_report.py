@@ -300,7 +300,7 @@ def test_no_validation() -> None:
 def test_no_series_at_all() -> None:
     bare = page(fit=(), validation=(series(samples=0),))
     assert not {"torques-fit-plot", "torques-validation-plot", "residuals-plot"} & set(bare.figures)
-    assert "no samples of the identification data" in bare.words
+    assert "No torques of the identification data" in bare.words
 
 
 def test_long_series_are_thinned_to_their_envelope() -> None:
