@@ -181,7 +181,7 @@ def identify_fleet(
 
 def _of_what_stands(job: Job, known: Mapping[str, JobOutcome]) -> Job:
     """The merge of those parts that have a result."""
-    return replace(job, merged=tuple(name for name in job.merged if name in known and not known[name].failure))
+    return replace(job, merged=tuple(name for name in job.merged or () if name in known and not known[name].failure))
 
 
 def _kept(job: Job, folder: Path, known: dict[str, JobOutcome]) -> bool:

@@ -110,7 +110,7 @@ def _identified(job: Job, folder: Path) -> dict[str, Any]:
     from ident.tasks.servo import identify_servo
     from ident.tasks.validation import merge
 
-    if job.merged:
+    if job.merged is not None:
         top = folder.parents[job.name.count("/")]
         held_out = Path(job.validation[0]) if job.validation else None
         found = merge([top / name for name in job.merged], validation=held_out)

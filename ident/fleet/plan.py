@@ -76,7 +76,7 @@ class Job:
         method: as identify takes it.
         options: further options of identify, as pairs.
         part: from and until [s], of the one recording; None for all of it.
-        merged: folders of the results that are merged in place of an identification.
+        merged: names of the jobs whose results are merged; None where it identifies.
     """
 
     name: str
@@ -87,7 +87,7 @@ class Job:
     method: str
     options: tuple[tuple[str, Any], ...]
     part: tuple[float, float] | None = None
-    merged: tuple[str, ...] = ()
+    merged: tuple[str, ...] | None = None
 
     def key(self) -> str:
         """What its result depends on, as hexadecimal digits: files by path, size and time, options, dynid's version."""

@@ -189,9 +189,14 @@ def test_merging_is_a_tree_of_which_every_part_is_a_leaf(tmp_path):
         levels = list(merges(parts))
         below = [job.name for job in parts]
         for level in levels:
-            assert sorted(name for job in level for name in job.merged) == sorted(below)
-            assert all(2 <= len(job.merged) <= FAN_IN for job in level)
+            assert sorted(name for job in level for name in job.merged or ()) == sorted(below)
+            assert all(2 <= len(job.merged or ()) <= FAN_IN for job in level)
             below = [job.name for job in level]
         assert below == (["a/merged/wls"] if count > 1 else ["a/x-part-0000/wls"])
     whole = Job("a/x/wls", "a", ("x.h5",), (), None, "wls", ())
     assert list(merges([whole])) == []
+
+
+def test_where_no_part_has_a_result_nothing_else_is_identified_in_their_place(tmp_path, run):
+    job = Job("a/merged/wls", "a", (str(run),), (), None, "wls", (), merged=())
+    assert "merging needs at least two models" in run_job(job, str(tmp_path)).failure
