@@ -17,7 +17,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from daq.recording.reader import recording_seconds
-from drivers.core.errors import DynidError, UsageError
+from drivers.core.errors import DynidError, RecordingError, UsageError
 from drivers.core.files import FLEET_FILE, read_text
 from drivers.core.text import did_you_mean
 from drivers.core.validation import read_mapping, validated
@@ -164,7 +164,13 @@ def _parts(
     for place in recordings:
         if is_url(place):
             raise UsageError(f"arm {arm.name}: parts need files, not {place}", where=where, hint="fetch it first")
-        seconds = recording_seconds(Path(place))
+        try:
+            seconds = recording_seconds(Path(place))
+        except RecordingError:  # its job fails for the same reason, and the others go on
+            for method in fleet.methods:
+                name = f"{arm.name}/{Path(place).stem}/{_folder(method)}"
+                yield Job(name, arm.name, (place,), validation, robot, method, options)
+            continue
         count = max(1, round(seconds / arm.parts))  # type: ignore[operator]  # not None here
         borders = [*(seconds * number / count for number in range(count)), math.floor(seconds) + 1.0]
         for number, part in enumerate(pairwise(borders), start=1):

@@ -200,3 +200,11 @@ def test_merging_is_a_tree_of_which_every_part_is_a_leaf(tmp_path):
 def test_where_no_part_has_a_result_nothing_else_is_identified_in_their_place(tmp_path, run):
     job = Job("a/merged/wls", "a", (str(run),), (), None, "wls", (), merged=())
     assert "merging needs at least two models" in run_job(job, str(tmp_path)).failure
+
+
+def test_a_long_recording_that_cannot_be_read_is_its_own_jobs_failure(tmp_path):
+    (tmp_path / "bad.h5").write_text("no HDF5")
+    text = "arms: [{name: a, recordings: [bad.h5, gone.h5], parts: 60}]"
+    jobs = read_fleet(written(tmp_path, text))
+    assert [job.name for job in jobs] == ["a/bad/wls", "a/gone/wls"]
+    assert ["is not an HDF5 file" in run_job(jobs[0], str(tmp_path)).failure, list(merges(jobs))] == [True, []]
