@@ -127,9 +127,7 @@ def declared(driver: str, where: str = "") -> DriverDeclaration:
     installed = installed_drivers()
     if driver not in installed:
         raise UsageError(
-            f"no driver is called '{driver}'",
-            where=where,
-            hint=f"installed: {', '.join(sorted(installed)) or 'none'}",
+            f"no driver is called '{driver}'", where=where, hint=f"installed: {', '.join(sorted(installed)) or 'none'}"
         )
     entry = installed[driver]
     try:

@@ -21,11 +21,7 @@ class DemoOptions(Options):
 
     out: Path = option(Path("demo"), "Folder for the recordings, result.json, report.html.", short="-o")
     robot: str = option("ur5e", "UR arm: built-in, or a robot file with a truth section.")
-    duration: float = option(
-        30.0,
-        "Length of the identification motion [s].",
-        allowed=DEMO_TIME,
-    )
+    duration: float = option(30.0, "Length of the identification motion [s].", allowed=DEMO_TIME)
     seed: int = option(1, "Seed of the motion and the noise.")
 
 

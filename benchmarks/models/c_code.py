@@ -83,11 +83,7 @@ def run(calls: int = 200_000, repeats: int = 7, robots: Sequence[str] = ("ur5e",
 def _c_program(dynamics: InverseDynamics, folder: Path) -> str:
     prefix = identifier(dynamics.model.name)
     write_c(dynamics, folder / prefix, overwrite=True)
-    definitions = (
-        f'-DHEADER="{prefix}.h"',
-        f"-DTORQUE={prefix}_torque",
-        f"-DJOINTS={prefix.upper()}_JOINTS",
-    )
+    definitions = (f'-DHEADER="{prefix}.h"', f"-DTORQUE={prefix}_torque", f"-DJOINTS={prefix.upper()}_JOINTS")
     source = str(NATIVE / "c_torque.c")
     _output(["cc", "-std=c99", "-O2", "-I.", *definitions, source, f"{prefix}.c", "-o", f"{prefix}.run", "-lm"], folder)
     return f"./{prefix}.run"

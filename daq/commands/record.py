@@ -178,13 +178,7 @@ def _guiding(plan: SessionPlan, hand: KeyAtTerminal, model: Path | None) -> Guid
 
 
 def planned(
-    options: SessionOptions,
-    out: Path | None,
-    clock: Clock,
-    *,
-    overwrite: bool,
-    as_json: bool,
-    guided: bool = False,
+    options: SessionOptions, out: Path | None, clock: Clock, *, overwrite: bool, as_json: bool, guided: bool = False
 ) -> SessionPlan:
     """Refuse what cannot be recorded or must not move, and tell what will move where.
 

@@ -229,12 +229,7 @@ def _in_robot_order(
 
 
 def _in_si(
-    quantity: str,
-    given: QuantityColumns,
-    robot: RobotFile,
-    choices: ImportChoices,
-    where: str,
-    notes: list[Note],
+    quantity: str, given: QuantityColumns, robot: RobotFile, choices: ImportChoices, where: str, notes: list[Note]
 ) -> Quantity:
     sliding = robot.prismatic_joints
     joints = given.joints or ()

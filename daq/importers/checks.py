@@ -15,14 +15,7 @@ from daq.importers.table import Note, printable
 from daq.recording.counter_stamps import counter_range, unwrapped
 from daq.recording.quality.stale_samples import stale_samples
 from daq.recording.recording import MOTOR_SIGNALS
-from daq.recording.repairs import (
-    DROP_DUPLICATES,
-    DROP_NAN,
-    DROP_REPEATS,
-    OPPOSITE_TORQUE,
-    SORT,
-    UNWRAP,
-)
+from daq.recording.repairs import DROP_DUPLICATES, DROP_NAN, DROP_REPEATS, OPPOSITE_TORQUE, SORT, UNWRAP
 from daq.recording.unit_plausibility import near
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError

@@ -28,14 +28,7 @@ from daq.importers.formats.npz import read_npz
 from daq.importers.formats.rosbag import bag_files, read_rosbag
 from daq.importers.plausibility import check_units
 from daq.importers.table import ForeignTable, parsing, printable
-from daq.recording.recording import (
-    COMMANDS_STREAM,
-    JOINTS_STREAM,
-    Channel,
-    Event,
-    Recording,
-    Stream,
-)
+from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Channel, Event, Recording, Stream
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
 from drivers.core.errors import ImportFileError, UsageError

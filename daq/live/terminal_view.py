@@ -194,12 +194,7 @@ def _largest(values: FloatArray, joints: tuple[str, ...]) -> tuple[float, str] |
 
 @contextmanager
 def live_view(
-    *,
-    shown: bool,
-    limits: Limits,
-    recorder: SampleKeeper,
-    clock: Clock = SYSTEM_CLOCK,
-    watch: Watch | None = None,
+    *, shown: bool, limits: Limits, recorder: SampleKeeper, clock: Clock = SYSTEM_CLOCK, watch: Watch | None = None
 ) -> Iterator[Publisher | None]:
     """A display in its own process and the pipe to it; None where nothing is to be shown."""
     if not shown:

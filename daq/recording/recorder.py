@@ -84,13 +84,7 @@ class Recorder:
         self.overflow = 0
         """Samples that were dropped because the disk did not keep up."""
         self._writer = RecordingWriter(
-            path,
-            robot,
-            layouts,
-            trajectory=trajectory,
-            speed_scale=speed_scale,
-            comment=comment,
-            overwrite=overwrite,
+            path, robot, layouts, trajectory=trajectory, speed_scale=speed_scale, comment=comment, overwrite=overwrite
         )
         self._writer.allow_readers()
         self.file = self._writer.unfinished

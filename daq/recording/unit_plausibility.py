@@ -46,10 +46,7 @@ def other_unit(time: FloatArray, position: FloatArray, limits: JointLimits) -> s
         far = float(np.abs(position).max(initial=0.0)) > BEYOND_TRAVEL * max(abs(limit) for limit in limits.position)
     else:
         far = bool(len(position)) and beyond_reach(position, limits.position)
-    way, passed = (
-        np.abs(position[_LAG:] - position[:-_LAG]),
-        time[_LAG:] - time[:-_LAG],
-    )
+    way, passed = (np.abs(position[_LAG:] - position[:-_LAG]), time[_LAG:] - time[:-_LAG])
     speeds = way[passed > 0] / passed[passed > 0]
     fast = len(speeds) > 0 and float(np.quantile(speeds, SPEED_QUANTILE)) > BEYOND_SPEED * limits.velocity
     return ("mm" if limits.sliding else "degrees") if far or fast else None

@@ -50,10 +50,7 @@ class OdriveCodec(MotorCodec):
         """Gains, limits, and closed-loop position control."""
         motor = self.motor
         speed, current = motor.speed_limit, motor.current_limit
-        limits = (
-            MOST_SPEED if speed is None else speed / TURN,
-            MOST_CURRENT if current is None else current,
-        )
+        limits = (MOST_SPEED if speed is None else speed / TURN, MOST_CURRENT if current is None else current)
         damping = max(motor.kd, 1e-6)
         return (
             self._frame(SET_MODE, struct.pack("<II", POSITION_CONTROL, PASSTHROUGH)),

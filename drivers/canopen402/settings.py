@@ -13,11 +13,7 @@ from drivers.connection_settings import ConnectionSettings, read_settings, refus
 from drivers.core.clock import STALL_LIMIT
 
 Mode = Literal["position", "profile", "none"]
-MODES: Mapping[Mode, int | None] = {
-    "position": MODE_CYCLIC_POSITION,
-    "profile": MODE_PROFILE_POSITION,
-    "none": None,
-}
+MODES: Mapping[Mode, int | None] = {"position": MODE_CYCLIC_POSITION, "profile": MODE_PROFILE_POSITION, "none": None}
 """Key `mode` → mode of operation; None where the drives are never enabled."""
 HIGHEST_ID = 127
 """Largest node id of CiA 301."""

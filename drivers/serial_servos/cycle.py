@@ -120,10 +120,9 @@ def feedback_channels(settings: ServoSettings) -> tuple[ChannelLayout, ...]:
         columns = tuple(motor.joint for motor in motors)
         unit = {"load": "1", "supply_voltage": "V"}.get(quantity, "")
         magnitude = any(quantity in motor.table.magnitudes for motor in motors)
-        what = {
-            "load": "share of the full duty cycle, not a torque",
-            "supply_voltage": "of the servo's supply",
-        }.get(quantity, f"{quantity} that the servo reports")
+        what = {"load": "share of the full duty cycle, not a torque", "supply_voltage": "of the servo's supply"}.get(
+            quantity, f"{quantity} that the servo reports"
+        )
         said = f"{what}; time is the middle of the reading, by this computer's clock"
         channels.append(ChannelLayout(quantity, columns, unit, said, magnitude))
     return tuple(channels)

@@ -10,16 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from drivers.serial_servos.packets import (
-    BROADCAST,
-    FAST_SYNC_READ,
-    READ,
-    SYNC_READ,
-    SYNC_WRITE,
-    WRITE,
-    Packet,
-    scanned,
-)
+from drivers.serial_servos.packets import BROADCAST, FAST_SYNC_READ, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet, scanned
 
 HEADER = b"\xff\xff\xfd\x00"
 MARK = HEADER[:3]

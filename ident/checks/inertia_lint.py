@@ -21,13 +21,7 @@ from ident.linear_algebra.vectors import rotation_of
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.dynamics.rigid_arm import RigidArm, rigid_arm
 from ident.model.kinematics.urdf import urdf_inertias
-from ident.model.kinematics.urdf_shapes import (
-    UnusableShapeError,
-    lengths,
-    mesh_folders,
-    mesh_vertices,
-    placed_shape,
-)
+from ident.model.kinematics.urdf_shapes import UnusableShapeError, lengths, mesh_folders, mesh_vertices, placed_shape
 from ident.model.parameters import link_parameters
 
 TRIANGLE = 1.01

@@ -18,19 +18,9 @@ from drivers.core.units import common_unit
 from ident.assessment.command_checks import command_checks
 from ident.assessment.delay.delay import DelaySearch, delay_checks, search_delay
 from ident.assessment.excitation import ExcitationReached, RecordedMotion, excitation_reached, recorded_motion
-from ident.assessment.recording_checks import (
-    column_qualities,
-    recording_checks,
-    stream_qualities,
-    unsigned_signals,
-)
+from ident.assessment.recording_checks import column_qualities, recording_checks, stream_qualities, unsigned_signals
 from ident.assessment.torque_level import torque_level_checks
-from ident.excite.sufficiency import (
-    Sufficiency,
-    TimesNeeded,
-    motion_sufficiency,
-    times_needed,
-)
+from ident.excite.sufficiency import Sufficiency, TimesNeeded, motion_sufficiency, times_needed
 from ident.regression.options import SIGNIFICANT_RSD
 from ident.signals.options import PreprocessChoices
 from ident.signals.resampling import check_rate

@@ -80,12 +80,7 @@ class TriangularSystem:
 
 
 def triangular_system(
-    plain: Reduction,
-    system: FloatArray,
-    weights: FloatArray,
-    active: Sequence[int],
-    method: str,
-    iterations: int = 1,
+    plain: Reduction, system: FloatArray, weights: FloatArray, active: Sequence[int], method: str, iterations: int = 1
 ) -> TriangularSystem:
     """Solve a system that takes the place of the plain equations.
 

@@ -164,11 +164,7 @@ class SweepChoices(Options):
         meaning="of each joint, halved until it is free [rad or m].",
         allowed=Range(SMALLEST_STROKE, 12.0, "rad or m"),
     )
-    slowest: float = option(
-        0.2,
-        "Peak of the slowest stroke [rad/s, m/s].",
-        allowed=Range(1e-3, 20.0, "rad/s or m/s"),
-    )
+    slowest: float = option(0.2, "Peak of the slowest stroke [rad/s, m/s].", allowed=Range(1e-3, 20.0, "rad/s or m/s"))
     speeds: int = option(
         6,
         "Number of peak speeds up to the limits.",

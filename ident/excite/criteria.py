@@ -161,11 +161,7 @@ class RegressorCriterion:
     """
 
     def __init__(
-        self,
-        model: DynamicModel,
-        columns: Sequence[int],
-        measure: Measure,
-        joint_weights: FloatArray | None = None,
+        self, model: DynamicModel, columns: Sequence[int], measure: Measure, joint_weights: FloatArray | None = None
     ) -> None:
         self._model = model
         self.columns = tuple(columns)

@@ -331,11 +331,7 @@ def _forecast(known: _Known, information: Sequence[FloatArray]) -> tuple[ServoFo
                 scale = 100.0 * limit / unit
                 rows.append(
                     ServoForecast(
-                        joint,
-                        name,
-                        float(scale * now[row][place]),
-                        float(scale * then[row][place]),
-                        float(scale),
+                        joint, name, float(scale * now[row][place]), float(scale * then[row][place]), float(scale)
                     )
                 )
     return tuple(rows)

@@ -219,10 +219,7 @@ def _linear_equation(
 
 
 def _closing_frames(
-    arm: ExportedArm,
-    transmission: ClosedLoops,
-    bodies: dict[int, ElementTree.Element],
-    equalities: ElementTree.Element,
+    arm: ExportedArm, transmission: ClosedLoops, bodies: dict[int, ElementTree.Element], equalities: ElementTree.Element
 ) -> None:
     """Points of the two closing frames that meet; a second pair on the axes where one pair leaves them free to turn."""
     model = arm.model

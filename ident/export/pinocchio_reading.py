@@ -85,10 +85,7 @@ class _Tree:
         self.damping, self.friction = np.zeros(model.nv), np.zeros(model.nv)
         self.damping[self.place], self.friction[self.place] = damping, friction
         index = np.arange(model.nv)
-        self._upper = (
-            np.minimum.outer(index, index),
-            np.maximum.outer(index, index),
-        )  # of what `crba` writes
+        self._upper = (np.minimum.outer(index, index), np.maximum.outer(index, index))  # of what `crba` writes
 
     def configuration(self, position: FloatArray) -> FloatArray:
         """Pinocchio's (nq,) of positions (n,): a continuous joint is a cosine and a sine."""

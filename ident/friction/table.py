@@ -442,12 +442,7 @@ TERMS: tuple[Term, ...] = (
         "temperature_slope", "Fts", "N·m·(s/rad)^½/K", "friction by temperature", "#66A61E", "star-diamond"
     ),
     _temperature_term(
-        "temperature_curvature",
-        "Ftc",
-        "N·m·(s/rad)^½",
-        "friction by temperature, curved",
-        "#6A5ACD",
-        "hexagram",
+        "temperature_curvature", "Ftc", "N·m·(s/rad)^½", "friction by temperature, curved", "#6A5ACD", "hexagram"
     ),
     *_periodic_terms("position", "Fp", "friction by position", ("#8A6D3B", "#B89B5E"), rubs=True),
     *_periodic_terms("ripple", "R", "torque ripple", ("#3B6E8A", "#6FA3BF"), rubs=False),
@@ -524,11 +519,7 @@ def slope_of(kind: str) -> Signal:
 def temperature_coefficients(root: float, slope: float, curvature: float) -> tuple[float, float, float]:
     """β1, β2, β3 of AUBO eq. 5 from the coefficients Ft, Fts and Ftc."""
     reference = REFERENCE_TEMPERATURE
-    return (
-        root - slope * reference - 4.0 * curvature,
-        slope + 3.0 * curvature / reference,
-        curvature * reference**3,
-    )
+    return (root - slope * reference - 4.0 * curvature, slope + 3.0 * curvature / reference, curvature * reference**3)
 
 
 def root_coefficients(beta1: float, beta2: float, beta3: float) -> tuple[float, float, float]:

@@ -16,13 +16,7 @@ from ident.assessment.differing_runs import differing_run_checks
 from ident.assessment.idle_joints import idle_joint_checks
 from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.model_errors import INDEPENDENT_PER_PARAMETER
-from ident.assessment.plausibility import (
-    POSES,
-    indefinite_share,
-    inertia_matrices,
-    opposite_gravity,
-    sign_checks,
-)
+from ident.assessment.plausibility import POSES, indefinite_share, inertia_matrices, opposite_gravity, sign_checks
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.residual_tests import residual_checks
 from ident.assessment.torque_level import torque_level_checks, weight_checks

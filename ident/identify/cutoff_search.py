@@ -63,11 +63,7 @@ Prepare = Callable[[PreprocessChoices], Prepared]
 
 
 def lowered_cutoffs(
-    kernel: RegressorKernel,
-    prepared: Prepared,
-    prepare: Prepare,
-    choices: PreprocessChoices,
-    torques: Sequence[int],
+    kernel: RegressorKernel, prepared: Prepared, prepare: Prepare, choices: PreprocessChoices, torques: Sequence[int]
 ) -> LoweredCutoffs | None:
     """Lower cut-offs for data whose positions jitter; None where those chosen by the band are kept.
 

@@ -15,13 +15,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, UsageError
 from drivers.core.text import did_you_mean
-from ident.friction.table import (
-    FURTHER_KINDS,
-    LEAST_CURVATURE_SPAN,
-    LEAST_TEMPERATURE_SPAN,
-    SHAPES,
-    TEMPERATURE_KINDS,
-)
+from ident.friction.table import FURTHER_KINDS, LEAST_CURVATURE_SPAN, LEAST_TEMPERATURE_SPAN, SHAPES, TEMPERATURE_KINDS
 from ident.friction.terms import FrictionConditions, FrictionTerms, no_terms
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import column_signal, joint_column
@@ -122,9 +116,7 @@ def experiment_terms(experiment: FrictionExperimentResult, robot: str, names: Se
 
 
 def hold_temperatures(
-    model: DynamicModel,
-    experiment: FrictionExperimentResult,
-    temperatures: Sequence[tuple[str, FloatArray | None]],
+    model: DynamicModel, experiment: FrictionExperimentResult, temperatures: Sequence[tuple[str, FloatArray | None]]
 ) -> tuple[DynamicModel, HeldFriction]:
     """The model whose temperature terms the recordings can tell, and those that are held.
 

@@ -109,10 +109,7 @@ def _consistent(consistent: ConsistentModel, entries: list[BaseParameterResult])
     ]
     values = {entry.name: entry.value or 0.0 for entry in entries}
     return consistent.model_copy(
-        update={
-            "parameters": [*consistent.parameters, *known],
-            "base_values": {**consistent.base_values, **values},
-        }
+        update={"parameters": [*consistent.parameters, *known], "base_values": {**consistent.base_values, **values}}
     )
 
 

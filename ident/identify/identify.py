@@ -173,8 +173,7 @@ def identify(  # noqa: PLR0915 — the steps, in their order
         experiment=experiment,
         base=base,
         choices=replace(
-            choices,
-            preprocess=replace(prepared.choices, start=choices.preprocess.start, stop=choices.preprocess.stop),
+            choices, preprocess=replace(prepared.choices, start=choices.preprocess.start, stop=choices.preprocess.stop)
         ),
         runs=runs,
         validation_runs=held_out,

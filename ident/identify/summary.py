@@ -373,10 +373,7 @@ def _use(
         file=str(Path(run.signals.label).name) if path is not None else run.signals.label,
         role=role,
         **provenance(recording, run.signals.joint_names),
-        window=(
-            run.choices.start or 0.0,
-            float(time[-1] - time[0]) if run.choices.stop is None else run.choices.stop,
-        ),
+        window=(run.choices.start or 0.0, float(time[-1] - time[0]) if run.choices.stop is None else run.choices.stop),
         samples=sum(segment.position.shape[1] for segment in run.prepared.segments),
         rate_hz=run.prepared.segments[0].rate,
         events=[f"{event.level}: {event.message}" for event in recording.events],

@@ -27,15 +27,7 @@ def resting_model(robot_file: RobotFile) -> DynamicModel:
     """
     model = build_model(robot_file)
     none, every = (False,) * model.dof, (True,) * model.dof
-    return replace(
-        model,
-        motor_inertia=none,
-        viscous=none,
-        coulomb=none,
-        offset=every,
-        terms=NO_TERMS,
-        presliding=(),
-    )
+    return replace(model, motor_inertia=none, viscous=none, coulomb=none, offset=every, terms=NO_TERMS, presliding=())
 
 
 def gravity_base(model: DynamicModel) -> BaseParameters:

@@ -85,9 +85,7 @@ class AlikeColumns:
         return np.asarray(self.values * signal)
 
 
-def alike(
-    columns: Sequence[tuple[JointColumn, float]],
-) -> tuple[list[AlikeColumns], list[tuple[JointColumn, float]]]:
+def alike(columns: Sequence[tuple[JointColumn, float]]) -> tuple[list[AlikeColumns], list[tuple[JointColumn, float]]]:
     """Friction columns with their values: those that can be evaluated together, and the others."""
     groups: dict[tuple[str, float], list[tuple[JointColumn, float]]] = {}
     others = []

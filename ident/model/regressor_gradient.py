@@ -71,11 +71,7 @@ class _Spatial:
 
 
 def pull_back_regressor(
-    kernel: RegressorKernel,
-    position: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    weights: FloatArray,
+    kernel: RegressorKernel, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, weights: FloatArray
 ) -> FloatArray:
     """Derivatives (3, n, m) by position, velocity and acceleration of Σ weights · packed regressor, per sample.
 

@@ -44,10 +44,7 @@ class EssentialOptions(Options):
         one_of=get_args(EssentialRule),
     )
     significance: float = option(
-        SIGNIFICANT_RSD,
-        "Threshold of the relative standard deviation [%].",
-        allowed=PERCENT,
-        hint="the papers use 15",
+        SIGNIFICANT_RSD, "Threshold of the relative standard deviation [%].", allowed=PERCENT, hint="the papers use 15"
     )
 
 

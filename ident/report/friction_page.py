@@ -77,10 +77,7 @@ def _tiles(result: FrictionExperimentResult) -> list[Tile]:
         Tile("Joints", str(len(result.joints)), f"of {len(result.joints) + len(result.not_moved)}"),
         Tile("Recordings", str(len(result.recordings))),
         Tile("Widest range of temperature", "–" if widest is None else f"{number(widest, 3)} K"),
-        Tile(
-            "Highest load torque",
-            f"{number(max(joint.load_range.greatest for joint in result.joints), 3)} {torque}",
-        ),
+        Tile("Highest load torque", f"{number(max(joint.load_range.greatest for joint in result.joints), 3)} {torque}"),
     ]
 
 

@@ -202,11 +202,7 @@ def friction_fields(
             shape_value, shape_std = own.values() or (None, None)
             fields["further"].append(
                 FurtherFriction(
-                    kind=term.kind,
-                    value=value(term.kind),
-                    std=std(term.kind),
-                    shape=shape_value,
-                    shape_std=shape_std,
+                    kind=term.kind, value=value(term.kind), std=std(term.kind), shape=shape_value, shape_std=shape_std
                 )
             )
     return fields
@@ -264,10 +260,6 @@ def friction_results(
         return found
 
     return [
-        JointFrictionResult(
-            joint=name,
-            sliding=model.sliding[motor],
-            **of_motor(motor, joint),
-        )
+        JointFrictionResult(joint=name, sliding=model.sliding[motor], **of_motor(motor, joint))
         for motor, (joint, name) in enumerate(zip(model.active, model.joint_names, strict=True))
     ]

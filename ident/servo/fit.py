@@ -11,15 +11,7 @@ from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.arm_rollout import coupled_loads
 from ident.servo.contact import Contact, away, find_contact, in_contact
 from ident.servo.links import ServoLinks
-from ident.servo.motion import (
-    PIECE,
-    MotionLoad,
-    ServoMotion,
-    halves,
-    lanes_with_touch,
-    measured_load,
-    some_pieces,
-)
+from ident.servo.motion import PIECE, MotionLoad, ServoMotion, halves, lanes_with_touch, measured_load, some_pieces
 from ident.servo.rollout import Lanes, repeated
 from ident.servo.search import (
     BLOCKED_LITTLE,
@@ -31,16 +23,7 @@ from ident.servo.search import (
     robust_scale,
     search,
 )
-from ident.servo.terms import (
-    GROUPS,
-    INDEX,
-    TERMS,
-    members,
-    start_values,
-    to_search,
-    with_group,
-    without_group,
-)
+from ident.servo.terms import GROUPS, INDEX, TERMS, members, start_values, to_search, with_group, without_group
 
 PIECES = 160
 """Pieces at most with which terms are chosen; the final fit takes `FINAL_PIECES`."""
@@ -285,13 +268,7 @@ def _settle_terms(
 
 
 def _like_the_others(
-    state: _State,
-    chosen: Lanes,
-    judged: Lanes,
-    centre: FloatArray,
-    held: BoolArray,
-    able: BoolArray,
-    least: float,
+    state: _State, chosen: Lanes, judged: Lanes, centre: FloatArray, held: BoolArray, able: BoolArray, least: float
 ) -> None:
     """Begin again with what the nearest joint has, and keep it where pieces that were not fitted are nearer, in place.
 

@@ -234,9 +234,7 @@ def judge(
             rollout_error=mean(errors),
             rollout_mean=float(np.mean(mean(errors))),
             references=References(
-                command=mean(command),
-                delay_and_lag=mean(lagged),
-                model_file=None if of_file is None else mean(of_file),
+                command=mean(command), delay_and_lag=mean(lagged), model_file=None if of_file is None else mean(of_file)
             ),
             recordings=[
                 RolloutError(

@@ -114,12 +114,7 @@ def servo_ranges(result: ServoResult, unit_spread: float) -> dict[str, object]:
             }
         covariance = with_spread(result, row, unit_spread).tolist() if result.searched[row] else []
         joints.append(
-            {
-                "joint": joint.joint,
-                "parameters": parameters,
-                "order": result.searched[row],
-                "covariance": covariance,
-            }
+            {"joint": joint.joint, "parameters": parameters, "order": result.searched[row], "covariance": covariance}
         )
     return {
         "dynid_schema": SCHEMA,

@@ -171,12 +171,7 @@ def roll_out(
 
 
 def _compiled(
-    library: Any,
-    lanes: Lanes,
-    values: FloatArray,
-    free: IndexArray,
-    goals: FloatArray,
-    d_goals: dict[int, FloatArray],
+    library: Any, lanes: Lanes, values: FloatArray, free: IndexArray, goals: FloatArray, d_goals: dict[int, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
     """Positions (K, L) and derivatives (F, K, L), by the library's C code."""
     count, width = lanes.load.shape

@@ -207,8 +207,4 @@ def _five_point(cutoffs: Cutoffs, rate: float) -> tuple[Smoother, Cutoffs, Step]
         f"positions: five-point cubic, {passes} passes; the gain is one half at {reached:.4g} Hz; {_band_text(cutoffs)}"
     )
     settings = {"position_cutoff_hz": reached, "motion_band_hz": cutoffs.band, "passes": passes}
-    return (
-        Smoother(apply, "by central differences"),
-        cutoffs,
-        Step("smoothing", settings, text),
-    )
+    return (Smoother(apply, "by central differences"), cutoffs, Step("smoothing", settings, text))

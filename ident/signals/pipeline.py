@@ -34,12 +34,7 @@ from ident.signals.resampling import (
     shiftable,
     uniform_grid,
 )
-from ident.signals.segments import (
-    SHORTEST_SEGMENT,
-    UniformSegment,
-    moving_segments,
-    without_ends,
-)
+from ident.signals.segments import SHORTEST_SEGMENT, UniformSegment, moving_segments, without_ends
 
 __all__ = ["Prepared", "PreprocessChoices", "Segment", "prepare"]
 

@@ -155,11 +155,7 @@ class IdentifiedGravity(GradedResult):
 
 
 def identify_gravity(
-    runs: Runs,
-    *,
-    validation: Runs = (),
-    robot: str | Path | RobotFile | None = None,
-    progress: Progress = silent,
+    runs: Runs, *, validation: Runs = (), robot: str | Path | RobotFile | None = None, progress: Progress = silent
 ) -> IdentifiedGravity:
     """Identify the gravity of an arm from poses passed slowly in both directions: `dynid identify --gravity`.
 

@@ -283,12 +283,7 @@ def learnt_thresholds(
     ]
     samples = at_rate(samples, period or sample_period(samples[0][1]))
     thresholds = earned_thresholds(
-        model,
-        samples,
-        kind=options.observer,
-        bandwidth=options.bandwidth,
-        per_hour=options.false_alarms,
-        period=period,
+        model, samples, kind=options.observer, bandwidth=options.bandwidth, per_hour=options.false_alarms, period=period
     )
     positions = np.concatenate([entry.position for _, entry in samples])
     return thresholds, positions[:: max(1, len(positions) // POSES)]

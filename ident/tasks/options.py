@@ -110,11 +110,7 @@ class CompareOptions(Options):
 
     runs: Runs = field(metadata=_RUNS)
     methods: Sequence[str] = option(
-        ("ols", "wls"),
-        "Methods, as identify takes them.",
-        metavar="A,B,…",
-        read=read_names,
-        shown="ols,wls",
+        ("ols", "wls"), "Methods, as identify takes them.", metavar="A,B,…", read=read_names, shown="ols,wls"
     )
     _: KW_ONLY
     friction: Sequence[str] = option(
@@ -388,9 +384,7 @@ class InfoOptions(Options):
 
 
 _ROBOT = argument(
-    "robot",
-    "Built-in robot or robot file.",
-    meaning="built-in name, robot file, URDF, or the result of `load_robot`.",
+    "robot", "Built-in robot or robot file.", meaning="built-in name, robot file, URDF, or the result of `load_robot`."
 )
 
 
@@ -408,9 +402,7 @@ class ExciteOptions(SearchOptions, DesignChoices):
         command_type=Path,
     )
     prior: str | Path | None = option(
-        None,
-        "Model folder or result.json with prior parameters and noise.",
-        command_type=Path,
+        None, "Model folder or result.json with prior parameters and noise.", command_type=Path
     )
     progress: Callable[[SearchResult], None] = option(
         silent, meaning="called after each better motion, and a few times per second."

@@ -276,12 +276,7 @@ _MODEL = (
         "links lie at the boundary of what can exist",
         "Their inertia comes from the condition rather than from the data: excite them more, or give a prior.",
     ),
-    note(
-        "range-hit",
-        "model",
-        "a range of the robot file holds a parameter",
-        "Widen the range if it was a guess.",
-    ),
+    note("range-hit", "model", "a range of the robot file holds a parameter", "Widen the range if it was a guess."),
 )
 
 _RESIDUALS = (

@@ -293,12 +293,7 @@ EXCITATION = (
         "the residual has a few short bursts",
         "Something touched the arm, or a signal failed: leave these times out, or compare --method irls.",
     ),
-    note(
-        "few-equations",
-        "data",
-        "there are few equations per parameter",
-        "Record longer.",
-    ),
+    note("few-equations", "data", "there are few equations per parameter", "Record longer."),
     CheckKind(
         "weights-not-settled",
         "model",

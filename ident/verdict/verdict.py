@@ -219,9 +219,7 @@ def _torque_reasons(evidence: Evidence) -> list[_Reason]:
     whole = evidence.whole.judged
     if whole is None:
         return [_Reason("usable", "no held-out error is known")]
-    reasons = [
-        _Reason(_grade(whole, GOOD_ERROR, USABLE_ERROR), f"the held-out torque error is {evidence.whole.text}"),
-    ]
+    reasons = [_Reason(_grade(whole, GOOD_ERROR, USABLE_ERROR), f"the held-out torque error is {evidence.whole.text}")]
     figures = {joint: error.judged for joint, error in evidence.joints.items()}
     largest = max(figures, key=lambda joint: figures[joint] or 0.0, default=None)
     if largest is not None and (figure := figures[largest]) is not None:

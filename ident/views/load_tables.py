@@ -31,10 +31,7 @@ def payload_tables(result: PayloadResult) -> list[Table]:
 
 def load_table(rows: Sequence[LoadParameter], title: str = "Load") -> Table:
     """Identifiable combinations of the load's ten parameters, in the tool frame."""
-    by_cause = (
-        Column("noise_std", label="σ by noise", digits=3),
-        Column("gain_std", label="σ by gains", digits=3),
-    )
+    by_cause = (Column("noise_std", label="σ by noise", digits=3), Column("gain_std", label="σ by gains", digits=3))
     columns = (Column("name"), Column("expression", kind="detail"), VALUE, STD, UNIT, *by_cause)
     return table_of(title, columns, rows)
 

@@ -20,15 +20,7 @@ from drivers.core.errors import UsageError
 from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
 from sim_drivers.plant.control import Reference
 from sim_drivers.rtde.joint_motion import JointMotion, ServoJ, VelocityRamp
-from sim_drivers.rtde.variables import (
-    JOINTS,
-    SIZES,
-    ControllerVersion,
-    Value,
-    input_variables,
-    output_variables,
-    zero,
-)
+from sim_drivers.rtde.variables import JOINTS, SIZES, ControllerVersion, Value, input_variables, output_variables, zero
 
 STOPPED, PLAYING = 1, 2
 """runtime_state."""

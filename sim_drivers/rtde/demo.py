@@ -159,10 +159,7 @@ def run_demo(
 
 
 def _recorded(
-    served: Callable[[], AbstractContextManager[Record]],
-    trajectory: Path,
-    out: Path,
-    progress: Callable[[str], None],
+    served: Callable[[], AbstractContextManager[Record]], trajectory: Path, out: Path, progress: Callable[[str], None]
 ) -> Recorded:
     """A recording of a freshly served arm; again where this computer, which does all the work, was too busy for it.
 

@@ -54,10 +54,7 @@ from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_re
 from studies.coverage.reversals import public_recordings
 from studies.synthetic.controlled_run import record_plant
 
-METHODS = (
-    *("ols", "wls", "tls", "iv:instruments=repetition"),
-    "output-error",
-)
+METHODS = (*("ols", "wls", "tls", "iv:instruments=repetition"), "output-error")
 TARGET_METHODS = ("iv:instruments=target",)
 """Need the controller's targets."""
 PERIOD, DURATION = 10.0, 30.0
@@ -67,10 +64,7 @@ POSITION_STD, POSITION_CORRELATION = 5e-5, 0.7
 TORQUE_SHARE, TORQUE_CORRELATION = 0.03, 0.95
 """Of the noise on torques, over their root mean square, and its lag-one correlation."""
 
-PREPROCESSING = {
-    "default": PreprocessChoices(),
-    "poor": PreprocessChoices(position_cutoff=80.0, torque_cutoff=40.0),
-}
+PREPROCESSING = {"default": PreprocessChoices(), "poor": PreprocessChoices(position_cutoff=80.0, torque_cutoff=40.0)}
 
 
 @dataclass(frozen=True)

@@ -39,10 +39,7 @@ TRUTH = {
     "foreArm_joint": {"alpha": 1.35, "load": 0.004, "temperature": [26.0, -0.07, 0.0]},
     "wrist1_joint": {"alpha": 1.3, "load": 0.06, "temperature": [8.0, -0.022, 0.0]},
 }
-POSES = {
-    "stretched": [0.0, -0.3, 0.4, 0.3, 0.0, 0.0],
-    "bent": [0.0, 0.6, 1.4, 0.9, 0.6, 0.0],
-}
+POSES = {"stretched": [0.0, -0.3, 0.4, 0.3, 0.0, 0.0], "bent": [0.0, 0.6, 1.4, 0.9, 0.6, 0.0]}
 GIVEN = "coulomb-viscous+power+load+temperature-linear"
 COLD, WARM = 25.5, 40.6
 RATE = 200.0

@@ -50,12 +50,7 @@ def rows(joint_5: float, motor_6: float) -> FloatArray:
     """Rows (2, 6) of eq. 8 for q̇5 and q̇m6, of motors 5 and 6."""
     joint_6 = motor_6 - joint_5
     own = np.array([np.sign(joint_6), joint_6])
-    return np.array(
-        [
-            [np.sign(joint_5), joint_5, *own, 0.0, 0.0],
-            [0.0, 0.0, *-own, np.sign(motor_6), motor_6],
-        ]
-    )
+    return np.array([[np.sign(joint_5), joint_5, *own, 0.0, 0.0], [0.0, 0.0, *-own, np.sign(motor_6), motor_6]])
 
 
 def quiet_pose(robot_file: RobotFile) -> FloatArray:

@@ -168,8 +168,7 @@ HOSTILE = "arm\x1b]0;owned\x07\x1b[2J\x9b31m\u202e"
 
 
 @pytest.mark.parametrize(
-    "arguments",
-    [["info", HOSTILE], ["check", HOSTILE], ["identify", HOSTILE], [HOSTILE], ["info", f"--{HOSTILE}"]],
+    "arguments", [["info", HOSTILE], ["check", HOSTILE], ["identify", HOSTILE], [HOSTILE], ["info", f"--{HOSTILE}"]]
 )
 @pytest.mark.parametrize("as_json", [False, True])
 def test_what_was_given_commands_no_terminal(monkeypatch, capsys, arguments, as_json):

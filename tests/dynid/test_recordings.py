@@ -52,10 +52,7 @@ def test_two_recordings_in_memory_keep_their_own_windows_and_hashes(result):
     ("change", "message"),
     [
         ({"position": lambda q: q.T}, r"position: has shape \(6, 400\); \(400, 6\) is needed \(it is transposed"),
-        (
-            {"position": lambda q: q[:, :5]},
-            r"position: has shape \(400, 5\); \(400, 6\) is needed \(one row per sam",
-        ),
+        ({"position": lambda q: q[:, :5]}, r"position: has shape \(400, 5\); \(400, 6\) is needed \(one row per sam"),
         ({"position": lambda q: q[:10]}, r"position: has shape \(10, 6\)"),
         ({"position": lambda q: q[0]}, r"position: has shape \(6,\)"),
         ({"position": np.rad2deg}, "position: reaches .* these are degrees .*deg2rad"),

@@ -285,12 +285,7 @@ class Motions:
         control: takes control, given a connect, the clock, the host and the rate.
     """
 
-    def __init__(
-        self,
-        clock: SimulatedClock,
-        connect: Connect,
-        control: TakesControl = PythonControl,
-    ) -> None:
+    def __init__(self, clock: SimulatedClock, connect: Connect, control: TakesControl = PythonControl) -> None:
         self.made: list[MotionThread] = []
         self._control_of = control
         self._clock = clock

@@ -4,13 +4,7 @@ from __future__ import annotations
 
 from daq.robot.loader import RobotFile
 from ident.result.graded import Grade
-from ident.servo.result import (
-    References,
-    RolloutFit,
-    ServoJoint,
-    ServoParameter,
-    ServoResult,
-)
+from ident.servo.result import References, RolloutFit, ServoJoint, ServoParameter, ServoResult
 from ident.servo.terms import INDEX, TERMS
 from studies.synthetic.altered_arms import true_values
 

@@ -151,12 +151,7 @@ def _datasets(group: Any, prefix: str, opened: set[tuple[int, int]], bounds: Hdf
 
 
 def _add_dataset(
-    label: str,
-    dataset: Any,
-    file: Any,
-    arrays: dict[str, npt.NDArray[Any]],
-    opaque: list[str],
-    bounds: Hdf5Bounds,
+    label: str, dataset: Any, file: Any, arrays: dict[str, npt.NDArray[Any]], opaque: list[str], bounds: Hdf5Bounds
 ) -> None:
     matlab_class = dataset.attrs.get("MATLAB_class", b"")
     matlab_class = matlab_class.decode("ascii", "replace") if isinstance(matlab_class, bytes) else str(matlab_class)

@@ -28,11 +28,7 @@ from drivers.core.arrays import FloatArray, IntArray
 FAULT = "fault"
 ALIGNMENT_PERIOD = 1.0
 """Missing and extra frames are reported at most once in so many seconds."""
-_MARKS = (
-    (WARNING_BIT, "warning"),
-    (INTERNAL_LIMIT_BIT, "internal limit active"),
-    (FOLLOWING_ERROR, "following error"),
-)
+_MARKS = ((WARNING_BIT, "warning"), (INTERNAL_LIMIT_BIT, "internal limit active"), (FOLLOWING_ERROR, "following error"))
 
 
 class DriveWatch:

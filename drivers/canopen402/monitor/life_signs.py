@@ -104,11 +104,7 @@ def heartbeat(sender: Sender, own_id: int, period: float, clock: Clock = SYSTEM_
 
 
 def guard_requests(
-    sender: Sender,
-    ids: Sequence[int],
-    period: float,
-    before: Callable[[int, float], None],
-    clock: Clock = SYSTEM_CLOCK,
+    sender: Sender, ids: Sequence[int], period: float, before: Callable[[int, float], None], clock: Clock = SYSTEM_CLOCK
 ) -> LifeSigns:
     """A remote frame to each node once a period [s], evenly spread; `before` gets its index."""
     frames = [(HEARTBEAT + node | REMOTE, bytes(1)) for node in ids]

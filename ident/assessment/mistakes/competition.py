@@ -204,10 +204,7 @@ class Competition:
             active = list(range(base.count))
         regressor = moved.regressor(RegressorKernel(model, base.columns))
         conditions = np.vstack(
-            [
-                inertia_conditions(model, self.experiment, base),
-                friction_conditions(model, base, moved, regressor),
-            ]
+            [inertia_conditions(model, self.experiment, base), friction_conditions(model, base, moved, regressor)]
         )[:, active]
         system = equations(regressor[:, active], moved, self.experiment.torques)
         fit = system.fit(torques, conditions[np.any(conditions != 0.0, axis=1)])

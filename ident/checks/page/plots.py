@@ -144,12 +144,7 @@ def spectra_figure(motion: RecordedMotion) -> Figure:
 
 
 def _spectrum_panel(
-    quantity: str,
-    unit: str,
-    names: Sequence[str],
-    time: FloatArray,
-    values: FloatArray,
-    lines: Sequence[Line],
+    quantity: str, unit: str, names: Sequence[str], time: FloatArray, values: FloatArray, lines: Sequence[Line]
 ) -> Panel:
     frequency, density = _density(time, values)
     traces = [

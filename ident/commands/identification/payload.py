@@ -40,12 +40,7 @@ def _folder(options: LoadOptions, out: Path | None, experiment: str, result: str
 @app.command("payload")
 @takes(LoadOptions)
 def identify_load(
-    *,
-    options: LoadOptions,
-    out: Path = OUT,
-    verbose: bool = VERBOSE,
-    force: bool = FORCE,
-    as_json: bool = JSON,
+    *, options: LoadOptions, out: Path = OUT, verbose: bool = VERBOSE, force: bool = FORCE, as_json: bool = JSON
 ) -> None:
     """Identify the load on the tool from runs without and with it.
 
@@ -71,12 +66,7 @@ def identify_load(
 @app.command("gains")
 @takes(GainsOptions)
 def identify_drive_gains(
-    *,
-    options: GainsOptions,
-    out: Path = OUT,
-    verbose: bool = VERBOSE,
-    force: bool = FORCE,
-    as_json: bool = JSON,
+    *, options: GainsOptions, out: Path = OUT, verbose: bool = VERBOSE, force: bool = FORCE, as_json: bool = JSON
 ) -> None:
     """Identify drive gains from runs without and with a known load.
 

@@ -143,11 +143,7 @@ def _live(
             watch.page = page
             watch.alarm = lambda time, text, joint: page.alarm(Alarm(time, text, joint))
         report = recorded(
-            *(plan, options, options.record, clock),
-            overwrite=force,
-            live=shown,
-            watch=watch,
-            retracts=options.retract,
+            *(plan, options, options.record, clock), overwrite=force, live=shown, watch=watch, retracts=options.retract
         )
     found = watch.monitor.contacts
     load = watch.monitor.load

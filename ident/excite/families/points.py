@@ -114,11 +114,7 @@ class PointsFamily(JointFamily):
 
         # ∂/∂ of a move's own time and of when it begins, each summed over joints.
         way = ways[moves.index].T
-        in_time = [
-            -way * p1 * u / length,
-            -way * (p2 * u + p1) / length**2,
-            -way * (p3 * u + 2.0 * p2) / length**3,
-        ]
+        in_time = [-way * p1 * u / length, -way * (p2 * u + p1) / length**2, -way * (p3 * u + 2.0 * p2) / length**3]
         in_begin = [-way * p1 / length, -way * p2 / length**2, -way * p3 / length**3]
         by_time = np.einsum("...cmt,cmt->...t", of_moving, np.array(in_time)) @ inside.T
         by_begin = np.einsum("...cmt,cmt->...t", of_moving, np.array(in_begin)) @ inside.T

@@ -16,13 +16,7 @@ from ident.linear_algebra.triangular import triangular
 from ident.model.load import KnownLoad, LoadColumns, load_columns, load_effect
 from ident.regression.least_squares import excited_columns
 from ident.regression.observation_matrix import JointFactor, Reduction
-from ident.regression.total_least_squares import (
-    NullVector,
-    distinctness,
-    null_vector,
-    null_vector_moves,
-    signal_noise,
-)
+from ident.regression.total_least_squares import NullVector, distinctness, null_vector, null_vector_moves, signal_noise
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 
 

@@ -99,9 +99,7 @@ def analyse_gravity(
     progress("gravity")
     fit = fit_gravity(visits, model)
     together = Visits(
-        visits,
-        [pose for part in found for pose in part.unbalanced],
-        np.max([part.moved for part in found], axis=0),
+        visits, [pose for part in found for pose in part.unbalanced], np.max([part.moved for part in found], axis=0)
     )
     stuck = [name for name, moved in zip(model.joint_names, together.moved, strict=True) if not moved]
     concerns = doubts(file, model, base, together, fit, [name for name in stuck if name in commanded])

@@ -81,12 +81,7 @@ def merge_results(
     )
     rows = sum(source.result.residuals.effective_rows or 0.0 for source in inputs)
     pruned = prune(
-        merged.solution,
-        inflation,
-        rows,
-        lambda columns: merge(informations, columns).solution,
-        essential,
-        threshold,
+        merged.solution, inflation, rows, lambda columns: merge(informations, columns).solution, essential, threshold
     )
     result, consistent = _result(model, base, inputs, merged, within, std, between, pruned, essential, threshold)
     whole = base.count == base_parameters(model).count
@@ -184,14 +179,7 @@ def _result(
         friction=friction_results(model, base, solution, std, merged.covariance, {}, between),
         friction_note=friction_note(len(inputs), between),
         standard_parameters=None if consistent is None else link_results(model, consistent),
-        consistent=None
-        if consistent is None
-        else consistent_model(
-            model,
-            base,
-            robot_file,
-            consistent,
-        ),
+        consistent=None if consistent is None else consistent_model(model, base, robot_file, consistent),
         drive_gains=gain_results(
             robot_file.robot, {gain.joint for source in inputs for gain in source.result.drive_gains}
         ),

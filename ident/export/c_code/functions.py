@@ -216,14 +216,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
             "tau",
             (rubbing_alone,),
         ),
-        Function(
-            "mass_matrix",
-            "Joint-space inertia matrix, motor inertia included.",
-            ("q",),
-            "M",
-            mass,
-            matrix=True,
-        ),
+        Function("mass_matrix", "Joint-space inertia matrix, motor inertia included.", ("q",), "M", mass, matrix=True),
         Function(
             "regressor",
             "Base regressor Y with torque = Y * parameters.",

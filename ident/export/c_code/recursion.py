@@ -84,11 +84,7 @@ def link_motion(velocity: Vector, acceleration: Vector, linear: Vector) -> LinkM
     ax, ay, az = acceleration
     products = {"xx": x * x, "yy": y * y, "zz": z * z, "xy": x * y, "xz": x * z, "yz": y * z}
     xx, yy, zz, xy, xz, yz = products.values()
-    swing = (
-        (-(yy + zz), xy - az, xz + ay),
-        (xy + az, -(xx + zz), yz - ax),
-        (xz - ay, yz + ax, -(xx + yy)),
-    )
+    swing = ((-(yy + zz), xy - az, xz + ay), (xy + az, -(xx + zz), yz - ax), (xz - ay, yz + ax, -(xx + yy)))
     return LinkMotion(velocity, acceleration, products, swing, linear)
 
 

@@ -59,9 +59,7 @@ def reference(dynamics: InverseDynamics, real: Real, count: int = STATES, seed: 
     inertia = dynamics.inertia(position)
     at_rest = dynamics.torque(position, velocity, still)
     rows = np.einsum(
-        "mn,mbN->Nnb",
-        dynamics.coupling,
-        regressor(model, position, velocity, acceleration, dynamics.base.columns),
+        "mn,mbN->Nnb", dynamics.coupling, regressor(model, position, velocity, acceleration, dynamics.base.columns)
     )
     outputs = {
         "torque": torque.T,

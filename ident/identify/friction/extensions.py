@@ -155,11 +155,7 @@ def motion_folds(series: Sequence[TorqueSeries], segments: Sequence[int]) -> lis
 
 
 def choose_position_terms(
-    search: FrictionSearch,
-    motors: Sequence[int],
-    terms: FrictionTerms,
-    names: Sequence[str],
-    level: float,
+    search: FrictionSearch, motors: Sequence[int], terms: FrictionTerms, names: Sequence[str], level: float
 ) -> list[FrictionStep]:
     """Add terms to each motor until none counts; the steps that were tried.
 

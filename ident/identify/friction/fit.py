@@ -47,12 +47,7 @@ from ident.model.presliding import dry_friction
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries, independent_share, residual_autocorrelation
 from ident.regression.jackknife import distinct_samples
-from ident.regression.least_squares import (
-    LeastSquares,
-    LinearMethod,
-    ordinary_least_squares,
-    weighted_least_squares,
-)
+from ident.regression.least_squares import LeastSquares, LinearMethod, ordinary_least_squares, weighted_least_squares
 from ident.regression.observability import Experiment, experiment_base
 from ident.regression.observation_matrix import Reduction
 from ident.result.friction import FrictionStep

@@ -168,11 +168,7 @@ class FrictionSearch:
         return bool(np.linalg.eigvalsh(left)[0] < share**2)
 
     def choose(
-        self,
-        motor: int,
-        name: str,
-        words: Sequence[str] = tuple(OPTION),
-        level: float = LEVEL,
+        self, motor: int, name: str, words: Sequence[str] = tuple(OPTION), level: float = LEVEL
     ) -> list[FrictionStep]:
         """Add terms to a motor as long as one counts.
 

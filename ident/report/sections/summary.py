@@ -78,9 +78,7 @@ def _tiles(result: Result) -> list[Tile]:
         Tile("Base parameters", str(len(result.base_parameters)), f"{significant} significant"),
         Tile("Condition of W", number(result.condition, 3), "not normalised"),
         Tile(
-            "Equations",
-            whole(result.residuals.rows),
-            f"{whole(result.residuals.effective_rows)} effective independent",
+            "Equations", whole(result.residuals.rows), f"{whole(result.residuals.effective_rows)} effective independent"
         ),
     ]
 
@@ -92,10 +90,7 @@ def _row(result: Result, joint: int) -> dict[str, Any]:
         if delivered is None
         else (delivered.validation_all_samples, delivered.validation, delivered.fit)
     )
-    return {
-        "joint": result.joints[joint],
-        "sets": [_errors(fit, joint) for fit in sets],
-    }
+    return {"joint": result.joints[joint], "sets": [_errors(fit, joint) for fit in sets]}
 
 
 def _errors(fit: Fit | None, joint: int) -> list[float | None]:

@@ -36,12 +36,7 @@ def section(data: ReportData) -> ReportSection | None:
         return None
     values = dict(zip(data.truth.names, map(float, data.truth.values), strict=True))
     rows = [_compare(parameter, values.pop(parameter.name, None)) for parameter in data.result.base_parameters]
-    context = {
-        "rows": rows,
-        "tiles": _tiles(rows),
-        "figure": _figure(rows),
-        "unmatched": sorted(values),
-    }
+    context = {"rows": rows, "tiles": _tiles(rows), "figure": _figure(rows), "unmatched": sorted(values)}
     return ReportSection("Truth", "truth", "truth.html.j2", context)
 
 

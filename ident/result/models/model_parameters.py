@@ -264,11 +264,7 @@ class ModelParameters:
         return kelvin
 
     def _columns(
-        self,
-        position: FloatArray,
-        velocity: FloatArray,
-        acceleration: FloatArray,
-        kelvin: FloatArray | None = None,
+        self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray, kelvin: FloatArray | None = None
     ) -> FloatArray:
         """Joint regressor (n, b, N); the kernel's rows are the motors'. At rest no temperature is needed."""
         heat = np.full_like(position, REFERENCE_TEMPERATURE) if kelvin is None else kelvin

@@ -90,13 +90,7 @@ def samples(seed: int) -> SampledMotion:
 
 POINTS = PointToPoint(np.array([[0.0, 1.0], [2.0, -1.0], [1.0, 0.0]]), np.array([1.0, 2.0]), 0.5)
 SINES = SumOfSines(3.0, np.array([0.1]), np.array([[0.3, 0.2]]), np.array([[2.0, 5.5]]))
-MOTIONS = [
-    POINTS,
-    SINES,
-    samples(1),
-    RestToRest(SINES, 1, 0.7),
-    RestToRest(series(1, 3, 4, 2.0), 3, 1.0),
-]
+MOTIONS = [POINTS, SINES, samples(1), RestToRest(SINES, 1, 0.7), RestToRest(series(1, 3, 4, 2.0), 3, 1.0)]
 
 
 @pytest.mark.parametrize("motion", MOTIONS)

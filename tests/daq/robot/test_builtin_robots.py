@@ -181,10 +181,7 @@ def test_assumed_acceleration_limits_stay_below_the_torque_limits(name: str) -> 
     ],
 )
 def test_centres_of_mass_agree_with_the_maker_s_dh_frames(
-    name: str,
-    dh_a: tuple[float, ...],
-    dh_alpha: tuple[int, ...],
-    dh_com: tuple[tuple[float, float, float], ...],
+    name: str, dh_a: tuple[float, ...], dh_alpha: tuple[int, ...], dh_com: tuple[tuple[float, float, float], ...]
 ) -> None:
     """The maker's DH table and centres of mass give the same points in space as our frames (alpha in quarter turns)."""
     import pinocchio as pin

@@ -49,11 +49,7 @@ REFUSED: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "not YAML": ("name: [arm\nmodel: {}\n", ", line ", ("not valid YAML",)),
     "tab as indentation": ("name: arm\nmodel:\n\tmdh: []\n", ", line 3, column 1", ("not valid YAML", "\\t")),
     "control character": ("name: a\x00rm\n", "", ("not valid YAML", "special characters")),
-    "key twice": (
-        replaced("joints:", "name: again\njoints:"),
-        ", line 6, column 1",
-        ("key 'name' appears twice",),
-    ),
+    "key twice": (replaced("joints:", "name: again\njoints:"), ", line 6, column 1", ("key 'name' appears twice",)),
     "nested key twice": (
         replaced("velocity: 2}", "velocity: 2, velocity: 3}"),
         ", line 7",

@@ -23,14 +23,7 @@ from daq.recording.recorder import Recorder
 from daq.recording.recording import Event, Recording
 from daq.session.course import REST_TIME
 from daq.session.play import FIRST_SAMPLE_LIMIT, Play
-from daq.session.session import (
-    ENDED_BY,
-    INTERRUPTED,
-    READ_TIMEOUT,
-    SessionReport,
-    load_driver,
-    record,
-)
+from daq.session.session import ENDED_BY, INTERRUPTED, READ_TIMEOUT, SessionReport, load_driver, record
 from daq.session.supervisor import Limits, Supervisor
 from daq.session.watch import Watch
 from drivers.base import Notice
@@ -54,11 +47,7 @@ PLAYED = REST_TIME + 3.0 * PERIOD
 
 
 def run(
-    path: Path,
-    arm: KinematicArm,
-    play: Play | None = None,
-    duration: float | None = None,
-    watch: Watch | None = None,
+    path: Path, arm: KinematicArm, play: Play | None = None, duration: float | None = None, watch: Watch | None = None
 ) -> SessionReport:
     arm.open()
     layouts = arm.streams()

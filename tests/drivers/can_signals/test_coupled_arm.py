@@ -38,9 +38,7 @@ def batches_and_truth(clock: SimulatedClock) -> tuple[list[Batch], np.ndarray, t
         return batches, noted_by(server, "torque", cycles), said
 
 
-def test_the_recorded_torque_is_the_joints(
-    batches_and_truth: tuple[list[Batch], np.ndarray, tuple[str, ...]],
-) -> None:
+def test_the_recorded_torque_is_the_joints(batches_and_truth: tuple[list[Batch], np.ndarray, tuple[str, ...]]) -> None:
     batches, truth, said = batches_and_truth
     torque = np.concatenate([batch.values["torque"] for batch in batches])
     current = np.concatenate([batch.values["current"] for batch in batches])

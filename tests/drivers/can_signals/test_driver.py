@@ -360,11 +360,7 @@ def test_the_arm_is_enabled_commanded_and_stopped(
     driver.command(np.array([0.11, -0.19]))
     clock.sleep(0.01)
     positions = [values.to_bytes(2, "little", signed=True) for values in (1000, -2000, 1100, -1900)]
-    assert made.heard == [
-        (0x200, b"\1"),
-        (0x201, positions[0] + positions[1]),
-        (0x201, positions[2] + positions[3]),
-    ]
+    assert made.heard == [(0x200, b"\1"), (0x201, positions[0] + positions[1]), (0x201, positions[2] + positions[3])]
     with pytest.raises(DriverStateError, match="does not fit into its 16 bits"):
         driver.command(np.array([0.11, -4.0]))
     for wrong in (np.zeros(3), np.array([np.nan, 0.0])):

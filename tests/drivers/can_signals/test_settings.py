@@ -108,11 +108,7 @@ def test_a_connection_is_read() -> None:
         ({"signals": [position("shoulder", id="0x181")]}, "signals[0].id", "not in quotes"),
         ({"signals": [position("shoulder", endian="big")]}, "signals[0].endian", "unknown key"),
         ({"signals": [position("shoulder", stream="a/b")]}, "signals[0].stream", ""),
-        (
-            {"signals": [position("shoulder", multiplexer=1)]},
-            "signals[0].multiplexer",
-            "allowed: a mapping of keys",
-        ),
+        ({"signals": [position("shoulder", multiplexer=1)]}, "signals[0].multiplexer", "allowed: a mapping of keys"),
         (
             {"signals": [position("shoulder", multiplexer={"start": 32, "length": 2, "value": 4})]},
             "signals[0]",

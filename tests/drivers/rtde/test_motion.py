@@ -309,10 +309,7 @@ def test_a_process_that_hangs_is_killed(log: Path) -> None:
 @pytest.mark.realtime
 def test_ur_rtde_itself_before_a_silent_controller_is_killed() -> None:
     host = loopback()
-    with (
-        socket.create_server((host, 30004)),
-        pytest.raises(ConnectionFailedError, match=r"no control of the arm"),
-    ):
+    with socket.create_server((host, 30004)), pytest.raises(ConnectionFailedError, match=r"no control of the arm"):
         MotionProcess(host, 500.0, 2.0)
     assert multiprocessing.active_children() == []
 

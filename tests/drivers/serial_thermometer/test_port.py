@@ -156,18 +156,13 @@ JSON = st.recursive(
 )
 
 
-@given(
-    key=st.sampled_from([*KEYS, "baudrate", "unit", "range", "required", "timeout", "with", "x"]),
-    value=JSON,
-)
+@given(key=st.sampled_from([*KEYS, "baudrate", "unit", "range", "required", "timeout", "with", "x"]), value=JSON)
 def test_any_value_is_taken_or_refused_in_words(key: str, value: object) -> None:
     with suppress(UsageError):
         assert settings(**{key: value}).rate > 0
 
 
-@given(
-    st.lists(st.tuples(st.sampled_from(JOINTS), st.floats(0, 100)), max_size=30),
-)
+@given(st.lists(st.tuples(st.sampled_from(JOINTS), st.floats(0, 100)), max_size=30))
 def test_rows_hold_every_reading_once_and_in_order(readings: list[tuple[str, float]]) -> None:
     assembler = RowAssembler(JOINTS)
     rows = []

@@ -8,13 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ident.assessment.residual_tests import (
-    LAGS,
-    ResidualTests,
-    filter_memory,
-    residual_checks,
-    residual_tests,
-)
+from ident.assessment.residual_tests import LAGS, ResidualTests, filter_memory, residual_checks, residual_tests
 from ident.regression.comparison import TorqueSeries
 from ident.signals.filters import ZeroPhaseFilter, butterworth, chebyshev_decimation, no_filter
 

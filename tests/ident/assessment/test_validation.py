@@ -133,8 +133,7 @@ def test_less_torque_is_no_overfitting(size):
 
 
 @pytest.mark.parametrize(
-    ("error", "name"),
-    [([0.3, -0.3, 0.3, -0.3], "overfitting"), ([0.1, -0.1, 0.9, -0.9], "errors-near-standstill")],
+    ("error", "name"), [([0.3, -0.3, 0.3, -0.3], "overfitting"), ([0.1, -0.1, 0.9, -0.9], "errors-near-standstill")]
 )
 def test_larger_errors_are_told_by_their_cause(error, name):
     velocity = [[1.0, 1.0, 0.05, 0.05]]

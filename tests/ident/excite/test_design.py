@@ -27,15 +27,7 @@ KINDS = ("fourier", "fourier-quintic", "sines", "points")
 EVERY_ARM = {(name, kind) for name, kind in zip(ARM_KINDS, KINDS * len(ARM_KINDS), strict=False)}
 EVERY_KIND = {("sr400", kind) for kind in KINDS}
 """An arm with a closed loop; `studies/excitation/excite_robots.py` designs for all arms, and for longer."""
-CRITERIA = (
-    "condition",
-    "plain-condition",
-    "moments",
-    "d-optimal",
-    "e-optimal",
-    "deviations",
-    "motion-size",
-)
+CRITERIA = ("condition", "plain-condition", "moments", "d-optimal", "e-optimal", "deviations", "motion-size")
 
 
 def made(robot_file, search=QUICK, **choices):

@@ -44,10 +44,7 @@ def held(folder):
 
 def test_the_model_predicts_at_another_temperature(held):
     plain = identify(
-        exciting(1, 30.0, 31.0),
-        validation=exciting(2, 38.0, 39.0),
-        friction="coulomb-viscous+power+load",
-        delay=0.0,
+        exciting(1, 30.0, 31.0), validation=exciting(2, 38.0, 39.0), friction="coulomb-viscous+power+load", delay=0.0
     )
     assert held.validation.relative_error < 0.2 * plain.validation.relative_error
     assert held.validation.relative_error < 1.5 * held.fit.relative_error

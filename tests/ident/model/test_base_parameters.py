@@ -69,8 +69,7 @@ def test_choice_reads_like_the_papers(ur_like):
 
 
 @pytest.mark.parametrize(
-    ("name", "inertial"),
-    [("aubo_i5", 36), ("rocr6", 36), ("ur5e", 36), ("ur10e", 36), ("ur10", 36), ("panda", 43)],
+    ("name", "inertial"), [("aubo_i5", 36), ("rocr6", 36), ("ur5e", 36), ("ur10e", 36), ("ur10", 36), ("panda", 43)]
 )
 def test_inertial_counts_of_the_built_in_arms(name, inertial):
     from dataclasses import replace

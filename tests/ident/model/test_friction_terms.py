@@ -100,9 +100,7 @@ def test_all_friction_is_identifiable_and_load_only_where_gravity_acts(arm):
 def test_slopes_and_sensitivities_are_derivatives(arm):
     _, model = arm
     shaped = replace(
-        model,
-        smoothing=0.1,
-        terms=replace(model.terms, sensitivities=True, free=dict.fromkeys(SHAPED, (True,) * 3)),
+        model, smoothing=0.1, terms=replace(model.terms, sensitivities=True, free=dict.fromkeys(SHAPED, (True,) * 3))
     )
     speed = np.random.default_rng(1).uniform(0.05, 2.0, (3, 40)) * np.array([[1.0], [-1.0], [1.0]])
     conditions = FrictionConditions(np.full_like(speed, 3.0), np.full_like(speed, 310.0))

@@ -21,12 +21,7 @@ def system(dense_reduction, truth: np.ndarray, seed: int, rows: int = 400, noise
 
 
 def pruned(
-    reduction,
-    rule="rsd",
-    *,
-    inflation: float = 1.0,
-    effective: float | None = None,
-    threshold: float = SIGNIFICANT_RSD,
+    reduction, rule="rsd", *, inflation: float = 1.0, effective: float | None = None, threshold: float = SIGNIFICANT_RSD
 ):
     count = reduction.column_count
     return prune(

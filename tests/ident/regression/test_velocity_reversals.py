@@ -55,10 +55,7 @@ def test_just_their_equations_are_left_out(arm, segment, zero_phase):
     every = slice(None, None, zero_phase.factor)
     dense = zero_phase.apply(
         np.concatenate(
-            [
-                *regressor(model, segment.position, segment.velocity, segment.acceleration, base.columns),
-                segment.torque,
-            ]
+            [*regressor(model, segment.position, segment.velocity, segment.acceleration, base.columns), segment.torque]
         )
     )
     count = len(base.columns)

@@ -225,10 +225,7 @@ def test_recordings_whose_commands_and_positions_do_not_belong_together_are_refu
             dataclasses.replace(short_run, streams={JOINTS_STREAM: bare, COMMANDS_STREAM: cut}),
             "commands end 2.98 s before",
         ),
-        "short": (
-            changed(dataclasses.replace(short_run, streams={JOINTS_STREAM: _first(stream, 100)})),
-            "needs 3 s",
-        ),
+        "short": (changed(dataclasses.replace(short_run, streams={JOINTS_STREAM: _first(stream, 100)})), "needs 3 s"),
     }
     for name, (run, words) in mistakes.items():
         path = tmp_path / f"{name}.h5"

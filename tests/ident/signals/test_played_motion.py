@@ -42,10 +42,7 @@ def approached(three_joint):
     recording = simulate_recording(three_joint, Course(), 30.0, seed=1)
     stream = recording.streams[JOINTS_STREAM]
     stream = replace(stream, time=stream.time + 100.0)
-    events = (
-        Event(100.0 + APPROACH, "info", "player", MOTION_BEGINS),
-        Event(128.0, "info", "player", MOTION_ENDS),
-    )
+    events = (Event(100.0 + APPROACH, "info", "player", MOTION_BEGINS), Event(128.0, "info", "player", MOTION_ENDS))
     return replace(recording, streams={JOINTS_STREAM: stream}, events=events)
 
 

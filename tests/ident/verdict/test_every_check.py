@@ -402,10 +402,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.names(stamped(b.with_velocity(), lambda t: 1.25 * t)),
         lambda b: b.names(b.with_velocity()),
     ),
-    "velocity-scale": (
-        lambda b: b.names(b.with_velocity((1.0, 1.0, 0.5))),
-        lambda b: b.names(b.with_velocity()),
-    ),
+    "velocity-scale": (lambda b: b.names(b.with_velocity((1.0, 1.0, 0.5))), lambda b: b.names(b.with_velocity())),
     "clocks-drift": (lambda b: b.names(b.drifting_clock()), lambda b: b.names(b.recorded())),
     "torque-ahead": (
         lambda b: b.found(changed(b.recorded(), lambda i: np.roll(i, -2, axis=0)), search_delay=True),
@@ -455,10 +452,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.names(replace(b.recorded(), events=(Event(0.0, "warning", "import", "sort: 3 samples"),))),
         lambda b: b.names(replace(b.recorded(), events=(Event(0.0, "info", "import", "time converted"),))),
     ),
-    "samples-lost": (
-        lambda b: b.names(cut(b.recorded(), np.r_[0:1000, 1100:6000])),
-        lambda b: b.names(b.recorded()),
-    ),
+    "samples-lost": (lambda b: b.names(cut(b.recorded(), np.r_[0:1000, 1100:6000])), lambda b: b.names(b.recorded())),
     "repeated-stamps": (
         lambda b: b.names(stamped(b.recorded(), lambda t: np.r_[t[:1000], t[999], t[1001:]])),
         lambda b: b.names(b.recorded()),
@@ -483,10 +477,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.info(servo(b.recorded())),
     ),
     "command-unit": (lambda b: b.info(servo(b.recorded(), np.rad2deg)), lambda b: b.info(servo(b.recorded()))),
-    "joint-at-rest": (
-        lambda b: b.info(servo(at_rest(b.recorded(), 1))),
-        lambda b: b.info(servo(b.recorded())),
-    ),
+    "joint-at-rest": (lambda b: b.info(servo(at_rest(b.recorded(), 1))), lambda b: b.info(servo(b.recorded()))),
     "signal-clipped": (
         lambda b: b.names(changed(b.recorded(), lambda i: np.clip(i, -0.5 * i.max(axis=0), 0.5 * i.max(axis=0)))),
         lambda b: b.names(b.recorded()),
@@ -499,10 +490,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.found(changed(b.recorded(), glitches(0.04), "position")),
         lambda b: b.found(changed(b.recorded(), glitches(1e-3), "position")),
     ),
-    "rows-repeated": (
-        lambda b: b.names(repeated_rows(b.recorded(), 0.1, 1)),
-        lambda b: b.names(b.recorded()),
-    ),
+    "rows-repeated": (lambda b: b.names(repeated_rows(b.recorded(), 0.1, 1)), lambda b: b.names(b.recorded())),
     "encoder-stuck": (
         lambda b: (
             b.names(stuck_encoder(with_velocity(b.recorded()), 1, 3.0, 1.0))
@@ -543,14 +531,8 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.found(changed(b.recorded(), lambda i: i * np.linspace([1.0] * 3, [1.0, 1.2, 1.0], len(i)))),
         lambda b: b.clean(),
     ),
-    "filled-with-zeros": (
-        lambda b: b.names(filled_with_zeros(b.recorded(), 0.5, 1)),
-        lambda b: b.names(b.recorded()),
-    ),
-    "positions-jitter": (
-        lambda b: b.found(jittering_position(b.recorded(), 0.02, 1)),
-        lambda b: b.clean(),
-    ),
+    "filled-with-zeros": (lambda b: b.names(filled_with_zeros(b.recorded(), 0.5, 1)), lambda b: b.names(b.recorded())),
+    "positions-jitter": (lambda b: b.found(jittering_position(b.recorded(), 0.02, 1)), lambda b: b.clean()),
     "residual-bursts": (lambda b: b.found(contact(b.recorded(), 0.05, 1.0, 1)), lambda b: b.clean()),
     "few-parameters-determined": (
         lambda b: b.info(changed(b.recorded(1, 4.5, (0.02, 0.02, 0.02)), noisy)),
@@ -560,20 +542,13 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.info(changed(b.recorded(), lambda q: np.zeros_like(q), "position")),
         lambda b: b.clean_info(),
     ),
-    "high-condition": (
-        lambda b: b.info(b.recorded(1, 30.0, (1, 0.02, 1))),
-        lambda b: b.clean_info(),
-    ),
-    "slow-motion": (
-        lambda b: b.info(b.recorded(1, 30.0, (0.1, 0.1, 0.1))),
-        lambda b: b.clean_info(),
-    ),
+    "high-condition": (lambda b: b.info(b.recorded(1, 30.0, (1, 0.02, 1))), lambda b: b.clean_info()),
+    "slow-motion": (lambda b: b.info(b.recorded(1, 30.0, (0.1, 0.1, 0.1))), lambda b: b.clean_info()),
     "torque-beyond-limits": (lambda b: b.info(changed(b.recorded(), lambda i: 1e3 * i)), lambda b: b.clean_info()),
     "torque-far-below-limits": (lambda b: b.found(changed(b.recorded(), lambda i: 1e-3 * i)), lambda b: b.clean()),
     "implausible-load": (
         lambda b: b.found(
-            changed(b.recorded(), lambda i: 1e3 * i),
-            robot_file=b.said({", torque: 100}": "}", ", torque: 50}": "}"}),
+            changed(b.recorded(), lambda i: 1e3 * i), robot_file=b.said({", torque: 100}": "}", ", torque: 50}": "}"})
         ),
         lambda b: b.found(robot_file=b.said({", torque: 100}": "}", ", torque: 50}": "}"})),
     ),
@@ -656,10 +631,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.found(robot_file=b.said({"alpha: 0, d: 0.4, r: 0.1": "alpha: 0, d: 0.45, r: 0.1"})),
         lambda b: b.clean(),
     ),
-    "friction-near-reversals": (
-        lambda b: b.found(b.sticking()),
-        lambda b: b.found(b.sticking(), **SEARCHED),
-    ),
+    "friction-near-reversals": (lambda b: b.found(b.sticking()), lambda b: b.found(b.sticking(), **SEARCHED)),
     "indefinite-inertia": (lambda b: b.opposite(), lambda b: b.clean()),
     "residuals-curved": (
         lambda b: b.found(b.with_stribeck()),
@@ -677,10 +649,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.found(b.recorded(), validation=(b.tail(b.recorded(), b.recorded(3)),)),
         lambda b: b.found(b.recorded(), validation=(b.recorded(3),)),
     ),
-    "not-validated": (
-        lambda b: b.clean_merge(),
-        lambda b: b.merged(*b.parts(), held_out=b.recorded(3)),
-    ),
+    "not-validated": (lambda b: b.clean_merge(), lambda b: b.merged(*b.parts(), held_out=b.recorded(3))),
     "contradicting-models": (
         lambda b: b.merged(
             b.whole(),
@@ -696,16 +665,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.clean_merge(),
     ),
     "partial-model": (
-        lambda b: b.merged(
-            b.parts()[0],
-            b.result(b.recorded(5, shares=(1, 1, 0)), locked=("j3",)),
-        ),
+        lambda b: b.merged(b.parts()[0], b.result(b.recorded(5, shares=(1, 1, 0)), locked=("j3",))),
         lambda b: b.clean_merge(),
     ),
-    "checks-of-a-part": (
-        lambda b: b.merged(b.whole(), b.result(b.recorded(4, 12.0))),
-        lambda b: b.clean_merge(),
-    ),
+    "checks-of-a-part": (lambda b: b.merged(b.whole(), b.result(b.recorded(4, 12.0))), lambda b: b.clean_merge()),
     "export-diverges": (
         lambda b: in_simulation(exported(b.arm), damping="-300"),
         lambda b: in_simulation(exported(b.arm)),

@@ -88,12 +88,7 @@ def _bounds(field: BitField) -> tuple[int, int]:
     return math.ceil(max(low, -(2.0**53))), math.floor(min(high, 2.0**53))
 
 
-@given(
-    fields(),
-    st.sampled_from([1.0, 0.1, -0.25, 1e-4]),
-    st.sampled_from([0.0, -40.0]),
-    st.floats(0.0, 1.0),
-)
+@given(fields(), st.sampled_from([1.0, 0.1, -0.25, 1e-4]), st.sampled_from([0.0, -40.0]), st.floats(0.0, 1.0))
 def test_a_value_comes_back_within_half_a_step(field: BitField, scale: float, offset: float, share: float) -> None:
     if field.floating:
         return
@@ -131,12 +126,7 @@ def test_frames_of_a_multiplexer_are_told_apart_as_cantools_does() -> None:
             as_cantools("pair", selecting, 1, 0, is_multiplexer=True),
             *(
                 as_cantools(
-                    f"{s.joint}",
-                    s.field,
-                    s.gain,
-                    s.bias,
-                    multiplexer_ids=[s.selector],
-                    multiplexer_signal="pair",
+                    f"{s.joint}", s.field, s.gain, s.bias, multiplexer_ids=[s.selector], multiplexer_signal="pair"
                 )
                 for s in signals
             ),

@@ -79,13 +79,7 @@ def test_the_clock_goes_on_through_a_pause(clock: SimulatedClock) -> None:
 
 @pytest.mark.parametrize(
     ("lateness", "sent_at"),
-    [
-        (0.0, 10.0),
-        (0.49, 10.49),
-        (LATEST - 1e-3, 10.0 + LATEST - 1e-3),
-        (LATEST + 1e-3, None),
-        (0.99, None),
-    ],
+    [(0.0, 10.0), (0.49, 10.49), (LATEST - 1e-3, 10.0 + LATEST - 1e-3), (LATEST + 1e-3, None), (0.99, None)],
 )
 def test_a_sync_is_late_by_half_a_period_at_most(clock: SimulatedClock, lateness: float, sent_at: float | None) -> None:
     sender = NotedSender(clock)

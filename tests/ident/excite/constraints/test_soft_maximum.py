@@ -10,10 +10,7 @@ from hypothesis.extra.numpy import arrays
 from ident.excite.constraints.soft_maximum import soft_maximum
 
 
-@given(
-    arrays(np.float64, (3, 9), elements=st.floats(-1e6, 1e6)),
-    st.floats(1e-3, 1e6),
-)
+@given(arrays(np.float64, (3, 9), elements=st.floats(-1e6, 1e6)), st.floats(1e-3, 1e6))
 def test_between_the_maximum_and_log_n_above_it(values, sharpness):
     bound, weights = soft_maximum(values, sharpness)
     largest = values.max(axis=1)

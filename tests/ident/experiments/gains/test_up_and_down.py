@@ -194,10 +194,7 @@ def test_the_text_is_for_the_robot_file(found, three_joint):
 
 @settings(max_examples=40, deadline=None)
 @given(
-    gravity=st.floats(-20.0, 20.0),
-    friction=st.floats(0.1, 20.0),
-    low=st.floats(-2.0, 0.0),
-    length=st.floats(0.2, 3.0),
+    gravity=st.floats(-20.0, 20.0), friction=st.floats(0.1, 20.0), low=st.floats(-2.0, 0.0), length=st.floats(0.2, 3.0)
 )
 def test_half_sum_and_difference_of_any_line(gravity, friction, low, length):
     """Signals gravity·q ± friction·speed come apart exactly, whatever the range."""

@@ -94,10 +94,7 @@ def relisted(robot_file: RobotFile, priority: list[int]) -> RobotFile:
 
 @pytest.mark.parametrize(
     ("robot_file", "posture"),
-    [
-        (load_robot("sr400"), [0.3, -1.6, 0.5, -0.4, 0.7, 3.1]),
-        (four_bar_arm(), [0.3, -1.4, 0.5]),
-    ],
+    [(load_robot("sr400"), [0.3, -1.6, 0.5, -0.4, 0.7, 3.1]), (four_bar_arm(), [0.3, -1.4, 0.5])],
     ids=["parallelogram", "closing frames"],
 )
 @settings(max_examples=8)

@@ -241,9 +241,7 @@ def test_the_inertia_matrix_is_the_tree_s_between_the_active_joints() -> None:
         assert np.linalg.eigvalsh(matrices[sample])[0] > 0
 
 
-def test_friction_of_a_coupled_motor_counts_when_any_of_its_joints_moves(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_friction_of_a_coupled_motor_counts_when_any_of_its_joints_moves(monkeypatch: pytest.MonkeyPatch) -> None:
     from types import SimpleNamespace
 
     model = build_model(load_robot("sr400"))
