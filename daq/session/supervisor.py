@@ -206,7 +206,7 @@ class Supervisor:
                 if target is not None and len(target[1]) == len(at):
                     error = np.abs(target[0] - position)
                     self._add(breaches, batch, "tracking error", "rad", (error, at), error <= bound, bound)
-                error = self._distance_to_commands(batch.host_time, position)
+                error = self._distance_to_commands(batch.host_time, position, bound)
                 self._add(breaches, batch, "tracking error", "rad", (error, at), error <= bound, bound)
         if (measured := self._part(batch, "velocity")) is not None:
             speed, at = np.abs(measured[0]), measured[1]
@@ -344,8 +344,11 @@ class Supervisor:
         torque, joints = self._limits.torque_of_current(*measured)
         return np.abs(torque), joints
 
-    def _distance_to_commands(self, host_time: FloatArray, position: FloatArray) -> FloatArray:
-        """How far (N, n) positions lie from everything commanded shortly before; 0 without a command."""
+    def _distance_to_commands(self, host_time: FloatArray, position: FloatArray, bound: FloatArray) -> FloatArray:
+        """How far (N, n) positions lie from everything commanded shortly before, or more where that is within bounds.
+
+        0 without a command.
+        """
         while len(self._commands) > 1 and self._commands[1][0] < host_time[0] - TRACKING_WINDOW:
             self._commands.popleft()
         commands = list(self._commands)
@@ -353,12 +356,17 @@ class Supervisor:
             return np.zeros_like(position)
         times = np.array([time for time, _ in commands])
         targets = np.array([target for _, target in commands])
+        first = np.maximum(np.searchsorted(times, host_time - TRACKING_WINDOW) - 1, 0)
+        last = np.searchsorted(times, host_time, side="right")
+        # Most often all positions are near what was commanded before each of them.
+        if (common := targets[first.max() : last.min()]).size:
+            distance = np.maximum(common.min(0) - position, position - common.max(0))
+            if (distance <= bound).all():
+                return distance
         distance = np.zeros_like(position)
-        for row, now in enumerate(host_time):
-            first = max(int(np.searchsorted(times, now - TRACKING_WINDOW)) - 1, 0)
-            last = int(np.searchsorted(times, now, side="right"))
-            if last > first:
-                window = targets[first:last]
+        for row, (begin, end) in enumerate(zip(first.tolist(), last.tolist(), strict=True)):
+            if end > begin:
+                window = targets[begin:end]
                 distance[row] = np.maximum(window.min(0) - position[row], position[row] - window.max(0))
         return np.maximum(distance, 0.0) + np.where(np.isnan(position), np.nan, 0.0)
 

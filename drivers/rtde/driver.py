@@ -300,10 +300,8 @@ class RtdeDriver:
         self._watch_modes(samples.rows)
         blocks = [self._joints_block(samples)]
         for name in ("thermal", "status"):
-            if sources := self._delivered(name):
-                block = self._thinned_block(name, sources, samples)
-                if len(block.time):
-                    blocks.append(block)
+            if (sources := self._delivered(name)) and (block := self._thinned_block(name, sources, samples)):
+                blocks.append(block)
         return blocks
 
     def notices(self) -> Sequence[Notice]:
@@ -387,14 +385,16 @@ class RtdeDriver:
             values["torque"] = joint_torque(values["current"], self._gains, self._coupling)
         return Batch("joints", _clock(samples.rows), samples.host_time, values, samples.lost)
 
-    def _thinned_block(self, stream: str, sources: Sequence[_Source], samples: Samples) -> Batch:
-        # The first package of every so many ticks of the controller's clock, so that a gap shifts nothing.
+    def _thinned_block(self, stream: str, sources: Sequence[_Source], samples: Samples) -> Batch | None:
+        """The first package of every so many ticks of the controller's clock, so that a gap shifts nothing."""
         clock = _clock(samples.rows)
         group = np.floor(np.rint(clock * self._receiver.rate) / self._every(stream)).astype(np.int64)
         before = self._last_group.get(stream, int(group[0]) - 1)
+        self._last_group[stream] = int(group[-1])
+        if before == group[-1] and before == group[0]:
+            return None
         steps = np.diff(group, prepend=before)
         first = steps != 0
-        self._last_group[stream] = int(group[-1])
         values = {source.quantity: _values(samples.rows[first], source) for source in sources}
         lost = int(np.maximum(steps - 1, 0).sum())
         return Batch(stream, clock[first], samples.host_time[first], values, lost)

@@ -30,6 +30,8 @@ BUFFER_SECONDS = 60.0
 """How long [s] `take` may stay away before the oldest packages are dropped."""
 CHUNK_BYTES = 1 << 18
 """More than a second of samples: what came during a stall is to be handed out together."""
+TOGETHER = 0.006
+"""Samples are handed out so long [s] at a time, or one by one where they come slower."""
 TIMESTAMP = "timestamp"
 _TIMESTAMP_AT = struct.Struct(">d")
 _TIMESTAMP_OFFSET = wire.HEADER_SIZE + 1
@@ -106,6 +108,7 @@ class RtdeReceiver:
         self._last_taken = math.nan
         self._repeated = 0
         self._pausing = False
+        self._together = 1
         self._notices: deque[Notice] = deque()
 
     @property
@@ -168,13 +171,15 @@ class RtdeReceiver:
         self._thread.start()
 
     def take(self, timeout: float) -> Samples | None:
-        """What has arrived since the last call, waiting at most `timeout` [s] for the first; None where nothing has.
+        """What has arrived since the last call; None where nothing has.
+
+        It waits for `TOGETHER`'s samples, at most `timeout` [s]: handling each by itself takes most of a core.
 
         Raises:
             ConnectionLostError: nothing is left and the connection broke, fell silent or spoke something else.
         """
         with self._arrival:
-            self._arrival.wait_for(lambda: self._ring or self._failure, timeout)
+            self._arrival.wait_for(lambda: len(self._ring) >= self._together or self._failure, timeout)
             batch = list(self._ring)
             self._ring.clear()
             failure = self._failure
@@ -262,6 +267,7 @@ class RtdeReceiver:
                 where=self.where,
                 hint="leave 'rate' out for the maximum",
             )
+        self._together = max(1, round(TOGETHER * self.rate))
         wanted = self._required | self._optional
         answer = self._ask_recipe(tuple(wanted), deadline)
         refused = {name: kind for name, kind in zip(wanted, answer.types, strict=True) if kind in wire.REFUSALS}
@@ -341,7 +347,6 @@ class RtdeReceiver:
             return ("not connected", "")
         fresh = self._clock.now()
         with self._arrival:
-            self._arrival.notify_all()
             while self._early:
                 if self._keep(self._early.popleft(), fresh) is None:
                     return None
@@ -354,13 +359,14 @@ class RtdeReceiver:
                 return ("the controller closed the connection", "")
             # All at once: the first samples after a stall must not look like silence of the rest.
             with self._arrival:
-                self._arrival.notify_all()
                 for package in self._splitter.feed(chunk):
                     kept = self._keep(package, arrived)
                     if kept is None:
                         return None
                     if kept:
                         fresh = arrived
+                if len(self._ring) >= self._together:
+                    self._arrival.notify_all()
             if arrived - fresh >= SILENCE_LIMIT:  # something comes, but nothing new
                 raise TimeoutError
 

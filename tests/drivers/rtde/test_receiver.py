@@ -74,14 +74,14 @@ def test_every_package_arrives_once_in_order_as_sent_and_stamped_on_arrival(
     assert (receiver.rate, str(receiver.version)) == (500.0, "5.22.0.0")
     receiver.start()
     begun = clock.now()
-    batches = take_until(receiver, 2000)
-    assert clocks(batches) == [10.0 + index / 500 for index in range(2000)]
+    batches = take_until(receiver, 2001)
+    assert clocks(batches) == [10.0 + index / 500 for index in range(2001)]
     rows = np.concatenate([batch.rows for batch in batches])
     assert np.array_equal(rows["actual_q"][:, 0], rows["timestamp"])
     assert np.allclose(rows["joint_temperatures"][:, 5], 9 * (rows["timestamp"] + 0.5))
     assert set(rows["robot_mode"]) == {7}
     host = np.concatenate([batch.host_time for batch in batches])
-    np.testing.assert_allclose(host, begun + np.arange(2000) / 500, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(host, begun + np.arange(2001) / 500, rtol=0.0, atol=1e-9)
     assert sum(batch.lost for batch in batches) == 0
 
 
