@@ -74,10 +74,11 @@ class MotorPlant:
         self._until = np.full(len(position), np.nan)
         self._kp, self._kd = np.zeros((2, len(position)))
         self._time = self._now = now
+        self._sensed: dict[int, dict[str, float]] = {}
         low, high = np.array([joint.position for joint in file.robot.joints]).T
         self._stops = low - BEHIND_LIMIT, high + BEHIND_LIMIT
-        self.arm.effort = np.zeros(len(position))
-        self.arm.set_gains(self._kp.copy(), self._kd.copy())
+        self.arm.effort = np.full(len(position), np.inf)  # of a servo's spring alone; a motor's limit is kept here
+        self._drive(position)
 
     def told(
         self,
@@ -103,15 +104,18 @@ class MotorPlant:
         """A motor keeps a torque limit [N·m of the motor]; its own where None."""
         own = self._limit[index]
         self._most[index] = own if torque is None else min(own, torque * self._motors[index].ratio)
+        self._sensed.clear()
 
     def let_go(self, index: int) -> None:
         """A motor drives no more."""
         self._coming[index].clear()
         self._kp[index] = self._kd[index] = self._pushing[index] = self._speed[index] = 0.0
+        self._sensed.clear()
 
     def advance(self, now: float) -> None:
         """Simulate until a time [s]."""
         self._now = now
+        self._sensed.clear()
         if now - self._time > LONGEST_ADVANCE:
             self._time = now - LONGEST_ADVANCE
             self.stalls += 1
@@ -129,22 +133,27 @@ class MotorPlant:
                     share[index] = min((self._time - since) / step, 1.0) if driving[index] else 1.0
             self._move_goals(step)
             acting = self._goal - 0.5 * step * self._speed
-            self.arm.set_gains(self._kp.copy(), self._kd.copy())
-            self.arm.effort = self._effort()
-            self.arm.push = self._kd * self._speed + self._pushing
-            self.arm.advance(before + share * (acting - before))
+            goal = before + share * (acting - before)
+            self._drive(goal)
+            self.arm.advance(goal)
             self.arm.keep_within(*self._stops)
 
     def measured(self, index: int) -> dict[str, float]:
         """What a motor's own sensors hold: its position, velocity, torque, temperatures and supply."""
+        if index not in self._sensed:
+            self._sensed[index] = self._sense(index)
+        return self._sensed[index]
+
+    def _sense(self, index: int) -> dict[str, float]:
         motor, ratio = self._motors[index], self._motors[index].ratio
         v = float(self.arm.velocity[index])
         # The arm is up to a whole step behind the clock's time; a motor's sensors are not.
         q = float(self.arm.position[index]) + v * (self._now - self._time)
-        most = self._effort()[index] * self._limit[index]
-        pushed = self._kd[index] * self._speed[index] + self._pushing[index]
-        goal = self._goal[index] + self._speed[index] * (self._now - self._time)
-        torque = float(np.clip(self._kp[index] * (goal - q) + pushed, -most, most) - self._kd[index] * v)
+        speed = float(self._speed[index])
+        goal = float(self._goal[index]) + speed * (self._now - self._time)
+        asked = float(self._kp[index]) * (goal - q) + float(self._kd[index]) * (speed - v) + float(self._pushing[index])
+        most = float(self._strongest()[index])
+        torque = min(max(asked, -most), most)
         return {
             "position": motor.goal(q),
             "velocity": motor.direction * ratio * v,
@@ -161,6 +170,15 @@ class MotorPlant:
         self._goal = np.where(over, self._until, after)
         self._speed[over] = 0.0
 
-    def _effort(self) -> FloatArray:
-        share: FloatArray = self._most / self._limit * (SAGGING if self.sagging else 1.0)
-        return share
+    def _drive(self, goal: FloatArray) -> None:
+        """Springs to goals (n,), dampers and torques of their own for a step; a limit cuts their sum."""
+        push = self._kd * self._speed + self._pushing
+        asked = self._kp * (goal - self.arm.position) - self._kd * self.arm.velocity + push
+        most = self._strongest()
+        over = np.abs(asked) > most
+        self.arm.set_gains(np.where(over, 0.0, self._kp), np.where(over, 0.0, self._kd))
+        self.arm.push = np.where(over, np.copysign(most, asked), push)
+
+    def _strongest(self) -> FloatArray:
+        """Torque (n,) at most [N·m of the joints]."""
+        return self._most * (SAGGING if self.sagging else 1.0)

@@ -1,0 +1,81 @@
+"""Arms of CAN motors from their default motion to a verdict, in simulated time.
+
+    python -m studies.motors.default_motions [ARM...]
+
+`dynid excite` with its defaults but for the time of its search, `record` of that motion, `identify` with its defaults.
+No computer is late. ARM: a built-in robot, or a family of motors, which then move the arm of the tests. About a CPU
+minute for each.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "support"))
+
+from motor_bench import WIRES, robot_file
+from simulated_clock import simulated_time
+from unchecked import unchecked_play
+
+import dynid
+from daq.motion.trajectories import Motion
+from daq.recording.reader import read_recording
+from daq.recording.recorder import Recorder
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot
+from daq.session.connections import driver_settings
+from daq.session.session import record
+from daq.session.supervisor import Limits, Supervisor
+from drivers.can_motors.driver import CanMotorDriver
+from drivers.can_motors.settings import parse_settings
+from sim_drivers.can_motors.server import CanMotorServer
+
+ARMS = ("moteus_rig", "openarm", *WIRES)
+
+
+def recorded(file: RobotFile, wire: str, motion: Motion) -> Recording:
+    """A motion of the simulated arm, from its start pose.
+
+    Raises:
+        RuntimeError: the motion was stopped.
+    """
+    robot = file.robot
+    connection = robot.connections[wire]
+    keys = dict(connection.model_extra or {}) | {"interface": "virtual", "channel": "default", "options": {}}
+    start = motion.evaluate(np.zeros(1))[0][:, 0]
+    with TemporaryDirectory() as folder, simulated_time() as clock:
+        settings = parse_settings(keys, robot.joint_names, connection.driver)
+        driver = CanMotorDriver(replace(driver_settings(robot, keys), clock=clock), connection.driver)
+        with CanMotorServer(file, settings, start, clock, held=True):
+            driver.open()
+            layouts = driver.streams()
+            recorder = Recorder(Path(folder) / "run.h5", file, layouts, trajectory="default", clock=clock)
+            supervisor = Supervisor(Limits.of_robot(robot), layouts)
+            report = record(driver, recorder, supervisor, unchecked_play(motion, robot), clock=clock)
+            driver.close()
+        if report.stopped_by is not None or report.file is None:
+            raise RuntimeError(f"{robot.name}: {report.stopped_by}")
+        return read_recording(report.file)
+
+
+def main() -> None:
+    """Print the table."""
+    print("| arm | motion [s] | lag of a joint at most [rad] | torque prediction | held-out torque error [%] | simulation |")
+    print("|---|---|---|---|---|---|")
+    for arm in sys.argv[1:] or ARMS:
+        file = robot_file() if arm in WIRES else load_robot(arm)
+        wire = arm if arm in WIRES else next(iter(file.robot.connections))
+        motion = dynid.design_excitation(file, starts=1, workers=1)
+        run = recorded(file, wire, motion.motion)
+        result = dynid.identify(run)
+        verdict = {purpose.name: purpose.grade for purpose in result.verdict.purposes}
+        print(arm, verdict, result.validation.relative_error)
+
+
+if __name__ == "__main__":
+    main()
