@@ -85,9 +85,9 @@ def _words(problem: ErrorDetails, path: str, field: FieldInfo | None, section: t
     """What stands before and after the key's name, and the hint."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind in {"extra_forbidden", "invalid_key"}:
-        known = list(fields_of(section))
-        guess = did_you_mean(str(problem["loc"][-1]), known)
-        return "unknown key ", "", f"allowed: {', '.join(known)}{f'; {guess}' if guess else ''}"
+        keys = list(fields_of(section))
+        guess = did_you_mean(str(problem["loc"][-1]), keys)
+        return "unknown key ", "", f"allowed: {', '.join(keys)}{f'; {guess}' if guess else ''}"
     words = "" if field is None else _allowed(field)
     allowed = f"allowed: {words}" if words else ""
     if kind == "refused":

@@ -131,15 +131,15 @@ def declared(driver: str, where: str = "") -> DriverDeclaration:
         )
     entry = installed[driver]
     try:
-        found = entry.load()
+        loaded = entry.load()
     except (ImportError, AttributeError, SyntaxError) as error:
         raise UsageError(
             f"the driver '{driver}' cannot be loaded: {error}", where=where, hint="install its package again"
         ) from error
-    if not isinstance(found, DriverDeclaration):
+    if not isinstance(loaded, DriverDeclaration):
         raise UsageError(
             f"the entry point of the driver '{driver}' is not a DriverDeclaration",
             where=where,
-            hint=f"{entry.value} is {type(found).__name__}: pip install its package again, or see docs/drivers.md",
+            hint=f"{entry.value} is {type(loaded).__name__}: pip install its package again, or see docs/drivers.md",
         )
-    return found
+    return loaded

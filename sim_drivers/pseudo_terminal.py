@@ -30,6 +30,13 @@ class LineEnd(Protocol):
         """Leave nothing behind."""
 
 
+class PollableLineEnd(LineEnd, Protocol):
+    """A line's end whose descriptor can be waited for, and does not block."""
+
+    def fileno(self) -> int:
+        """Its descriptor."""
+
+
 class PseudoTerminal:
     """A device's end of a pseudo-terminal that any program on this computer can open.
 

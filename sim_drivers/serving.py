@@ -182,13 +182,13 @@ def wire_of(robot_file: RobotFile) -> str:
 
 def _back_ends() -> list[SimulatedBackEnd]:
     """All that installed drivers declare; a package that cannot be loaded is named on standard error."""
-    found: list[SimulatedBackEnd] = []
+    back_ends: list[SimulatedBackEnd] = []
     for driver in sorted(installed_drivers()):
         try:
-            found += declared(driver).simulated
+            back_ends += declared(driver).simulated
         except UsageError as error:  # a third party's package must not take the others down
             print(f"dynid: {error}", file=sys.stderr)
-    return found
+    return back_ends
 
 
 def start_position(robot_file: RobotFile, text: str) -> FloatArray:

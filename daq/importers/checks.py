@@ -124,11 +124,11 @@ def _culprit(samples: ImportedSamples, index: int) -> str:
 def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> ImportedSamples:
     steps = np.diff(samples.time)
     backward = np.flatnonzero(steps < 0) + 1
-    if len(backward) and (found := counter_range(samples.time, int(backward[0]))) is not None:
+    if len(backward) and (range_of_counter := counter_range(samples.time, int(backward[0]))) is not None:
         first = int(backward[0])
         if UNWRAP not in choices.repair:
             raise ImportFileError(
-                f"time goes backward by {found:.6g} s, at the end of a counter's range",
+                f"time goes backward by {range_of_counter:.6g} s, at the end of a counter's range",
                 where=sample_place(samples, first, where),
                 hint=f"let the stamps go on: --repair {UNWRAP}, in Python repair=['{UNWRAP}']",
             )

@@ -25,7 +25,7 @@ def _read_columns(pairs: list[str], flag: str) -> dict[str, str]:
     """
     mapping: dict[str, str] = {}
     for pair in pairs:
-        name, equals, column = (part.strip() for part in pair.partition("="))
+        name, equals, column = (text.strip() for text in pair.partition("="))
         if not (name and equals and column):
             raise UsageError(f"{flag} {pair} is not NAME=COLUMN", hint=f"for example {flag} q1=JointPos1")
         if name in mapping:

@@ -136,8 +136,8 @@ def _check_velocity(
     samples: ImportedSamples, position: Quantity, velocity: Quantity, sliding: frozenset[str], where: str
 ) -> list[Note]:
     ratios = displacement_ratios(samples.time, position.values, velocity.values)
-    known = {joint: ratio for joint, ratio in zip(position.joints, ratios, strict=True) if ratio is not None}
-    for joint, ratio in known.items():
+    ratio_of = {joint: ratio for joint, ratio in zip(position.joints, ratios, strict=True) if ratio is not None}
+    for joint, ratio in ratio_of.items():
         place = f"{where}: joint {joint}"
         angular = joint not in sliding
         if angular and near(ratio, DEGREES):
@@ -159,7 +159,7 @@ def _check_velocity(
                     where=place,
                     hint=f"--time-unit {unit}",
                 )
-    doubtful = [f"{joint} ({ratio:.3g})" for joint, ratio in known.items() if not 0.5 < ratio < 2.0]
+    doubtful = [f"{joint} ({ratio:.3g})" for joint, ratio in ratio_of.items() if not 0.5 < ratio < 2.0]
     if not doubtful:
         return []
     text = f"velocity is not the change of position; ratio of change to ∫velocity dt: {listed(doubtful)}"

@@ -106,7 +106,7 @@ def browser_page(
     """
     require_browser()
     names = tuple(channels)
-    known = {**dict.fromkeys(("measured", "predicted", "residual", "band"), "N·m"), **UNITS, **(units or {})}
+    unit_of = {**dict.fromkeys(("measured", "predicted", "residual", "band"), "N·m"), **UNITS, **(units or {})}
     slides = {joint.name: joint.sliding for joint in robot_file.robot.joints}
     about = {
         "kind": "about",
@@ -116,7 +116,7 @@ def browser_page(
             {
                 "quantity": quantity,
                 "joint": joint,
-                "unit": joint_unit(known.get(quantity, "").replace("*", "·"), sliding=slides.get(joint, False)),
+                "unit": joint_unit(unit_of.get(quantity, "").replace("*", "·"), sliding=slides.get(joint, False)),
             }
             for quantity, _, joint in (name.partition("/") for name in names)
         ],

@@ -85,8 +85,8 @@ def motion_extremes(motion: Motion, sufficient: FloatArray | None = None) -> Ext
         found, bound, times = np.full(shape, -np.inf), np.full(shape, -np.inf), np.zeros(shape)
         count, looked = len(pieces.start), 0
         waiting = [
-            _Intervals(pieces.start[part], pieces.end[part], np.arange(count)[part], np.full(shape, np.inf))
-            for part in (slice(begin, begin + _BATCH) for begin in range(0, count, _BATCH))
+            _Intervals(pieces.start[batch], pieces.end[batch], np.arange(count)[batch], np.full(shape, np.inf))
+            for batch in (slice(begin, begin + _BATCH) for begin in range(0, count, _BATCH))
         ]
         while waiting and looked < _MOST + 4 * count:
             intervals = waiting.pop()
@@ -106,8 +106,8 @@ def motion_extremes(motion: Motion, sufficient: FloatArray | None = None) -> Ext
                 if len(rows):
                     row, column = rows.T
                     largest = bounds[..., row, column].max(axis=-1)
-                    part = intervals.piece[row]
-                    waiting.append(_Intervals(edges[row, column], edges[row, column + 1], part, largest))
+                    piece = intervals.piece[row]
+                    waiting.append(_Intervals(edges[row, column], edges[row, column + 1], piece, largest))
         bound = np.array([bound, found, *(intervals.bound for intervals in waiting)]).max(axis=0)
     return Extremes(found, np.where(np.isnan(bound), np.inf, bound), times)
 

@@ -116,7 +116,7 @@ def only_entry(group: str, needed: str) -> object:
     """
     entries = list(entry_points(group=group))
     if len(entries) != 1:
-        found = ", ".join(sorted(entry.value for entry in entries)) or "none"
-        raise MotionRefusedError(f"{needed}; found: {found}", hint="install dynid again")
+        values = ", ".join(sorted(entry.value for entry in entries)) or "none"
+        raise MotionRefusedError(f"{needed}; found: {values}", hint="install dynid again")
     made: object = entries[0].load()
     return made

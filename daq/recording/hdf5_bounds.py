@@ -138,8 +138,8 @@ class Hdf5Bounds:
             InputError: as `rows`.
         """
         values = [value for row in self.rows(dataset) for value in np.ravel(row)] if dataset.shape else [dataset[()]]
-        found = [value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value) for value in values]
-        return np.array(found, dtype=np.str_).reshape(dataset.shape)
+        texts = [value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value) for value in values]
+        return np.array(texts, dtype=np.str_).reshape(dataset.shape)
 
     def _refused(self, place: Any, message: str) -> InputError:
         return self._refusal(message, where=f"{self._path}: {place.name}")

@@ -151,9 +151,9 @@ def _remedy(time: FloatArray, sample: int, repeats: bool) -> str:
     """What to do about a stamp that does not rise."""
     if repeats:
         return "keep the first of each"
-    found = counter_range(time, sample)
-    if found is not None:
-        return f"the counter began anew: add its range of {found:.6g} s from there on"
+    range_of_counter = counter_range(time, sample)
+    if range_of_counter is not None:
+        return f"the counter began anew: add its range of {range_of_counter:.6g} s from there on"
     return "sort all arrays by time, or give each run as its own recording"
 
 

@@ -587,8 +587,8 @@ def _stream_of_arrays(name: str, arrays: JointArrays, arm: Robot) -> Stream:
 
 def _ordered(stream: Stream) -> list[str]:
     """Quantities of a stream, motion first."""
-    known = list(UNITS)
-    return sorted(stream.channels, key=lambda name: (known.index(name) if name in known else len(known), name))
+    order = list(UNITS)
+    return sorted(stream.channels, key=lambda name: (order.index(name) if name in order else len(order), name))
 
 
 def _pace(stream: Stream) -> str:

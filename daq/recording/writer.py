@@ -142,8 +142,8 @@ class RecordingWriter:
                 fillvalue=np.nan,  # rows of a crash that were announced but not written must not look like samples
             )
             self._datasets[layout.name][channel.quantity] = dataset
-            known = channel.unit == UNITS.get(channel.quantity)
-            dataset.attrs["unit"] = robot.column_unit(channel.unit, channel.columns) if known else channel.unit
+            in_si = channel.unit == UNITS.get(channel.quantity)
+            dataset.attrs["unit"] = robot.column_unit(channel.unit, channel.columns) if in_si else channel.unit
             dataset.attrs["description"] = channel.description
             dataset.attrs["joints"] = list(channel.columns)
             if channel.magnitude:

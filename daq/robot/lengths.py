@@ -44,8 +44,8 @@ def _resolved(frame: Any, lengths: Mapping[Any, Any]) -> Any:
             continue
         name = text.strip().removeprefix("-").strip()
         if name not in lengths:
-            known = ", ".join(map(str, lengths)) or "none"
-            raise ValueError(f"'{key}: {text}' refers to no length of 'lengths'; there are: {known}")
+            names = ", ".join(map(str, lengths)) or "none"
+            raise ValueError(f"'{key}: {text}' refers to no length of 'lengths'; there are: {names}")
         value = lengths[name]
         if not isinstance(value, int | float) or isinstance(value, bool):
             raise ValueError(f"the length '{name}' is to be a number, found {describe(value)}")

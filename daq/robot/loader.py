@@ -108,12 +108,12 @@ def load_robot(name_or_path: str | Path | RobotFile) -> RobotFile:
     given = str(name_or_path)
     path = Path(given)
     urdf = path.suffix.lower() in URDF_SUFFIXES
-    known = given in builtin_robots()
+    built_in = given in builtin_robots()
     # A port or folder of that name, such as the simulated arm's own, is no robot file.
     if (
         urdf
         or path.suffix.lower() in {".yaml", ".yml"}
-        or (path.is_file() if known else os.path.exists(path) and not path.is_dir())
+        or (path.is_file() if built_in else os.path.exists(path) and not path.is_dir())
     ):
         text = read_robot_text(path)
         assumed: tuple[str, ...] = ()
@@ -121,7 +121,7 @@ def load_robot(name_or_path: str | Path | RobotFile) -> RobotFile:
             arm = read_urdf_arm(text, path.name, where=given)
             text, assumed = robot_text_of_urdf(arm, path.name, where=given), assumed_of_urdf(arm)
         return parse_robot(text, where=given, folder=path.resolve().parent).model_copy(update={"assumed": assumed})
-    if not known:
+    if not built_in:
         raise RobotFileError(f"no built-in robot and no file is called '{given}'", hint=_known_robots(given))
     text = files("daq.robot.builtin").joinpath(f"{given}.yaml").read_text(encoding="utf-8")
     return parse_robot(text, where=f"built-in {given}", folder=None)

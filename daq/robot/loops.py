@@ -131,11 +131,11 @@ def passive_joints(loops: Iterable[Loop], active: tuple[str, ...]) -> tuple[str,
             if name in passive:
                 raise ValueError(f"'model.loops' says twice how joint '{name}' follows")
             passive.append(name)
-    known = (*active, *passive)
+    joints = (*active, *passive)
     for loop in loops:
         for name in loop.named:
-            if name not in known:
-                raise ValueError(f"'model.loops' names joint '{name}', but there are only: {', '.join(known)}")
+            if name not in joints:
+                raise ValueError(f"'model.loops' names joint '{name}', but there are only: {', '.join(joints)}")
         for name in loop.at:
             if name not in active:
                 raise ValueError(f"'at' of a loop names joint '{name}', but that one has no motor")

@@ -33,6 +33,23 @@ _CONTROLLER_TROUBLES: Mapping[int, str] = {
     0x20: "error passive (sending)",
 }
 
+RECEIVE_BUFFER_BYTES = 4 * 2**20
+"""Asked of the kernel; udp_multicast's default holds 256 frames, 21 ms of six drives at 1 kHz."""
+SEND_LIMIT = 0.05
+"""How long [s] a frame may wait for room in the adapter."""
+EXTENDED = 0x80000000
+"""Added to a 29-bit identifier, as socketcan and DBC files do; an 11-bit one stands as it is."""
+REMOTE = 0x40000000
+"""Added to the identifier of a remote frame (a request for so many bytes as are given), as socketcan does."""
+
+RETURNED = {"receive_own_messages": True}
+"""Option of socketcan and the virtual bus: hand sent frames back once the bus has carried them."""
+
+Frame = tuple[float, int, bytes]
+"""Arrival [s, the host's monotonic clock], identifier, data."""
+
+_IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # Linux's numbers, which the socket module lacks
+
 
 def is_bus_off(message: can.Message) -> bool:
     """Whether an error frame of socketcan says that the adapter has left the bus."""
@@ -96,24 +113,6 @@ def why_not_opened(error: Exception, interface: str, channel: str | int) -> tupl
     )
 
 
-RECEIVE_BUFFER_BYTES = 4 * 2**20
-"""Asked of the kernel; udp_multicast's default holds 256 frames, 21 ms of six drives at 1 kHz."""
-SEND_LIMIT = 0.05
-"""How long [s] a frame may wait for room in the adapter."""
-EXTENDED = 0x80000000
-"""Added to a 29-bit identifier, as socketcan and DBC files do; an 11-bit one stands as it is."""
-REMOTE = 0x40000000
-"""Added to the identifier of a remote frame (a request for so many bytes as are given), as socketcan does."""
-
-RETURNED = {"receive_own_messages": True}
-"""Option of socketcan and the virtual bus: hand sent frames back once the bus has carried them."""
-
-Frame = tuple[float, int, bytes]
-"""Arrival [s, the host's monotonic clock], identifier, data."""
-
-_IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # Linux's numbers, which the socket module lacks
-
-
 def open_bus(interface: str, channel: str | int, bitrate: int, options: Mapping[str, object]) -> can.BusABC:
     """Open a bus of any interface that python-can knows.
 
@@ -129,9 +128,9 @@ def open_bus(interface: str, channel: str | int, bitrate: int, options: Mapping[
     where = f"{interface} {channel}"
     keep_quiet("can")
     if interface not in can.interfaces.VALID_INTERFACES:
-        known = sorted(can.interfaces.VALID_INTERFACES)
-        close = difflib.get_close_matches(interface, known, 1)
-        hint = f"did you mean '{close[0]}'?" if close else f"there are: {', '.join(known)}"
+        interfaces = sorted(can.interfaces.VALID_INTERFACES)
+        close = difflib.get_close_matches(interface, interfaces, 1)
+        hint = f"did you mean '{close[0]}'?" if close else f"there are: {', '.join(interfaces)}"
         raise ConnectionFailedError(f"python-can has no interface '{interface}'", where=where, hint=hint)
     defaults: dict[str, object] = {}
     if interface == "udp_multicast":

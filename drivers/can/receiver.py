@@ -21,6 +21,17 @@ _CLOCK_CHECK = 0.1
 _OLDEST = 1.0
 _JITTER = 1e-3
 
+POLL = 0.005
+"""How long [s] the receiving thread waits for a frame before it looks whether it shall end."""
+BUFFER_FRAMES = 200_000
+"""Frames that may wait to be taken: 40 s of six drives at 400 Hz."""
+CLASSICAL_BYTES = 8
+"""Most data bytes of a frame that is not CAN FD."""
+NOTICE_PERIOD = 1.0
+"""At most one notice of a kind in so many seconds."""
+FAULTY_LIMIT = 1000
+"""Unreadable frames without a sound one in between, after which the adapter counts as lost."""
+
 
 class ArrivalClock:
     """Takes stamps of frames to the host's monotonic clock.
@@ -60,18 +71,6 @@ def _clock_offset(clock: Clock) -> float:
         before, day, after = clock.now(), clock.time_of_day(), clock.now()
         best = min(best, (after - before, day - 0.5 * (before + after)))
     return best[1]
-
-
-POLL = 0.005
-"""How long [s] the receiving thread waits for a frame before it looks whether it shall end."""
-BUFFER_FRAMES = 200_000
-"""Frames that may wait to be taken: 40 s of six drives at 400 Hz."""
-CLASSICAL_BYTES = 8
-"""Most data bytes of a frame that is not CAN FD."""
-NOTICE_PERIOD = 1.0
-"""At most one notice of a kind in so many seconds."""
-FAULTY_LIMIT = 1000
-"""Unreadable frames without a sound one in between, after which the adapter counts as lost."""
 
 
 class Receiver:

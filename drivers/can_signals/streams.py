@@ -21,6 +21,12 @@ from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.gains import DriveGain, gives_torque, joint_torque, torque_channel
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
+RATE_TIME = 2.0
+"""How long [s] rows are counted before their rate is judged."""
+RATE_TIMES = 2
+"""So often in a row the rate must be wrong: a computer that stalls makes arrivals late once, not twice."""
+RATE_TOLERANCE = 0.05
+
 
 class FrameStreams:
     """The streams of a table.
@@ -181,13 +187,6 @@ class FrameStreams:
         return {
             quantity: np.ascontiguousarray(values[:, members]) for quantity, members in self._columns(assembler).items()
         }
-
-
-RATE_TIME = 2.0
-"""How long [s] rows are counted before their rate is judged."""
-RATE_TIMES = 2
-"""So often in a row the rate must be wrong: a computer that stalls makes arrivals late once, not twice."""
-RATE_TOLERANCE = 0.05
 
 
 class Troubles:

@@ -387,8 +387,8 @@ class Canopen402Driver:
     def _make_poll(self) -> TemperaturePoll | None:
         sources = [node.temperature for node in self._settings.nodes]
         drives = [drive for drive, source in zip(self._drives, sources, strict=True) if source is not None]
-        known = [source for source in sources if source is not None]
-        return TemperaturePoll(drives, known, self._clock) if drives else None
+        stated = [source for source in sources if source is not None]
+        return TemperaturePoll(drives, stated, self._clock) if drives else None
 
     def _joints_with_temperature(self) -> tuple[str, ...]:
         pairs = zip(self._joints, self._settings.nodes, strict=True)

@@ -275,9 +275,9 @@ def in_python(error: DynidError, options: Iterable[Field[Any]]) -> None:
         return f"{of.name}={_quoted(value)}"
 
     pattern = r"(--[a-z][a-z-]*)(?:( )((?:[^\s,;:()]|,(?=\S))+))?"
-    for part, spelled in (("message", named), ("where", named), ("hint", typed)):
-        text = re.sub(r"--[a-z][^,()]*, in Python ", "", getattr(error, part))
-        setattr(error, part, re.sub(pattern, spelled, text))
+    for attribute, spelled in (("message", named), ("where", named), ("hint", typed)):
+        text = re.sub(r"--[a-z][^,()]*, in Python ", "", getattr(error, attribute))
+        setattr(error, attribute, re.sub(pattern, spelled, text))
 
 
 def _quoted(value: str) -> str:
@@ -285,9 +285,9 @@ def _quoted(value: str) -> str:
     return value if re.fullmatch(r"[\d.e+-]+|[A-Z]+", value) else f'"{value}"'
 
 
-def _of_a_command(found: re.Match[str]) -> bool:
+def _of_a_command(match: re.Match[str]) -> bool:
     """Whether an option belongs to a command that stands before it."""
-    return re.search(r"\bdynid \w+[^,:;()]*$", found.string[: found.start()]) is not None
+    return re.search(r"\bdynid \w+[^,:;()]*$", match.string[: match.start()]) is not None
 
 
 _NO_VALUES = frozenset(
@@ -318,7 +318,7 @@ def read_names(text: str, flag: str) -> tuple[str, ...]:
     Raises:
         UsageError: there is no name in it.
     """
-    names = tuple(name for part in text.split(",") if (name := part.strip()))
+    names = tuple(name for entry in text.split(",") if (name := entry.strip()))
     if not names:
         raise UsageError(f"{flag} '{text}' holds no name")
     return names

@@ -28,8 +28,8 @@ def visible(text: str) -> str:
 
 def hidden_character(name: str) -> str:
     r"""The first character of a name that commands a terminal or ends a line, as `\u001b`; empty without one."""
-    found = _COMMANDING.search(name) or re.search("[\t\n]", name)
-    return f"\\u{ord(found.group()):04x}" if found else ""
+    match = _COMMANDING.search(name) or re.search("[\t\n]", name)
+    return f"\\u{ord(match.group()):04x}" if match else ""
 
 
 LONGEST_NAME = 200

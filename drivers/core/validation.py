@@ -113,16 +113,16 @@ def _loaded(loader_class: type[Any], text: str) -> Any:
         loader.dispose()
 
 
-def _expanded_size(node: yaml.Node, known: dict[int, int]) -> int:
+def _expanded_size(node: yaml.Node, sizes: dict[int, int]) -> int:
     """Number of values that a node stands for where its aliases and merge keys (`<<`) are written out."""
-    size = known.get(id(node))
+    size = sizes.get(id(node))
     if size is None:
-        known[id(node)] = 1  # of an alias within its own value, which is not written out
+        sizes[id(node)] = 1  # of an alias within its own value, which is not written out
         children = [part for pair in node.value for part in pair] if isinstance(node, yaml.MappingNode) else node.value
         size = 1
         if not isinstance(node, yaml.ScalarNode):
-            size += sum(_expanded_size(child, known) for child in children)
-        known[id(node)] = size
+            size += sum(_expanded_size(child, sizes) for child in children)
+        sizes[id(node)] = size
     if size > MOST_NODES:
         raise yaml.MarkedYAMLError(
             problem=f"aliases and merge keys stand for more than {MOST_NODES} values", problem_mark=node.start_mark
@@ -207,15 +207,15 @@ def schema_problems(error: ValidationError, root: type[BaseModel]) -> tuple[Yaml
 
     Unknown keys go before the rest: one is mostly the misspelling of a key that is then missing.
     """
-    found = sorted(error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden")
+    problems = sorted(error.errors(include_url=False), key=lambda problem: problem["type"] != "extra_forbidden")
     # pydantic calls a list too short when its entries are wrong.
-    within = {problem["loc"][:depth] for problem in found for depth in range(len(problem["loc"]))}
-    kept = [problem for problem in found if not (problem["type"] == "too_short" and problem["loc"] in within)]
+    within = {problem["loc"][:depth] for problem in problems for depth in range(len(problem["loc"]))}
+    kept = [problem for problem in problems if not (problem["type"] == "too_short" and problem["loc"] in within)]
     return tuple(line for problem in kept for line in _described(problem, root))
 
 
 def _described(problem: ErrorDetails, root: type[BaseModel]) -> list[YamlProblem]:
-    location = tuple(part for part in problem["loc"] if not str(part).startswith("function-"))
+    location = tuple(step for step in problem["loc"] if not str(step).startswith("function-"))
     kind, place = problem["type"], key_path(location)
     if kind == "extra_forbidden":
         allowed = tuple(fields_of(locate(root, location)[2]))
@@ -235,7 +235,7 @@ def _described(problem: ErrorDetails, root: type[BaseModel]) -> list[YamlProblem
 
 def key_path(location: Sequence[int | str]) -> str:
     """`joints[0].velocity` of ("joints", 0, "velocity")."""
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
+    return "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in location).lstrip(".")
 
 
 def meaning(root: type[BaseModel], location: Sequence[int | str]) -> str:
@@ -248,19 +248,19 @@ def locate(schema: type[BaseModel], location: Sequence[int | str]) -> tuple[str,
     """Key path of a pydantic location, its field (None of an unknown key) and the section that it stands in."""
     path, field, section = "", None, schema
     annotation: Any = schema
-    for part in location:
+    for step in location:
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            section, field = annotation, fields_of(annotation).get(str(part))
-            path += f".{part}"
+            section, field = annotation, fields_of(annotation).get(str(step))
+            path += f".{step}"
             if field is None:
                 break
             annotation = plain_type(field.annotation)
         elif get_origin(annotation) in (tuple, dict):
-            path += f"[{part}]" if isinstance(part, int) and get_origin(annotation) is tuple else f".{part}"
+            path += f"[{step}]" if isinstance(step, int) and get_origin(annotation) is tuple else f".{step}"
             arguments = [get_arg for get_arg in get_args(annotation) if get_arg is not Ellipsis]
             annotation = plain_type(arguments[-1])
-        elif part in (choices := {choice.__name__: choice for choice in _sections(annotation)}):
-            annotation = choices[str(part)]  # a tagged union: the tag is the section's name
+        elif step in (choices := {choice.__name__: choice for choice in _sections(annotation)}):
+            annotation = choices[str(step)]  # a tagged union: the tag is the section's name
         else:  # a member of a union, or pydantic's name of a validator
             break
     return path.lstrip("."), field, section

@@ -65,9 +65,9 @@ def read_configuration(
                     if len(pending) < length:
                         break
                     package, pending = pending[:length], pending[length:]
-                    found = _configuration_in(package) if kind == ROBOT_STATE else None
-                    if found is not None:
-                        return found
+                    configuration = _configuration_in(package) if kind == ROBOT_STATE else None
+                    if configuration is not None:
+                        return configuration
     except (OSError, UnicodeError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ConnectionFailedError(

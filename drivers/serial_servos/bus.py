@@ -22,7 +22,7 @@ ATTEMPTS = 3
 
 
 @dataclass(frozen=True)
-class Feedback:
+class ServoFeedback:
     """What all servos said in one cycle.
 
     Attributes:
@@ -160,7 +160,7 @@ class ServoBus:
             with self._lock:
                 self.line.send(self.line.protocol.sync_write(address, rows))
 
-    def feedback(self) -> Feedback:
+    def feedback(self) -> ServoFeedback:
         """Read the feedback of all servos.
 
         Raises:
@@ -215,9 +215,9 @@ def called(motor: ServoMotor) -> str:
     return f"{motor.joint} (id {motor.id})"
 
 
-def _feedback(packets: Sequence[Packet], heard: Sequence[Heard], ids: Sequence[int], size: int) -> Feedback:
+def _feedback(packets: Sequence[Packet], heard: Sequence[Heard], ids: Sequence[int], size: int) -> ServoFeedback:
     answers = {packet.motor: packet for packet in packets if packet.motor in ids and len(packet.data) == size}
     sent = heard[0].sent if heard else math.nan
     received = heard[-1].received if heard else math.nan
     strange = sum(answer.strange for answer in heard)
-    return Feedback(answers, strange, 0.5 * (sent + received), received)
+    return ServoFeedback(answers, strange, 0.5 * (sent + received), received)

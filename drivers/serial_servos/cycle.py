@@ -5,7 +5,7 @@ from __future__ import annotations
 from drivers.core.clock import Clock
 from drivers.core.errors import ConnectionFailedError, DriverStateError
 from drivers.polled_rows import PolledRows
-from drivers.serial_servos.bus import Feedback, ServoBus, called
+from drivers.serial_servos.bus import ServoBus, ServoFeedback, called
 from drivers.serial_servos.control import ServoControl
 from drivers.serial_servos.settings import ServoMotor, ServoSettings
 from drivers.streams import ChannelLayout
@@ -50,7 +50,7 @@ class ServoCycle(PolledRows):
         if self._control.active and not self._control.led:
             self._look_closer()
 
-    def _row(self, feedback: Feedback) -> dict[str, list[float]]:
+    def _row(self, feedback: ServoFeedback) -> dict[str, list[float]]:
         row: dict[str, list[float]] = {}
         for motor in self._motors:
             answer = feedback.answers[motor.id]
@@ -65,7 +65,7 @@ class ServoCycle(PolledRows):
                 row.setdefault(quantity, []).append(value)
         return row
 
-    def _note_missing(self, missing: list[ServoMotor], feedback: Feedback) -> None:
+    def _note_missing(self, missing: list[ServoMotor], feedback: ServoFeedback) -> None:
         if self._bus.fast and not feedback.answers:
             self._bus.fast = False  # in one packet all wait for the servo that is silent: asked singly, it shows
             self._tell("warning", "the servos no longer answer in one packet: they are read one after the other")

@@ -17,7 +17,7 @@ from drivers.serial_servos.registers import TURN, ServoTable, known_models, serv
 OnStop = Literal["hold", "limp"]
 
 
-class MotorKeys(ConnectionSettings):
+class ServoMotorKeys(ConnectionSettings):
     """One servo."""
 
     id: int = Field(ge=0, le=252, description="of the servo on the bus")
@@ -35,7 +35,7 @@ class ServoKeys(ConnectionSettings):
     baudrate: int = Field(1_000_000, ge=9600, le=10_500_000, description="[bit/s]")
     rate: float = Field(100.0, ge=1.0, le=1000.0, description="[Hz] at which the servos are read and commanded")
     model: str | None = Field(None, description="of servos that name none")
-    motors: dict[str, MotorKeys] = Field(description="a mapping of joint → {id: …}")
+    motors: dict[str, ServoMotorKeys] = Field(description="a mapping of joint → {id: …}")
     calibration: Text | None = Field(None, description="a calibration file of LeRobot, from the robot file's folder")
     turn: float = Field(TURN, ge=0.1, le=10 * TURN, description="[rad] that the steps of a turn cover")
     on_stop: OnStop = Field("hold", description="what the arm does when a motion ends or is stopped")
@@ -56,7 +56,7 @@ class ServoKeys(ConnectionSettings):
 
     @field_validator("motors")
     @classmethod
-    def _a_motor_per_joint(cls, motors: dict[str, MotorKeys], info: ValidationInfo) -> dict[str, MotorKeys]:
+    def _a_motor_per_joint(cls, motors: dict[str, ServoMotorKeys], info: ValidationInfo) -> dict[str, ServoMotorKeys]:
         joints: Sequence[str] = (info.context or {})["joints"]
         if strange := [name for name in motors if name not in joints]:
             raise refused(f"{strange[0]!r} is no joint", f"joints: {', '.join(joints)}")

@@ -25,6 +25,21 @@ RETRY_PERIOD = 1.0
 """[s] between two attempts to open a port that has gone."""
 CLOSE_LIMIT = 2.0
 
+LONGEST_LINE = 1024
+"""Bytes; beyond, something else than lines is coming, and waiting for an end would fill the memory."""
+MOST_UNKNOWN = 100
+"""Channels that are remembered though the robot file does not name them."""
+SHOWN = 40
+"""Characters of a rejected line that a message quotes."""
+_LINE_END = re.compile(rb"[\r\n]+")
+_NUMBER = re.compile(r"\s*[+-]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][+-]?[0-9]+)?\s*")
+
+NO_MATCH = "do not match the pattern"
+NOT_A_NUMBER = "hold no number where the value should be"
+OUT_OF_RANGE = "hold a temperature outside the believed range"
+TOO_LONG = f"are longer than {LONGEST_LINE} characters"
+CUT = "were cut off"
+
 
 @dataclass(frozen=True)
 class Chunk:
@@ -167,22 +182,6 @@ class SerialPort:
                     self.dropped += len(oldest.data)
             self._arrivals.append(arrival)
             self._changed.notify()
-
-
-LONGEST_LINE = 1024
-"""Bytes; beyond, something else than lines is coming, and waiting for an end would fill the memory."""
-MOST_UNKNOWN = 100
-"""Channels that are remembered though the robot file does not name them."""
-SHOWN = 40
-"""Characters of a rejected line that a message quotes."""
-_LINE_END = re.compile(rb"[\r\n]+")
-_NUMBER = re.compile(r"\s*[+-]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][+-]?[0-9]+)?\s*")
-
-NO_MATCH = "do not match the pattern"
-NOT_A_NUMBER = "hold no number where the value should be"
-OUT_OF_RANGE = "hold a temperature outside the believed range"
-TOO_LONG = f"are longer than {LONGEST_LINE} characters"
-CUT = "were cut off"
 
 
 @dataclass(frozen=True)

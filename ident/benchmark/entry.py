@@ -24,7 +24,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from drivers.core.text import did_you_mean
 from ident.benchmark.dataset import Kind
-from ident.benchmark.motion import Motion
+from ident.benchmark.motion import BenchmarkMotion
 from ident.model.parameters import INERTIAL
 
 GROUP = "dynid.bench_methods"
@@ -42,7 +42,7 @@ class Training:
 
     robot: RobotFile
     recordings: tuple[Recording, ...]
-    motions: tuple[Motion, ...] = ()
+    motions: tuple[BenchmarkMotion, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.benchmark.entry import TorquePredictor
-from ident.benchmark.motion import Motion
+from ident.benchmark.motion import BenchmarkMotion
 
 DURATION = 0.3
 """[s] of a window."""
@@ -41,7 +41,7 @@ class ForwardError:
     windows: int
 
 
-def forward_error(predictor: TorquePredictor, motions: list[Motion]) -> ForwardError | None:
+def forward_error(predictor: TorquePredictor, motions: list[BenchmarkMotion]) -> ForwardError | None:
     """Simulate windows of held-out motions side by side; None where no joint moves.
 
     The inertia matrix and the other torques are taken from the predictor's torques, so that every model is simulated
@@ -55,7 +55,7 @@ def forward_error(predictor: TorquePredictor, motions: list[Motion]) -> ForwardE
     return ForwardError(float(np.median(finite)), float(np.mean(finite > DIVERGED)), len(every))
 
 
-def _window_ratios(predictor: TorquePredictor, motion: Motion) -> FloatArray:
+def _window_ratios(predictor: TorquePredictor, motion: BenchmarkMotion) -> FloatArray:
     length = int(DURATION * motion.rate)
     first, last = motion.inner.start, motion.inner.stop - length
     fast = np.flatnonzero(np.max(np.abs(motion.dq), axis=1) >= LEAST_SPEED)

@@ -14,7 +14,7 @@ from drivers.core.errors import DataError
 from ident.assessment.validation import LOW_SPEED
 from ident.benchmark.entry import ServoPredictor, TorquePredictor
 from ident.benchmark.forward import ForwardError, forward_error
-from ident.benchmark.motion import Motion
+from ident.benchmark.motion import BenchmarkMotion
 from ident.estimators.feasible.pseudo_inertia import pseudo_inertia
 
 REST = 0.01
@@ -97,7 +97,7 @@ class ServoScore:
     samples: int
 
 
-def judge_torques(predictor: TorquePredictor, motions: list[Motion], robot: RobotFile) -> TorqueScore:
+def judge_torques(predictor: TorquePredictor, motions: list[BenchmarkMotion], robot: RobotFile) -> TorqueScore:
     """Compare an entry's torques with held-out ones.
 
     Raises:
@@ -137,7 +137,7 @@ def judge_torques(predictor: TorquePredictor, motions: list[Motion], robot: Robo
     )
 
 
-def _compared(predictor: TorquePredictor, motion: Motion) -> tuple[FloatArray, ...]:
+def _compared(predictor: TorquePredictor, motion: BenchmarkMotion) -> tuple[FloatArray, ...]:
     """Errors in the band and raw, torques in the band and raw, and velocities, of the samples that count."""
     predicted = np.asarray(predictor.torque(motion.q, motion.dq, motion.ddq), dtype=np.float64)
     if predicted.shape != motion.torque.shape:

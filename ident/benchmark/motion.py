@@ -25,7 +25,7 @@ LARGEST_GAP = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class BenchmarkMotion:
     """A gap-free motion on a uniform grid.
 
     Attributes:
@@ -61,7 +61,7 @@ def low_pass(values: FloatArray, cutoff: float, rate: float) -> FloatArray:
     return np.asarray(filtfilt(b, a, values, axis=0), dtype=np.float64)
 
 
-def motions(recording: Recording, robot: RobotFile, rate: float, states: float, band: float) -> list[Motion]:
+def motions(recording: Recording, robot: RobotFile, rate: float, states: float, band: float) -> list[BenchmarkMotion]:
     """The gap-free motions of a recording, each long enough for the filters.
 
     Args:
@@ -91,7 +91,7 @@ def motions(recording: Recording, robot: RobotFile, rate: float, states: float, 
         acceleration = np.gradient(velocity, 1.0 / native, axis=0)
         every = slice(None, None, round(native / used))
         torque = _at(grid, time[rows], of_joints[rows])
-        found.append(Motion(used, band, position[every], velocity[every], acceleration[every], torque[every]))
+        found.append(BenchmarkMotion(used, band, position[every], velocity[every], acceleration[every], torque[every]))
     if not found:
         raise DataError(f"no gap-free motion lasts {3.0 * EDGE / band:.2g} s", where=recording.label)
     return found

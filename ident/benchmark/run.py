@@ -25,7 +25,7 @@ from ident.benchmark.entry import (
     torque_predictor,
 )
 from ident.benchmark.judge import ServoScore, TorqueScore, agreement, judge_servo, judge_torques
-from ident.benchmark.motion import Motion, motions
+from ident.benchmark.motion import BenchmarkMotion, motions
 from ident.benchmark.results import Benchmark, Entry, Skipped
 
 
@@ -130,7 +130,7 @@ def judge_method(dataset: Dataset, place: str, folder: Path) -> Judged:
     return Judged(torques, parameters, seconds, _peak_memory())
 
 
-def _motions(data: LoadedData, recordings: Sequence[Recording]) -> tuple[Motion, ...]:
+def _motions(data: LoadedData, recordings: Sequence[Recording]) -> tuple[BenchmarkMotion, ...]:
     if data.dataset.kind == "servo":
         return ()
     of = data.dataset

@@ -425,11 +425,11 @@ def _placed(body: LintedBody) -> Iterator[Finding]:
     volume = float(np.prod(np.maximum(body.box[1] - body.box[0], 1e-3)))
     density = body.mass / volume
     if not LIGHTEST <= density <= DENSEST:
-        known = "denser than lead" if density > DENSEST else "lighter than foam"
+        comparison = "denser than lead" if density > DENSEST else "lighter than foam"
         yield Finding(
             "error" if density > DENSEST else "note", "mass", (body.name,),
             f"{body.mass:.3g} kg in a box of {volume * 1e3:.3g} l is {density:.2g} kg/m³",
-            f"that is {known}", "is the mass in kg, and the mesh in m (scale)?",
+            f"that is {comparison}", "is the mass in kg, and the mesh in m (scale)?",
         )  # fmt: skip
 
 
@@ -439,14 +439,14 @@ def _placeholders(bodies: Sequence[LintedBody]) -> dict[str, None]:
     def is_round(value: float) -> bool:
         return any(math.isclose(value, one, rel_tol=1e-9) for one in ROUND)
 
-    found: dict[str, None] = {}
+    names: dict[str, None] = {}
     ones = [body for body in bodies if math.isclose(body.mass, 1.0, rel_tol=1e-12)]
     for body in bodies:
         diagonal = np.diag(body.inertia)
         same = not np.any(body.inertia - np.diag(diagonal)) and np.ptp(diagonal) == 0.0
         if body.mass > 0.0 and ((same and is_round(float(diagonal[0]))) or (len(ones) > 2 and body in ones)):
-            found[body.name] = None
-    return found
+            names[body.name] = None
+    return names
 
 
 def _copies(bodies: Sequence[LintedBody], placeholders: Collection[str]) -> Iterator[Finding]:

@@ -189,8 +189,8 @@ def _excitation_checks(recording: Recording, excitation: ExcitationReached | Non
 
 def _precision_checks(sufficiency: Sufficiency | None) -> list[Check]:
     """Whether the motion determines most parameters, by the error bars that it is expected to give."""
-    known = [] if sufficiency is None else [parameter.rsd_percent for parameter in sufficiency.forecast.parameters]
-    ratios = [ratio for ratio in known if ratio is not None]
+    rsds = [] if sufficiency is None else [parameter.rsd_percent for parameter in sufficiency.forecast.parameters]
+    ratios = [ratio for ratio in rsds if ratio is not None]
     determined = sum(ratio < SIGNIFICANT_RSD for ratio in ratios)
     if determined >= LEAST_DETERMINED * len(ratios):
         return []

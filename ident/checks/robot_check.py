@@ -89,9 +89,9 @@ def check_robot(robot_file: RobotFile) -> RobotCheck:
     installed = installed_drivers()
     for name, connection in robot_file.robot.connections.items():
         if connection.driver not in installed:
-            known = ", ".join(sorted(installed)) or "none in this version"
+            names = ", ".join(sorted(installed)) or "none in this version"
             warnings.append(
-                f"connection '{name}' needs the driver '{connection.driver}', which is not installed ({known})"
+                f"connection '{name}' needs the driver '{connection.driver}', which is not installed ({names})"
             )
             continue
         try:

@@ -109,8 +109,8 @@ def _processor() -> str:
     import platform
 
     with suppress(OSError), open("/proc/cpuinfo") as lines:
-        known = ("flags", "Features", "model", "CPU part", "CPU implementer", "vendor_id", "cpu family")
-        first = [line for line in iter(lines.readline, "\n") if line.split("\t")[0].strip() in known]
+        keys = ("flags", "Features", "model", "CPU part", "CPU implementer", "vendor_id", "cpu family")
+        first = [line for line in iter(lines.readline, "\n") if line.split("\t")[0].strip() in keys]
         return platform.machine() + "".join(first)
     return platform.machine() + platform.processor()
 

@@ -50,6 +50,19 @@ from ident.regression.observation_matrix import JointFactor, Reduction, stack_re
 from ident.signals.filters import StreamedFilter, ZeroPhaseFilter
 from ident.signals.prepared import Prepared, Segment, Step
 
+HALF_POWER = 0.443
+"""Frequency times duration at which a moving average passes half the power."""
+
+SHORTEST_CUTOFF, LONGEST_CUTOFF = 1.0, 0.1
+"""Windows of mean duration pass, as moving averages, half the power at one of these shares of the parallel filter's
+cut-off, or in between: at the cut-off itself, or at a tenth of it, where the motion's band ends."""
+
+WINDOWS_PER_PARAMETER = 4.0
+"""Windows are made no longer than leaves this many, side by side, for each base parameter."""
+
+OVERLAP = 4
+"""How many windows each instant belongs to."""
+
 
 @dataclass(frozen=True)
 class EnergyRows:
@@ -140,20 +153,6 @@ def energy_jackknife(
     sums = sums.occupied  # windows hold many samples: a block may be left without a row
     moves = tolerant_moves(sums, sums.gram.sum(axis=0))
     return blocks.corrected(moves, solution.rows, independent_share(of_rows))
-
-
-HALF_POWER = 0.443
-"""Frequency times duration at which a moving average passes half the power."""
-
-SHORTEST_CUTOFF, LONGEST_CUTOFF = 1.0, 0.1
-"""Windows of mean duration pass, as moving averages, half the power at one of these shares of the parallel filter's
-cut-off, or in between: at the cut-off itself, or at a tenth of it, where the motion's band ends."""
-
-WINDOWS_PER_PARAMETER = 4.0
-"""Windows are made no longer than leaves this many, side by side, for each base parameter."""
-
-OVERLAP = 4
-"""How many windows each instant belongs to."""
 
 
 @dataclass(frozen=True)

@@ -92,12 +92,12 @@ def chosen_method(text: str) -> MethodChoice:
     if method is None:
         *others, last = all_methods()
         raise UsageError(f"no method is called '{name}'", where="--method", hint=f"{', '.join(others)} or {last}")
-    known = [field.name for field in fields(method.options)]
+    names = [field.name for field in fields(method.options)]
     given: dict[str, str] = {}
     for pair in pairs:
         option, sign, value = pair.partition("=")
-        if option not in known:
-            hint = f"its options: {', '.join(known)}" if known else "it has no options"
+        if option not in names:
+            hint = f"its options: {', '.join(names)}" if names else "it has no options"
             raise UsageError(f"the method {name} has no option '{option}'", where="--method", hint=hint)
         if not sign or option in given:
             wrong = "has no value" if not sign else "is given twice"

@@ -242,7 +242,7 @@ def _limit_use(
         low, high = limits.position
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         below, above = (middle - extremes.lowest[index]) / half, (extremes.highest[index] - middle) / half
-        known = None if torque is None else float(torque[index])
+        torque_limit = None if torque is None else float(torque[index])
         entry = JointUse(
             joint=limits.name,
             lowest=float(extremes.lowest[index]),
@@ -252,8 +252,8 @@ def _limit_use(
             velocity_use=float(extremes.velocity[index]) / limits.velocity,
             acceleration=float(extremes.acceleration[index]),
             acceleration_use=float(extremes.acceleration[index]) / limits.acceleration,
-            torque=known,
-            torque_use=None if known is None or limits.torque is None else known / limits.torque,
+            torque=torque_limit,
+            torque_use=None if torque_limit is None or limits.torque is None else torque_limit / limits.torque,
         )
         joints.append(entry)
         uses += _named_uses(entry, extremes, index, int(above >= below))

@@ -76,13 +76,13 @@ def find_prior(robot_file: RobotFile, result: Path | None = None) -> PriorKnowle
     if not all(name in robot.truth.links for name in (*robot.joint_names, *robot.passive_names)):
         source = f"no parameters; torque noise of {_ASSUMPTION} assumed"
         return PriorKnowledge(None, assumed, source, recording_rate(robot))
-    known = np.array([robot.truth.noise.torque_std.get(name, 0.0) for name in robot.joint_names])
+    noise = np.array([robot.truth.noise.torque_std.get(name, 0.0) for name in robot.joint_names])
     source = "the robot file's truth"
-    if not np.all(known > 0):
-        silent = [name for name, value in zip(robot.joint_names, known, strict=True) if value <= 0]
+    if not np.all(noise > 0):
+        silent = [name for name, value in zip(robot.joint_names, noise, strict=True) if value <= 0]
         source += f"; it has no torque noise for {', '.join(silent)}: {_ASSUMPTION} assumed"
     truth = base.projection @ truth_vector(robot_file)
-    return PriorKnowledge(truth, np.where(known > 0, known, assumed), source, robot.truth.noise.rate)
+    return PriorKnowledge(truth, np.where(noise > 0, noise, assumed), source, robot.truth.noise.rate)
 
 
 _ASSUMPTION = f"{percent_text(ASSUMED_NOISE_SHARE)} of the torque limit ({ASSUMED_NOISE:g} N·m where it is unknown)"

@@ -100,8 +100,8 @@ def servo_excitation(
     """
     room = _room(robot_file, choices.margin)
     if result is not None:
-        known = _Known(result, choices.wanted / 100.0)
-        if not known.wide(known.information).any():
+        earlier = _Known(result, choices.wanted / 100.0)
+        if not earlier.wide(earlier.information).any():
             return ServoExcitation(None, np.empty((0, len(room.low))), (), (), True, None)
     poses = _poses(robot_file, check, room, choices.seed)
     pieces = _clear_pieces(check, poses, room, choices.seed)
@@ -109,8 +109,8 @@ def servo_excitation(
         chosen = _ladder(pieces, poses, room, choices.length)
         forecast: tuple[ServoForecast, ...] = ()
     else:
-        shown = known.shown_by(servo_links(robot_file), pieces)
-        chosen, forecast = _narrowing(known, pieces, shown, poses, room, choices.length)
+        shown = earlier.shown_by(servo_links(robot_file), pieces)
+        chosen, forecast = _narrowing(earlier, pieces, shown, poses, room, choices.length)
     position = joined(chosen, poses, room)
     time = np.asarray(np.arange(len(position)) * PERIOD, dtype=np.float64)
     motion = SampledMotion(time, position.T)
@@ -252,7 +252,7 @@ class _Known:
         counted = np.isfinite(lanes.measured)
         sigma = np.maximum(np.array(self.result.resolution), np.array(self.result.fit.rollout_error)) * 1.25
         weight = PERIOD / CORRELATED
-        found = []
+        segments = []
         for number in range(len(pieces)):
             own = []
             for joint in range(joints):
@@ -260,8 +260,8 @@ class _Known:
                 rows = np.searchsorted(columns, np.flatnonzero(self.free[joint]))
                 slope = tangents[rows][:, counted[:, lane], lane] / sigma[joint]
                 own.append(weight * slope @ slope.T)
-            found.append(own)
-        return found
+            segments.append(own)
+        return segments
 
 
 def _held_before(position: FloatArray) -> ServoMotion:
@@ -281,7 +281,7 @@ _STEP = 0.01
 
 
 def _narrowing(
-    known: _Known,
+    earlier: _Known,
     pieces: list[ServoSegment],
     shown: list[list[FloatArray]],
     poses: FloatArray,
@@ -293,17 +293,17 @@ def _narrowing(
     Raises:
         MotionRefusedError: no piece tells anything of what is still wide.
     """
-    information = [matrix.copy() for matrix in known.information]
+    information = [matrix.copy() for matrix in earlier.information]
     chosen: list[ServoSegment] = []
-    while known.wide(information).any():
-        before = known.cost(information)
+    while earlier.wide(information).any():
+        before = earlier.cost(information)
         best: tuple[float, int] | None = None
         used = _seconds(chosen, poses, room)
         for number, piece in enumerate(pieces):
             longer = _seconds([*chosen, piece], poses, room)
             if longer > length:
                 continue
-            after = known.cost([old + new for old, new in zip(information, shown[number], strict=True)])
+            after = earlier.cost([old + new for old, new in zip(information, shown[number], strict=True)])
             rate = (before - after) / max(longer - used, PERIOD)
             if best is None or rate > best[0]:
                 best = rate, number
@@ -314,19 +314,19 @@ def _narrowing(
     if not chosen:
         raise MotionRefusedError(
             "no piece of motion within the limits narrows what is still wide",
-            where=known.result.robot,
+            where=earlier.result.robot,
             hint="raise --wanted or --length, or the robot file's limits of velocity and acceleration",
         )
-    return chosen, _forecast(known, information)
+    return chosen, _forecast(earlier, information)
 
 
-def _forecast(known: _Known, information: Sequence[FloatArray]) -> tuple[ServoForecast, ...]:
-    now, then = known.half_widths(known.information), known.half_widths(information)
+def _forecast(earlier: _Known, information: Sequence[FloatArray]) -> tuple[ServoForecast, ...]:
+    now, then = earlier.half_widths(earlier.information), earlier.half_widths(information)
     rows = []
-    for row, (joint, order) in enumerate(zip(known.result.joints, known.result.searched, strict=True)):
+    for row, (joint, order) in enumerate(zip(earlier.result.joints, earlier.result.searched, strict=True)):
         for place, name in enumerate(order):
             if now[row][place] > 1.0:
-                limit = known.limit[row][place]
+                limit = earlier.limit[row][place]
                 unit = 1.0 if TERMS[INDEX[name]].positive else TERMS[INDEX[name]].spread
                 scale = 100.0 * limit / unit
                 rows.append(

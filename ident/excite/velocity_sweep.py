@@ -98,8 +98,8 @@ def _pose(robot_file: RobotFile, name: str | None) -> FloatArray:
             return np.array(next(iter(poses.values())), dtype=np.float64)
         return np.array([middle_of_range(*joint.position) for joint in robot_file.robot.joints])
     if name not in poses:
-        known = f"there are {', '.join(poses)}" if poses else "the robot file has no section 'poses'"
-        raise UsageError(f"no pose is called '{name}'", where="--pose", hint=known)
+        hint = f"there are {', '.join(poses)}" if poses else "the robot file has no section 'poses'"
+        raise UsageError(f"no pose is called '{name}'", where="--pose", hint=hint)
     return np.array(poses[name], dtype=np.float64)
 
 

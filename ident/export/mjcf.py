@@ -63,9 +63,9 @@ def mjcf(arm: ExportedArm) -> str:
     tendons, equalities, actuators = (ElementTree.Element(tag) for tag in ("tendon", "equality", "actuator"))
     _loops(arm, elements, tendons, equalities)
     _motors(arm, tendons, actuators)
-    for part in (tendons, equalities, actuators):
-        if len(part):
-            root.append(part)
+    for element in (tendons, equalities, actuators):
+        if len(element):
+            root.append(element)
     _keyframe(arm, root, world)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"

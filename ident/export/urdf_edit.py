@@ -86,8 +86,8 @@ def check_joints(arm: ExportedArm, xml: str, where: str) -> None:
         RobotFileError: naming the joint.
     """
     model = arm.model
-    found = urdf_joints(xml, model.link_names, arm.robot_file.robot.model.locked, where)
-    for mine, other in zip(model.joints, found, strict=True):
+    joints = urdf_joints(xml, model.link_names, arm.robot_file.robot.model.locked, where)
+    for mine, other in zip(model.joints, joints, strict=True):
         if mine.parent != other.parent:
             raise RobotFileError(f"joint '{mine.name}' hangs on another link than in the identified arm", where=where)
         if mine.prismatic != other.prismatic:

@@ -149,22 +149,20 @@ def identify_fleet(
     goes_on = _is_of_a_fleet(folder / FLEET_RESULT)
     check_output_folder(folder, (FLEET_RESULT, REPORT_FILE), [path_of(file)], overwrite=overwrite or goes_on)
     jobs = read_fleet(path_of(file))
-    levels = list(merges(jobs))
-    names = [job.name for stage in (jobs, *levels) for job in stage]
+    stages = [jobs, *merges(jobs)]
+    names = [job.name for stage in stages for job in stage]
     folder.mkdir(parents=True, exist_ok=True)
     known = {job.name: outcome for job in jobs if (outcome := finished(job, folder)) is not None}
-    missing = [job for job in jobs if job.name not in known]
     repeated = 0
 
     def fleet() -> Fleet:
         return Fleet(folder, tuple(known[name] for name in names if name in known), len(names), repeated)
 
     written = SYSTEM_CLOCK.now()
-    fleet().write(running=bool(missing))
-    progress(f"{len(missing)} of {len(jobs)} results to do")
-    for level in ([], *levels):
-        if level:
-            missing = [job for job in (_of_what_stands(job, known) for job in level) if not _kept(job, folder, known)]
+    fleet().write(running=len(known) < len(jobs))
+    progress(f"{len(jobs) - len(known)} of {len(jobs)} results to do")
+    for stage in stages:
+        missing = [job for job in (_of_what_stands(job, known) for job in stage) if not _kept(job, folder, known)]
         repeated += len(missing)
         for outcome in outcomes(missing, str(folder.resolve()), count, scheduler):
             known[outcome.name] = outcome
@@ -180,13 +178,15 @@ def identify_fleet(
 
 
 def _of_what_stands(job: Job, known: Mapping[str, JobOutcome]) -> Job:
-    """The merge of those parts that have a result."""
-    return replace(job, merged=tuple(name for name in job.merged or () if name in known and not known[name].failure))
+    """A merge of those parts that have a result; another job as it is."""
+    if job.merged is None:
+        return job
+    return replace(job, merged=tuple(name for name in job.merged if name in known and not known[name].failure))
 
 
 def _kept(job: Job, folder: Path, known: dict[str, JobOutcome]) -> bool:
-    """Whether an earlier call has done a merge already; its outcome is then among those known."""
-    outcome = finished(job, folder)
+    """Whether an earlier call has done a job already; its outcome is then among those known."""
+    outcome = known.get(job.name) or finished(job, folder)
     if outcome is not None:
         known[job.name] = outcome
     return outcome is not None

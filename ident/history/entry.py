@@ -177,13 +177,13 @@ def _plausible(time: datetime, path: Path) -> float:
 
 def _temperatures(used: Sequence[UsedRecording], joints: list[str]) -> dict[str, float]:
     """Joint → mean temperature over the recordings [°C]; joints without one in each recording are left out."""
-    found: dict[str, float] = {}
+    means: dict[str, float] = {}
     for place, joint in enumerate(joints):
         read = [recording.temperature[place] for recording in used if place < len(recording.temperature)]
-        known = [value for value in read if value is not None]
-        if known and len(known) == len(used):
-            found[joint] = sum(known) / len(known)
-    return found
+        finite = [value for value in read if value is not None]
+        if finite and len(finite) == len(used):
+            means[joint] = sum(finite) / len(finite)
+    return means
 
 
 def _values(result: Result | GravityResult | ServoResult, warm: Mapping[str, float]) -> Iterator[KeptValue]:

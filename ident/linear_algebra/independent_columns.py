@@ -65,8 +65,8 @@ def row_space(system: FloatArray) -> RowSpace:
     """The row space of a system (m, p); unknowns without effect have columns of zeros."""
     lengths = np.linalg.norm(system, axis=0)
     acting = np.flatnonzero(lengths)
-    _, singular, found = np.linalg.svd(system[:, acting] / lengths[acting], full_matrices=False)
+    _, singular, directions = np.linalg.svd(system[:, acting] / lengths[acting], full_matrices=False)
     seen = singular > SINGULAR * singular.max(initial=0.0)
     rows = np.zeros((int(seen.sum()), system.shape[1]))
-    rows[:, acting] = found[seen]
+    rows[:, acting] = directions[seen]
     return RowSpace(lengths, singular[seen], rows, np.minimum(np.sum(rows**2, axis=0), 1.0))

@@ -126,7 +126,7 @@ class ModelKey:
                 joint.name,
                 joint.parent,
                 joint.prismatic,
-                *(part.tobytes() for part in (joint.rotation, joint.translation, joint.axis)),
+                *(value.tobytes() for value in (joint.rotation, joint.translation, joint.axis)),
             )
             for joint in model.joints
         )

@@ -262,7 +262,9 @@ class _Body:
         if not self._any:
             out[:] = 0.0
             return
-        w, alpha, a = (part[:, :count] for part in (frame.angular_velocity, frame.angular_acceleration, frame.linear))
+        w, alpha, a = (
+            vector[:, :count] for vector in (frame.angular_velocity, frame.angular_acceleration, frame.linear)
+        )
         along = self._moments @ w
         out[:, 0] = self._mass * a - self._crossed @ alpha + w * along
         out[:, 0] -= self._moments[:, None] * np.einsum("it,it->t", w, w)

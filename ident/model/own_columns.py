@@ -18,12 +18,12 @@ from ident.signals.prepared import Prepared
 def own_column(model: DynamicModel, columns: Sequence[int], kind: str, motor: int) -> int | None:
     """Place among standard `columns` of a motor's own parameter of a kind; None where it is not among them."""
     standard, joint = model.parameters, model.active[motor]
-    found = (
+    places = (
         place
         for place, column in enumerate(columns)
         if standard[column].kind == kind and standard[column].joint == joint
     )
-    return next(found, None)
+    return next(places, None)
 
 
 def gravity_of(base: BaseParameters, parameters: FloatArray) -> LoadTorque:

@@ -421,9 +421,9 @@ def model_torque(
         q, rate, change = position[:, chunk], velocity[:, chunk], acceleration[:, chunk]
         motion = model.tree_motion(q, rate, change)
         at_tree = links(motion.position, motion.velocity, motion.acceleration)
-        part = at_tree
+        at_motors = at_tree
         if not transmission.direct:
-            part = transmission.joint_to_motor @ transmission.from_tree(motion, at_tree)
+            at_motors = transmission.joint_to_motor @ transmission.from_tree(motion, at_tree)
         states = {motion: state[chunk] for motion, state in presliding.items()}
         load = None if load_kernel is None else load_kernel.torque(q)
         heat = None if temperature is None else temperature[:, chunk]
@@ -431,8 +431,8 @@ def model_torque(
         for column, value in of_joints:
             signal = column_signal(model, column, rate, change, conditions)
             for motor, factor in column.rows:
-                part[motor] += factor * value * signal
-        torque[:, chunk] = part
+                at_motors[motor] += factor * value * signal
+        torque[:, chunk] = at_motors
     return torque
 
 

@@ -15,7 +15,7 @@ from drivers.streams import GOAL_AGE, Batch, StreamLayout
 from ident.monitor.contact_forces import expected_delay
 from ident.monitor.interval_torque import JointSamples
 from ident.monitor.load_estimate import changed_load
-from ident.monitor.monitor import Contact, Monitor, Residuals
+from ident.monitor.monitor import Contact, Monitor, WatchedBatch
 from ident.monitor.thresholds import SAME_RATE, STD_EVERY, Thresholds
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.models.model import Model
@@ -63,7 +63,7 @@ class LiveMonitor:
         self.page: Page | None = None
         self.alarm: Callable[[float, str, str], None] = lambda time, text, joint: None
         self.monitor = Monitor(model, thresholds)
-        self.newest: Residuals | None = None
+        self.newest: WatchedBatch | None = None
         self.failure = ""
         self._model, self._stops = model, stops
         self._robot = model.stored.robot_file.robot
@@ -145,7 +145,7 @@ class LiveMonitor:
             self.newest = residuals
             self._draw(residuals)
 
-    def _draw(self, residuals: Residuals) -> None:
+    def _draw(self, residuals: WatchedBatch) -> None:
         if self.page is None:
             return
         intervals = residuals.intervals
@@ -228,7 +228,7 @@ class LiveMonitor:
             self._shown = now, tuple(self._said(self.newest))
         return self._shown[1]
 
-    def _said(self, newest: Residuals) -> list[str]:
+    def _said(self, newest: WatchedBatch) -> list[str]:
         external, threshold = newest.external[-1], newest.threshold[-1]
         largest = np.argsort(-np.abs(external) / threshold)[:SHOWN_JOINTS]
         units = [joint.unit("N·m") for joint in self._robot.joints]
@@ -285,7 +285,7 @@ def contact_text(contact: Contact) -> str:
     )
 
 
-def now_or_end(contact: Contact, newest: Residuals) -> str:
+def now_or_end(contact: Contact, newest: WatchedBatch) -> str:
     """Whether a contact lasts, or how long ago it was."""
     if np.isnan(contact.end):
         return "now"

@@ -34,7 +34,7 @@ FEWEST_SECONDS = 0.5
 
 
 @dataclass(frozen=True)
-class LoadEstimate:
+class ToolLoad:
     """A load on the tool.
 
     Attributes:
@@ -50,7 +50,7 @@ class LoadEstimate:
     seconds: float
 
 
-def changed_load(load: LoadEstimate | None) -> str:
+def changed_load(load: ToolLoad | None) -> str:
     """That contacts are the weight of another load on the tool, in words; empty where it is not significant."""
     if load is None or load.seconds < SURE_SECONDS or abs(load.mass) < SURE_MARGINS * load.margin:
         return ""
@@ -137,7 +137,7 @@ class LoadEstimator:
         return np.asarray(follow.T @ (jacobian.T @ body @ self._moved))
 
     @property
-    def estimate(self) -> LoadEstimate | None:
+    def estimate(self) -> ToolLoad | None:
         """The load; None before the arm has moved long enough."""
         seconds = self._moving * self._thresholds.period
         if seconds < FEWEST_SECONDS:
@@ -147,4 +147,4 @@ class LoadEstimator:
         at = INERTIAL.index("M")
         mass, margin = float(found[at]), WITHIN_95_PERCENT * float(np.sqrt(covariance[at, at]))
         centre = found[[INERTIAL.index(name) for name in ("MX", "MY", "MZ")]] / mass if mass > margin else None
-        return LoadEstimate(mass, margin, centre, seconds)
+        return ToolLoad(mass, margin, centre, seconds)

@@ -17,7 +17,7 @@ from ident.model.dynamics.link_jacobian import LinkJacobians
 from ident.monitor.choices import BANDWIDTH, Kind
 from ident.monitor.contact_forces import Wrench, tool_wrench
 from ident.monitor.interval_torque import Intervals, IntervalTorque, JointSamples, rows_of
-from ident.monitor.load_estimate import LoadEstimate, LoadEstimator
+from ident.monitor.load_estimate import LoadEstimator, ToolLoad
 from ident.monitor.thresholds import SETTLING, STD_EVERY, Thresholds, learn
 from ident.result.models.model import Model
 from ident.signals.joint_signals import read_joint_signals
@@ -57,7 +57,7 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Residuals:
+class WatchedBatch:
     """What a batch of samples gave; N of n joints.
 
     Attributes:
@@ -110,11 +110,11 @@ class Monitor:
         self._settle = round(SETTLING / (thresholds.bandwidth * thresholds.period))
         self._after_restart = 0
         self._below = 0.0
-        self._last: Residuals | None = None
+        self._last: WatchedBatch | None = None
         self.contacts: list[Contact] = []
         self.lag = self._intervals.lag
 
-    def add(self, samples: JointSamples) -> Residuals:
+    def add(self, samples: JointSamples) -> WatchedBatch:
         """Take over samples (N, n); what they complete.
 
         Raises:
@@ -144,7 +144,7 @@ class Monitor:
                     begun = row
             if self._load is not None:
                 self._load.add(rows_of(intervals, slice(begun, None)), way[begun:])
-        result = Residuals(intervals, external, threshold, spread, way, alarm)
+        result = WatchedBatch(intervals, external, threshold, spread, way, alarm)
         self._last = result if len(intervals) else self._last
         return result
 
@@ -192,7 +192,7 @@ class Monitor:
         return True
 
     @property
-    def load(self) -> LoadEstimate | None:
+    def load(self) -> ToolLoad | None:
         """The load since the last contact began; None before the arm has moved long enough."""
         return None if self._load is None else self._load.estimate
 

@@ -111,8 +111,8 @@ def _speed_panel(model: DynamicModel, joint: JointExperiment, first: bool) -> Pa
     velocity, heat, load, torque = _sample(joint)
     unit, speed = _joint_units(model, joint)
     span = joint.stored.temperature_range
-    known = span is not None
-    scale = {"color": packed(heat - ZERO_CELSIUS), "colorscale": "Portland"} if known else {"color": MEASURED}
+    has_span = span is not None
+    scale = {"color": packed(heat - ZERO_CELSIUS), "colorscale": "Portland"} if has_span else {"color": MEASURED}
     traces: list[dict[str, Any]] = [_points("data", velocity, torque, {**scale, "size": 3}, first)]
     level = np.sqrt(np.mean(np.square(load)))
     ends = [("model", np.nan)] if span is None else [("coldest", span.least), ("warmest", span.greatest)]

@@ -68,9 +68,9 @@ def _panel(result: GravityResult, row: int, joint: GravityJoint, first: bool) ->
             "showlegend": first,
             "marker": {"color": colour, "symbol": symbol, "size": size, "line": {"width": 1.5, "color": colour}},
             "x": [place + 1 for place in shown],
-            "y": [getattr(result.poses[place], part)[row] for place in shown],
+            "y": [getattr(result.poses[place], signal)[row] for place in shown],
         }
-        for label, part, colour, symbol, size in (
+        for label, signal, colour, symbol, size in (
             ("measured", "measured", MEASURED, "circle", 6),
             ("predicted", "predicted", PREDICTED, "circle-open", 11),
         )

@@ -146,14 +146,14 @@ def _gains_figure(gains: Sequence[JointGain], unit: str) -> Figure | None:
     if not having:
         return None
     rows = [gain.joint for gain in gains]
-    found = IntervalSeries(
+    identified = IntervalSeries(
         "identified ± 95 %",
         {gain.joint: gain.gain for gain in gains},
         IDENTIFIED,
         {gain.joint: gain.std for gain in gains},
     )
     file = IntervalSeries("robot file", {gain.joint: gain.file_gain for gain in gains}, COMPARED)
-    panels = [interval_panel(f"gain [{unit}]", f"<b>gain</b> [{unit}]", rows, [found, file], unit)]
+    panels = [interval_panel(f"gain [{unit}]", f"<b>gain</b> [{unit}]", rows, [identified, file], unit)]
     if any(gain.file_gain for gain in having):
         change = IntervalSeries(
             "change",

@@ -63,8 +63,8 @@ class ReportData:
         result = self.result
         judged = {joint.joint: place for place, joint in enumerate(result.verdict.joints)}
         errors = result.validation or result.fit
-        known = errors.joint_relative_error if errors is not None else []
-        falling = [math.inf if error is None else -error for error in known]
+        per_joint = errors.joint_relative_error if errors is not None else []
+        falling = [math.inf if error is None else -error for error in per_joint]
         falling += [math.inf] * (len(result.joints) - len(falling))
         return sorted(range(len(result.joints)), key=lambda j: (judged.get(result.joints[j], len(judged)), falling[j]))
 

@@ -162,9 +162,9 @@ def friction_note(runs: int, repeatability: FloatArray | None) -> str:
             f"Intervals of friction hold for its mean over the {runs} runs and count how much it changed between them; "
             "repeatability is σ of that change, by which a single run differs from the mean."
         )
-    known = "one run" if runs == 1 else f"{runs} runs, whose changes this method does not estimate"
+    runs_text = "one run" if runs == 1 else f"{runs} runs, whose changes this method does not estimate"
     return (
-        f"Intervals of friction come from {known}: they do not cover how much friction changes from run to run "
+        f"Intervals of friction come from {runs_text}: they do not cover how much friction changes from run to run "
         "(temperature, load and rest before). Identify several recordings together to have that in them."
     )
 

@@ -129,8 +129,8 @@ class GravityResult(Stored):
             (name, "")
             for name in ("joint", "gravity", "held_out_error", "worst", "friction", "friction_±", "offset", "unit")
         ]
-        known = [joint.model_file_rms is not None for joint in self.of_joints]
-        if any(known):
+        has_file = [joint.model_file_rms is not None for joint in self.of_joints]
+        if any(has_file):
             headings.insert(4, ("robot_file", ""))
         offsets = {
             parameter.joint: parameter.value for parameter in self.gravity_parameters if parameter.kind == "offset"
@@ -138,7 +138,7 @@ class GravityResult(Stored):
         rows: list[list[Cell]] = []
         for joint in self.of_joints:
             row: list[Cell] = [joint.joint, joint.gravity, joint.held_out_rms, joint.held_out_max]
-            if any(known):
+            if any(has_file):
                 row.append(joint.model_file_rms)
             row += [joint.friction, joint.friction_interval, offsets.get(joint.joint), joint.unit]
             rows.append(row)

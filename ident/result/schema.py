@@ -280,8 +280,8 @@ class Result(Stored):
             fits += [self.delivered.fit, self.delivered.validation, self.delivered.validation_all_samples]
             for run in self.delivered.runs:
                 fits += [run.in_motion, run.all_samples, run.full_in_motion, run.full_all_samples]
-        for part in (*fits, self.residuals, self.model_options):
-            for name, values in () if part is None else part:
+        for section in (*fits, self.residuals, self.model_options):
+            for name, values in () if section is None else section:
                 if name not in _LISTS_OF_JOINTS or len(values) == count:
                     continue
                 raise ValueError(f"'{name}' has {len(values)} entries for {count} joints")

@@ -101,8 +101,8 @@ class Table:
         for column in self.columns:
             if column.name == name:
                 return _array(column.cells)
-        known = ", ".join(column.name for column in self.columns)
-        raise UsageError(f"the table has no column '{name}'", hint=f"columns: {known}")
+        names = ", ".join(column.name for column in self.columns)
+        raise UsageError(f"the table has no column '{name}'", hint=f"columns: {names}")
 
     def row(self, name: str) -> Mapping[str, Cell]:
         """The row of this name as column → cell.

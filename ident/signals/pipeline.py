@@ -149,8 +149,8 @@ def _with_target(
         for time, motion in motions:
             start = int(np.searchsorted(time, segment.time[0] - 0.5 / segment.rate))
             if time[0] <= segment.time[0] and segment.time[-1] <= time[-1]:
-                part = slice(start, start + len(segment.time))
-                target = SmoothMotion(*(np.ascontiguousarray(signal[:, part]) for signal in motion))
+                chunk = slice(start, start + len(segment.time))
+                target = SmoothMotion(*(np.ascontiguousarray(signal[:, chunk]) for signal in motion))
                 return replace(segment, target=target)
         return segment
 

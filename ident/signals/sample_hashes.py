@@ -44,6 +44,44 @@ MANY_JOINTS = 4
 
 HashArray = npt.NDArray[np.uint64]
 
+BAND = (0.06, 0.22)
+"""Frequencies that are compared, over the lower of both rates."""
+
+BANDS = 6
+"""Into how many that range is cut."""
+
+SEGMENT = 128
+"""Samples of a segment of Welch's estimate."""
+
+FEWEST_SEGMENTS = 12
+"""Segments that the runs must have in common."""
+
+SAME_MOTION = 0.8
+"""Share of a run's power that the other one explains, from which on they may be of one motion: simulated arms of one
+seed have the same noise in different motions."""
+
+NO_NOISE, WHITE = 0.1, 2.0
+"""Share of the other run's noise below which a run counts as free of it, and power of what both differ by at the
+motion's frequencies, over that of white noise: another run differs there by friction, a copy by added noise alone."""
+
+UNCERTAIN = 0.12
+"""Standard deviation of a slope above which it does not count: added noise hides what it is of."""
+
+UNCERTAIN_TOGETHER, LEAST_DEVIATION = 0.06, 1e-3
+"""The same of all bands together, whose slope is that of a copy or of another run, a quarter away at least from half
+way between; and of a single one, which else would weigh all."""
+
+COUNTED = 0.3
+"""Share of all bands of all joints that must count."""
+
+NOISY = 0.5
+"""Share of noise in a band's power from which on the band counts: what repeats makes a slope of the rest at most."""
+
+COHERENT, EQUAL_SLOPE, LEAST_RATE = 0.93, 0.955, 100.0
+"""Where noise is not seen, as it was filtered out or ripple of the gears is larger: coherence or slope from which on,
+in nine of ten bands, the data are the same, and rate [Hz] that this needs. Ripple that repeats exactly, with next to no
+noise, reached 0.84 and 0.93 on simulated arms; linear interpolation left 0.946, added noise a slope of 0.96."""
+
 
 def sample_hashes(position: FloatArray, torque: FloatArray) -> HashArray:
     """The hashes (M,) of the samples, each once; a sample that repeats the one before does not count.
@@ -105,45 +143,6 @@ def _mixed(rows: npt.NDArray[np.int64]) -> HashArray:
     return np.asarray(state >> np.uint64(64 - BITS))
 
 
-BAND = (0.06, 0.22)
-"""Frequencies that are compared, over the lower of both rates."""
-
-BANDS = 6
-"""Into how many that range is cut."""
-
-SEGMENT = 128
-"""Samples of a segment of Welch's estimate."""
-
-FEWEST_SEGMENTS = 12
-"""Segments that the runs must have in common."""
-
-SAME_MOTION = 0.8
-"""Share of a run's power that the other one explains, from which on they may be of one motion: simulated arms of one
-seed have the same noise in different motions."""
-
-NO_NOISE, WHITE = 0.1, 2.0
-"""Share of the other run's noise below which a run counts as free of it, and power of what both differ by at the
-motion's frequencies, over that of white noise: another run differs there by friction, a copy by added noise alone."""
-
-UNCERTAIN = 0.12
-"""Standard deviation of a slope above which it does not count: added noise hides what it is of."""
-
-UNCERTAIN_TOGETHER, LEAST_DEVIATION = 0.06, 1e-3
-"""The same of all bands together, whose slope is that of a copy or of another run, a quarter away at least from half
-way between; and of a single one, which else would weigh all."""
-
-COUNTED = 0.3
-"""Share of all bands of all joints that must count."""
-
-NOISY = 0.5
-"""Share of noise in a band's power from which on the band counts: what repeats makes a slope of the rest at most."""
-
-COHERENT, EQUAL_SLOPE, LEAST_RATE = 0.93, 0.955, 100.0
-"""Where noise is not seen, as it was filtered out or ripple of the gears is larger: coherence or slope from which on,
-in nine of ten bands, the data are the same, and rate [Hz] that this needs. Ripple that repeats exactly, with next to no
-noise, reached 0.84 and 0.93 on simulated arms; linear interpolation left 0.946, added noise a slope of 0.96."""
-
-
 def same_noise(time: FloatArray, torque: FloatArray, other_time: FloatArray, other_torque: FloatArray) -> bool:
     """Whether one of two recordings holds the other's noise.
 
@@ -167,8 +166,8 @@ def same_noise(time: FloatArray, torque: FloatArray, other_time: FloatArray, oth
 
 def _copied(slopes: FloatArray, slow: bool) -> bool:
     """Whether slopes, shares of noise, coherence and deviations of the slopes (K, 4) are those of a copy."""
-    known = slopes[slopes[:, 3] < UNCERTAIN]
-    noisy = known[known[:, 1] >= NOISY]
+    certain = slopes[slopes[:, 3] < UNCERTAIN]
+    noisy = certain[certain[:, 1] >= NOISY]
     least = max(1.0, COUNTED * len(slopes))
     if len(noisy) < least:  # much noise was added: all bands together may still show what it hides in each
         noisy = slopes[(slopes[:, 1] >= NOISY) & np.isfinite(slopes[:, 3])]
@@ -181,9 +180,9 @@ def _copied(slopes: FloatArray, slow: bool) -> bool:
             float(weights @ values / weights.sum()) for values in (noisy[:, 0], np.minimum(noisy[:, 1], 1.0))
         )
         return slope > 1.0 - 0.5 * share
-    if slow or len(known) < least:
+    if slow or len(certain) < least:
         return False
-    lowest = np.quantile(known, 0.1, axis=0)
+    lowest = np.quantile(certain, 0.1, axis=0)
     return bool(lowest[2] > COHERENT or lowest[0] > EQUAL_SLOPE)
 
 
@@ -245,8 +244,8 @@ def _aligned(
     if 0 < best < len(match) - 1:  # between two steps of the grid
         before, at, after = match[best - 1 : best + 2]
         curve = before - 2.0 * at + after
-        part = float(np.clip(0.5 * (before - after) / curve, -0.5, 0.5)) if curve < 0.0 else 0.0
-        second = _on_grid(other_time, other_torque, step, -part * step)
+        shift = float(np.clip(0.5 * (before - after) / curve, -0.5, 0.5)) if curve < 0.0 else 0.0
+        second = _on_grid(other_time, other_torque, step, -shift * step)
     start, stop = max(0, lag), min(len(first), len(second) + lag)
     if stop - start < need:
         return None
@@ -284,12 +283,12 @@ def _slopes(of: FloatArray, on: FloatArray, noise: FloatArray) -> FloatArray:
         if scale**2 * whole < SAME_MOTION * float(np.sum(np.abs(y) ** 2)):
             continue
         for band, (low, high) in enumerate(pairwise(edges)):
-            part, other = x[:, low:high], y[:, low:high]
-            power, own = float(np.sum(np.abs(part) ** 2)), float(np.sum(np.abs(other) ** 2))
+            here, other = x[:, low:high], y[:, low:high]
+            power, own = float(np.sum(np.abs(here) ** 2)), float(np.sum(np.abs(other) ** 2))
             if power <= 0.0 or scale <= 0.0:
                 continue
-            slope = float(np.sum((other * part.conj()).real)) / power
-            deviation = np.sqrt(max(own / power - slope**2, 0.0) / part.size)  # segments overlap, values have two parts
-            share = noise[joint] * float(np.sum(window**2)) * part.size / power
+            slope = float(np.sum((other * here.conj()).real)) / power
+            deviation = np.sqrt(max(own / power - slope**2, 0.0) / here.size)  # segments overlap, values have two parts
+            share = noise[joint] * float(np.sum(window**2)) * here.size / power
             slopes[joint * BANDS + band] = slope / scale, share, slope**2 * power / own, deviation / scale
     return slopes

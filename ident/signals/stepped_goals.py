@@ -48,11 +48,11 @@ def _ahead(stamps: FloatArray, goals: FloatArray, times: FloatArray, ages: Float
         ages: (N,) of the goals in force [s]; nan where there was none.
     """
     order = np.searchsorted(stamps, times, side="left") - 1  # a goal with a reading's stamp was obeyed after it
-    known = (order >= 0) & np.isfinite(ages)
+    valid = (order >= 0) & np.isfinite(ages)
     order = np.maximum(order, 0)
     periods = np.diff(stamps)
     periods = np.append(periods, periods[-1])  # live, the newest goal is in force as long as those before
-    known &= periods[order] < LONGEST_PERIOD
+    valid &= periods[order] < LONGEST_PERIOD
     middles = stamps + 0.5 * np.minimum(periods, LONGEST_PERIOD)
     even = np.interp(stamps[order] + ages, middles, goals)
-    return np.where(known, even - goals[order], 0.0)
+    return np.where(valid, even - goals[order], 0.0)

@@ -127,11 +127,11 @@ class ForwardArm:
         for term in self._smooth:
             speed = np.array([max(abs(float(term.motion @ velocity)), SLOPE_SPEED)])
             slope = float(self._signal(term, speed, conditions)[0] / speed[0])
-            part = slope * np.outer(term.at_joints, term.motion)
+            derivative = slope * np.outer(term.at_joints, term.motion)
             if term.at_joints @ term.motion * slope >= 0.0:
-                matrix += part
+                matrix += derivative
             else:
-                torque += part @ velocity
+                torque += derivative @ velocity
         return matrix, torque
 
     def dry_at(self, position: FloatArray, velocity: FloatArray) -> FloatArray:

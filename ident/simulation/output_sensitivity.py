@@ -45,9 +45,9 @@ def output_sensitivities(
     stiffness, damping = (np.diag(gain) for gain in gains)
     state: tuple[FloatArray, FloatArray] | None = None
     for start in range(0, count, STEPS_AT_ONCE):
-        part = tuple(signal[:, start : start + STEPS_AT_ONCE] for signal in motion)
-        inertia, by_velocity, by_position = _derivatives(torque, *part)
-        forced = -regressor(*part).transpose(2, 0, 1)
+        chunk = tuple(signal[:, start : start + STEPS_AT_ONCE] for signal in motion)
+        inertia, by_velocity, by_position = _derivatives(torque, *chunk)
+        forced = -regressor(*chunk).transpose(2, 0, 1)
         by_velocity += damping
         by_position += stiffness
         implicit = np.linalg.inv(inertia + 0.5 * step * by_velocity + 0.25 * step**2 * by_position)

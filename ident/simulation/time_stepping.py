@@ -36,6 +36,15 @@ DIVERGED = 1e4
 ALTERNATIONS = 4
 """Successive changes of a torque's sign, step by step, that mark a controller as unstable with this step."""
 
+PRECISION = 1e-9
+"""Change of the velocity [rad/s], relative where it is above 1, at which v̄ counts as found."""
+
+ROUNDS = 10
+"""Evaluations of the bias per step at most."""
+
+Drive = Callable[[float, FloatArray, FloatArray], FloatArray]
+"""Joint torques (n,) [N·m] for the step that begins at a time [s] with these positions and velocities (n,)."""
+
 
 def diverged(velocity: FloatArray) -> bool:
     """Whether a velocity (n,) is beyond all bounds, or no number."""
@@ -81,16 +90,6 @@ def _hint(arm: ForwardArm, name: str, torque: FloatArray) -> str:
     if len(torque) > ALTERNATIONS and np.all(torque[1:] * torque[:-1] < 0.0):
         return "the torque changes sign at every step: a shorter step, or softer gains for so little inertia"
     return "give a smaller torque, softer controller gains or a shorter step"
-
-
-PRECISION = 1e-9
-"""Change of the velocity [rad/s], relative where it is above 1, at which v̄ counts as found."""
-
-ROUNDS = 10
-"""Evaluations of the bias per step at most."""
-
-Drive = Callable[[float, FloatArray, FloatArray], FloatArray]
-"""Joint torques (n,) [N·m] for the step that begins at a time [s] with these positions and velocities (n,)."""
 
 
 @dataclass(frozen=True, eq=False)

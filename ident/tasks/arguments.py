@@ -84,7 +84,7 @@ def held_out_of(runs: Runs | None) -> list[Recording]:
 
 def paths_of(*given: object) -> list[Path]:
     """The paths among arguments of a task, and in lists of them; recordings that were read already have none."""
-    flat = [run for part in given for run in (part if isinstance(part, (list, tuple)) else [part])]
+    flat = [run for entry in given for run in (entry if isinstance(entry, (list, tuple)) else [entry])]
     return [Path(run) for run in flat if isinstance(run, (str, PathLike))]
 
 

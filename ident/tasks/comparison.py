@@ -299,10 +299,10 @@ def _models(
 
 
 def _mean(values: Sequence[float]) -> float | None:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.mean(known)) if known else None
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.mean(finite)) if finite else None
 
 
 def _deviation(values: Sequence[float]) -> float | None:
-    known = [value for value in values if np.isfinite(value)]
-    return float(np.std(known, ddof=1)) if len(known) > 1 else None
+    finite = [value for value in values if np.isfinite(value)]
+    return float(np.std(finite, ddof=1)) if len(finite) > 1 else None

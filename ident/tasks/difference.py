@@ -69,8 +69,8 @@ class ModelDifference:
         """The comparison of the parameters in a sentence or two."""
         scores = self.parameters["z"]
         beyond = int(np.sum(np.abs(scores) > WITHIN_95_PERCENT))
-        known = int(np.sum(np.isfinite(scores)))
-        text = f"{beyond} of {known} {self.what} differ by more than {WITHIN_95_PERCENT:g} σ"
+        compared = int(np.sum(np.isfinite(scores)))
+        text = f"{beyond} of {compared} {self.what} differ by more than {WITHIN_95_PERCENT:g} σ"
         if self.test is None:
             text += "; together they cannot be tested, since a covariance is missing."
         else:
@@ -192,7 +192,7 @@ def _parameters(first: Result, other: Result) -> Table:
 
 def _errors(first: Result, other: Result) -> Table:
     delivered = (first.delivered, other.delivered)
-    fits = tuple(None if part is None else part.validation_all_samples for part in delivered)
+    fits = tuple(None if values is None else values.validation_all_samples for values in delivered)
     rows: list[tuple[Cell, ...]] = [
         (
             joint,
@@ -216,7 +216,7 @@ def _purposes(first: Result, other: Result) -> Table:
     rows: list[tuple[Cell, ...]] = []
     for purpose, words in PURPOSE_WORDS.items():
         judged = [result.verdict.purposes.get(purpose) for result in (first, other)]
-        rows.append((words, *(None if found is None else found.grade for found in judged)))
+        rows.append((words, *(None if difference is None else difference.grade for difference in judged)))
     return table_of_rows("Verdict", [(name, "") for name in ("purpose", "first", "second")], rows)
 
 
@@ -256,15 +256,15 @@ def _test(result: Result, other: Result) -> SignificanceTest | None:
 
 def _known_places(estimate: Estimate) -> dict[int, int]:
     """Column → its place in the estimate, of values whose variance is known."""
-    known = np.isfinite(np.diag(estimate.covariance))
-    return {column: place for place, column in enumerate(estimate.active) if known[place]}
+    finite = np.isfinite(np.diag(estimate.covariance))
+    return {column: place for place, column in enumerate(estimate.active) if finite[place]}
 
 
 def _scaled_covariance(estimate: Estimate) -> FloatArray:
     """(a, a) for white residuals, times the mean ratio of the corrected variance to it."""
-    known = np.isfinite(np.diag(estimate.covariance))
-    root = estimate.root[:, known]
-    ratio = float(np.trace(root @ estimate.covariance[np.ix_(known, known)] @ root.T)) / int(known.sum())
+    finite = np.isfinite(np.diag(estimate.covariance))
+    root = estimate.root[:, finite]
+    ratio = float(np.trace(root @ estimate.covariance[np.ix_(finite, finite)] @ root.T)) / int(finite.sum())
     inverse = np.linalg.inv(estimate.root)
     return np.asarray(ratio * (inverse @ inverse.T))
 

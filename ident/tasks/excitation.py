@@ -192,7 +192,7 @@ def design_excitation(options: ExciteOptions) -> ExcitationTrajectory:
         ('position [%]', True)
     """
     robot_file = load_robot(options.robot)
-    known = find_prior(robot_file, None if options.prior is None else result_path(options.prior))
+    prior = find_prior(robot_file, None if options.prior is None else result_path(options.prior))
     joints = None if options.joints is None else tuple(options.joints)
     choices = same_named(options, DesignChoices, joints=joints)
     time = DEFAULT_SECONDS if options.time is None and options.starts is None else options.time
@@ -200,10 +200,10 @@ def design_excitation(options: ExciteOptions) -> ExcitationTrajectory:
     earlier = options.earlier
     if earlier is not None and not isinstance(earlier, ExcitationTrajectory):
         earlier = load_trajectory(earlier, robot_file)
-    designed = design(robot_file, known, choices, search, None if earlier is None else earlier.motion, options.progress)
-    figures = excitation_figures(robot_file, designed.motion, known)
+    designed = design(robot_file, prior, choices, search, None if earlier is None else earlier.motion, options.progress)
+    figures = excitation_figures(robot_file, designed.motion, prior)
     text = trajectory_text(robot_file, designed, figures)
-    trajectory = ExcitationTrajectory(robot_file, text, designed.motion, known, designed)
+    trajectory = ExcitationTrajectory(robot_file, text, designed.motion, prior, designed)
     trajectory.__dict__["figures"] = figures  # known already; the property would compute them again
     return trajectory
 
@@ -383,12 +383,12 @@ def design_sweep(options: SweepOptions) -> tuple[ExcitationTrajectory, tuple[Joi
         MotionRefusedError: no joint can move.
     """
     robot_file = load_robot(options.robot)
-    known = None if options.prior is None else result_path(options.prior)
+    prior = None if options.prior is None else result_path(options.prior)
     choices = same_named(options, SweepChoices, joints=tuple(options.joints))
-    sweep = velocity_sweep(robot_file, ArmMotionCheck(robot_file, known), choices)
+    sweep = velocity_sweep(robot_file, ArmMotionCheck(robot_file, prior), choices)
     comment = "designed by dynid sweep: one joint at a time, forth and back, for friction"
     text, motion = _points_text(robot_file, sweep.motion, comment)
-    return ExcitationTrajectory(robot_file, text, motion, find_prior(robot_file, known)), sweep.joints
+    return ExcitationTrajectory(robot_file, text, motion, find_prior(robot_file, prior)), sweep.joints
 
 
 def _points_text(robot_file: RobotFile, motion: PointToPoint, comment: str) -> tuple[str, Motion]:

@@ -313,16 +313,16 @@ def own_recordings(model: Model, watched: Recording | None = None) -> list[Recor
         UsageError: there are none.
     """
     folders = [] if watched is None or watched.path is None else [watched.path.parent]
-    found = [path for _, path in unchanged_files(model.result.recordings, folders)]
+    recordings = [path for _, path in unchanged_files(model.result.recordings, folders)]
     own = None if watched is None or watched.path is None else watched.path.resolve()
-    found = list(dict.fromkeys(path for path in found if path.resolve() != own))
-    if not found:
+    recordings = list(dict.fromkeys(path for path in recordings if path.resolve() != own))
+    if not recordings:
         raise UsageError(
             "the recordings that the model comes from are not where they were, or are the one to watch",
             where=model.name,
             hint="--quiet names a recording of ordinary motion without contact",
         )
-    return [read_recording(path) for path in found]
+    return [read_recording(path) for path in recordings]
 
 
 def forces_noticed(model: Model, thresholds: Thresholds, poses: FloatArray) -> tuple[SmallestForce, ...]:
@@ -334,7 +334,7 @@ def forces_noticed(model: Model, thresholds: Thresholds, poses: FloatArray) -> t
 def sensitivity_table(smallest: Sequence[SmallestForce]) -> Table:
     """The smallest forces that are noticed, a row per link [N]."""
     rows = [
-        (force.link, *(_number(value) for part in (force.moving, force.worst, force.resting) for value in part))
+        (force.link, *(_number(value) for forces in (force.moving, force.worst, force.resting) for value in forces))
         for force in smallest
     ]
     names = [f"{axis}{way}" for way in ("", " worst pose", " near rest") for axis in "xyz"]

@@ -128,10 +128,10 @@ def _of_description(name: str) -> Path:
         hint = f"give the path of a URDF; names need the package: pip install {DESCRIPTIONS.replace('_', '-')}"
         raise UsageError(f"no file and no robot description is called '{name}'", hint=hint)
     folders = spec.submodule_search_locations or ()
-    known = sorted(file.stem for folder in folders for file in Path(folder).glob("*_description.py"))
+    packages = sorted(file.stem for folder in folders for file in Path(folder).glob("*_description.py"))
     module = name if name.endswith("_description") else f"{name}_description"
-    if module not in known or module.startswith("_"):
-        hint = did_you_mean(module, known) or f"{len(known)} are known: python -m {DESCRIPTIONS} list"
+    if module not in packages or module.startswith("_"):
+        hint = did_you_mean(module, packages) or f"{len(packages)} are known: python -m {DESCRIPTIONS} list"
         raise UsageError(f"{DESCRIPTIONS} has no '{name}'", hint=hint)
     try:
         description = import_module(f"{DESCRIPTIONS}.{module}")

@@ -273,9 +273,9 @@ class ServoModel(GradedResult):
         """The recordings of the validation, else of the identification, that are still where they were, unchanged."""
         for role in ("validation", "identification"):
             own = [(Path(use.file), use.sha256) for use in self.result.recordings if use.role == role]
-            found = tuple(path for path, sha256 in own if path.is_file() and file_sha256(path) == sha256)
-            if found:
-                return found
+            unchanged = tuple(path for path, sha256 in own if path.is_file() and file_sha256(path) == sha256)
+            if unchanged:
+                return unchanged
         return ()
 
     def _speeds(self) -> FloatArray:

@@ -149,7 +149,7 @@ def validate(options: ValidateOptions) -> Validation:
     return Validation(
         joints=tuple(result.joints),
         torque_unit=result.unit("N·m"),
-        full=fit_errors([part for fits in compared for part in fits.series]),
+        full=fit_errors([series for fits in compared for series in fits.series]),
         essential=fit_errors([essential_sery for fits in compared for essential_sery in fits.essential_series]),
         consistent=fit_errors(of_consistent) if of_consistent else None,
         delivered=delivered,

@@ -230,11 +230,11 @@ def _of_joints(
 
 
 def _below(name: str, joint: str, limit: float, value: float | None, words: str, unit: str) -> JudgedLimit:
-    known = value if value is not None and math.isfinite(value) else None
-    passed = known is not None and known <= limit
+    finite = value if value is not None and math.isfinite(value) else None
+    passed = finite is not None and finite <= limit
     of = f"{joint}: " if joint else ""
-    if known is None:
+    if finite is None:
         text = f"{of}{words} is not known; at most {limit:.4g}{unit} is asked for"
     else:
-        text = f"{of}{words} is {known:.4g}{unit}, {'within' if passed else 'above'} the limit of {limit:.4g}{unit}"
-    return JudgedLimit(name, joint, limit, known, passed, text)
+        text = f"{of}{words} is {finite:.4g}{unit}, {'within' if passed else 'above'} the limit of {limit:.4g}{unit}"
+    return JudgedLimit(name, joint, limit, finite, passed, text)

@@ -100,9 +100,9 @@ def step_table(history: ArmHistory) -> Table:
 
 def sentences(history: ArmHistory) -> list[str]:
     """What changed, a sentence per parameter, the most significant first; and one where nothing did."""
-    found = [_sentence(finding) for finding in history.findings]
-    if found:
-        return found
+    findings = [_sentence(finding) for finding in history.findings]
+    if findings:
+        return findings
     followed = [parameter for parameter in history.parameters if parameter.trend is not None]
     if followed:
         return [f"No significant change of {len(followed)} parameters."]

@@ -8,13 +8,12 @@ import os
 import re
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Protocol
 
 import can
 import numpy as np
 
 from drivers.core.clock import SYSTEM_CLOCK, Clock
-from sim_drivers.pseudo_terminal import LineEnd, PseudoTerminal
+from sim_drivers.pseudo_terminal import PollableLineEnd, PseudoTerminal
 from sim_drivers.server import Server
 
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
@@ -62,13 +61,6 @@ def format_frame(message: can.Message, stamp: int | None = None) -> bytes:
     data = "" if message.is_remote_frame else bytes(message.data).hex().upper()
     tail = "" if stamp is None else f"{stamp:04X}"
     return f"{letter}{identifier}{message.dlc}{data}{tail}\r".encode()
-
-
-class PollableLineEnd(LineEnd, Protocol):
-    """A line's end whose descriptor can be waited for, and does not block."""
-
-    def fileno(self) -> int:
-        """Its descriptor."""
 
 
 class SlcanAdapter(Server):

@@ -36,7 +36,7 @@ from drivers.canopen402.samples.alignment import PER_MILLE
 from drivers.canopen402.setup.drive_limits import NO_TORQUE_LIMIT, NO_WINDOW
 from sim_drivers.canopen.motion import AxisReference, CyclicPosition, Profile, ReferenceMotion, Standstill
 from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError
-from sim_drivers.canopen.setup import DriveSetup, Feedback
+from sim_drivers.canopen.setup import DriveFeedback, DriveSetup
 from sim_drivers.canopen.state import State, StateMachine
 
 BRAKE_DECELERATION = 20.0
@@ -72,7 +72,7 @@ class Axis:
     """
 
     def __init__(
-        self, setup: DriveSetup, feedback: Feedback, objects: ObjectDictionary, emergency: Callable[[int], None]
+        self, setup: DriveSetup, feedback: DriveFeedback, objects: ObjectDictionary, emergency: Callable[[int], None]
     ) -> None:
         self.setup, self.feedback, self.objects = setup, feedback, objects
         self._emergency = emergency

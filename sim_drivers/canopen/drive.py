@@ -27,7 +27,7 @@ from sim_drivers.canopen.error_control import NodeErrorControl
 from sim_drivers.canopen.motion import AxisReference
 from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAbortError, SdoServer
 from sim_drivers.canopen.pdo import ReceivePdo, TransmitPdo
-from sim_drivers.canopen.setup import DriveSetup, Feedback, fixed_values
+from sim_drivers.canopen.setup import DriveFeedback, DriveSetup, fixed_values
 
 _NMT_STATES = {0x01: STATE_OPERATIONAL, 0x02: STATE_STOPPED, 0x80: STATE_PRE_OPERATIONAL}
 """NMT command → state."""
@@ -67,7 +67,7 @@ class SimulatedDrive:
     """
 
     def __init__(
-        self, node: int, setup: DriveSetup, feedback: Feedback, send: Callable[[int, bytes, bool], None]
+        self, node: int, setup: DriveSetup, feedback: DriveFeedback, send: Callable[[int, bytes, bool], None]
     ) -> None:
         self.node = node
         self._send = send

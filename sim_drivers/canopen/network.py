@@ -23,7 +23,7 @@ from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
 from sim_drivers.canopen.drive import SimulatedDrive
 from sim_drivers.canopen.error_control import HIGHEST_NODE
 from sim_drivers.canopen.motion import SyncClock
-from sim_drivers.canopen.setup import DriveSetup, Feedback
+from sim_drivers.canopen.setup import DriveFeedback, DriveSetup
 from sim_drivers.plant.arm import MeasurementLike
 from sim_drivers.server import LONGEST_LAG
 
@@ -88,7 +88,7 @@ def drive_setups(robot: Robot, settings: CanopenSettings) -> tuple[DriveSetup, .
             )
         torque = node.rated_torque or (joint.torque or 100.0) / PEAK_FACTOR
         gain = abs(robot.drive(joint.name).gain or 10.0)
-        known = DriveSetup(
+        setup = DriveSetup(
             serial=node.id if node.serial is None else node.serial,
             direction=node.direction,
             zero=node.zero,
@@ -100,10 +100,10 @@ def drive_setups(robot: Robot, settings: CanopenSettings) -> tuple[DriveSetup, .
         if not robot.model.coupling:  # else the limits of a joint are none of a motor
             largest = torque * PEAK_FACTOR if joint.torque is None else joint.torque
             lowest, highest = joint.position
-            known = replace(
-                known, lowest=lowest, highest=highest, largest_velocity=joint.velocity, largest_torque=largest
+            setup = replace(
+                setup, lowest=lowest, highest=highest, largest_velocity=joint.velocity, largest_torque=largest
             )
-        setups.append(known if counts is None else replace(known, increments=round(counts), gear=1))
+        setups.append(setup if counts is None else replace(setup, increments=round(counts), gear=1))
     return tuple(setups)
 
 
@@ -288,7 +288,7 @@ class DriveNetwork:
         for drive, feedback in zip(self.drives, self._feedback(time - self._tick_time), strict=True):
             drive.axis.feedback = feedback
 
-    def _feedback(self, ahead: float) -> list[Feedback]:
+    def _feedback(self, ahead: float) -> list[DriveFeedback]:
         """The drives' measurement `ahead` [s] of the plant's last step."""
         measured = self._arm.measure()
         position = self._arm.position + ahead * self._arm.velocity
@@ -296,7 +296,7 @@ class DriveNetwork:
         if self._coupling is not None:  # a drive measures its motor
             velocity, torque = self._coupling @ velocity, np.linalg.solve(self._coupling.T, torque)
         columns = (position, velocity, torque, measured.current, measured.temperature)
-        feedback = [Feedback(*row) for row in np.array(columns).T.tolist()]
+        feedback = [DriveFeedback(*row) for row in np.array(columns).T.tolist()]
         for (joint, quantity), value in self._stuck.items():
             feedback[joint] = replace(feedback[joint], **{quantity: value})
         return feedback

@@ -164,8 +164,8 @@ class ObjectDictionary:
         """
         entry = self.entries.get((index, subindex))
         if entry is None:
-            known = any(place == index for place, _ in self.entries)
-            raise SdoAbortError(Abort.NO_SUBINDEX if known else Abort.NO_OBJECT)
+            exists = any(place == index for place, _ in self.entries)
+            raise SdoAbortError(Abort.NO_SUBINDEX if exists else Abort.NO_OBJECT)
         return entry
 
     def number(self, index: int, subindex: int = 0) -> int:

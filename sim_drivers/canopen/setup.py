@@ -70,7 +70,7 @@ class DriveSetup:
 
 
 @dataclass(frozen=True)
-class Feedback:
+class DriveFeedback:
     """A drive's measurement of its joint [rad, rad/s, N·m, A, °C]."""
 
     position: float

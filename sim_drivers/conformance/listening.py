@@ -23,7 +23,7 @@ TURNS = 5000
 
 
 @dataclass
-class Heard:
+class Received:
     """What came.
 
     Attributes:
@@ -36,7 +36,7 @@ class Heard:
     notices: list[Notice] = field(default_factory=list)
     error: ConnectionLostError | None = None
 
-    def __iadd__(self, later: Heard) -> Heard:
+    def __iadd__(self, later: Received) -> Received:
         """Go on with what came later."""
         self.blocks += later.blocks
         self.notices += later.notices
@@ -61,14 +61,14 @@ class Heard:
 
     def all(self, quantity: str) -> FloatArray | None:
         """(N, n) of a quantity; None where it does not come."""
-        found = [block.values[quantity] for block in self.blocks if len(block.values.get(quantity, ()))]
-        return np.concatenate(found) if found else None
+        values = [block.values[quantity] for block in self.blocks if len(block.values.get(quantity, ()))]
+        return np.concatenate(values) if values else None
 
-    def last(self, seconds: float) -> Heard:
+    def last(self, seconds: float) -> Received:
         """What arrived within the last so many seconds."""
         end = max((block.host_time[-1] for block in self.blocks if len(block.host_time)), default=0.0)
         recent = [block for block in self.blocks if len(block.host_time) and block.host_time[0] >= end - seconds]
-        return Heard(recent, self.notices, self.error)
+        return Received(recent, self.notices, self.error)
 
     def newest(self, quantity: str) -> FloatArray | None:
         """(n,) the newest sample of a quantity; None where none came."""
@@ -76,13 +76,13 @@ class Heard:
         return None if every is None else every[-1]
 
 
-def listen(bench: Bench, driver: Driver, samples: int) -> Heard:
+def listen(bench: Bench, driver: Driver, samples: int) -> Received:
     """Read until so many samples of a stream have come, `LIMIT` at most.
 
     Raises:
         ConnectionLostError: the connection broke.
     """
-    heard, end = Heard(), bench.clock.now() + LIMIT
+    heard, end = Received(), bench.clock.now() + LIMIT
     while heard.samples() < samples and bench.clock.now() < end:
         heard += listen_for(bench, driver, READ)
         if heard.error is not None:
@@ -92,12 +92,12 @@ def listen(bench: Bench, driver: Driver, samples: int) -> Heard:
 
 def listen_for(
     bench: Bench, driver: Driver, seconds: float, *, samples: float = math.inf, until_error: bool = False
-) -> Heard:
+) -> Received:
     """Read for so long [s], or until the connection breaks, or so many samples of a stream have come.
 
     `until_error`: or until a notice tells of an error.
     """
-    heard, end = Heard(), bench.clock.now() + seconds
+    heard, end = Received(), bench.clock.now() + seconds
     idle = 0
     while bench.clock.now() < end and heard.samples() < samples:
         before = bench.clock.now()
@@ -125,7 +125,7 @@ def move(
     seconds: float,
     part: float = 1.0,
     hold: float = 0.0,
-) -> Heard:
+) -> Received:
     """Take control and command a ramp, or its first part, and hold so long [s], while this thread reads.
 
     Raises:
@@ -149,7 +149,7 @@ def move(
 
     thread = bench.clock.thread(play, "commands")
     thread.start()
-    heard = Heard()
+    heard = Received()
     limit = bench.clock.now() + LIMIT + seconds
     while thread.is_alive() and bench.clock.now() < limit and heard.error is None:
         heard += listen_for(bench, driver, READ)

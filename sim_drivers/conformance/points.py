@@ -19,7 +19,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DynidError
 from sim_drivers.conformance.bench import Bench, Obeying
-from sim_drivers.conformance.listening import Heard, listen, listen_for, move
+from sim_drivers.conformance.listening import Received, listen, listen_for, move
 from sim_drivers.conformance.requirement import ConformanceError, one_line, refused, require
 
 SAMPLES = 25
@@ -284,7 +284,7 @@ def _running(bench: Bench) -> Iterator[tuple[Driver, Obeying]]:
             driver.close()
 
 
-def _goes_on(bench: Bench, driver: Driver, heard: Heard, after: str) -> None:
+def _goes_on(bench: Bench, driver: Driver, heard: Received, after: str) -> None:
     """True samples come again; of a driver that ended with an error, when it was opened anew."""
     if heard.error is not None:
         driver.stop()
@@ -296,7 +296,7 @@ def _goes_on(bench: Bench, driver: Driver, heard: Heard, after: str) -> None:
     _agrees(bench, again)
 
 
-def _agrees(bench: Bench, heard: Heard, *, controlled: bool = False) -> None:
+def _agrees(bench: Bench, heard: Received, *, controlled: bool = False) -> None:
     """Of an arm at rest the median of all samples, and each sample of a position, is the truth."""
     for quantity, true in bench.truth().items():
         samples: FloatArray | None = heard.all(quantity)

@@ -54,15 +54,15 @@ def new_driver(name: str, parent: Path) -> list[Path]:
 
 
 def _named(text: str, name: str) -> str:
-    camel = "".join(part.capitalize() for part in name.split("_"))
+    camel = "".join(word.capitalize() for word in name.split("_"))
     return text.replace(TOY, name).replace("ToyBus", camel)
 
 
 def _walk(folder: Traversable, place: str) -> list[tuple[str, Traversable]]:
-    found: list[tuple[str, Traversable]] = []
+    files: list[tuple[str, Traversable]] = []
     for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
         if entry.is_dir():
-            found += [] if entry.name.startswith(("_", ".")) else _walk(entry, f"{place}{entry.name}/")
+            files += [] if entry.name.startswith(("_", ".")) else _walk(entry, f"{place}{entry.name}/")
         elif not entry.name.endswith(".pyc"):
-            found.append((f"{place}{entry.name}", entry))
-    return found
+            files.append((f"{place}{entry.name}", entry))
+    return files

@@ -34,6 +34,15 @@ STABLE_STEP = 0.5
 STRAIGHT_SPEED = 1e-3
 """Speed [rad/s] below which |q̇|^α and √|q̇| go straight to zero."""
 
+WIDTH = 0.01
+"""Width [rad/s] of the smoothed sign: the joint has no bristle, its motor's holds it at rest."""
+
+LOSS_AT_TORQUE_LIMIT = 80.0
+"""Copper loss [W] at the torque limit of a joint whose truth gives none: a size, not a measurement."""
+
+UNKNOWN_TORQUE_LIMIT = 100.0
+"""Torque limit [N·m] assumed for the copper loss of a joint without one."""
+
 
 @dataclass(frozen=True)
 class FrictionParameters:
@@ -159,10 +168,6 @@ class SimulatedFriction:
         return torque + np.maximum(slope, 0.0) * velocity
 
 
-WIDTH = 0.01
-"""Width [rad/s] of the smoothed sign: the joint has no bristle, its motor's holds it at rest."""
-
-
 class PairFriction:
     """Fs·sign(q̇) + Fv·q̇ of every coupled joint q̇ = R⁻¹·q̇_m, mapped to the motors by −R⁻ᵀ."""
 
@@ -180,13 +185,6 @@ class PairFriction:
         joint_velocity = self._to_joints @ velocity
         at_joints = self._viscous * joint_velocity + self._coulomb * np.tanh(joint_velocity / WIDTH)
         return np.asarray(-self._to_joints.T @ at_joints)
-
-
-LOSS_AT_TORQUE_LIMIT = 80.0
-"""Copper loss [W] at the torque limit of a joint whose truth gives none: a size, not a measurement."""
-
-UNKNOWN_TORQUE_LIMIT = 100.0
-"""Torque limit [N·m] assumed for the copper loss of a joint without one."""
 
 
 def copper_losses(robot: Robot) -> FloatArray:

@@ -119,8 +119,8 @@ class Controller:
         self.acceleration_limit = np.array(accelerations)
         self.lengths = [0.0] * 4
         self.remote_control = True
-        known = input_variables(version) | output_variables(version)
-        self.values: dict[str, Value] = {name: zero(kind) for name, kind in known.items()}
+        variables = input_variables(version) | output_variables(version)
+        self.values: dict[str, Value] = {name: zero(kind) for name, kind in variables.items()}
         self.reference = Reference.at_rest(np.asarray(measured.target_position, dtype=np.float64))
         self.motion: JointMotion | None = None
         self.script: ControlProgram | None = None

@@ -110,8 +110,8 @@ class SecondarySession:
         upper_arm, forearm, shoulder, wrist = controller.lengths
         table = [0.0, -upper_arm, -forearm, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, shoulder, wrist, 0.0, *[0.0] * 12]
         content = CONTENT.pack(*position.ravel(), *motion.ravel(), *[0.0] * 5, *table) + _REST.pack(*[0] * 4)
-        part = HEADER.pack(HEADER.size + len(content), CONFIGURATION_DATA) + content
-        return HEADER.pack(HEADER.size + len(part), ROBOT_STATE) + part
+        package = HEADER.pack(HEADER.size + len(content), CONFIGURATION_DATA) + content
+        return HEADER.pack(HEADER.size + len(package), ROBOT_STATE) + package
 
     def close(self) -> None:
         """Nothing to close."""

@@ -36,6 +36,10 @@ from sim_drivers.rtde.variables import (
 
 CHUNK_BYTES = 65536
 
+OUTPUT_RECIPE = 1
+MAXIMUM_RECIPES = 255
+MAXIMUM_PACKAGE = 0xFFFF
+
 
 class Session(Protocol):
     """The protocol between one client and the server, without the socket."""
@@ -120,11 +124,6 @@ class ClientConnection:
             self._waiting.clear()
             self.sock.close()
             self.session.close()
-
-
-OUTPUT_RECIPE = 1
-MAXIMUM_RECIPES = 255
-MAXIMUM_PACKAGE = 0xFFFF
 
 
 class RtdeSession:

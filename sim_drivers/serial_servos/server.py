@@ -11,7 +11,6 @@ import os
 import random
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Protocol
 
 import numpy as np
 
@@ -41,7 +40,7 @@ from sim_drivers.faults import (
     Unplug,
     WrongSum,
 )
-from sim_drivers.pseudo_terminal import LineEnd, PseudoTerminal
+from sim_drivers.pseudo_terminal import PollableLineEnd, PseudoTerminal
 from sim_drivers.serial_servos.arm import NOMINAL_VOLTAGE, ServoPlant
 from sim_drivers.serial_servos.motor import SimulatedServo
 from sim_drivers.server import FaultyServer
@@ -55,13 +54,6 @@ VOLTAGE, HEAT = 0, 2
 UNHEARD = 0.003
 """[s] between two looks whether a client has opened the port."""
 CHUNK = 4096
-
-
-class PollableLineEnd(LineEnd, Protocol):
-    """A line's end whose descriptor can be waited for, and does not block."""
-
-    def fileno(self) -> int:
-        """Its descriptor."""
 
 
 class SerialServoServer(FaultyServer):

@@ -33,7 +33,7 @@ from drivers.canopen402.settings import parse_settings
 from drivers.core.arrays import FloatArray
 from sim_drivers.canopen import network
 from sim_drivers.canopen.server import CanopenServer
-from sim_drivers.canopen.setup import Feedback
+from sim_drivers.canopen.setup import DriveFeedback
 from sim_drivers.plant.plant import Plant
 
 RADIANS = 2 * np.pi / 524288
@@ -49,7 +49,7 @@ LOOP_PERIOD = 2e-3
 class Measured:
     """Measurement and state of a drive at a SYNC."""
 
-    feedback: Feedback
+    feedback: DriveFeedback
     enabled: bool
 
 

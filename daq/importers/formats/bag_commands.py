@@ -105,7 +105,7 @@ def read_commands(
     logged: list[int] = []
     stamped: list[int] = []
     rows: dict[str, list[FloatArray]] = {quantity: [] for quantity in wanted}
-    known: dict[tuple[str, ...], tuple[int, ...]] = {}
+    columns: dict[tuple[str, ...], tuple[int, ...]] = {}
     notes: list[Note] = []
     types: dict[str, str] = {}
     for path in files:
@@ -115,8 +115,8 @@ def read_commands(
             for connection, stamp, raw in reader.messages(chosen) if chosen else ():
                 message: Any = store.deserialize_cdr(raw, connection.msgtype)
                 names, fields, header = TYPES[connection.msgtype](message)
-                if names not in known:
-                    known[names] = _columns(names, joints, by_order, f"{place}, message {len(logged)}", notes)
+                if names not in columns:
+                    columns[names] = _columns(names, joints, by_order, f"{place}, message {len(logged)}", notes)
                 for quantity, values in rows.items():
                     given = np.asarray(fields.get(quantity, ()), dtype=np.float64)
                     if len(given) != len(names or joints):
@@ -124,7 +124,7 @@ def read_commands(
                             f"has {len(given)} values of {quantity} for {len(names or joints)} joints",
                             where=f"{place}, message {len(logged)}",
                         )
-                    values.append(given[list(known[names])])
+                    values.append(given[list(columns[names])])
                 logged.append(stamp)
                 stamped.append(0 if header is None else header.stamp.sec * SECOND + header.stamp.nanosec)
                 check_count(len(logged) * len(joints) * len(rows), path)

@@ -124,8 +124,8 @@ def read_lerobot(path: Path, robot: RobotFile, choices: ImportChoices) -> list[L
         for number in np.unique(numbers[np.isfinite(numbers)]).astype(int).tolist():
             if choices.episode in (None, number):
                 rows = numbers == number
-                part = {name: _rows(array, rows, name, file) for name, array in arrays.items()}
-                episodes.setdefault(number, []).append((file, part))
+                taken = {name: _rows(array, rows, name, file) for name, array in arrays.items()}
+                episodes.setdefault(number, []).append((file, taken))
     if not episodes:
         raise ImportFileError(f"has no episode {choices.episode}", where=str(path), hint="they are counted from 0")
     return [_episode(number, parts, info, wanted, scales, path) for number, parts in sorted(episodes.items())]
@@ -267,7 +267,7 @@ def _episode(
 ) -> LeRobotEpisode:
     where = f"{path}: episode {number}"
     version, robot_type = info["codebase_version"], info.get("robot_type")
-    arrays = {name: np.concatenate([part[name] for _, part in parts]) for name in parts[0][1]}
+    arrays = {name: np.concatenate([episode[name] for _, episode in parts]) for name in parts[0][1]}
     notes = [Note("info", f"LeRobot dataset {version}, episode {number}, robot type {printable(robot_type)}")]
     frames, time = arrays["frame_index"].reshape(-1), arrays["timestamp"].reshape(-1)
     nominal = frames / info["fps"]
@@ -307,7 +307,7 @@ def _quantities(
     left = [name for name, (_, quantity) in zip(feature.names, named, strict=False) if quantity is None]
     if left:
         notes.append(Note("info", f"not imported of {feature.key}: {listed(left)}"))
-    found = {}
+    quantities = {}
     for wanted in SUFFIXES.values():
         places = [place for place, (_, quantity) in enumerate(named) if quantity == wanted]
         if not places:
@@ -317,10 +317,10 @@ def _quantities(
         converted = values[:, places] * [factor for factor, _, _ in factors]
         if not speed:
             converted = converted + [offset for _, offset, _ in factors]
-        found[prefix + wanted] = QuantityColumns(
+        quantities[prefix + wanted] = QuantityColumns(
             converted,
             tuple(feature.names[place] if feature.names else f"{feature.key}[:, {place}]" for place in places),
             tuple(f"{unit}/s" if speed and unit else unit for _, _, unit in factors),
             tuple(named[place][0] for place in places) if feature.names else None,
         )
-    return found
+    return quantities

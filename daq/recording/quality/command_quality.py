@@ -150,14 +150,14 @@ def _correlations(position: FloatArray, command: FloatArray) -> FloatArray:
     """(2·LARGEST_SHIFT + 1, m, m) of each position with each command, by the shift of the commands."""
     position = position - position.mean(axis=0)
     size, shifts = np.linalg.norm(position, axis=0), 2 * LARGEST_SHIFT + 1
-    found = np.zeros((shifts, position.shape[1], position.shape[1]))
+    correlation = np.zeros((shifts, position.shape[1], position.shape[1]))
     for place in range(shifts):
         start = shifts - 1 - place
         window = command[start : start + len(position)]
         window = window - window.mean(axis=0)
         norms = np.outer(size, np.linalg.norm(window, axis=0))
-        np.divide(position.T @ window, norms, out=found[place], where=norms > 0.0)
-    return found
+        np.divide(position.T @ window, norms, out=correlation[place], where=norms > 0.0)
+    return correlation
 
 
 def _delay(position: FloatArray, command: FloatArray) -> tuple[float, bool]:

@@ -47,6 +47,38 @@ _LARGEST_GAP = 4.0  # of the samples around, in median periods: no cubic across 
 _PASSES = 3
 _SAMPLES_AT_ONCE = 20_000
 
+AROUND = 6
+"""Samples on each side that a change of position is compared with."""
+
+LARGER = 5.0
+"""Change of position over the largest of those around, from which on it is a jump."""
+
+FASTEST = 2.0
+"""The same over the recording's fast changes (their 95 % quantile)."""
+
+STEPS = 10.0
+"""Encoder steps of a jump at least."""
+
+SLOW = 3.0
+"""Encoder steps per sample below which a joint that moves stands still for some samples."""
+
+UNEVEN = 5.0
+"""Departure from the changes on both sides, over the usual one there, which shows that another joint jumps, too."""
+
+NEAR_TURN = 0.02
+"""Part of a turn within which a jump is a whole one."""
+
+LONGEST_STEP = 4.0
+"""Periods between two stamps from which on there is a gap, across which everything moves."""
+
+LEFT_OUT = 5.5, 0.0275
+"""Periods and time [s] on each side of a jump, the larger of them, that are left out: a hole so long is a gap."""
+
+MOST_JUMPS = 0.02
+"""Share of the samples from which on jumps are noise."""
+
+Cause = Literal["zero", "turn", "rows"]
+
 
 @dataclass(frozen=True, eq=False)
 class CleanSignal:
@@ -88,14 +120,14 @@ def without_outliers(time: FloatArray, values: FloatArray) -> CleanSignal:
 
 def _replace_outliers(time: FloatArray, values: FloatArray) -> BoolArray:
     """Which of the values (N,) are outliers; they are replaced in place."""
-    found = np.zeros(len(values), dtype=bool)
+    outlying = np.zeros(len(values), dtype=bool)
     if not np.all(np.isfinite(values)) or len(values) < 4 * NEIGHBOURS or not np.all(np.abs(time) <= STAMP.most):
-        return found
+        return outlying
     # Repeated stamps have no cubic of their own; they are dropped again before anything is computed.
     kept = np.flatnonzero(np.concatenate([[True], np.diff(time) > _SAME_STAMP]))
     stamps, signal = time[kept], values[kept]
     if len(kept) < 4 * NEIGHBOURS or np.any(np.diff(stamps) <= 0):
-        return found
+        return outlying
     step = quantisation_step(signal)
     floor = 0.0 if np.isnan(step) else step
     for _ in range(_PASSES):  # a large outlier hides a small one beside it
@@ -105,9 +137,9 @@ def _replace_outliers(time: FloatArray, values: FloatArray) -> BoolArray:
         new = _confirmed(stamps, signal, suspects, scale)
         if not new.any():
             break
-        found[kept[new]] = True
-    values[found] = signal[found[kept]] if len(kept) == len(values) else np.interp(time[found], stamps, signal)
-    return found
+        outlying[kept[new]] = True
+    values[outlying] = signal[outlying[kept]] if len(kept) == len(values) else np.interp(time[outlying], stamps, signal)
+    return outlying
 
 
 def _noise(distance: FloatArray, largest: float) -> float:
@@ -143,15 +175,15 @@ def _distance_from_four(time: FloatArray, values: FloatArray) -> FloatArray:
 
 def _confirmed(time: FloatArray, values: FloatArray, suspects: IntArray, scale: float) -> BoolArray:
     """Which of the suspects are outliers, shortest runs first; they are replaced in `values`."""
-    found = np.zeros(len(values), dtype=bool)
+    outlying = np.zeros(len(values), dtype=bool)
     for length in range(1, LONGEST_OUTLIER + 1):
         # A run of wrong samples may begin at a suspect or just before one.
         first = np.unique(suspects[:, None] - np.arange(length)) if len(suspects) else suspects
         first = first[(first >= NEIGHBOURS) & (first + length + NEIGHBOURS <= len(values))]
         for chunk in np.array_split(first, max(1, len(first) // _SAMPLES_AT_ONCE)):
-            _confirm_runs(time, values, chunk, length, scale, found)
-        suspects = suspects[~found[suspects]]
-    return found
+            _confirm_runs(time, values, chunk, length, scale, outlying)
+        suspects = suspects[~outlying[suspects]]
+    return outlying
 
 
 def _confirm_runs(
@@ -165,7 +197,7 @@ def _confirm_runs(
     median = float(np.median(spacings))
     periods = spacings[first[:, None] + np.arange(-NEIGHBOURS, length + NEIGHBOURS - 1)]
     # No cubic goes across a gap.
-    first, periods = (part[np.max(periods, axis=1) < _LARGEST_GAP * median] for part in (first, periods))
+    first, periods = (chosen[np.max(periods, axis=1) < _LARGEST_GAP * median] for chosen in (first, periods))
     if len(first) == 0:
         return
     around = np.concatenate([np.arange(-NEIGHBOURS, 0), np.arange(length, length + NEIGHBOURS)])
@@ -215,39 +247,6 @@ def _fit_without_worst(basis: FloatArray, values: FloatArray, wanted: FloatArray
     coefficients -= inverse[every, :, worst] * (residual[every, worst] / leverage[every, worst])[:, None]
     freedom = values.shape[1] - 5
     return np.sqrt(rest / freedom), np.einsum("mri,mi->mr", wanted, coefficients)
-
-
-AROUND = 6
-"""Samples on each side that a change of position is compared with."""
-
-LARGER = 5.0
-"""Change of position over the largest of those around, from which on it is a jump."""
-
-FASTEST = 2.0
-"""The same over the recording's fast changes (their 95 % quantile)."""
-
-STEPS = 10.0
-"""Encoder steps of a jump at least."""
-
-SLOW = 3.0
-"""Encoder steps per sample below which a joint that moves stands still for some samples."""
-
-UNEVEN = 5.0
-"""Departure from the changes on both sides, over the usual one there, which shows that another joint jumps, too."""
-
-NEAR_TURN = 0.02
-"""Part of a turn within which a jump is a whole one."""
-
-LONGEST_STEP = 4.0
-"""Periods between two stamps from which on there is a gap, across which everything moves."""
-
-LEFT_OUT = 5.5, 0.0275
-"""Periods and time [s] on each side of a jump, the larger of them, that are left out: a hole so long is a gap."""
-
-MOST_JUMPS = 0.02
-"""Share of the samples from which on jumps are noise."""
-
-Cause = Literal["zero", "turn", "rows"]
 
 
 @dataclass(frozen=True)
@@ -315,7 +314,7 @@ def position_jumps(
     rows = np.flatnonzero(jumps.any(axis=1))
     if len(rows) > MOST_JUMPS * count:
         return ()
-    found = []
+    outliers = []
     for row in rows.tolist():
         column = int(np.argmax(np.where(jumps[row], excess[row], -1.0)))
         size = float(moved[row, column])
@@ -325,8 +324,8 @@ def position_jumps(
             cause = "rows"
         elif round(whole_turns) and abs(whole_turns - round(whole_turns)) < NEAR_TURN:
             cause = "turn"
-        found.append(PositionJump(joints[column], row + 1, float(time[row + 1]), size, cause))
-    return tuple(found)
+        outliers.append(PositionJump(joints[column], row + 1, float(time[row + 1]), size, cause))
+    return tuple(outliers)
 
 
 def _largest_of(values: FloatArray, count: int) -> FloatArray:

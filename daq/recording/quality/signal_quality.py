@@ -33,6 +33,21 @@ COARSE_LEVELS = 50
 CLIPPED_TO_NEXT = 4.0
 """… unless it does so this many times as often as on the level beside them: a sinusoid does 2.4 times."""
 
+OTHER_SIGN = 1e-3
+"""Share of a signal's samples that single wrong ones may have on the other side of zero."""
+
+NEAR_ZERO = 0.1
+"""A signal near zero, over its root mean square …"""
+
+OFTEN = 2e-3
+"""… and the share of the samples that are so near, of a signal that reaches zero as a habit."""
+
+REVERSALS = 4
+"""So often a joint must reverse for the sign of its friction to show."""
+
+LEAST_TRAVEL = 10.0
+"""Encoder steps between two reversals that count."""
+
 
 @dataclass(frozen=True)
 class ColumnQuality:
@@ -140,22 +155,6 @@ def _zero_filled(values: FloatArray) -> npt.NDArray[np.bool_]:
     return filled
 
 
-OTHER_SIGN = 1e-3
-"""Share of a signal's samples that single wrong ones may have on the other side of zero."""
-
-NEAR_ZERO = 0.1
-"""A signal near zero, over its root mean square …"""
-
-OFTEN = 2e-3
-"""… and the share of the samples that are so near, of a signal that reaches zero as a habit."""
-
-REVERSALS = 4
-"""So often a joint must reverse for the sign of its friction to show."""
-
-LEAST_TRAVEL = 10.0
-"""Encoder steps between two reversals that count."""
-
-
 def unsigned_joints(signal: FloatArray, position: FloatArray) -> tuple[int, ...]:
     """Joints whose signal stays on one side of zero and reaches it, although they reverse again and again.
 
@@ -166,8 +165,8 @@ def unsigned_joints(signal: FloatArray, position: FloatArray) -> tuple[int, ...]
         signal: (N, n) current, voltage or torque.
         position: (N, n) of the same joints [rad or m].
     """
-    known = np.isfinite(signal).all(axis=1) & np.isfinite(position).all(axis=1)
-    signal, position = signal[known], position[known]
+    finite = np.isfinite(signal).all(axis=1) & np.isfinite(position).all(axis=1)
+    signal, position = signal[finite], position[finite]
     if not len(signal):
         return ()
     if np.any((np.mean(signal < 0.0, axis=0) > OTHER_SIGN) & (np.mean(signal > 0.0, axis=0) > OTHER_SIGN)):

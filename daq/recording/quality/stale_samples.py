@@ -140,17 +140,17 @@ def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[s
     same = np.ones(len(time), dtype=np.bool_)
     for values in others:
         same[1:] &= np.all(values[1:] == values[:-1], axis=1)
-    found = []
+    stale = []
     for kind in (rows & same, rows & ~same):
         counts = np.count_nonzero(kind)
-        found.append(kind if counts >= max(LEAST_ROWS, LEAST_SHARE * len(time)) else none)
+        stale.append(kind if counts >= max(LEAST_ROWS, LEAST_SHARE * len(time)) else none)
     stuck, encoders = none.copy(), []
     for column, start, stop, evidence in standstills:
         if spans[start, stop] == 1:
             stuck[start + 1 : stop] = True
             encoders.append(StuckEncoder(joints[column], float(time[start]), float(time[stop - 1]), evidence))
     jumps = position_jumps(time, joints, position, rows | stuck)
-    return StaleSamples(found[0], found[1], stuck, tuple(encoders), beside_jumps(time, jumps), jumps)
+    return StaleSamples(stale[0], stale[1], stuck, tuple(encoders), beside_jumps(time, jumps), jumps)
 
 
 def stale_rows(recording: Recording) -> StaleSamples | None:
@@ -182,7 +182,7 @@ def fresh_recording(recording: Recording) -> tuple[Recording, StaleSamples | Non
 def _repeated(position: FloatArray, steps: FloatArray) -> BoolArray:
     """(N,) rows whose positions all repeat those of the row before while a joint moves, before and after."""
     same = np.concatenate([[False], np.all(position[1:] == position[:-1], axis=1)])
-    found = np.zeros(len(same), dtype=np.bool_)
+    stale = np.zeros(len(same), dtype=np.bool_)
     for start, stop in _runs(same):
         before, after = start - 1 - _WINDOW, stop - 1 + _WINDOW
         if stop - start > LONGEST_REPETITION or before < 0 or after >= len(position):
@@ -190,8 +190,8 @@ def _repeated(position: FloatArray, steps: FloatArray) -> BoolArray:
         slowest = np.minimum(
             np.abs(position[start - 1] - position[before]), np.abs(position[after] - position[stop - 1])
         )
-        found[start:stop] = np.any(slowest >= STEPS_PER_SAMPLE * _WINDOW * steps)
-    return found
+        stale[start:stop] = np.any(slowest >= STEPS_PER_SAMPLE * _WINDOW * steps)
+    return stale
 
 
 def _standstills(

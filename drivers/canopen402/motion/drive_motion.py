@@ -54,7 +54,7 @@ Phase = Literal["idle", "enabling", "moving", "stopping", "off"]
 
 
 @dataclass(frozen=True)
-class Heard:
+class DriveReport:
     """What a drive said last.
 
     Attributes:
@@ -150,12 +150,12 @@ class DriveMotion:
         """Which joint's drive left operation enabled by itself; None where none did."""
         return self._dropped_out
 
-    def heard(self, index: int) -> Heard | None:
+    def heard(self, index: int) -> DriveReport | None:
         """What a drive said last; None where it said nothing yet."""
         frame = self._latest.get(TPDO1 + self._ids[index])
         if frame is None or len(frame[2]) != _STATE.size:
             return None
-        return Heard(frame[0], *_STATE.unpack(frame[2]))
+        return DriveReport(frame[0], *_STATE.unpack(frame[2]))
 
     def outputs(self, moment: float) -> Sequence[tuple[int, bytes]]:
         """The frames for the next SYNC to apply; called by the SYNC thread once a period.
@@ -292,7 +292,7 @@ class DriveMotion:
             return False
         return self._speed(index) <= 1.0 and self._stands(index, heard)
 
-    def _stands(self, index: int, heard: Heard) -> bool:
+    def _stands(self, index: int, heard: DriveReport) -> bool:
         """Whether a drive's position has stayed for `STANDING`: its velocity may have another unit than counts/s."""
         since, position = self._stood[index]
         if abs(heard.position - position) <= self._standstill[index] * STANDING:
@@ -318,7 +318,7 @@ class DriveMotion:
             controlword = QUICK_STOP
         return RPDO1 + self._ids[index], _TARGET.pack(controlword, self._mode, self._targets[index])
 
-    def _follow(self, index: int, wanted: int, heard: Heard | None) -> int:
+    def _follow(self, index: int, wanted: int, heard: DriveReport | None) -> int:
         """Take over the target that is wanted; further bits of the controlword."""
         if self._mode != MODE_PROFILE_POSITION:
             self._targets[index] = wanted
@@ -366,7 +366,7 @@ class DriveMotion:
                     hint="end what moves the arm, or switch the drive off",
                 )
 
-    def _wait(self, met: Callable[[Heard], bool], goal: DriveState | None, deadline: float) -> None:
+    def _wait(self, met: Callable[[DriveReport], bool], goal: DriveState | None, deadline: float) -> None:
         while True:
             if self._halted.is_set():
                 raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
@@ -379,7 +379,7 @@ class DriveMotion:
                 raise self._too_late(behind[0], heard[behind[0]], goal)
             self._clock.sleep(_POLL)
 
-    def _too_late(self, index: int, heard: Heard | None, goal: DriveState | None) -> DriverStateError:
+    def _too_late(self, index: int, heard: DriveReport | None, goal: DriveState | None) -> DriverStateError:
         where = f"{self._joints[index]} (node {self._ids[index]})"
         if heard is None:
             return DriverStateError("the drive does not answer SYNC", where=where)
@@ -397,5 +397,5 @@ class DriveMotion:
         )
 
 
-def _reached(asked: float, goal: DriveState, heard: Heard) -> bool:
+def _reached(asked: float, goal: DriveState, heard: DriveReport) -> bool:
     return heard.time > asked and heard.state is goal

@@ -30,6 +30,14 @@ RUN_OUT = 1e-6
 CATCH_UP = 0.1
 """Further periods of the commands played in one of SYNC after a longer pause, so that the drives catch up gently."""
 
+PATIENCE = 0.1
+"""How long [s] a drive may take to answer SYNC before it is asked by SDO."""
+REPEAT = 0.03
+"""From one request to the next [s]."""
+_READ, _WRITE = 0x40, 0x2B
+_SIZE = slice(4, 4 + STATUSWORD.size)
+_PLACE = bytes([*STATUSWORD.index.to_bytes(2, "little"), STATUSWORD.subindex])
+
 
 class TargetPath:
     """Straight lines between commands, one a period, read once a SYNC, at its moment.
@@ -105,15 +113,6 @@ class TargetPath:
             return tuple(round(a + share * (b - a)) for a, b in zip(before, after, strict=True))
 
 
-PATIENCE = 0.1
-"""How long [s] a drive may take to answer SYNC before it is asked by SDO."""
-REPEAT = 0.03
-"""From one request to the next [s]."""
-_READ, _WRITE = 0x40, 0x2B
-_SIZE = slice(4, 4 + STATUSWORD.size)
-_PLACE = bytes([*STATUSWORD.index.to_bytes(2, "little"), STATUSWORD.subindex])
-
-
 class SdoStop:
     """Asks drives for their statusword, and switches off those that are still powered; waits for none.
 
@@ -145,14 +144,14 @@ class SdoStop:
         """
         now = self._clock.now()
         answered, state = self._answered[index]
-        known = answered > max(asked, self._asked[index])
-        if known and state not in POWERED and state is not DriveState.UNKNOWN:
+        answered_since = answered > max(asked, self._asked[index])
+        if answered_since and state not in POWERED and state is not DriveState.UNKNOWN:
             return True
         if now - asked < PATIENCE or now - self._asked[index] < REPEAT:
             return False
         self._asked[index] = now
         request = bytes([_READ]) + _PLACE + bytes(4)
-        if known and state in POWERED:
+        if answered_since and state in POWERED:
             place = bytes([*CONTROLWORD.index.to_bytes(2, "little"), CONTROLWORD.subindex])
             request = bytes([_WRITE]) + place + CONTROLWORD.encode(controlword) + bytes(2)
         with contextlib.suppress(ConnectionLostError):

@@ -143,9 +143,9 @@ def describe_error(code: int) -> str:
     if code & 0xFF00 == 0xFF00:
         return f"{_ERROR_CODES[0xFF00]} {code & 0xFF:02X}"
     for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000):
-        known = code & mask
-        if known in _ERROR_CODES and (known or code <= 0xFF):
-            return _ERROR_CODES[known]
+        register = code & mask
+        if register in _ERROR_CODES and (register or code <= 0xFF):
+            return _ERROR_CODES[register]
     return "unknown error"
 
 

@@ -30,6 +30,15 @@ REST_LATENESS = 0.2
 _SMOOTHING = 0.05
 PER_MILLE = 1e-3
 
+_DESCRIPTIONS = {
+    "position": "actual position (object 0x6064)",
+    "velocity": "actual velocity, as the drive derives it (object 0x606C)",
+    "current": "actual current, raw, in the joint's direction (object 0x6078 times the rated current)",
+    "torque": "actual torque, as the drive derives it (object 0x6077 times the rated torque)",
+}
+_LATENESS_DESCRIPTION = "how much later than 'time' SYNC was sent; the drives measure at SYNC"
+_STATUS_DESCRIPTION = "statusword of the drive (object 0x6041, CiA 402)"
+
 
 @dataclass(frozen=True)
 class Scaling:
@@ -233,8 +242,8 @@ class Aligner:
         """
         self._frames.extend(frames)
         self._syncs.extend(syncs)
-        known = self._closed - self._handed_out
-        times = [time for _, time in itertools.islice(self._syncs, known, None)]
+        waiting = self._closed - self._handed_out
+        times = [time for _, time in itertools.islice(self._syncs, waiting, None)]
         ready = max(0, bisect.bisect_right(times, drained) - 1)
         if ready:
             self._close(times[: ready + 1], REST_LATENESS if at_rest else LATENESS)
@@ -309,16 +318,6 @@ def _decode(
 
 def _records(frames: npt.NDArray[np.uint8], layout: np.dtype[np.void]) -> npt.NDArray[np.void]:
     return np.ascontiguousarray(frames[..., : layout.itemsize]).view(layout)[..., 0]
-
-
-_DESCRIPTIONS = {
-    "position": "actual position (object 0x6064)",
-    "velocity": "actual velocity, as the drive derives it (object 0x606C)",
-    "current": "actual current, raw, in the joint's direction (object 0x6078 times the rated current)",
-    "torque": "actual torque, as the drive derives it (object 0x6077 times the rated torque)",
-}
-_LATENESS_DESCRIPTION = "how much later than 'time' SYNC was sent; the drives measure at SYNC"
-_STATUS_DESCRIPTION = "statusword of the drive (object 0x6041, CiA 402)"
 
 
 def stream_layouts(joints: Sequence[str], warm: Sequence[str], rate: float) -> tuple[StreamLayout, ...]:

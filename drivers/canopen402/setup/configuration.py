@@ -28,6 +28,15 @@ _OLD_ID = (1 << 30) - 1
 _SYNCHRONOUS = 1
 _UNUSED_TPDOS = (0x1802, 0x1803)
 
+PROBE_LIMIT = 1.0
+"""How long [s] all drives together may take to answer the first one."""
+SECOND_ANSWER = 0.02
+"""How long [s] a second device with the same node id may take to answer as well."""
+PERIOD_AGREEMENT = 1e-3
+"""Relative difference from which the interpolation period of a drive is not that of SYNC."""
+AGREEMENT = 0.01
+"""Relative difference from which a rated value in the robot file and in the drive contradict each other."""
+
 
 def configure_pdos(drive: RemoteDrive, *, commanded: bool) -> None:
     """Two TPDOs answered to every SYNC, and one RPDO applied at SYNC where the drive is to be moved.
@@ -78,16 +87,6 @@ def _map_pdo(
 
 def _communication(index: int, subindex: int, size: int) -> DriveObject:
     return DriveObject(index, subindex, size, False, "PDO communication")
-
-
-PROBE_LIMIT = 1.0
-"""How long [s] all drives together may take to answer the first one."""
-SECOND_ANSWER = 0.02
-"""How long [s] a second device with the same node id may take to answer as well."""
-PERIOD_AGREEMENT = 1e-3
-"""Relative difference from which the interpolation period of a drive is not that of SYNC."""
-AGREEMENT = 0.01
-"""Relative difference from which a rated value in the robot file and in the drive contradict each other."""
 
 
 @dataclass(frozen=True)

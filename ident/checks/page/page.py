@@ -78,10 +78,10 @@ def _tiles(info: RecordingInfo) -> list[Tile]:
         note = "column-normalised; below 50 is good"
         tiles.append(Tile("Condition of the motion", number(info.excitation.scaled_condition, 3), note))
     if info.sufficiency is not None:
-        known = [p.rsd_percent for p in info.sufficiency.forecast.parameters if p.rsd_percent is not None]
-        significant = sum(value < SIGNIFICANT_RSD for value in known)
-        if known:
+        rsds = [p.rsd_percent for p in info.sufficiency.forecast.parameters if p.rsd_percent is not None]
+        significant = sum(value < SIGNIFICANT_RSD for value in rsds)
+        if rsds:
             tiles.append(
-                Tile("Significant", str(significant), f"of {len(known)}: predicted RSD below {SIGNIFICANT_RSD:g} %")
+                Tile("Significant", str(significant), f"of {len(rsds)}: predicted RSD below {SIGNIFICANT_RSD:g} %")
             )
     return tiles

@@ -28,10 +28,10 @@ def identify_gravity_command(
     from ident.tasks.experiments import identify_gravity
 
     refuse_options_but(_TAKEN, options, "--gravity", limited=limited)
-    found = identify_gravity(options.runs, validation=options.validation, robot=options.robot, progress=progress)
+    identified = identify_gravity(options.runs, validation=options.validation, robot=options.robot, progress=progress)
     progress("report")
-    found.save(folder, overwrite=overwrite)
-    return found
+    identified.save(folder, overwrite=overwrite)
+    return identified
 
 
 def print_gravity(found: IdentifiedGravity, folder: Path, *, verbose: bool, as_json: bool) -> None:

@@ -69,9 +69,9 @@ def identify_recordings(
     with progress_line(quiet=as_json) as progress:
         limited = any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse))
         if gravity:
-            found = identify_gravity_command(options, folder, progress, limited=limited, overwrite=force)
+            identified = identify_gravity_command(options, folder, progress, limited=limited, overwrite=force)
             _add_to_history(folder, history)
-            print_gravity(found, folder, verbose=verbose, as_json=as_json)
+            print_gravity(identified, folder, verbose=verbose, as_json=as_json)
             return
         if is_servo(options.method):
             servo = identify_servo_command(

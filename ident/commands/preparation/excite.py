@@ -72,11 +72,11 @@ def design_full(options: ExciteCommandOptions, progress: Callable[[str], None]) 
     columns = trajectory.limits.columns
     lines = ["Ctrl-C ended the search; this is the best feasible motion so far."] if design.search.interrupted else []
     lines.append(trajectory.summary)
-    known = [p.rsd_percent for p in forecast.parameters if p.rsd_percent is not None]
-    if known:
-        significant = sum(value < SIGNIFICANT_RSD for value in known)
+    rsds = [p.rsd_percent for p in forecast.parameters if p.rsd_percent is not None]
+    if rsds:
+        significant = sum(value < SIGNIFICANT_RSD for value in rsds)
         lines.append(
-            f"predicted RSD below {percent_text(SIGNIFICANT_RSD / 100.0)} for {significant} of {len(known)} base "
+            f"predicted RSD below {percent_text(SIGNIFICANT_RSD / 100.0)} for {significant} of {len(rsds)} base "
             f"parameters (white noise; {trajectory.figures.prior})"
         )
     if forecast.unexcited:

@@ -169,11 +169,11 @@ def _print_columns(info: RecordingInfo) -> None:
 
 def _print_sufficiency(sufficiency: Sufficiency, times: TimesNeeded | None) -> None:
     expected = sufficiency.forecast
-    known = [p.rsd_percent for p in expected.parameters if p.rsd_percent is not None]
-    if known:
-        significant = sum(value < SIGNIFICANT_RSD for value in known)
+    rsds = [p.rsd_percent for p in expected.parameters if p.rsd_percent is not None]
+    if rsds:
+        significant = sum(value < SIGNIFICANT_RSD for value in rsds)
         print(
-            f"predicted RSD below {SIGNIFICANT_RSD:g} % for {significant} of {len(known)} base parameters, from "
+            f"predicted RSD below {SIGNIFICANT_RSD:g} % for {significant} of {len(rsds)} base parameters, from "
             f"{sufficiency.seconds:.1f} s of motion (parameters and noise: {sufficiency.source})"
         )
     if times is None:

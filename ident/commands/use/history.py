@@ -16,8 +16,8 @@ class _ShownByDefault(GroupedCommands):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Put `show` before what begins with no command."""
-        known = not args or args[0] in (*self.commands, *ctx.help_option_names)
-        parsed: list[str] = super().parse_args(ctx, args if known else ["show", *args])
+        is_command = not args or args[0] in (*self.commands, *ctx.help_option_names)
+        parsed: list[str] = super().parse_args(ctx, args if is_command else ["show", *args])
         return parsed
 
 

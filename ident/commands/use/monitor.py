@@ -145,12 +145,12 @@ def _live(
         report = recorded(
             *(plan, options, options.record, clock), overwrite=force, live=shown, watch=watch, retracts=options.retract
         )
-    found = watch.monitor.contacts
+    contacts = watch.monitor.contacts
     load = watch.monitor.load
     if as_json:
         print_json(
             {
-                "contacts": [asdict(contact) for contact in found],
+                "contacts": [asdict(contact) for contact in contacts],
                 "load": None if load is None else {"mass": load.mass, "margin": load.margin},
                 "file": None if options.record is None or report.file is None else str(report.file),
                 "stopped_by": report.stopped_by,
@@ -159,9 +159,12 @@ def _live(
             }
         )
     else:
-        for contact in found[-SHOWN:]:
+        for contact in contacts[-SHOWN:]:
             print(f"{contact.time:.3f} s: {contact_text(contact)}")
-        print(f"{len(found)} contact{'s' * (len(found) != 1)}" + ("" if options.record is None else f"; {report.file}"))
+        print(
+            f"{len(contacts)} contact{'s' * (len(contacts) != 1)}"
+            + ("" if options.record is None else f"; {report.file}")
+        )
     if report.error is None and report.stopped_by == INTERRUPTED and options.trajectory is None:
         return  # the ordinary end of watching
     end_session(report, options.record)

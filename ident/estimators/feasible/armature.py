@@ -51,14 +51,14 @@ def armatures(model: DynamicModel, robot: Robot, columns: Sequence[int], values:
     """
     behind = np.array([not robot.drive(name).inertia for name in model.joint_names])
     rates = _falling(np.where(behind, friction_rates(model, columns, values), 0.0), model.sliding)
-    found = []
+    joints = []
     for name, rate in zip(model.joint_names, rates.tolist(), strict=True):
         drive = robot.drive(name)
         if drive.armature is not None:
-            found.append(Armature(name, drive.armature, GIVEN))
+            joints.append(Armature(name, drive.armature, GIVEN))
         elif not drive.inertia and rate > 0.0:
-            found.append(Armature(name, ASSUMED_COASTING * rate, ASSUMED))
-    return tuple(found)
+            joints.append(Armature(name, ASSUMED_COASTING * rate, ASSUMED))
+    return tuple(joints)
 
 
 def _falling(rates: FloatArray, sliding: Sequence[bool]) -> FloatArray:

@@ -65,17 +65,17 @@ def centre_bounds(model: DynamicModel, robot_file: RobotFile) -> Iterator[Centre
         RobotFileError: a shape of the URDF is missing or unusable, or points lie in a plane.
     """
     robot = robot_file.robot
-    of_urdf = [name for name, known in robot.prior.links.items() if known.com_hull == "urdf"]
+    of_urdf = [name for name, stated in robot.prior.links.items() if stated.com_hull == "urdf"]
     shapes = _urdf_points(model, robot_file, of_urdf) if of_urdf else {}
     for link, name in enumerate(model.link_names):
         if name not in robot.prior.links:
             continue
-        known, where = robot.prior.links[name], f"prior.links.{name}"
-        if known.com_box is not None:
-            low, high = np.array(known.com_box)
+        stated, where = robot.prior.links[name], f"prior.links.{name}"
+        if stated.com_box is not None:
+            low, high = np.array(stated.com_box)
             yield CentreBound(link, f"{where}.com_box", np.vstack([-np.eye(3), np.eye(3)]), np.append(-low, high))
-        if known.com_hull is not None:
-            points = shapes[name] if known.com_hull == "urdf" else np.array(known.com_hull)
+        if stated.com_hull is not None:
+            points = shapes[name] if stated.com_hull == "urdf" else np.array(stated.com_hull)
             yield CentreBound(link, f"{where}.com_hull", *half_spaces(points, f"{robot.name}: {where}.com_hull"))
 
 

@@ -127,9 +127,9 @@ def _factors(model: DynamicModel, links: FloatArray, system: FloatArray, target:
     rows = np.zeros((changes.shape[1] + count, changes.shape[1] + count + 2))
     rows[: changes.shape[1], : changes.shape[1]] = np.eye(changes.shape[1])
     weights = links[:, INERTIAL.index("M")]
-    known = np.minimum(1.0, weights / weights.mean())
-    rows[changes.shape[1] :, changes.shape[1] : -2] = np.diag(known)
-    rows[changes.shape[1] :, -2] = -known
+    relative = np.minimum(1.0, weights / weights.mean())
+    rows[changes.shape[1] :, changes.shape[1] : -2] = np.diag(relative)
+    rows[changes.shape[1] :, -2] = -relative
     measured = np.hstack([changes, masses, np.zeros((len(left), 1)), left[:, -1:]])
     rest = triangular(np.vstack([measured, rows]))[changes.shape[1] :, changes.shape[1] :]
     bounds = np.array([*np.zeros(count), -np.inf]), np.full(count + 1, np.inf)
@@ -168,20 +168,20 @@ def _centre_std(model: DynamicModel) -> FloatArray:
     return spread
 
 
-def _described(link: FloatArray, known: PriorLink, where: str) -> tuple[FloatArray, str]:
+def _described(link: FloatArray, stated: PriorLink, where: str) -> tuple[FloatArray, str]:
     """A link (10,) with the mass, centre and inertia that are known of it, and its source in words."""
-    if known.mass is None:
+    if stated.mass is None:
         raise ValueError("nothing is known of this link")
-    scaled = link * (known.mass / link[9])
-    if known.com is None:
+    scaled = link * (stated.mass / link[9])
+    if stated.com is None:
         return scaled, "robot file (mass)"
-    if known.inertia is None:
+    if stated.inertia is None:
         pseudo = pseudo_inertia(scaled)
-        old, new = np.append(scaled[6:9] / known.mass, 1.0), np.append(known.com, 1.0)
-        moved = pseudo + known.mass * (np.outer(new, new) - np.outer(old, old))
+        old, new = np.append(scaled[6:9] / stated.mass, 1.0), np.append(stated.com, 1.0)
+        moved = pseudo + stated.mass * (np.outer(new, new) - np.outer(old, old))
         return standard_parameters(moved), "robot file (mass, centre of mass)"
-    described = link_parameters(known.mass, known.com, known.inertia)
-    if not can_exist(known.mass, known.inertia):
+    described = link_parameters(stated.mass, stated.com, stated.inertia)
+    if not can_exist(stated.mass, stated.inertia):
         raise RobotFileError(
             "no body has this inertia: each principal moment must be below the sum of the other two",
             where=where,

@@ -118,7 +118,7 @@ def build_problem(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     by_name = {parameter.name: index for index, parameter in enumerate(parameters)}
     masses = [LINK_SIZE * link + MASS for link in range(links)]
     known_inertias = [name for name in robot.known if name.startswith("Ia")]
-    for name, known in robot.known.items():
+    for name, stated in robot.known.items():
         where = f"{robot.name}: known.{name}"
         if name == TOTAL_MASS:
             row = np.zeros(count)
@@ -128,25 +128,25 @@ def build_problem(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
         else:
             hint = did_you_mean(name, [*by_name, TOTAL_MASS]) or f"one of {', '.join(by_name)}, {TOTAL_MASS}"
             raise RobotFileError("is no parameter of this arm", where=where, hint=hint)
-        if known.value is None:
+        if stated.value is None:
             size = float(np.linalg.norm(row))
-            for factor, limit in ((1.0, known.min), (-1.0, known.max)):
+            for factor, limit in ((1.0, stated.min), (-1.0, stated.max)):
                 if limit is not None:
                     rows.append(factor * row / size)
                     limits.append(factor * limit / size)
                     names.append(f"known.{name}")
                     ranges.append(True)
         elif name == TOTAL_MASS:
-            if known.value <= 0:
-                raise RobotFileError(f"{known.value:g} kg is no mass", where=where)
-            equations.append(row / (TOTAL_MASS_STD * known.value))
+            if stated.value <= 0:
+                raise RobotFileError(f"{stated.value:g} kg is no mass", where=where)
+            equations.append(row / (TOTAL_MASS_STD * stated.value))
             values.append(1.0 / TOTAL_MASS_STD)
         else:
             index = by_name[name]
             of_joint = index >= LINK_SIZE * links
-            if (of_joint and signs[index] * known.value < 0) or (index in masses and known.value <= 0):
-                raise RobotFileError(f"{known.value:g} is no value that a body or a joint can have", where=where)
-            start[index], free[index] = known.value / scale[index], False
+            if (of_joint and signs[index] * stated.value < 0) or (index in masses and stated.value <= 0):
+                raise RobotFileError(f"{stated.value:g} is no value that a body or a joint can have", where=where)
+            start[index], free[index] = stated.value / scale[index], False
     for bound in centre_bounds(model, robot_file):
         first = LINK_SIZE * bound.link + INERTIAL.index("MX")
         for normal, offset in zip(bound.normals, bound.offsets, strict=True):

@@ -197,17 +197,17 @@ class _OuterLoops:
 
     def loops_of(self, fit: RobustFit, load_settled: bool) -> tuple[EstimationLoop, ...]:
         """Third and fourth loop, and the shapes by joint (AUBO Figs. 10 and 11)."""
-        found = []
+        loops = []
         if self.spreads:
             name = "friction, residual σ (mean over the joints)"
-            found.append(EstimationLoop(name, "N·m", tuple(self.spreads), self.shapes_settled))
+            loops.append(EstimationLoop(name, "N·m", tuple(self.spreads), self.shapes_settled))
         for shape, motor in self.terms(fit).free_shapes() if self.shapes else ():
             values = tuple(terms.shape(shape.name, motor) for terms in self.shapes)
             joint = fit.kernel.model.joint_names[motor]
-            found.append(EstimationLoop(shape.text, shape.unit, values, self.shapes_settled, joint))
+            loops.append(EstimationLoop(shape.text, shape.unit, values, self.shapes_settled, joint))
         if self.loads:
-            found.append(EstimationLoop("load torque, relative change", "", tuple(self.loads), load_settled))
-        return tuple(found)
+            loops.append(EstimationLoop("load torque, relative change", "", tuple(self.loads), load_settled))
+        return tuple(loops)
 
 
 def friction_columns(setup: Setup) -> frozenset[int]:

@@ -41,6 +41,12 @@ Econometrica 65, 1997)."""
 DEPENDENT = 1e-9
 """Share of a column-normalised instrument that is left beside the others, below which they depend on each other."""
 
+Source = Iterable[MomentRows]
+
+ITERATIONS = 30
+INSTRUMENTS_SETTLED = 0.01
+"""Largest change of a parameter, over its classical deviation."""
+
 
 def target_motions(runs: Sequence[Prepared]) -> list[tuple[Segment, ...]] | None:
     """Segments of each run with the targets' motion; None where a segment has none without a gap."""
@@ -85,9 +91,6 @@ def first_stage_f(factor: FloatArray, count: int, rows: float) -> float:
     return float(explained / (1.0 - explained) * max(0.0, rows - count) / count)
 
 
-Source = Iterable[MomentRows]
-
-
 @dataclass(frozen=True)
 class ExogeneityTest:
     """The largest difference of two estimates.
@@ -129,11 +132,6 @@ def exogeneity_test(
     worst = int(np.argmax(ratios))
     p_value = min(1.0, 2.0 * len(active) * float(student.sf(ratios[worst], len(one) - 1)))
     return ExogeneityTest(active[worst], float(ratios[worst]), p_value)
-
-
-ITERATIONS = 30
-INSTRUMENTS_SETTLED = 0.01
-"""Largest change of a parameter, over its classical deviation."""
 
 
 @dataclass(frozen=True)
@@ -318,10 +316,10 @@ class InstrumentalEstimator(TorqueEstimator):
 
 def _repetitions(runs: Sequence[Prepared]) -> list[tuple[Segment, ...]] | None:
     """Shift the segments of each run by one period; None where one does not repeat itself."""
-    found = [[repeated_segment(segment) for segment in run.segments] for run in runs]
-    if any(segment is None for segments in found for segment in segments):
+    repeated = [[repeated_segment(segment) for segment in run.segments] for run in runs]
+    if any(segment is None for segments in repeated for segment in segments):
         return None
-    return [tuple(segment for segment in segments if segment is not None) for segments in found]
+    return [tuple(segment for segment in segments if segment is not None) for segments in repeated]
 
 
 def _triangle(

@@ -35,6 +35,11 @@ SIMULATION_SETTLED = 0.5
 """Largest change of a parameter, over its classical deviation. Smaller ones are noise of the simulation: where a
 simulated joint reverses, the sampled sign of its velocity changes a sample earlier or later."""
 
+SMOOTH = ("motor_inertia", "viscous", "inertial")
+"""Kinds of parameters whose torque has a derivative by the motion."""
+
+ITERATIONS = 15
+
 
 def check_whole_arm(setup: Setup, method: str) -> None:
     """Refuse what cannot be simulated.
@@ -64,10 +69,6 @@ def simulable_arm(setup: Setup, reduction: Reduction, solution: LeastSquares) ->
             hint="use --method wls",
         )
     return InverseDynamics(model, setup.base, consistent.base)
-
-
-SMOOTH = ("motor_inertia", "viscous", "inertial")
-"""Kinds of parameters whose torque has a derivative by the motion."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,9 +139,6 @@ def output_rows(inverse: InverseDynamics, run: Prepared) -> list[OutputRows]:
     """
     every = max(1, round(1.0 / (SIMULATION_STEP * run.filtered_rate)))
     return [OutputRows(inverse, segment, tracked(inverse, segment), every) for segment in run.segments]
-
-
-ITERATIONS = 15
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -79,8 +79,8 @@ def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable
         mean_mass = float(np.mean(reference[: BODY_SIZE * links : BODY_SIZE]))
         longest = max(float(np.linalg.norm(joint.translation)) for joint in model.joints)
         for link in range(links):
-            part = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
-            lower[part], upper[part] = _body_box(reference[part], mean_mass, longest)
+            block = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
+            lower[block], upper[block] = _body_box(reference[block], mean_mass, longest)
         values = exact.parameters[list(exact.active)]
         for place in range(BODY_SIZE * links, len(parameters)):
             seen = np.abs(of_active[:, place]) > 0.0
@@ -112,11 +112,11 @@ def _acting(projection: FloatArray, reference: FloatArray, links: int) -> list[i
     """Physical parameters that act on some base parameter, for the reference bodies or others."""
     acts = np.any(np.abs(projection) > 0.0, axis=0)
     for link in range(links):
-        part = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
-        xx, xy, xz, yy, yz, zz, *firsts, mass = acts[part]
+        block = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
+        xx, xy, xz, yy, yz, zz, *firsts, mass = acts[block]
         moments = xx or xy or xz or yy or yz or zz
         # A mass and its centre enter first and second moments; the inertia about it only the second ones.
-        acts[part] = [mass or moments or any(firsts), *(bool(first or moments) for first in firsts)] + [
+        acts[block] = [mass or moments or any(firsts), *(bool(first or moments) for first in firsts)] + [
             bool(entry) for entry in (xx, xy, xz, yy, yz, zz)
         ]
     return [int(place) for place in np.flatnonzero(acts)]

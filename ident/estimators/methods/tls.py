@@ -38,6 +38,11 @@ END_PERIODS = 4.0
 LEAST_BAND = 1.5
 """The positions' cut-off must be this many times the motion's and its harmonics' for noise to show between them."""
 
+ITERATIONS = 50
+SETTLED_CHANGE = 1e-6
+LEAST_TORQUE_NOISE = 0.01
+"""Share of the residual that counts as noise of the torque at least."""
+
 
 def noise_deviations(run: Prepared) -> FloatArray:
     """Standard deviation (n,) of the positions' white noise before filtering [rad or m].
@@ -63,7 +68,7 @@ def noise_deviations(run: Prepared) -> FloatArray:
     measured = [above(segment.position, segment.used) for segment in run.segments]
     generator = np.random.default_rng(0)
     white = [above(_band_limited(run, segment, generator), segment.used) for segment in run.segments]
-    if not sum(part.shape[1] for part in measured):
+    if not sum(row.shape[1] for row in measured):
         raise IdentificationError(
             f"no segment is longer than {2.0 * END_PERIODS / harmonics:.3g} s, so that none shows the positions' noise",
             hint="record without gaps, or use --method wls",
@@ -108,12 +113,6 @@ def regressor_noise(
                 error = other.regressor[rows.rows][:, counts] - clean.regressor[rows.rows][:, counts]
                 grams[motor] += error @ error.T
     return grams
-
-
-ITERATIONS = 50
-SETTLED_CHANGE = 1e-6
-LEAST_TORQUE_NOISE = 0.01
-"""Share of the residual that counts as noise of the torque at least."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

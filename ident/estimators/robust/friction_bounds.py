@@ -46,11 +46,11 @@ class FrictionBounds:
             return free
         factor = reduction.joints[0].factor
         lengths = np.linalg.norm(factor[:, columns], axis=0)
-        found = lsq_linear(
+        bounded = lsq_linear(
             factor[:, columns] / lengths, factor[:, -1], (least * lengths, most * lengths), method="bvls"
         )
         parameters = free.parameters.copy()
-        parameters[columns] = np.clip(found.x / lengths, least, most)
+        parameters[columns] = np.clip(bounded.x / lengths, least, most)
         return replace(free, parameters=parameters)
 
     def reached(self, parameters: FloatArray) -> tuple[int, ...]:

@@ -28,6 +28,20 @@ from ident.signals.prepared import Prepared
 ROWS_AT_ONCE = 4096
 """Rows that are collected before they are added to the triangular factor."""
 
+MAD_TO_STD = 1.4826
+"""Standard deviation of normal residuals over the median of their absolute values."""
+
+COVARIANCE_TOLERANCE = 1e-3
+"""Largest relative change of Ω, to the joints' variances, at which it has settled."""
+
+PARAMETER_TOLERANCE = 1e-2
+"""Largest step of a parameter, in its classical standard deviations, at which the weights have settled."""
+
+MOST_PASSES = 40
+
+Solve = Callable[[RegressorKernel, Reduction, FloatArray], LeastSquares]
+"""The solution of a reduced system, after the parameters (b,) of the last one; what its residuals are those of."""
+
 
 @dataclass(frozen=True, eq=False)
 class Pass:
@@ -117,21 +131,6 @@ class _Collected:
             self._blocks = []
 
 
-MAD_TO_STD = 1.4826
-"""Standard deviation of normal residuals over the median of their absolute values."""
-
-COVARIANCE_TOLERANCE = 1e-3
-"""Largest relative change of Ω, to the joints' variances, at which it has settled."""
-
-PARAMETER_TOLERANCE = 1e-2
-"""Largest step of a parameter, in its classical standard deviations, at which the weights have settled."""
-
-MOST_PASSES = 40
-
-Solve = Callable[[RegressorKernel, Reduction, FloatArray], LeastSquares]
-"""The solution of a reduced system, after the parameters (b,) of the last one; what its residuals are those of."""
-
-
 @dataclass(frozen=True, eq=False)
 class RobustFit:
     """Where the inner loops ended.
@@ -153,8 +152,8 @@ class RobustFit:
     @property
     def spread(self) -> float:
         """Geometric mean of the joints' residual standard deviations [N·m]: what falls as the fit improves."""
-        known = ~np.isnan(np.concatenate(self.done.weights, axis=1))
-        variances = np.diag(self.covariance)[known.any(axis=1)]
+        used = ~np.isnan(np.concatenate(self.done.weights, axis=1))
+        variances = np.diag(self.covariance)[used.any(axis=1)]
         return float(np.exp(0.5 * np.mean(np.log(variances))))
 
 
@@ -254,9 +253,9 @@ def median_deviations(normalised: Sequence[FloatArray]) -> FloatArray:
 
 def independent_samples(normalised: Sequence[FloatArray], torques: Sequence[int]) -> float:
     """Number of independent samples that the residuals of a joint are worth, mean over the joints."""
-    known = [np.where(np.isnan(part), 0.0, part)[list(torques)] for part in normalised]
+    residuals = [np.where(np.isnan(part), 0.0, part)[list(torques)] for part in normalised]
     samples = sum(int(np.sum(~np.isnan(part[list(torques)]))) for part in normalised) / max(1, len(torques))
-    return samples * independent_share(lag_one(known))
+    return samples * independent_share(lag_one(residuals))
 
 
 def relative_change(before: FloatArray, after: FloatArray) -> float:

@@ -97,9 +97,9 @@ class ShapeSystem:
 
         factor = self.reduction.joints[0].factor
         columns = [*friction, *self._excited]
-        known = np.concatenate([parameters, np.zeros(len(self.shapes.kinds))])
-        known[columns] = 0.0
-        target = factor[:, -1] - factor[:, :-1] @ known
+        values = np.concatenate([parameters, np.zeros(len(self.shapes.kinds))])
+        values[columns] = 0.0
+        target = factor[:, -1] - factor[:, :-1] @ values
         lengths = np.linalg.norm(factor[:, columns], axis=0)
         standard = self.shapes.kernel.model.parameters
         kinds = [standard[self.shapes.kernel.columns[column]].kind for column in columns]
@@ -109,8 +109,8 @@ class ShapeSystem:
             own = slice(0, len(friction))
             least[own] = np.maximum(least[own], bounds.least[list(friction)] * lengths[own])
             most[own] = bounds.most[list(friction)] * lengths[own]
-        known[columns] = lsq_linear(factor[:, columns] / lengths, target, (least, most), method="bvls").x / lengths
-        return known
+        values[columns] = lsq_linear(factor[:, columns] / lengths, target, (least, most), method="bvls").x / lengths
+        return values
 
     def value(self, parameters: FloatArray, kind: str, motor: int) -> float | None:
         """Value of a motor's own parameter of a kind, among parameters (b + s,); None where it was not estimated."""

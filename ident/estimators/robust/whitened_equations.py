@@ -85,10 +85,10 @@ class Whitening:
     def roots(self, motors: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
         """Ω^(½) and Ω^(−½) (k, k) of these motors."""
         if motors not in self._roots:
-            part = self._covariance[np.ix_(motors, motors)]
-            deviations = np.sqrt(np.diag(part))
+            block = self._covariance[np.ix_(motors, motors)]
+            deviations = np.sqrt(np.diag(block))
             # Scaled: joints of 300 N·m and of 5 N·m must not decide by their units what is near singular.
-            values, vectors = np.linalg.eigh(part / np.outer(deviations, deviations))
+            values, vectors = np.linalg.eigh(block / np.outer(deviations, deviations))
             values = np.maximum(values, LEAST_EIGENVALUE)
             values, vectors = np.linalg.eigh(deviations[:, None] * (vectors * values @ vectors.T) * deviations)
             sizes = np.sqrt(np.maximum(values, np.finfo(float).tiny))

@@ -148,9 +148,9 @@ def physical_values(model: DynamicModel, standard: FloatArray) -> FloatArray:
     """Physical parameters (p,) of standard ones (p,); every mass must be positive."""
     values = standard.copy()
     for link in range(len(model.joints)):
-        part = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
-        body = body_of(standard[part])
-        values[part] = [body.mass, *body.com, *body.inertia[np.triu_indices(3)]]
+        block = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
+        body = body_of(standard[block])
+        values[block] = [body.mass, *body.com, *body.inertia[np.triu_indices(3)]]
     return values
 
 
@@ -206,8 +206,8 @@ class PhysicalParameters:
         values[list(self.chosen)] = point
         whole = np.eye(len(values))
         for link in range(self.links):
-            part = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
-            whole[part, part] = _body_derivative(values[part])
+            block = slice(BODY_SIZE * link, BODY_SIZE * (link + 1))
+            whole[block, block] = _body_derivative(values[block])
         return whole[:, list(self.chosen)]
 
 

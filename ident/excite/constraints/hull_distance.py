@@ -26,6 +26,18 @@ COAL_NEIGHBOURS = 255
 FEWER_VERTICES = 200
 """Of a hull in whose place another one is taken: none of them can have more neighbours than Coal takes."""
 
+_TOUCHING = 1e-9
+"""Segments closer than this [m] cross; the difference of their nearest points has no direction any more."""
+
+Pair = tuple[int, int]
+
+DISTANCE_TOLERANCE = 1e-6
+"""[m] that every distance is less by: Coal stops its iterations there."""
+_SHARE = 0.5
+"""A distance is asked again when the links may have come nearer by this share of it."""
+_EVERY_SAMPLE_DISTANCE = 2e-3
+"""Below this distance [m] every sample is asked."""
+
 
 @dataclass(frozen=True)
 class Hull:
@@ -116,10 +128,6 @@ def coal_shape(hull: Hull) -> tuple[Any, FloatArray, FloatArray]:
     return coal.Capsule(hull.radius, length), np.column_stack([x, np.cross(z, x), z]), middle
 
 
-_TOUCHING = 1e-9
-"""Segments closer than this [m] cross; the difference of their nearest points has no direction any more."""
-
-
 @dataclass(frozen=True)
 class Nearest:
     """The nearest points of pairs of segments.
@@ -180,16 +188,6 @@ def _across(way1: FloatArray, way2: FloatArray) -> FloatArray:
     point = np.where(_dot(alone, alone)[:, None] > 0.0, alone, np.array([0.0, 0.0, 1.0])[:, None])
     parallel = _dot(both, both) <= 1e-16 * _dot(way1, way1) * _dot(way2, way2)
     return np.where(parallel[:, None], point, both)
-
-
-Pair = tuple[int, int]
-
-DISTANCE_TOLERANCE = 1e-6
-"""[m] that every distance is less by: Coal stops its iterations there."""
-_SHARE = 0.5
-"""A distance is asked again when the links may have come nearer by this share of it."""
-_EVERY_SAMPLE_DISTANCE = 2e-3
-"""Below this distance [m] every sample is asked."""
 
 
 class HullDistances:

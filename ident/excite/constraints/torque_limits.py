@@ -106,9 +106,9 @@ class TorqueLimits:
         self._model = model
         self._columns = tuple(columns)
         self._parameters = np.array(parameters, dtype=np.float64)
-        known = [(joint, limits.torque) for joint, limits in enumerate(model.limits) if limits.torque is not None]
-        self._joints = [joint for joint, torque in known if np.isfinite(torque)]
-        self._limits = TORQUE_SHARE * np.array([torque for _, torque in known if np.isfinite(torque)])
+        limited = [(joint, limits.torque) for joint, limits in enumerate(model.limits) if limits.torque is not None]
+        self._joints = [joint for joint, torque in limited if np.isfinite(torque)]
+        self._limits = TORQUE_SHARE * np.array([torque for _, torque in limited if np.isfinite(torque)])
         self._kernel = RegressorKernel(model, columns)
         # Of each packed row, how much it adds to the use of each limited joint.
         self._shares = np.zeros((self._kernel.row_count, len(self._joints)))

@@ -32,6 +32,15 @@ from ident.model.kinematics.joints import BASE_INDEX
 
 _HALVINGS = 24
 
+SAMPLES_AT_ONCE = 2000
+"""Samples of a long path that are worked on together."""
+
+_ON_AXIS = 1e-12  # [m]
+_STILL = 1e-9  # [m]
+_CONFIGURATIONS = 500
+
+_SAMPLES = 2000
+
 
 @dataclass(frozen=True)
 class Distances:
@@ -100,14 +109,6 @@ def _to_box(offset: FloatArray, half: FloatArray) -> tuple[FloatArray, FloatArra
     nearest_face = np.moveaxis(np.eye(3)[np.argmax(beyond, axis=1)], -1, 1)
     gradient = np.sign(offset) * np.where(away[:, None], direction, nearest_face)
     return np.where(away, distance, beyond.max(axis=1)), gradient
-
-
-SAMPLES_AT_ONCE = 2000
-"""Samples of a long path that are worked on together."""
-
-_ON_AXIS = 1e-12  # [m]
-_STILL = 1e-9  # [m]
-_CONFIGURATIONS = 500
 
 
 @dataclass(frozen=True)
@@ -348,9 +349,6 @@ def _can_be_clear(
         )
     # Of what stays at its height, such as a shoulder, a motion changes nothing.
     return np.asarray((highest >= geometry.radii[capsules] + obstacle.clearance) & (np.ptp(height, axis=1) > _STILL))
-
-
-_SAMPLES = 2000
 
 
 def surroundings_warning(robot_file: RobotFile, motion: Motion) -> str | None:

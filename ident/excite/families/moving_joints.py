@@ -16,6 +16,12 @@ from ident.excite.path import JointPath
 
 _INMOST = 1.0 - 1e-4
 
+ONE_TURN = 2.0 * np.pi
+"""Random motions and the variables' scales use no more of a joint's range than this [rad, or m of a slide]."""
+_STILL = 1e-9  # [rad or m]
+LEAST_SHARE, LARGEST_SHARE = 0.5, 0.95
+"""Share of its tightest limit that each joint of a random motion uses."""
+
 
 def to_share(variables: FloatArray) -> FloatArray:
     """Places between −1 and 1 for any variables: their sine, whose slope is that of the variable in the middle.
@@ -31,13 +37,6 @@ def from_share(share: FloatArray) -> FloatArray:
     Places at the very ends are moved inwards by 1e-4, so that a local search sees a slope there.
     """
     return np.arcsin(np.clip(share, -_INMOST, _INMOST))
-
-
-ONE_TURN = 2.0 * np.pi
-"""Random motions and the variables' scales use no more of a joint's range than this [rad, or m of a slide]."""
-_STILL = 1e-9  # [rad or m]
-LEAST_SHARE, LARGEST_SHARE = 0.5, 0.95
-"""Share of its tightest limit that each joint of a random motion uses."""
 
 
 @dataclass(frozen=True, eq=False)

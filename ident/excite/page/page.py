@@ -342,15 +342,15 @@ def render_page(
 
 def _tiles(figures: ExcitationFigures) -> list[Tile]:
     forecast = figures.forecast
-    known = [p.rsd_percent for p in forecast.parameters if p.rsd_percent is not None]
-    significant = sum(value < SIGNIFICANT_RSD for value in known)
+    rsds = [p.rsd_percent for p in forecast.parameters if p.rsd_percent is not None]
+    significant = sum(value < SIGNIFICANT_RSD for value in rsds)
     count = len(forecast.parameters)
     return [
         Tile("Duration", f"{number(figures.duration, 4)} s", "from rest to rest"),
         Tile("Condition number", number(forecast.scaled_condition, 3), "columns of unit length; below 50 is good"),
         Tile("Condition", number(forecast.condition, 3), "depends on units"),
         Tile("Largest limit utilisation", percent(figures.worst_use), _worst(figures)),
-        Tile("Significant", str(significant) if known else number_text.DASH, _significance(known, count)),
+        Tile("Significant", str(significant) if rsds else number_text.DASH, _significance(rsds, count)),
     ]
 
 
@@ -358,7 +358,7 @@ def _worst(figures: ExcitationFigures) -> str:
     return f"{figures.worst_limit}, at {number(figures.worst_time, 3)} s"
 
 
-def _significance(known: Sequence[float], count: int) -> str:
-    if not known:
+def _significance(rsds: Sequence[float], count: int) -> str:
+    if not rsds:
         return "without prior parameters no relative standard deviation can be predicted"
     return f"of {count}: predicted RSD below {SIGNIFICANT_RSD:g} %"

@@ -29,6 +29,13 @@ _AHEAD = 2
 _JOINING = 1.0
 """Seconds after which a process that does not end on SIGTERM is killed."""
 
+_POLL = 0.2
+"""Seconds between two polls of the other processes, and between two reports of progress."""
+_CHECKS_IN_RESERVE = 8.0
+"""Time kept for the last check and the figures of the result, in checks of a motion on the dense grid."""
+_LARGEST_RESERVE = 0.2
+"""The same, as a share of the whole time at most."""
+
 
 class TimeIsUpError(Exception):
     """The search's time is over."""
@@ -165,14 +172,6 @@ def _work(pipe: Connection, seed: int, solver: Solver, end: float | None) -> Non
                 pipe.send(None)
         except DynidError as error:
             pipe.send(error)
-
-
-_POLL = 0.2
-"""Seconds between two polls of the other processes, and between two reports of progress."""
-_CHECKS_IN_RESERVE = 8.0
-"""Time kept for the last check and the figures of the result, in checks of a motion on the dense grid."""
-_LARGEST_RESERVE = 0.2
-"""The same, as a share of the whole time at most."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,6 +16,22 @@ from scipy.optimize import minimize
 from drivers.core.arrays import FloatArray
 from ident.excite.search.problem import DesignProblem
 
+REACHES = (0.5, 0.15)
+"""Largest change of a variable in a round, in this order. A family scales variables to the order of 1; a line search
+that jumps to 10⁵, or into a collision, does not return."""
+
+OPENING_REACH = 0.3
+"""A short round with sharp limits: from a feasible motion it soon reaches a better one that nearly keeps them, where
+narrow ranges leave a blunt round outside for long."""
+
+CHECKED_DECREASE = 0.05
+"""Decrease of the cost (a logarithm) from which on an iterate is worth a check before its round ends."""
+OUTSIDE_ITERATIONS = 5
+"""Iterations after which an iterate outside the limits is checked too: shrunk, it may be the best so far."""
+_SAMPLES_AT_MAXIMUM = 1000.0
+"""Samples that may share a soft maximum: an iterate whose bound exceeds the limit by log of it over the sharpness does
+exceed the limit."""
+
 
 @dataclass(frozen=True)
 class Round:
@@ -34,25 +50,9 @@ class Round:
     tolerance: float
 
 
-REACHES = (0.5, 0.15)
-"""Largest change of a variable in a round, in this order. A family scales variables to the order of 1; a line search
-that jumps to 10⁵, or into a collision, does not return."""
-
 OPENING = Round(4.0, 300.0, 25, 1e-3)
-OPENING_REACH = 0.3
-"""A short round with sharp limits: from a feasible motion it soon reaches a better one that nearly keeps them, where
-narrow ranges leave a blunt round outside for long."""
 
 ROUNDS = (Round(4.0, 30.0, 100, 1e-4), Round(16.0, 100.0, 100, 1e-4), Round(64.0, 300.0, 100, 1e-4))
-
-
-CHECKED_DECREASE = 0.05
-"""Decrease of the cost (a logarithm) from which on an iterate is worth a check before its round ends."""
-OUTSIDE_ITERATIONS = 5
-"""Iterations after which an iterate outside the limits is checked too: shrunk, it may be the best so far."""
-_SAMPLES_AT_MAXIMUM = 1000.0
-"""Samples that may share a soft maximum: an iterate whose bound exceeds the limit by log of it over the sharpness does
-exceed the limit."""
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,14 @@ OUTSIDE_COST = 1e3
 WIDER = 1.5
 """The box is so many times wider than the range of random motions."""
 
+DRAWS = 20
+"""Random members that a start is chosen from."""
+SHARES = (1.0, 0.95, 0.9, 0.8, 0.65, 0.5)
+"""Amplitudes at which an iterate outside the limits is tested."""
+OPENINGS = 2
+"""Short rounds from feasible motions before the long ones."""
+_TIGHTENINGS = 5
+
 
 def leap(
     problem: DesignProblem,
@@ -74,15 +82,6 @@ def leap(
     )
     if minimum.ended == "interrupted":
         raise KeyboardInterrupt
-
-
-DRAWS = 20
-"""Random members that a start is chosen from."""
-SHARES = (1.0, 0.95, 0.9, 0.8, 0.65, 0.5)
-"""Amplitudes at which an iterate outside the limits is tested."""
-OPENINGS = 2
-"""Short rounds from feasible motions before the long ones."""
-_TIGHTENINGS = 5
 
 
 @dataclass(frozen=True)

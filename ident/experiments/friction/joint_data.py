@@ -131,13 +131,13 @@ class JointData:
 
     def load_torques(self, parameters: FloatArray) -> list[FloatArray]:
         """Gravity torque (N,) of each period by its inertia and first moments, parameters (≥ o,)."""
-        found, place = [], 0
+        loads, place = [], 0
         for period in self.periods:
             place += 1
             values = parameters[place : place + len(period.gravity)]
-            found.append(values @ period.gravity)
+            loads.append(values @ period.gravity)
             place += len(period.gravity)
-        return found
+        return loads
 
     def load_slopes(self, coefficient: float, power: float, loads: Sequence[FloatArray]) -> FloatArray:
         """(R, o) by how much load friction changes with the inertia and gravity parameters of the periods."""
@@ -154,7 +154,7 @@ class JointData:
     def autocorrelation(self, residual: FloatArray) -> FloatArray:
         """(1,) of the residuals at lag one, within the periods."""
         counts = [int(period.counted.sum()) for period in self.periods]
-        return lag_one([part[None] for part in np.split(residual, np.cumsum(counts)[:-1])])
+        return lag_one([block[None] for block in np.split(residual, np.cumsum(counts)[:-1])])
 
     def position_blocks(self) -> npt.NDArray[np.int64]:
         """(R,) block of each equation by the joint's position: torque ripple is the same in every stroke."""

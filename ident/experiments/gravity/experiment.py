@@ -167,7 +167,7 @@ def revalidated(experiment: GravityExperiment, recordings: Sequence[Recording]) 
         _refuse_another_arm(recording, file)
         visits = find_visits(read_joint_signals(recording, file.robot), model, base).visits
         used = used_equations(visits, model)
-        torque, rows = (np.array([visit.mean[part] for visit in visits]) for part in (0, 1))
+        torque, rows = (np.array([visit.mean[direction] for visit in visits]) for direction in (0, 1))
         errors.append(np.where(used, torque - rows @ values, np.nan))
     error = np.concatenate(errors)
     with np.errstate(all="ignore"):
@@ -280,7 +280,7 @@ def _parameters(model: DynamicModel, base: BaseParameters, fit: GravityFit) -> l
 def _of_joints(
     file: RobotFile, model: DynamicModel, base: BaseParameters, visits: Sequence[Visit], fit: GravityFit
 ) -> list[GravityJoint]:
-    torque, rows = (np.array([visit.mean[part] for visit in visits]) for part in (0, 1))
+    torque, rows = (np.array([visit.mean[direction] for visit in visits]) for direction in (0, 1))
     weighing = [index for index in range(base.count) if base.kinds[index] == "inertial" or _weighs(base, model, index)]
     gravity = rows[:, :, weighing] @ fit.values[weighing]
     known = file_parameters(file, model, base)

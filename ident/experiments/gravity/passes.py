@@ -161,9 +161,9 @@ def find_passes(signals: JointSignals, sliding: FloatArray) -> list[SlowPass]:
 
     def close(end: int) -> None:
         if end - begin >= window:
-            part = slice(begin, end)
+            inside = slice(begin, end)
             way = position[end - 1] - position[begin]
-            passes.append(SlowPass(part, direction.copy(), np.abs(velocity[part]).max(axis=0), way))
+            passes.append(SlowPass(inside, direction.copy(), np.abs(velocity[inside]).max(axis=0), way))
 
     moving = np.any(sign != 0, axis=1)
     for sample in range(len(time)):
@@ -229,11 +229,11 @@ def _along(position: FloatArray, main: int, grid: FloatArray) -> FloatArray:
 
 
 def _mean_torque(
-    signals: JointSignals, part: SlowPass, main: int, low: float, high: float
+    signals: JointSignals, slow_pass: SlowPass, main: int, low: float, high: float
 ) -> tuple[FloatArray, FloatArray]:
     """Mean torque (n,) over the way, and its σ by white noise."""
-    position, torque = signals.position[part.samples, main], signals.torque[part.samples]
-    speed = np.abs(np.gradient(uniform_filter1d(position, 5), signals.time[part.samples]))
+    position, torque = signals.position[slow_pass.samples, main], signals.torque[slow_pass.samples]
+    speed = np.abs(np.gradient(uniform_filter1d(position, 5), signals.time[slow_pass.samples]))
     share = (position - low) / (high - low)
     weight = _weight(share) * speed
     weight /= weight.sum()
@@ -250,7 +250,7 @@ def _unbalanced(
     signals: JointSignals, alone: Sequence[SlowPass], paired: Sequence[SlowPass], visits: Sequence[Visit]
 ) -> list[tuple[FloatArray, IntArray, float]]:
     """Passes without a partner that are of a kind with those that have one, or all where none has, by their middle."""
-    found = []
+    passes = []
     length = np.median([np.abs(slow_pass.way).max() for slow_pass in paired]) if paired else 0.0
     peak = np.median([slow_pass.peak.max() for slow_pass in paired]) if paired else np.inf
     for slow_pass in alone:
@@ -258,8 +258,8 @@ def _unbalanced(
         near = any(np.all(np.abs(pose - visit.pose) < 0.5 * np.abs(slow_pass.way) + 1e-3) for visit in visits)
         alike = 0.5 * length <= np.abs(slow_pass.way).max() and slow_pass.peak.max() <= 1.3 * peak
         if alike and not near and (not paired or np.abs(slow_pass.way).max() <= 2.0 * length):
-            found.append((pose, slow_pass.direction, float(signals.time[slow_pass.samples.start] - signals.time[0])))
-    return found
+            passes.append((pose, slow_pass.direction, float(signals.time[slow_pass.samples.start] - signals.time[0])))
+    return passes
 
 
 def _one_direction(model: DynamicModel, unbalanced: Sequence[tuple[FloatArray, IntArray, float]]) -> str:

@@ -82,19 +82,19 @@ def doubts(
     still_though_commanded: Sequence[str],
 ) -> list[tuple[bool, str]]:
     """What is wrong, or not known: whether it makes the model poor, and a sentence."""
-    found: list[tuple[bool, str]] = []
+    suspicions: list[tuple[bool, str]] = []
     seen = visits.visits
     for name in still_though_commanded:
-        found.append((True, f"{name} was commanded to move, and its position never changes: its encoder is stuck"))
+        suspicions.append((True, f"{name} was commanded to move, and its position never changes: its encoder is stuck"))
     share = residual_share(seen, fit)
     if share > POOR_FIT:
-        found += _wrong_sign(model, seen, fit) or _wrong_gravity(robot_file, model, base, seen, fit)
-    found += _opposite_masses(robot_file, model, base, fit, seen)
-    found += _drift(model, seen, fit)
+        suspicions += _wrong_sign(model, seen, fit) or _wrong_gravity(robot_file, model, base, seen, fit)
+    suspicions += _opposite_masses(robot_file, model, base, fit, seen)
+    suspicions += _drift(model, seen, fit)
     if visits.unbalanced:
         pose, direction, time = visits.unbalanced[0]
         more = "" if len(visits.unbalanced) == 1 else f", and {len(visits.unbalanced) - 1} more"
-        found.append(
+        suspicions.append(
             (
                 False,
                 f"left out, passed in one direction only: {pose_text(model, pose, direction)} at {time:.1f} s{more}",
@@ -102,15 +102,15 @@ def doubts(
         )
     resting = [name for name, count in zip(model.joint_names, fit.used.sum(axis=0), strict=True) if not count]
     if resting:
-        found.append((False, f"{', '.join(resting)} never moves in both directions: its torque does not count"))
+        suspicions.append((False, f"{', '.join(resting)} never moves in both directions: its torque does not count"))
     lost = [base.names[index] for index in np.flatnonzero(~fit.determined)]
     if lost:
-        found.append((bool(resting) is False, f"not determined by these poses: {', '.join(lost)}"))
-    return found
+        suspicions.append((bool(resting) is False, f"not determined by these poses: {', '.join(lost)}"))
+    return suspicions
 
 
 def _wrong_sign(model: DynamicModel, visits: Sequence[Visit], fit: GravityFit) -> list[tuple[bool, str]]:
-    torque, rows = (np.array([visit.mean[part] for visit in visits]) for part in (0, 1))
+    torque, rows = (np.array([visit.mean[direction] for visit in visits]) for direction in (0, 1))
     size = _sizes(visits, fit)
     costs = []
     for joint in (-1, *range(model.dof)):
@@ -133,7 +133,7 @@ def _wrong_sign(model: DynamicModel, visits: Sequence[Visit], fit: GravityFit) -
 def _wrong_gravity(
     robot_file: RobotFile, model: DynamicModel, base: BaseParameters, visits: Sequence[Visit], fit: GravityFit
 ) -> list[tuple[bool, str]]:
-    torque, rows = (np.array([visit.mean[part] for visit in visits]) for part in (0, 1))
+    torque, rows = (np.array([visit.mean[direction] for visit in visits]) for direction in (0, 1))
     poses = np.array([visit.pose for visit in visits])
     size = _sizes(visits, fit)
     strength = float(np.linalg.norm(model.gravity)) or 9.81
@@ -155,12 +155,12 @@ def _opposite_masses(
     robot_file: RobotFile, model: DynamicModel, base: BaseParameters, fit: GravityFit, visits: Sequence[Visit]
 ) -> list[tuple[bool, str]]:
     """All signs at once, where the robot file knows masses; without them the sign of all torques is gravity's."""
-    known = file_parameters(robot_file, model, base)
-    if known is None:
+    of_file = file_parameters(robot_file, model, base)
+    if of_file is None:
         return []
     rows = np.array([visit.mean[1] for visit in visits])
     inertial = np.array([kind == "inertial" for kind in base.kinds])
-    ours, theirs = ((rows @ np.where(inertial, values, 0.0))[fit.used] for values in (fit.values, known))
+    ours, theirs = ((rows @ np.where(inertial, values, 0.0))[fit.used] for values in (fit.values, of_file))
     norm = float(np.linalg.norm(ours) * np.linalg.norm(theirs))
     if norm <= _TINY or float(ours @ theirs) > -0.5 * norm:
         return []
@@ -180,7 +180,7 @@ def file_parameters(robot_file: RobotFile, model: DynamicModel, base: BaseParame
 
 def _drift(model: DynamicModel, visits: Sequence[Visit], fit: GravityFit) -> list[tuple[bool, str]]:
     """Torques that differ between visits of one place."""
-    found = []
+    suspicions = []
     for place in sorted(set(fit.group.tolist())):
         members = np.flatnonzero(fit.group == place)
         if len(members) < 2:
@@ -198,8 +198,8 @@ def _drift(model: DynamicModel, visits: Sequence[Visit], fit: GravityFit) -> lis
                 f"{model.joint_names[joint]} needs {change[joint]:+.3g} {model.limits[joint].unit('N·m')} more in the "
                 f"same pose {seconds:.0f} s later: a load was picked up or put down, or the torque drifts; record again"
             )
-            found.append((True, text))
-    return found
+            suspicions.append((True, text))
+    return suspicions
 
 
 def _sizes_of_gravity(visits: Sequence[Visit], fit: GravityFit) -> FloatArray:

@@ -86,10 +86,10 @@ def usable(information: Information) -> Information:
     Raises:
         IdentificationError: no value is left.
     """
-    known = np.isfinite(np.diag(information.covariance))
-    if not np.any(known):
+    finite = np.isfinite(np.diag(information.covariance))
+    if not np.any(finite):
         raise IdentificationError("no estimated value has a standard deviation", hint="record longer")
-    kept, left = np.flatnonzero(known), np.flatnonzero(~known)
+    kept, left = np.flatnonzero(finite), np.flatnonzero(~finite)
     # The first columns of a triangular factor are those that are fitted away.
     root = triangular(information.root[:, [*left, *kept]])[len(left) :, len(left) :]
     return Information(

@@ -72,7 +72,7 @@ def _input(label: str, result: Result, stored: StoredModel, base: BaseParameters
     # P_i·π = (P_i restricted to the kept columns)·x, since the merged base parameters hold each of those once.
     combined = estimate.combinations(stored.base.projection)[:, list(base.columns)]
     information = usable(Information(estimate.values, combined, estimate.root, estimate.covariance, estimate.blocks))
-    known = np.isfinite(np.diag(estimate.covariance))
+    finite = np.isfinite(np.diag(estimate.covariance))
     # A merged model was weighed when it was merged.
     ratio = 1.0 if result.merge is not None else variance_ratio(information.root, information.covariance)
     if not ratio > 0:
@@ -90,7 +90,7 @@ def _input(label: str, result: Result, stored: StoredModel, base: BaseParameters
             information.covariance,
             information.blocks,
         ),
-        names=tuple(stored.base.names[index] for index, use in zip(estimate.active, known, strict=True) if use),
+        names=tuple(stored.base.names[index] for index, use in zip(estimate.active, finite, strict=True) if use),
         ratio=ratio,
     )
 

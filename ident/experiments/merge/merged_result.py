@@ -231,10 +231,10 @@ def _residuals(inputs: Sequence[MergeInput]) -> Residuals:
     stored = [source.result.residuals for source in inputs]
 
     def best(name: str, joint: int) -> float | None:
-        known = [
+        stated = [
             (residuals.rows, value) for residuals in stored if (value := getattr(residuals, name)[joint]) is not None
         ]
-        return max(known)[1] if known else None
+        return max(stated)[1] if stated else None
 
     joints = range(len(inputs[0].result.joints))
     return Residuals(

@@ -250,8 +250,8 @@ class Expression:
             return None
         left = Expression(self.graph, node.operands[0], self.negative)
         right = Expression(self.graph, node.operands[1], self.negative != (node.kind == "subtract"))
-        for part, rest in ((left, right), (right, left)):
-            if part.node == term.node and part.negative != term.negative:
+        for factor, rest in ((left, right), (right, left)):
+            if factor.node == term.node and factor.negative != term.negative:
                 return rest
         return None
 

@@ -27,6 +27,15 @@ from ident.model.parameters import INERTIAL
 Axes = dict[int, tuple[Vector, Vector]]
 """(w, v) by the number of the joint in the tree."""
 
+SIZE = len(INERTIAL)
+
+PAYLOAD = "payload"
+PAYLOAD_SIZE = 10
+"""Mass, centre of mass x y z, inertia xx xy xz yy yz zz about it."""
+
+POSTURES = 100
+"""Random ones at which the inertia matrix has to be positive definite for forward dynamics."""
+
 
 def link_axes(graph: Graph, frames: Sequence[JointFrame]) -> list[Axes]:
     """Axes of the joints that each link hangs on, in its frame."""
@@ -96,16 +105,6 @@ def payload_torque(graph: Graph, motion: LinkMotion, axes: Axes, follow: FloatAr
         column = inertial_column(graph, motion, axes, kind, follow)
         totals = [total + entry * value for total, entry in zip(totals, column, strict=True)]
     return tuple(totals)
-
-
-SIZE = len(INERTIAL)
-
-PAYLOAD = "payload"
-PAYLOAD_SIZE = 10
-"""Mass, centre of mass x y z, inertia xx xy xz yy yz zz about it."""
-
-POSTURES = 100
-"""Random ones at which the inertia matrix has to be positive definite for forward dynamics."""
 
 
 def input_size(name: str, joints: int) -> int:

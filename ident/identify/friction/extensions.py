@@ -1,23 +1,9 @@
-"""Extensions of the friction model: pre-sliding, terms over a turn, and whether further terms are worth it.
+"""Extensions of the friction model: presliding, terms that repeat over a turn, and whether further terms are worth it.
 
-The pre-sliding travel of each motion, from the identification's equations near velocity reversals.
-
-Everything else is held at a model that was estimated; it is estimated again with the travels (`friction_fit`). The
-equations away from reversals do not depend on the travel, so that all of them are compared: those that the regression
-left out decide.
-
-Friction and torque that repeat over a turn, which only several motions can tell.
-
-Along one motion a low harmonic is confounded with inertia and gravity, and a high one fits the shape of a reversal. So
-`--friction auto` tries them with at least `LEAST_MOTIONS` recordings of different motions, each left out in turn. A
-term counts that lowers their error, and whose partial F-test rejects chance; the terms of all joints stay if the
-consistent model predicts every motion better with them.
-
-Whether further friction terms are worth it for the model that is delivered, the physically consistent one.
-
-The unconstrained model may turn friction into what no arm has, and predict well; the consistent one cannot follow. So
-both friction models are fitted to the data without one block after the other, made consistent, and compared on that
-block, on every equation of motors that move, velocity reversals included.
+All are tried on a model that was estimated. Torque that repeats over a turn needs several motions: along one of them a
+low harmonic is confounded with inertia and gravity, and a high one fits the shape of a reversal. Whether further terms
+are worth it is judged on the model that is delivered, the physically consistent one: the unconstrained one may turn
+friction into what no arm has, and predict well.
 """
 
 from __future__ import annotations
@@ -58,9 +44,24 @@ The least error at either end is no presliding: static friction does as well, or
 Run = tuple[Sequence[Segment], ZeroPhaseFilter]
 """Segments of a recording and the filter of its torques."""
 
+LEAST_MOTIONS = 3
+"""Different motions that the terms need."""
+
+SAME_SHARE = 0.5
+"""A run that repeats a larger share of an earlier one is the same motion, and is left out with it."""
+
+LEVEL = 0.001
+"""Significance level of the F-test: of the best of many harmonics, stricter than that of other terms."""
+
+INDEPENDENT_SHARE = 0.3
+"""Least share of a torque ripple's length that is independent of the other columns: else it may stand for gravity."""
+
 
 def find_travels(dry: DryFriction, runs: Sequence[Run], series: Sequence[TorqueSeries]) -> tuple[PreslidingTravel, ...]:
     """The travels by which Dahl's model leaves least of the residuals; motions one after the other.
+
+    Everything else is held; it is estimated again with the travels (`fit`). The equations away from reversals do not
+    depend on the travel, so that all are compared, those included that the regression left out.
 
     Args:
         dry: dry friction of the identified model.
@@ -71,19 +72,19 @@ def find_travels(dry: DryFriction, runs: Sequence[Run], series: Sequence[TorqueS
     blocks, count = motion.of_segments, motion.count
     segments = [(segment, run_filter) for of_run, run_filter in runs for segment in of_run]
     conditions = [dry.conditions(segment.position) for segment, _ in segments]
-    residuals = [np.where(np.isfinite(part.residual), part.residual, 0.0) for part in series]
+    residuals = [np.where(np.isfinite(torque.residual), torque.residual, 0.0) for torque in series]
     travels = []
     for name in dry.columns:
         motors, costs, changes = dry.motors(name), np.zeros((len(TRAVELS), count)), []
-        for (segment, run_filter), given, part, residual, of_block in zip(
+        for (segment, run_filter), given, torque, residual, of_block in zip(
             segments, conditions, series, residuals, blocks, strict=True
         ):
             change = dry.change(name, TRAVELS, segment.velocity, segment.rate, given)
-            counted = (part.counted & np.isfinite(part.predicted))[motors]
+            counted = (torque.counted & np.isfinite(torque.predicted))[motors]
             filtered = run_filter.apply(change.reshape(-1, change.shape[-1])).reshape(*change.shape[:2], -1)
             filtered = np.where(counted, filtered, 0.0)
             gain = np.sum(filtered * (filtered - 2.0 * residual[motors]), axis=1)
-            costs += np.array([np.bincount(of_block[part.used], row[part.used], count) for row in gain])
+            costs += np.array([np.bincount(of_block[torque.used], row[torque.used], count) for row in gain])
             changes.append(filtered)
         place = _least(costs.sum(axis=1))
         without_each = [_least(costs.sum(axis=1) - block) for block in costs.T]
@@ -102,9 +103,9 @@ def find_travels(dry: DryFriction, runs: Sequence[Run], series: Sequence[TorqueS
 def low_speed_error(series: Sequence[TorqueSeries]) -> float:
     """Relative error of the torques of joints slower than `LOW_SPEED`; nan where there is none."""
     squares = np.zeros(2)
-    for part in series:
-        slow = part.counted & np.isfinite(part.predicted) & (np.abs(part.velocity) < LOW_SPEED)
-        squares += np.sum(np.square(part.residual[slow])), np.sum(np.square(part.measured[slow]))
+    for torque in series:
+        slow = torque.counted & np.isfinite(torque.predicted) & (np.abs(torque.velocity) < LOW_SPEED)
+        squares += np.sum(np.square(torque.residual[slow])), np.sum(np.square(torque.measured[slow]))
     return float(np.sqrt(squares[0] / squares[1])) if squares[1] > 0 else float("nan")
 
 
@@ -117,19 +118,6 @@ def _least(costs: FloatArray) -> float:
     return least + 0.5 * float(before - after) / float(before - 2.0 * at + after)
 
 
-LEAST_MOTIONS = 3
-"""Different motions that the terms need."""
-
-SAME_SHARE = 0.5
-"""A run that repeats a larger share of an earlier one is the same motion, and is left out with it."""
-
-LEVEL = 0.001
-"""Significance level of the F-test: of the best of many harmonics, stricter than that of other terms."""
-
-INDEPENDENT_SHARE = 0.3
-"""Least share of a torque ripple's length that is independent of the other columns: else it may stand for gravity."""
-
-
 def motion_folds(series: Sequence[TorqueSeries], segments: Sequence[int]) -> list[npt.NDArray[np.int64]]:
     """Fold (M,) of the filtered samples of each segment: its motion, counted from 0; a seventh is with the first.
 
@@ -138,18 +126,18 @@ def motion_folds(series: Sequence[TorqueSeries], segments: Sequence[int]) -> lis
         segments: number of them per run.
     """
     indices = distinct_samples(series).indices
-    known: list[set[int]] = []
+    motions: list[set[int]] = []
     folds: list[npt.NDArray[np.int64]] = []
     for count in segments:
         own = indices[len(folds) : len(folds) + count]
         places = {int(place) for segment in own for place in segment}
-        shared = [len(places & earlier) for earlier in known]
+        shared = [len(places & earlier) for earlier in motions]
         if places and max(shared, default=0) > SAME_SHARE * len(places):
             motion = int(np.argmax(shared))
-            known[motion] |= places
+            motions[motion] |= places
         else:
-            motion = len(known)
-            known.append(places)
+            motion = len(motions)
+            motions.append(places)
         folds += [np.full(len(segment), motion % FOLDS) for segment in own]
     return folds
 
@@ -158,6 +146,8 @@ def choose_position_terms(
     search: FrictionSearch, motors: Sequence[int], terms: FrictionTerms, names: Sequence[str], level: float
 ) -> list[FrictionStep]:
     """Add terms to each motor until none counts; the steps that were tried.
+
+    Each motion is left out in turn. A term counts that lowers their error, and whose partial F-test rejects chance.
 
     Args:
         search: on the candidates that depend on the position, by motion.
@@ -190,6 +180,8 @@ def delivered_errors(
     folds: Sequence[npt.NDArray[np.int64]],
 ) -> FloatArray:
     """Squared error (FOLDS,) of the consistent model on each block of the data that it was not fitted to.
+
+    All equations of motors that move count, velocity reversals included.
 
     Args:
         rows: the data.

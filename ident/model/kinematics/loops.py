@@ -216,8 +216,8 @@ def _parallelogram_equations(
 
 def loop_ends(loop: Loop, joint_index: dict[str, int]) -> list[tuple[int, Placement]]:
     """The closing frames: index of the joint behind which each is fixed, and its placement in that joint's frame."""
-    known = {**joint_index, BASE: BASE_INDEX}
-    return [(known[frame.antecedent], _placement(frame)) for frame in loop.closing or ()]
+    index_of = {**joint_index, BASE: BASE_INDEX}
+    return [(index_of[frame.antecedent], _placement(frame)) for frame in loop.closing or ()]
 
 
 def _check_closed(

@@ -24,6 +24,13 @@ UNIVERSE = 0
 _ONE_AT_A_TIME = threading.Lock()
 """Standard error belongs to the whole process."""
 
+_LIMITS = {"effort", "velocity"}
+
+_LINK = "\n"
+"""End of a link's name while joints are locked: no name holds one."""
+
+RIGHT_ANGLE_TOLERANCE = 1e-5  # [rad]; many URDFs write π/2 as `1.5708`
+
 
 def urdf_joints(xml: str, names: Sequence[str], locked: Mapping[str, float], where: str) -> tuple[Joint, ...]:
     """Joints of a URDF in the order of `names`, with the joints of `locked` (name → position [rad or m]) frozen.
@@ -120,9 +127,6 @@ def _with_limits(root: ElementTree.Element) -> str | None:
     return ElementTree.tostring(copy, encoding="unicode")
 
 
-_LIMITS = {"effort", "velocity"}
-
-
 def _limit_of(joint: ElementTree.Element) -> dict[str, str]:
     limit = joint.find("limit")
     return {} if limit is None else dict(limit.attrib)
@@ -216,10 +220,6 @@ def _reduced(full: Any, locked: Iterable[str], reference: Any) -> Any:
     return reduced
 
 
-_LINK = "\n"
-"""End of a link's name while joints are locked: no name holds one."""
-
-
 def _motion_subspace(joint: Any, name: str, where: str) -> Any:
     """(6,) direction of motion, translation first."""
     if joint.nv != 1:
@@ -231,9 +231,6 @@ def _motion_subspace(joint: Any, name: str, where: str) -> Any:
     position = np.array([1.0, 0.0])[: joint.nq] if joint.nq == 2 else np.zeros(1)
     joint.calc(data, position)
     return np.asarray(data.S).reshape(6)
-
-
-RIGHT_ANGLE_TOLERANCE = 1e-5  # [rad]; many URDFs write π/2 as `1.5708`
 
 
 def _without_rounding(values: Any) -> Any:

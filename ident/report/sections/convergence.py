@@ -52,8 +52,8 @@ def _figure(convergence: Convergence) -> Figure | None:
 def _panel(loops: list[EstimationLoop], colours: Mapping[str, str], *, legend: bool) -> Panel:
     """One loop, or the same one of several joints, each in its colour."""
     name, unit = loops[0].name, loops[0].unit
-    known = [value for loop in loops for value in loop.values if value is not None]
-    changes = all(value > 0 for value in known) and max(known, default=1.0) > 30.0 * min(known, default=1.0)
+    values = [value for loop in loops for value in loop.values if value is not None]
+    changes = all(value > 0 for value in values) and max(values, default=1.0) > 30.0 * min(values, default=1.0)
     traces: list[dict[str, Any]] = [
         {
             "type": "scatter",

@@ -30,6 +30,10 @@ from ident.views.number_text import number
 
 PANEL = 260
 
+PAGE_POINTS = 8_000
+MOST_POINTS = 2000
+PANEL, TEMPERATURE_PANEL = 110, 200
+
 
 def excitation_section(data: ReportData) -> ReportSection:
     """Condition numbers, singular values, parameters without excitation."""
@@ -75,11 +79,6 @@ def _figure(result: Result) -> Figure | None:
         "sharp drop at the end shows combinations of parameters that this motion makes poorly identifiable."
     )
     return Figure("singular-values-plot", height, data, layout, caption)
-
-
-PAGE_POINTS = 8_000
-MOST_POINTS = 2000
-PANEL, TEMPERATURE_PANEL = 110, 200
 
 
 def section(data: ReportData) -> ReportSection | None:
@@ -164,11 +163,11 @@ def _temperatures(channels: Sequence[TemperatureSeries]) -> Figure:
     rows = []
     for name in dict.fromkeys(channel.name for channel in channels):
         parts = [channel for channel in channels if channel.name == name]
-        timeline = lay_out([part.time for part in parts])
-        times = [part.time + offset for part, offset in zip(parts, timeline.offsets, strict=True)]
+        timeline = lay_out([segment.time for segment in parts])
+        times = [segment.time + offset for segment, offset in zip(parts, timeline.offsets, strict=True)]
         traces = []
-        for index, column in enumerate(dict.fromkeys(column for part in parts for column in part.columns)):
-            having = [k for k, part in enumerate(parts) if column in part.columns]
+        for index, column in enumerate(dict.fromkeys(column for segment in parts for column in segment.columns)):
+            having = [k for k, segment in enumerate(parts) if column in segment.columns]
             values = [parts[k].values[:, parts[k].columns.index(column)] for k in having]
             x, y = broken_line([times[k] for k in having], values, MOST_POINTS)
             traces.append(

@@ -85,8 +85,8 @@ def _table(result: Result, reference: ReferenceValues | None) -> Table:
             column = replace(column, cells=tuple(KIND_STYLES[str(kind)][0] for kind in column.cells))
         columns.append(column)
         if column.name == "unit" and reference is not None:
-            known = tuple(reference.values.get(parameter.name) for parameter in result.base_parameters)
-            columns.append(Column("reference", known, label=reference.label))
+            references = tuple(reference.values.get(parameter.name) for parameter in result.base_parameters)
+            columns.append(Column("reference", references, label=reference.label))
     return Table("Base parameters", tuple(columns))
 
 
@@ -145,13 +145,13 @@ def _figure(result: Result, reference: ReferenceValues | None) -> Figure | None:
     groups = _groups(result)
     if not groups:
         return None
-    known = {} if reference is None else reference.values
-    first = next((group for group, entries in groups.items() if any(p.name in known for p in entries)), None)
+    references = {} if reference is None else reference.values
+    first = next((group for group, entries in groups.items() if any(p.name in references for p in entries)), None)
     rows = [
-        [_panel(kind, unit, entries, known, reference.label if reference and (kind, unit) == first else "")]
+        [_panel(kind, unit, entries, references, reference.label if reference and (kind, unit) == first else "")]
         for (kind, unit), entries in groups.items()
     ]
-    compared = f" Open diamond: {_reference_words(reference)}." if known and reference is not None else ""
+    compared = f" Open diamond: {_reference_words(reference)}." if references and reference is not None else ""
     caption = (
         "Values of the full model with their 95 % intervals. An interval that contains 0 belongs to a parameter that "
         f"this recording does not show to exist.{compared}"
@@ -164,14 +164,14 @@ def _reference_words(reference: ReferenceValues) -> str:
 
 
 def _panel(
-    kind: str, unit: str, entries: Sequence[BaseParameterResult], known: Mapping[str, float], legend: str
+    kind: str, unit: str, entries: Sequence[BaseParameterResult], references: Mapping[str, float], legend: str
 ) -> Panel:
     words, colour, symbol = KIND_STYLES[kind]
     values = {parameter.name: parameter.value for parameter in entries}
     deviations = {parameter.name: parameter.std for parameter in entries}
     marker = {"color": colour, "symbol": symbol, "size": 6}
     series = [IntervalSeries("estimate ± 95 %", values, marker, deviations, shown=bool(legend))]
-    having = {name: known[name] for name in values if name in known}
+    having = {name: references[name] for name in values if name in references}
     if having:
         marker = {"color": REFERENCE_MARKER, "symbol": "diamond-open", "size": 9, "line": {"width": 1.5}}
         series.append(IntervalSeries(legend.lower() or "reference", having, marker, shown=bool(legend)))

@@ -20,6 +20,22 @@ from ident.report.figures.traces import curve_trace, packed, points_trace
 from ident.report.section import ReportData, ReportSection
 from ident.views.number_text import number, whole
 
+HISTOGRAM_EDGES = np.linspace(-5.0, 5.0, 51)
+"""Edges in standard deviations; what lies beyond counts for the first and the last bin."""
+
+PROBABILITIES = np.concatenate([[0.0005, 0.001, 0.002], np.linspace(0.005, 0.995, 100), [0.998, 0.999, 0.9995]])
+"""Probabilities of the quantiles that are compared with those of a normal distribution."""
+
+MEAN_ROUNDING = 1e-9
+"""A mean of fewer standard deviations is what rounding left of 0: an offset column takes it out exactly."""
+
+SCATTER_POINTS = 1500
+PAGE_SCATTER_POINTS = 3_600
+FEWEST_LAGS, MOST_LAGS = 60, 400
+
+NOT_CONVERGED = ("weights-not-settled", "search-gap")
+"""Checks of an estimator that did not converge."""
+
 
 def validation_section(data: ReportData) -> ReportSection:
     """Measured against predicted torque of the held-out data."""
@@ -47,16 +63,6 @@ def fit_section(data: ReportData) -> ReportSection:
         "empty": "No torques of the identification data were handed to this report.",
     }
     return ReportSection("Torques: fit", "torques-fit", "torques.html.j2", context)
-
-
-HISTOGRAM_EDGES = np.linspace(-5.0, 5.0, 51)
-"""Edges in standard deviations; what lies beyond counts for the first and the last bin."""
-
-PROBABILITIES = np.concatenate([[0.0005, 0.001, 0.002], np.linspace(0.005, 0.995, 100), [0.998, 0.999, 0.9995]])
-"""Probabilities of the quantiles that are compared with those of a normal distribution."""
-
-MEAN_ROUNDING = 1e-9
-"""A mean of fewer standard deviations is what rounding left of 0: an offset column takes it out exactly."""
 
 
 @dataclass(frozen=True)
@@ -134,14 +140,6 @@ def _autocorrelation(centred: Sequence[FloatArray], lags: int) -> FloatArray:
         spectrum = np.fft.rfft(segment, size)
         total += np.fft.irfft(np.abs(spectrum) ** 2, size)[:lags]
     return np.asarray(total / total[0])
-
-
-SCATTER_POINTS = 1500
-PAGE_SCATTER_POINTS = 3_600
-FEWEST_LAGS, MOST_LAGS = 60, 400
-
-NOT_CONVERGED = ("weights-not-settled", "search-gap")
-"""Checks of an estimator that did not converge."""
 
 
 def section(data: ReportData) -> ReportSection:

@@ -106,11 +106,11 @@ def exported_arm(result: Result, kind: str, stored: StoredModel, dynamics: Inver
     names = [parameter.name for parameter in stored.model.parameters]
     if set(names) != set(values):
         raise ResultFileError("the consistent parameters do not belong to the robot file beside them", hint=AGAIN)
-    known = {parameter.name for parameter in consistent.parameters if parameter.known}
+    stated = {parameter.name for parameter in consistent.parameters if parameter.known}
     unidentified = [
         f"{entry.name} of {entry.joint}"
         for entry in result.base_parameters
-        if entry.value is None and entry.kind in FRICTION and entry.name not in known
+        if entry.value is None and entry.kind in FRICTION and entry.name not in stated
     ]
     refuse_unidentified_friction(unidentified, result.robot)
     standard = np.array([values[name] for name in names])
@@ -293,7 +293,7 @@ def _nearest(model: DynamicModel, value_of: dict[str, float]) -> dict[str, float
     if model.needs_load_torque:
         loads = LoadTorqueKernel(model).torque(random_states(model, POSES)[0])
         load = np.mean(np.abs(loads), axis=1)
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for motor, joint in enumerate(model.active):
         own = [
             parameter
@@ -308,8 +308,8 @@ def _nearest(model: DynamicModel, value_of: dict[str, float]) -> dict[str, float
         speed = np.linspace(0.0, model.limits[motor].velocity, SPEEDS + 1)[1:]
         curve = np.sum([value_of[column.name] * _signal(model, column, motor, speed, load) for column in own], axis=0)
         columns = np.column_stack([np.ones_like(speed) if kind == "coulomb" else speed for kind in plain])
-        found |= dict(zip(plain.values(), _not_negative(columns, curve), strict=True))
-    return found
+        values |= dict(zip(plain.values(), _not_negative(columns, curve), strict=True))
+    return values
 
 
 def _signal(

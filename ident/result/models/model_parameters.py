@@ -217,9 +217,9 @@ class ModelParameters:
     def _deviations(self) -> tuple[list[int], FloatArray, list[int]]:
         """Columns of `_error_columns` of known variance, a root of their covariance, and those of unknown variance."""
         active, covariance = self._covariance()
-        known = np.isfinite(np.diag(covariance))
-        powers, axes = np.linalg.eigh(covariance[np.ix_(known, known)])
-        sure = [index for index, there in zip(active, known, strict=True) if there]
+        finite = np.isfinite(np.diag(covariance))
+        powers, axes = np.linalg.eigh(covariance[np.ix_(finite, finite)])
+        sure = [index for index, there in zip(active, finite, strict=True) if there]
         unsure = [index for index in range(self._base.count) if index not in sure]
         unsure += [index for index in active if index >= self._base.count and index not in sure]
         return sure, axes * np.sqrt(np.clip(powers, 0.0, None)), unsure
@@ -234,9 +234,9 @@ class ModelParameters:
         active, covariance, count = estimate.active, estimate.covariance, len(estimate.active)
         shared = estimate.shape_covariance[:, :count]
         if self.kind == "consistent":
-            found = self._consistent
-            active, covariance = tuple(range(self._base.count)), found.base_covariance
-            shared = np.where(np.isfinite(shared), shared, 0.0) @ found.base_moves.T
+            consistent = self._consistent
+            active, covariance = tuple(range(self._base.count)), consistent.base_covariance
+            shared = np.where(np.isfinite(shared), shared, 0.0) @ consistent.base_moves.T
         elif self.kind == "essential":
             covariance = pruned_covariance(covariance, self._values[list(active)] - estimate.values)
         shapes = range(self._base.count, self._base.count + len(estimate.shapes))

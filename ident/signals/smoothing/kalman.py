@@ -41,6 +41,18 @@ _PRIOR_VARIANCE = 1e8
 _STATIONARY = 1e-11
 """Relative difference from the stationary gain below which a gain counts as stationary."""
 
+HIGHEST_CUTOFF = 0.2
+"""Share of the rate below which the smoother's cut-off is sought; above, next to nothing is smoothed."""
+
+MOST_SAMPLES = 20_000
+"""From the middle of a longer record; more say the same."""
+
+_CUTOFFS_TRIED = 12  # cut-offs that are tried before the best of them is refined
+_CUTOFF_ACCURACY = 0.01  # relative accuracy of the cut-off
+_FILTER_ROUNDING = (
+    1e-12  # of the largest sample: what remains of a signal without any noise, by any processor's arithmetic
+)
+
 
 @dataclass(frozen=True, eq=False)
 class StationaryFilter:
@@ -182,19 +194,6 @@ def _recursion(matrix: FloatArray, inward: FloatArray, inputs: FloatArray, start
 def _in_seconds(means: FloatArray, cutoff: float) -> FloatArray:
     """Derivatives with respect to the filter's own unit of time, 1/2πf_c, as derivatives with respect to seconds."""
     return np.asarray(means * (2.0 * math.pi * cutoff) ** np.arange(len(means))[:, None])
-
-
-HIGHEST_CUTOFF = 0.2
-"""Share of the rate below which the smoother's cut-off is sought; above, next to nothing is smoothed."""
-
-MOST_SAMPLES = 20_000
-"""From the middle of a longer record; more say the same."""
-
-_CUTOFFS_TRIED = 12  # cut-offs that are tried before the best of them is refined
-_CUTOFF_ACCURACY = 0.01  # relative accuracy of the cut-off
-_FILTER_ROUNDING = (
-    1e-12  # of the largest sample: what remains of a signal without any noise, by any processor's arithmetic
-)
 
 
 def cutoff_of_noise(density: float, variance: float, rate: float, order: int) -> float:

@@ -87,9 +87,9 @@ def build_closed_loops(
     equations = _independent(raw, start, names, where)
     _check_travel(robot, equations, start, names, where)
     targets = _targets(robot, equations, motors.active)
-    known = _followed_everywhere(equations, start, targets, names, units, where)
-    follow = equations.at(known).follow()
-    whole = np.zeros((len(joints), len(motors.active), known.shape[1]))
+    followed = _followed_everywhere(equations, start, targets, names, units, where)
+    follow = equations.at(followed).follow()
+    whole = np.zeros((len(joints), len(motors.active), followed.shape[1]))
     whole[list(passive)] = follow
     whole[list(motors.active), range(len(motors.active))] = 1.0
     varies = np.ptp(whole, axis=2) > CONSTANT_CHANGE
@@ -104,7 +104,7 @@ def build_closed_loops(
         names=names,
         equations=equations,
         start=start,
-        known=known,
+        known=followed,
         constant=np.where(varies, 0.0, constant),
         varies=varies,
     )
