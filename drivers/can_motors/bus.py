@@ -220,6 +220,28 @@ class MotorBus:
         }
         return Feedback(states, strange, 0.5 * (sent + received), received)
 
+    def doubled(self) -> list[int]:
+        """Indices of motors whose ids others have, too; an answer to an earlier question does not come three times.
+
+        Raises:
+            ConnectionLostError: the adapter is gone.
+        """
+        sender, receiver = self._opened()
+        calls = [codec.roll_call(read_only=self._settings.keys.read_only) for codec in self.codecs]
+        calling = list(dict.fromkeys(frame for frames in calls for frame in frames))
+        doubled = [index for index, frames in enumerate(calls) if frames]
+        for _ in range(ATTEMPTS):
+            if not doubled:
+                break
+            with self._lock:
+                receiver.take()
+                end = sender.send_all(calling) + self.codecs[0].roll_call_time
+                heard: list[CanFrame] = []
+                while (left := end - self._clock.now()) > 0.0:
+                    heard += [(identifier, data) for _, identifier, data in receiver.take(left)]
+            doubled = [index for index in doubled if self.codecs[index].present(heard) > 1]
+        return doubled
+
     def state(self, index: int) -> MotorState:
         """Ask one motor for its state.
 

@@ -78,6 +78,7 @@ class MotorCodec(ABC):
         unasked: whether it may tell where it is without being asked.
         answers_goals: whether it tells where it is after each goal.
         takes_torque: whether it takes torques in place of goals.
+        roll_call_time: how long [s] answers to a roll call are waited for.
         registers: name → number, of those that are read and written here.
     """
 
@@ -88,6 +89,7 @@ class MotorCodec(ABC):
     unasked: ClassVar[bool] = False
     answers_goals: ClassVar[bool] = True
     takes_torque: ClassVar[bool] = False
+    roll_call_time: ClassVar[float] = 0.03
     registers: ClassVar[Mapping[str, int]] = {}
 
     def __init__(self, motor: MotorAddress) -> None:
@@ -134,6 +136,15 @@ class MotorCodec(ABC):
             data: of the frame.
             asked: number of the register that it was asked for last, while its answer is awaited.
         """
+
+    def roll_call(self, *, read_only: bool) -> Sequence[CanFrame]:
+        """Frames that every motor with its id answers once; nothing where it has none."""
+        return self.poll(read_only=read_only)[:1]
+
+    def present(self, frames: Sequence[CanFrame]) -> int:
+        """How many motors with its id answered a roll call, by the frames that came then."""
+        answers = (self.parse(*frame) for frame in frames)
+        return sum(answer is not None and "position" in answer.values for answer in answers)
 
     def preparation(self) -> Mapping[str, float]:
         """What its registers shall hold before it is enabled: its command time-out, its limits, its mode."""

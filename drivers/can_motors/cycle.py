@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from drivers.base import Level
 from drivers.can_motors.bus import Feedback, MotorBus
 from drivers.can_motors.control import MotorControl
 from drivers.can_motors.settings import CanMotorSettings
@@ -48,7 +49,7 @@ class MotorCycle(PolledRows):
         self._quantities = [name.quantity for name in feedback_channels(settings) if name.quantity != GOAL_AGE]
         self._faults: dict[int, int] = {}
         self._strange = 0
-        self._doubled: list[str] = []
+        self._doubled: dict[str, Level] = {}
         self._begun = clock.now()
         self._wanted = False
         control.fresh = self._hurry
@@ -134,11 +135,12 @@ class MotorCycle(PolledRows):
 
     def _note_twice(self, index: int) -> None:
         name = self._motors[index].name
-        if name in self._doubled:
+        level: Level = "error" if self._control.active else "warning"
+        if self._doubled.get(name) == level:
             return
-        self._doubled.append(name)
+        self._doubled[name] = level
         self._tell(
-            "error" if self._control.active else "warning",
+            level,
             f"{name} answers twice: two motors have this id, or another program commands it",
             "give every motor an id of its own with its manufacturer's tool",
         )

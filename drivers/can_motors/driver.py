@@ -80,6 +80,7 @@ class CanMotorDriver(PolledArm):
         if self._settings.keys.reset_faults:
             self._reset_faults()
         self._identities = tuple(self._identity(index, motor) for index, motor in enumerate(self._settings.motors))
+        self._require_own_ids()
 
     def _disconnect(self) -> None:
         self._bus.close()
@@ -180,6 +181,17 @@ class CanMotorDriver(PolledArm):
                 words = ", ".join(motor.address.family.fault_words(fault))
                 gone = not self._bus.state(index).fault
                 self._tell("info" if gone else "warning", f"{motor.name}: {words}, {'reset' if gone else 'persists'}")
+
+    def _require_own_ids(self) -> None:
+        names = [self._settings.motors[index].name for index in self._bus.doubled()]
+        if not names:
+            return
+        said = f"{', '.join(names)}: two motors answer to this id, or another program commands it"
+        hint = "give every motor an id of its own with its manufacturer's tool"
+        if not self._settings.keys.read_only:
+            raise ConnectionFailedError(said, where=self._settings.where, hint=hint)
+        if self._bus.codecs[0].unasked:  # the others' answers are counted while they are read
+            self._tell("warning", said, hint)
 
     def _take_told_ranges(self) -> None:
         """Scale of each motor's frames as the motor has it, where the table's is another."""

@@ -9,8 +9,10 @@ from collections.abc import Sequence
 from drivers.can.bus import REMOTE
 from drivers.can_motors.codec import Answer, CanFrame, MotorCodec
 
-HEARTBEAT, SET_STATE, ESTIMATES, SET_MODE, SET_GOAL, SET_LIMITS = 0x01, 0x07, 0x09, 0x0B, 0x0C, 0x0F
+HEARTBEAT, ADDRESS, SET_STATE, ESTIMATES, SET_MODE, SET_GOAL, SET_LIMITS = 0x01, 0x06, 0x07, 0x09, 0x0B, 0x0C, 0x0F
 TEMPERATURES, SUPPLY, CLEAR_ERRORS, SET_POSITION_GAIN, SET_VELOCITY_GAINS, TORQUES = 0x15, 0x17, 0x18, 0x1A, 0x1B, 0x1C
+EVERYONE = 0x3F
+"""Node to which all axes listen."""
 IDLE, CLOSED_LOOP = 1, 8
 POSITION_CONTROL, PASSTHROUGH = 3, 1
 TURN = 2.0 * math.pi
@@ -25,6 +27,7 @@ class OdriveCodec(MotorCodec):
     times_out = False
     unasked = True
     answers_goals = False
+    roll_call_time = 0.2
 
     def quantities(self, *, read_only: bool) -> tuple[str, ...]:
         """The same in any case; temperatures are those told last."""
@@ -63,6 +66,20 @@ class OdriveCodec(MotorCodec):
     def disable(self) -> Sequence[CanFrame]:
         """Idle."""
         return (self._frame(SET_STATE, struct.pack("<I4x", IDLE)),)
+
+    def roll_call(self, *, read_only: bool) -> Sequence[CanFrame]:
+        """A remote frame for every axis' address, which old firmware does not answer."""
+        return ((REMOTE | EVERYONE << 5 | ADDRESS, b""),)
+
+    def present(self, frames: Sequence[CanFrame]) -> int:
+        """Serial numbers with its node."""
+        return len(
+            {
+                data[1:7]
+                for identifier, data in frames
+                if identifier <= 0x7FF and identifier & 0x1F == ADDRESS and len(data) == 8 and data[0] == self.motor.id
+            }
+        )
 
     def clear(self) -> Sequence[CanFrame]:
         """Clear errors."""

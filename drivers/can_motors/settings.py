@@ -89,6 +89,8 @@ class CanMotorKeys(CanSettings):
             if motor.id in used:
                 raise refused(f"{used[motor.id]} and {name} have the same id {motor.id}", "one id a motor")
             used[motor.id] = name
+        if context["family"] == "damiao":
+            _require_own_answers(motors)
         return motors
 
     @model_validator(mode="after")
@@ -123,6 +125,19 @@ class CanMotorKeys(CanSettings):
                 f"when_lost: limp is not in the power of a program: {family.name} motors have no time-out that it sets"
             )
         return self
+
+
+def _require_own_answers(motors: Mapping[str, MotorKeys]) -> None:
+    """Damiao motors say in their answers the last four bits of their ids alone."""
+    told: dict[tuple[int, int], str] = {}
+    for name, motor in motors.items():
+        answer = motor.id + DAMIAO_HOST if motor.answers_on is None else motor.answers_on, motor.id & 0x0F
+        if answer in told:
+            raise refused(
+                f"answers of {told[answer]} and {name} are alike: on {answer[0]}, ids that end in the same four bits",
+                "another master id (answers_on) for one of them",
+            )
+        told[answer] = name
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ from sim_drivers.can_motors.arm import Command, MotorPlant
 
 MOVING = (moteus.GOAL, moteus.SPEED, moteus.STOP)
 """Registers in turns, or turns per second."""
+SERIAL = 0x385F_3245_3130
+"""Serial number of the first ODrive."""
 POWER_UP = 0.4
 """[s] that a motor needs after its power came back."""
 
@@ -237,6 +239,12 @@ class RobstrideMotor(SimulatedMotor):
         self.fault |= fault
         self._let_go()
 
+    def of_other(self, identifier: int, data: bytes) -> bytes:
+        """A parameter's value stands behind its number."""
+        if identifier >> 24 & 0x1F != robstride.READ:
+            return super().of_other(identifier, data)
+        return data[:5] + bytes([data[5] ^ 8]) + data[6:]
+
     def _parameter(self, number: int, host: int) -> CanFrame:
         state = self._state
         own = {0x7019: state["position"], 0x701B: state["velocity"], 0x701A: state["torque"], 0x7005: 0, 0x7028: 0}
@@ -383,9 +391,10 @@ class OdriveMotor(SimulatedMotor):
 
     def hear(self, identifier: int, data: bytes, now: float) -> list[CanFrame]:  # noqa: D102
         remote, plain = bool(identifier & REMOTE), identifier & ~REMOTE
-        if plain & EXTENDED or plain >> 5 != self.motor.id:
-            return []
         command = plain & 0x1F
+        everyone = remote and command == odrive.ADDRESS and plain >> 5 == odrive.EVERYONE
+        if plain & EXTENDED or (plain >> 5 != self.motor.id and not everyone):
+            return []
         if remote:
             return self._told(command)
         if len(data) != 8:
@@ -410,8 +419,8 @@ class OdriveMotor(SimulatedMotor):
         return []
 
     def of_other(self, identifier: int, data: bytes) -> bytes:
-        """Another axis has the same state, and no fault."""
-        return super().of_other(identifier, data) if identifier & 0x1F == odrive.ESTIMATES else data
+        """Another axis has the same state, no fault, and a serial number of its own."""
+        return super().of_other(identifier, data) if identifier & 0x1F in (odrive.ESTIMATES, odrive.ADDRESS) else data
 
     def _told(self, command: int) -> list[CanFrame]:
         state = self._state
@@ -425,6 +434,8 @@ class OdriveMotor(SimulatedMotor):
         if command == odrive.HEARTBEAT:
             axis = odrive.CLOSED_LOOP if self.enabled else odrive.IDLE
             return [(identifier, struct.pack("<IB3x", self.fault, axis))]
+        if command == odrive.ADDRESS:
+            return [(identifier, bytes([self.motor.id]) + (SERIAL + self.index).to_bytes(6, "little") + bytes(1))]
         return [(identifier, struct.pack("<ff", *told[command]))] if command in told else []
 
 

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from motor_bench import JOINTS, START, WIRES, motors, robot_file
+from motor_bench import JOINTS, START, WIRES, keys_of, motors, robot_file
 from simulated_clock import SimulatedClock
 
 from daq.motion.trajectories import FourierSeries, RestToRest
 from daq.recording.commanded_motion import commanded_motion
 from daq.recording.quality.stale_samples import stale_rows
 from daq.recording.reader import read_recording
-from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.can_motors.settings import parse_settings
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from sim_drivers.faults import Fault, parse_fault
@@ -248,6 +249,12 @@ def test_a_motor_s_own_full_scale_goes_before_the_table(clock: SimulatedClock):
         assert "swing (id 1): the table of dm4310 says velocity 30, the motor 50: the motor's is taken" in said
 
 
+def test_motors_whose_answers_are_alike_are_refused():
+    alike = {"swing": {"id": 1, "answers_on": 0}, "bend": {"id": 0x21, "answers_on": 0}}
+    with pytest.raises(UsageError, match="answers of swing and bend are alike"):
+        parse_settings(keys_of("damiao", motors=alike), JOINTS, "damiao")
+
+
 def test_motors_that_are_refused(clock: SimulatedClock):
     with motors(clock) as bench:
         bench.server.motors[1].die()
@@ -272,3 +279,18 @@ def test_without_an_answer_the_connection_is_lost(clock: SimulatedClock, tmp_pat
         report = bench.session(tmp_path / "run.h5", duration=3.0)
     assert isinstance(report.error, ConnectionLostError)
     assert "no answer of swing (id 1)" in str(report.error)
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_an_id_of_two_motors_is_named_before_a_motion(clock: SimulatedClock, wire):
+    with motors(clock, wire) as bench:
+        bench.server.cause(fault("same-id bend"))
+        with pytest.raises(ConnectionFailedError, match=r"bend \(id 7\): two motors answer to this id") as failure:
+            bench.driver().open()
+        assert "swing" not in str(failure.value)
+        if wire == "cubemars":  # silent unless another program commands them
+            return
+        with bench.opened(read_only=True) as driver:  # which may listen beside another program
+            driver.start()
+            clock.sleep(0.3)
+            assert any("bend (id 7)" in notice.message for notice in driver.notices())
