@@ -31,7 +31,7 @@ class ConnectionSettings(BaseModel):
     A field's `description` completes what a refusal says of the allowed values: unit in brackets first.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
 
 
 Settings = TypeVar("Settings", bound=ConnectionSettings)

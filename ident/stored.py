@@ -35,4 +35,4 @@ Real = Annotated[float, AfterValidator(_within_if_finite), BeforeValidator(_nan_
 class Stored(BaseModel):
     """A part of a result: what a computation gives, and what the file holds."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config = ConfigDict(defer_build=True, frozen=True, extra="ignore")

@@ -81,7 +81,7 @@ def _same_series(offset: Row, sine: Rows, cosine: Rows) -> None:
 
 
 class _Trajectory(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True)
 
     robot: str = Field(min_length=1)
     comment: str = ""

@@ -39,7 +39,7 @@ class RobotFile(BaseModel):
         True
     """
 
-    model_config = ConfigDict(frozen=True)
+    model_config = ConfigDict(defer_build=True, frozen=True)
 
     robot: Robot
     text: str = Field(description="the YAML as it was read")

@@ -366,7 +366,7 @@ class Truth(Section):
 class Connection(BaseModel):
     """How to reach the arm on one bus; the keys beside `driver` belong to that driver."""
 
-    model_config = ConfigDict(extra="allow", frozen=True)
+    model_config = ConfigDict(defer_build=True, extra="allow", frozen=True)
 
     driver: str
 

@@ -75,7 +75,7 @@ Angle = Annotated[float, Field(allow_inf_nan=False), NotTruthValue, BeforeValida
 class Section(BaseModel):
     """A mapping of the file; an unknown key is an error."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True)
 
 
 def multiple_of_pi(degrees: float) -> str:

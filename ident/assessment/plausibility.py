@@ -67,9 +67,9 @@ def critical_variance_ratio(freedom: float) -> float:
     With few independent equations for many parameters, as the energy model has, one sign of gravity leaves a little
     less than the other whatever the truth.
     """
-    from scipy.stats import f as f_distribution
+    from scipy.special import fdtri
 
-    return float(min(CLEARLY_SMALLER, f_distribution.ppf(LEVEL, freedom, freedom))) if freedom >= 1 else 0.0
+    return float(min(CLEARLY_SMALLER, fdtri(freedom, freedom, LEVEL))) if freedom >= 1 else 0.0
 
 
 def sign_checks(base: BaseParameters, parameters: FloatArray, std: FloatArray) -> list[Check]:

@@ -104,7 +104,7 @@ def run_errors(series: Sequence[TorqueSeries], groups: Sequence[JointGroup]) -> 
 
 def paired_difference(first: Sequence[float], second: Sequence[float]) -> PairedDifference:
     """Mean of second − first over the recordings that both have an error on."""
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     differences = np.array(second, dtype=np.float64) - np.array(first, dtype=np.float64)
     differences = differences[np.isfinite(differences)]
@@ -113,7 +113,7 @@ def paired_difference(first: Sequence[float], second: Sequence[float]) -> Paired
         return PairedDifference(float("nan"), float("inf"), 0)
     if count == 1:
         return PairedDifference(float(differences[0]), float("inf"), 1)
-    half = float(t.ppf(0.975, count - 1) * np.std(differences, ddof=1) / np.sqrt(count))
+    half = float(stdtrit(count - 1, 0.975) * np.std(differences, ddof=1) / np.sqrt(count))
     return PairedDifference(float(np.mean(differences)), half, count)
 
 

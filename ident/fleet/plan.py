@@ -36,7 +36,7 @@ _OF_A_JOB = frozenset({"runs", "validation", "robot", "method", "progress"})
 class FleetArm(BaseModel):
     """One arm and what was recorded of it."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True)
 
     name: _FolderName = Field(description="its folder of results")
     recordings: list[str] = Field(min_length=1, description="paths, patterns (*.h5) or URLs; one result of each")
@@ -57,7 +57,7 @@ class FleetArm(BaseModel):
 class FleetFile(BaseModel):
     """A fleet: each recording of each arm is identified with each method."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True)
 
     arms: list[FleetArm] = Field(min_length=1, description="the arms")
     methods: list[str] = Field(default=["wls"], min_length=1, description="as identify takes them")

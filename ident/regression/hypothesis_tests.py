@@ -64,7 +64,7 @@ def chi_square_test(
     Returns:
         None where nothing is left to test or the blocks are too few for it.
     """
-    from scipy.stats import f as f_distribution
+    from scipy.special import fdtrc
 
     # Scaled first: parameters of links and wrist differ by orders of magnitude.
     scale = np.sqrt(np.diag(covariance))
@@ -83,4 +83,4 @@ def chi_square_test(
         return None
     statistic = float(left @ np.linalg.solve(spread, left))
     ratio = statistic * (blocks - freedom) / (freedom * (blocks - 1))
-    return SignificanceTest(statistic, freedom, float(f_distribution.sf(ratio, freedom, blocks - freedom)))
+    return SignificanceTest(statistic, freedom, float(fdtrc(freedom, blocks - freedom, max(ratio, 0.0))))

@@ -113,6 +113,6 @@ def prune(
 
 def _f_limit(freedom: float) -> float:
     """Relative standard deviation [%] at which the partial F-test of one parameter is just significant."""
-    from scipy.stats import f as f_distribution
+    from scipy.special import fdtri
 
-    return 100.0 / math.sqrt(float(f_distribution.isf(F_LEVEL, 1, freedom)))
+    return 100.0 / math.sqrt(float(fdtri(1, freedom, 1.0 - F_LEVEL)))

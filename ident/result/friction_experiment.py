@@ -26,7 +26,7 @@ TemperatureTerm = Literal["none", "linear", "full"]
 class ValueRange(BaseModel):
     """Least and greatest value of what the recordings cover."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(defer_build=True, frozen=True, extra="forbid")
 
     least: Value
     greatest: Value
@@ -88,7 +88,7 @@ class JointFrictionExperiment(JointFrictionResult):
 class FrictionExperimentResult(BaseModel):
     """Output of `dynid friction`."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
+    model_config = ConfigDict(defer_build=True, frozen=True, extra="ignore")
 
     dynid_schema: Literal[1] = 1
     kind: Literal["friction"] = "friction"

@@ -265,7 +265,7 @@ def parameter_differences(one: ServoResult, other: ServoResult) -> Table:
 
 def parameters_agree(first: ServoResult, other: ServoResult) -> SignificanceTest | None:
     """χ² of all parameters that both determine, joint by joint; None where there is none."""
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     statistic, freedom = 0.0, 0
     points = [to_search(result.values) for result in (first, other)]
@@ -278,7 +278,7 @@ def parameters_agree(first: ServoResult, other: ServoResult) -> SignificanceTest
         apart = (points[1] - points[0])[row, [INDEX[term] for term in common]]
         statistic += float(apart @ np.linalg.lstsq(total, apart, rcond=None)[0])
         freedom += len(common)
-    return SignificanceTest(statistic, freedom, float(chi2.sf(statistic, freedom))) if freedom else None
+    return SignificanceTest(statistic, freedom, float(chdtrc(freedom, statistic))) if freedom else None
 
 
 def error_differences(first: ServoResult, other: ServoResult) -> Table:

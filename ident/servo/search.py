@@ -178,7 +178,7 @@ def intervals(
     The sandwich over pieces (their errors are not independent within one), or, in directions that the data hardly show,
     the curvature alone with the pieces' inflation.
     """
-    from scipy.stats import t as student  # here, since it is slow to import
+    from scipy.special import stdtrit  # here, since it is slow to import
 
     low, high = np.full_like(values, np.nan), np.full_like(values, np.nan)
     seen = np.zeros_like(free)
@@ -194,7 +194,7 @@ def intervals(
         curvature = normal_equations(residual, tangents, lanes, joint, scale[joint], columns, own, BLOCKED_LITTLE)[0]
         scores = _scores(residual, tangents, lanes, joint, scale[joint], columns, own)
         covariances.append(_covariance(curvature, scores))
-        reach = np.sqrt(np.diag(covariances[-1])) * student.ppf(0.5 + CONFIDENCE / 2, max(1, len(scores) - 1))
+        reach = np.sqrt(np.diag(covariances[-1])) * stdtrit(max(1, len(scores) - 1), 0.5 + CONFIDENCE / 2)
         point = to_search(values)[joint]
         for index, half in zip(own, reach, strict=True):
             term = TERMS[index]

@@ -27,6 +27,7 @@ import numpy as np
 
 from drivers.core.arrays import ComplexArray, FloatArray
 from drivers.core.errors import UsageError
+from ident.signals.filter_design import low_pass_sections
 from ident.signals.filter_modes import ChunkResponse, Modes, chunk_response, modes_of
 
 DECIMATION_RIPPLE_DB = 0.05
@@ -83,6 +84,11 @@ class ZeroPhaseFilter:
         """Gain for a constant signal, both directions together."""
         return float(np.prod(self.sos[:, :3].sum(axis=1) / self.sos[:, 3:].sum(axis=1)) ** 2)
 
+    def gain(self, cycles: FloatArray) -> FloatArray:
+        """Gain (k,) at frequencies (k,) [cycles a sample], both directions together."""
+        powers = np.exp(-2j * np.pi * cycles * np.arange(3)[:, None])
+        return np.asarray(np.prod(np.abs(self.sos[:, :3] @ powers) / np.abs(self.sos[:, 3:] @ powers), axis=0) ** 2)
+
     def settling_samples(self, tolerance: float = 1e-13) -> int:
         """Samples after which the filter's memory, one direction, is below `tolerance` of its largest.
 
@@ -130,8 +136,6 @@ def butterworth(cutoff_hz: float, rate_hz: float, order: int = 4, factor: int = 
     Raises:
         UsageError: a cut-off that is not between 0 and half the rate, an order or a factor below 1.
     """
-    from scipy.signal import butter
-
     _check_factor(factor)
     if order < 1:
         raise UsageError(f"a Butterworth filter of order {order} does not exist", hint="give 1 or more; 4 is usual")
@@ -140,7 +144,7 @@ def butterworth(cutoff_hz: float, rate_hz: float, order: int = 4, factor: int = 
             f"the cut-off {cutoff_hz:g} Hz is not between 0 and half the sampling rate ({rate_hz / 2:g} Hz)",
             hint="leave it out to have it chosen from the motion",
         )
-    sos = butter(order, 2 * cutoff_hz / rate_hz, output="sos")
+    sos = low_pass_sections(order, cutoff_hz / rate_hz)
     return ZeroPhaseFilter(sos, factor, f"zero-phase Butterworth {order}, {cutoff_hz:.4g} Hz" + _keeping(factor))
 
 
@@ -154,12 +158,10 @@ def chebyshev_decimation(factor: int, order: int = 8) -> ZeroPhaseFilter:
     Raises:
         UsageError: a factor or an order below 1.
     """
-    from scipy.signal import cheby1
-
     _check_factor(factor)
     if order < 1:
         raise UsageError(f"a Chebyshev filter of order {order} does not exist", hint="give 1 or more; 8 is usual")
-    sos = cheby1(order, DECIMATION_RIPPLE_DB, 0.8 / factor, output="sos")
+    sos = low_pass_sections(order, 0.4 / factor, DECIMATION_RIPPLE_DB)
     return ZeroPhaseFilter(
         sos, factor, f"zero-phase Chebyshev {order}, {0.4 / factor:.4g} of the sampling rate" + _keeping(factor)
     )

@@ -106,17 +106,10 @@ def _phases_like(earlier: _Known, lag: int, own: IntArray) -> IntArray:
 
 def _differences(first: FloatArray, second: FloatArray) -> FloatArray:
     """Relative mean square difference of `second` (n, K) moved against `first` (n, M); entry i is lag i − (M − 1)."""
-    from scipy.fft import irfft, next_fast_len, rfft
-
-    size = first.shape[1] + second.shape[1] - 1
-    length = next_fast_len(size)
     scale = np.sqrt(np.mean(np.concatenate([first, second], axis=1) ** 2, axis=1, keepdims=True))
     scale = np.where(scale > 0, scale, 1.0)  # every joint counts alike
     first, second = first / scale, second / scale
-    backwards = np.ascontiguousarray(first[:, ::-1])
-    product = irfft(rfft(second, length, axis=1) * rfft(backwards, length, axis=1), length, axis=1)[:, :size].sum(
-        axis=0
-    )
+    product = _correlation(first, second).sum(axis=0)
     ones_first, ones_second = np.ones(first.shape[1]), np.ones(second.shape[1])
     energy = _overlap(np.sum(first**2, axis=0), ones_second) + _overlap(ones_first, np.sum(second**2, axis=0))
     tiny = 1e-9 * float(energy.max(initial=0.0)) + np.finfo(float).tiny
@@ -125,6 +118,14 @@ def _differences(first: FloatArray, second: FloatArray) -> FloatArray:
 
 def _overlap(first: FloatArray, second: FloatArray) -> FloatArray:
     """Correlation of two non-negative series at every lag, as in `_differences`."""
-    from scipy.signal import fftconvolve
+    return np.maximum(_correlation(first, second), 0.0)
 
-    return np.asarray(np.maximum(fftconvolve(second, first[::-1]), 0.0))
+
+def _correlation(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Sums (…, M + K − 1) of the products of `first` (…, M) with `second` (…, K) moved; lags as in `_differences`."""
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    size = first.shape[-1] + second.shape[-1] - 1
+    length = next_fast_len(size, real=True)
+    backwards = np.ascontiguousarray(first[..., ::-1])
+    return np.asarray(irfft(rfft(second, length) * rfft(backwards, length), length)[..., :size])

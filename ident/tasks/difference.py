@@ -233,7 +233,7 @@ def _test(result: Result, other: Result) -> SignificanceTest | None:
 
     Where the jackknives have too few blocks for the test, their variances count by their mean alone, as in merging.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     if result.estimate is None or other.estimate is None:
         return None
@@ -251,7 +251,7 @@ def _test(result: Result, other: Result) -> SignificanceTest | None:
         return test
     scaled = np.asarray(sum(_scaled_covariance(estimate)[np.ix_(places, places)] for estimate, places in parts))
     statistic = float((second - first) @ np.linalg.solve(scaled, second - first))
-    return SignificanceTest(statistic, len(common), float(chi2.sf(statistic, len(common))))
+    return SignificanceTest(statistic, len(common), float(chdtrc(len(common), statistic)))
 
 
 def _known_places(estimate: Estimate) -> dict[int, int]:

@@ -304,7 +304,7 @@ def cost_test(fit: FeasibleFit, estimate: Estimate) -> SignificanceTest | None:
     the estimate's covariance, autocorrelation included, in the directions that conditions and prior do not follow
     (Satterthwaite 1946); the variance comes from the blocks of the jackknife.
     """
-    from scipy.stats import f
+    from scipy.special import fdtrc
 
     whitened = fit.left @ estimate.root @ np.where(np.isfinite(estimate.covariance), estimate.covariance, 0.0)
     spread = whitened @ estimate.root.T @ fit.left.T
@@ -314,7 +314,7 @@ def cost_test(fit: FeasibleFit, estimate: Estimate) -> SignificanceTest | None:
     freedom = mean**2 / square
     statistic = fit.misfit * freedom / mean
     return SignificanceTest(
-        statistic, max(1, round(freedom)), float(f.sf(fit.misfit / mean, freedom, estimate.blocks - 1))
+        statistic, max(1, round(freedom)), float(fdtrc(freedom, estimate.blocks - 1, fit.misfit / mean))
     )
 
 

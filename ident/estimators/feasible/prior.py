@@ -17,6 +17,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
 from ident.assessment.arm_mass import arm_length, mass_of_size
 from ident.estimators.feasible.pseudo_inertia import pseudo_inertia, standard_parameters
+from ident.linear_algebra.inequalities import nonnegative_least_squares
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf import urdf_inertias
@@ -109,7 +110,6 @@ def _factors(model: DynamicModel, links: FloatArray, system: FloatArray, target:
     ones that need the least deviations. These are wrong where links are not shaped as assumed.
     """
     from scipy.linalg import null_space
-    from scipy.optimize import lsq_linear
 
     own, count = system[:, links.size :], len(links)
     lengths = np.linalg.norm(own, axis=0)
@@ -132,9 +132,11 @@ def _factors(model: DynamicModel, links: FloatArray, system: FloatArray, target:
     rows[changes.shape[1] :, -2] = -relative
     measured = np.hstack([changes, masses, np.zeros((len(left), 1)), left[:, -1:]])
     rest = triangular(np.vstack([measured, rows]))[changes.shape[1] :, changes.shape[1] :]
-    bounds = np.array([*np.zeros(count), -np.inf]), np.full(count + 1, np.inf)
-    factors = lsq_linear(rest[:, :-1], rest[:, -1], bounds, method="bvls").x[:count]
-    own_factors = common * float(factors @ weights) / float(weights.sum())
+    # The mean, which may be negative, as the difference of two values that may not.
+    factors = nonnegative_least_squares(np.hstack([rest[:, :-1], -rest[:, -2:-1]]), rest[:, -1])
+    if factors is None:
+        return common, common
+    own_factors = common * float(factors[:count] @ weights) / float(weights.sum())
     return min(common, own_factors), max(common, own_factors)
 
 

@@ -121,7 +121,7 @@ def exogeneity_test(
     Raises:
         IdentificationError: the instruments do not follow the regressor.
     """
-    from scipy.stats import t as student
+    from scipy.special import stdtr
 
     blocks = motion_blocks(series)
     one, other = (moment_moves(blocks, sources, solution) for solution, sources in (instrumental, plain))
@@ -130,7 +130,7 @@ def exogeneity_test(
     deviation = np.sqrt(np.diag(jackknife_covariance(one - other)))
     ratios = difference / np.maximum(deviation, np.finfo(float).tiny)
     worst = int(np.argmax(ratios))
-    p_value = min(1.0, 2.0 * len(active) * float(student.sf(ratios[worst], len(one) - 1)))
+    p_value = min(1.0, 2.0 * len(active) * float(stdtr(len(one) - 1, -ratios[worst])))
     return ExogeneityTest(active[worst], float(ratios[worst]), p_value)
 
 

@@ -65,10 +65,10 @@ class WeightFunction:
 
 def weight_function(name: WeightName, freedom: float) -> WeightFunction:
     """The function of a name for residuals of so many degrees of freedom."""
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
     if name == "hard":
-        return WeightFunction(name, float(t.isf(0.5 * HARD_LEVEL, max(1.0, freedom))))
+        return WeightFunction(name, -float(stdtrit(max(1.0, freedom), 0.5 * HARD_LEVEL)))
     return WeightFunction(name, HUBER_THRESHOLD if name == "huber" else TUKEY_THRESHOLD)
 
 

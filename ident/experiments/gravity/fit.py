@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from drivers.core.arrays import BoolArray, FloatArray, IntArray
 from drivers.core.errors import IdentificationError
@@ -99,7 +99,7 @@ def fit_gravity(visits: Sequence[Visit], model: DynamicModel) -> GravityFit:
     # Welch and Satterthwaite: degrees of freedom of a variance that several joints' residuals make up.
     with np.errstate(divide="ignore", invalid="ignore"):
         effective = 1.0 / np.sum(shares**2 / np.maximum(freedom, 1.0), axis=1)
-    quantile = stats.t.ppf(0.975, np.where(np.isfinite(effective), np.maximum(effective, 1.0), 1.0))
+    quantile = stdtrit(np.where(np.isfinite(effective), np.maximum(effective, 1.0), 1.0), 0.975)
     return GravityFit(
         values,
         covariance,
@@ -186,5 +186,5 @@ def _friction(
             mean[joint] = of.mean()
         if len(of) > 1:
             spread[joint] = of.std(ddof=1)
-            interval[joint] = stats.t.ppf(0.975, len(of) - 1) * spread[joint] / np.sqrt(len(of))
+            interval[joint] = stdtrit(len(of) - 1, 0.975) * spread[joint] / np.sqrt(len(of))
     return mean, interval, spread

@@ -202,7 +202,7 @@ def _largest_change(
     blocks: int,
 ) -> LargestChange | None:
     """The largest difference among the active parameters at `places`, in standard deviations."""
-    from scipy.stats import t as t_distribution
+    from scipy.special import stdtr
 
     spread = np.sqrt(np.diag(covariance))
     with_error_bars = [place for place in places if spread[place] > 0]
@@ -210,7 +210,7 @@ def _largest_change(
         return None
     worst = max(with_error_bars, key=lambda place: abs(float(difference[place] / spread[place])))
     size = abs(float(difference[worst] / spread[worst]))
-    p_value = min(1.0, len(with_error_bars) * 2.0 * float(t_distribution.sf(size, blocks - 1)))
+    p_value = min(1.0, len(with_error_bars) * 2.0 * float(stdtr(blocks - 1, -size)))
     parameter = separate.active[worst]
     free, loaded = (float(values[parameter]) for values in separate.parameters)
     unit = parameter_unit(pair.model, pair.base.columns[parameter])
@@ -226,11 +226,11 @@ def _changing(effect: FloatArray, active: tuple[int, ...]) -> tuple[tuple[int, .
 def _mass_test(estimate: LoadEstimate, known: KnownLoad | None) -> SignificanceTest | None:
     if known is None or not np.isfinite(estimate.standard[MASS]):
         return None
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     place = estimate.columns.kept.index(MASS)
     statistic = float((estimate.standard[MASS] - known.mass) ** 2 / estimate.covariance[place, place])
-    return SignificanceTest(statistic, 1, float(chi2.sf(statistic, 1)))
+    return SignificanceTest(statistic, 1, float(chdtrc(1, statistic)))
 
 
 def _values_test(estimate: LoadEstimate, known: KnownLoad | None, blocks: int) -> SignificanceTest | None:

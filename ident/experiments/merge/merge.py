@@ -183,7 +183,7 @@ def _consistency(
 
     Where the jackknife has too few blocks for the test, only the mean of its variances is used.
     """
-    from scipy.stats import chi2
+    from scipy.special import chdtrc
 
     freedom = len(right) - system.shape[1]
     if freedom < 1:
@@ -192,7 +192,7 @@ def _consistency(
     if test is not None:
         return test
     statistic = float(residual @ residual)
-    return SignificanceTest(statistic, freedom, float(chi2.sf(statistic, freedom)))
+    return SignificanceTest(statistic, freedom, float(chdtrc(freedom, statistic)))
 
 
 def _deviations(

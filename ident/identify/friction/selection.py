@@ -272,6 +272,6 @@ class FrictionSearch:
 
 
 def _f_tail(f_value: float, freedom: int, independent: float) -> float:
-    from scipy.stats import f as f_distribution
+    from scipy.special import fdtrc
 
-    return float(f_distribution.sf(f_value, freedom, independent))
+    return float(fdtrc(freedom, independent, f_value))

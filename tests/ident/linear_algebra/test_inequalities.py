@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
-from ident.linear_algebra.inequalities import least_squares_within
+from ident.linear_algebra.inequalities import least_squares_within, nonnegative_least_squares
 from ident.linear_algebra.triangular import triangular
 
 
@@ -38,3 +39,18 @@ def test_conditions_that_hold_change_nothing():
     factor, target = np.diag([1.0, 2.0]), np.array([1.0, 2.0])
     assert np.allclose(least_squares_within(factor, target, np.eye(2)), [1.0, 1.0])
     assert np.allclose(least_squares_within(factor, target, np.array([[-1.0, 0.0]])), [0.0, 1.0])
+
+
+def test_nonnegative_least_squares_is_scipys():
+    """Also with repeated columns and with columns whose lengths differ by eleven orders of magnitude."""
+    generator = np.random.default_rng(2)
+    for trial in range(150):
+        rows, width = generator.integers(1, 30, 2)
+        matrix, target = generator.normal(size=(rows, width)), generator.normal(size=rows)
+        if trial % 3 == 0:
+            matrix[:, width // 2] = matrix[:, 0]
+        if trial % 5 == 0:
+            matrix = matrix * 10.0 ** generator.integers(-5, 6, width)
+        found = nonnegative_least_squares(matrix, target)
+        assert found is not None and np.all(found >= 0.0)
+        assert np.linalg.norm(matrix @ found - target) == pytest.approx(nnls(matrix, target)[1], rel=1e-9, abs=1e-9)
