@@ -52,5 +52,6 @@ def test_nonnegative_least_squares_is_scipys():
         if trial % 5 == 0:
             matrix = matrix * 10.0 ** generator.integers(-5, 6, width)
         found = nonnegative_least_squares(matrix, target)
-        assert found is not None and np.all(found >= 0.0)
+        assert found is not None
+        assert np.all(found >= 0.0)
         assert np.linalg.norm(matrix @ found - target) == pytest.approx(nnls(matrix, target)[1], rel=1e-9, abs=1e-9)
