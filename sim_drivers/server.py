@@ -8,7 +8,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Self
 
+from daq.robot.schema import Robot
+from daq.session.connections import keys_of_driver
 from drivers.core.clock import Clock
+from drivers.core.errors import UsageError
 from sim_drivers.faults import FAULTS, Fault, FaultEntry, FaultQueue, ServerKind, parse_fault
 
 if TYPE_CHECKING:
@@ -149,3 +152,15 @@ class FaultyServer(Server):
             UsageError: not a fault of this server.
         """
         self.cause(parse_fault(line, self._kind, self.joints, self._known_faults))
+
+
+def stated_keys(robot: Robot, driver: str, lacks: str, page: str) -> dict[str, object]:
+    """The keys of a robot's first connection with a driver; where there is none, a UsageError with what it lacks."""
+    keys = keys_of_driver(robot, driver)
+    if keys is None:
+        raise UsageError(
+            f"the robot file has no connection with the driver {driver}, so {lacks}",
+            where=f"{robot.name}: connections",
+            hint=f"{page} shows one",
+        )
+    return keys

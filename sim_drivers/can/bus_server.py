@@ -10,14 +10,13 @@ import can
 import numpy as np
 
 from daq.robot.schema import Robot
-from daq.session.connections import keys_of_driver
 from drivers.can.bus import close_bus, open_bus
 from drivers.core.clock import Clock, set_timer_slack
-from drivers.core.errors import ConnectionLostError
+from drivers.core.errors import ConnectionLostError, UsageError
 from sim_drivers.can.bus_load import Frame
 from sim_drivers.faults import FAULTS, FaultEntry, ServerKind
 from sim_drivers.served import SimOptions
-from sim_drivers.server import FaultyServer, Server
+from sim_drivers.server import FaultyServer, Server, stated_keys
 
 BUS_OFF_ERROR = 0x40
 """Identifier of the error frame, as socketcan gives it."""
@@ -93,10 +92,11 @@ def send_error_frame(bus: can.BusABC) -> None:
     bus.send(can.Message(arbitration_id=BUS_OFF_ERROR, is_error_frame=True, dlc=8, data=bytes(8)))
 
 
-def connection_keys(robot: Robot, driver: str, options: SimOptions) -> dict[str, object] | None:
-    """The keys of the first connection with a driver, with the options in their place; None where there is none."""
-    keys = keys_of_driver(robot, driver)
-    return None if keys is None else with_options(keys, options)
+def table_keys(robot: Robot, driver: str, options: SimOptions, lacks: str, page: str) -> dict[str, object]:
+    """The keys of the first connection with a driver, with the options in their place; errors as `stated_keys`."""
+    if options.swap is not None or options.worst_stuffing:
+        raise UsageError("--swap and --worst-stuffing are for --wire canopen and slcan")
+    return with_options(stated_keys(robot, driver, lacks, page), options)
 
 
 def with_options(keys: dict[str, object], options: SimOptions) -> dict[str, object]:

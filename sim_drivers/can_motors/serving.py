@@ -8,8 +8,7 @@ from functools import partial
 from daq.robot.loader import RobotFile
 from drivers.can_motors.settings import CODECS, parse_settings
 from drivers.core.clock import Clock
-from drivers.core.errors import UsageError
-from sim_drivers.can.bus_server import connection_keys
+from sim_drivers.can.bus_server import table_keys
 from sim_drivers.can_motors.server import CanMotorServer
 from sim_drivers.plant.plant import Plant
 from sim_drivers.served import SimOptions
@@ -23,15 +22,7 @@ def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock
         RobotFileError: the truth has no servos.
     """
     robot = robot_file.robot
-    if options.swap is not None or options.worst_stuffing:
-        raise UsageError("--swap and --worst-stuffing are for --wire canopen and slcan")
-    keys = connection_keys(robot, family, options)
-    if keys is None:
-        raise UsageError(
-            f"the robot file has no connection with the driver {family}, so there are no ids",
-            where=f"{robot.name}: connections",
-            hint="docs/can-motors.md shows one",
-        )
+    keys = table_keys(robot, family, options, "there are no ids", "docs/can-motors.md")
     settings = parse_settings(keys, robot.joint_names, family)
     # Of the plant, whose drives are told torques, only the place is taken: motors have a plant of their own.
     return CanMotorServer(robot_file, settings, plant.position.copy(), clock, held=True)

@@ -19,10 +19,9 @@ from drivers.can.bus import EXTENDED
 from drivers.can.receiver import Receiver
 from drivers.can_signals.settings import parse_settings
 from drivers.core.clock import SYSTEM_CLOCK, Clock
-from drivers.core.errors import UsageError
 from drivers.core.text import percent_text
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
-from sim_drivers.can.bus_server import BusServer, connection_keys, send_error_frame
+from sim_drivers.can.bus_server import BusServer, send_error_frame, table_keys
 from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.faults import (
     BlockJoint,
@@ -263,13 +262,5 @@ def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock
         UsageError: there is no such connection, or its keys are wrong.
     """
     robot = robot_file.robot
-    if options.swap is not None or options.worst_stuffing:
-        raise UsageError("--swap and --worst-stuffing are for --wire canopen and slcan")
-    keys = connection_keys(robot, DRIVER, options)
-    if keys is None:
-        raise UsageError(
-            f"the robot file has no connection with the driver {DRIVER}, so there is no signal table",
-            where=f"{robot.name}: connections",
-            hint="docs/can.md shows one",
-        )
+    keys = table_keys(robot, DRIVER, options, "there is no signal table", "docs/can.md")
     return ProprietaryCanServer(plant, robot, keys, robot_file.folder, clock)

@@ -8,13 +8,14 @@ from collections.abc import Callable
 
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
+from daq.session.connections import keys_of_driver
 from daq.session.session import SWITCH_INTERVAL
 from drivers.can.bus import open_bus
 from drivers.canopen402.settings import parse_settings
 from drivers.core.clock import Clock
 from drivers.core.errors import UsageError
 from sim_drivers.can.bus_load import Frame, exact_bits, worst_case_bits
-from sim_drivers.can.bus_server import connection_keys, with_options
+from sim_drivers.can.bus_server import with_options
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.server import CanopenServer
 from sim_drivers.faults import joint_index
@@ -71,8 +72,8 @@ def _drives(
 def _keys(robot: Robot, options: SimOptions) -> dict[str, object]:
     """The keys of the robot file's connection; default ones where it has none."""
     nodes = {name: {"id": node_id} for node_id, name in enumerate(robot.joint_names, start=1)}
-    keys = connection_keys(robot, DRIVER, options)
-    return keys if keys is not None else with_options({**DEFAULT_BUS, "nodes": nodes}, options)
+    keys = keys_of_driver(robot, DRIVER)
+    return with_options({**DEFAULT_BUS, "nodes": nodes} if keys is None else keys, options)
 
 
 def _pair(text: str, robot: Robot) -> tuple[int, int]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from daq.robot.loader import RobotFile
-from daq.session.connections import keys_of_driver
 from drivers.core.clock import Clock
-from drivers.core.errors import UsageError
 from drivers.serial_servos.settings import parse_settings
 from sim_drivers.plant.plant import Plant
 from sim_drivers.serial_servos.server import SerialServoServer
 from sim_drivers.served import SimOptions
+from sim_drivers.server import stated_keys
 
 
 def serve_feetech(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> SerialServoServer:
@@ -33,13 +32,7 @@ def serve_dynamixel(robot_file: RobotFile, plant: Plant, options: SimOptions, cl
 
 def _serve(driver: str, robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> SerialServoServer:
     robot = robot_file.robot
-    keys = keys_of_driver(robot, driver)
-    if keys is None:
-        raise UsageError(
-            f"the robot file has no connection with the driver {driver}, so there are no ids",
-            where=f"{robot.name}: connections",
-            hint="docs/serial-servos.md shows one",
-        )
+    keys = stated_keys(robot, driver, "there are no ids", "docs/serial-servos.md")
     if options.channel is not None:
         keys["url"] = options.channel
     settings = parse_settings(keys, robot.joint_names, robot_file.folder, driver)

@@ -34,6 +34,16 @@ drives:
 """
 """Geometry, limits and drives."""
 
+TWO_BODIES = (
+    TWO_JOINTS
+    + """truth:
+  links:
+    j1: {mass: 4, com: [0.2, 0.02, 0.02], inertia: [0.02, 0, 0, 0.06, 0, 0.06]}
+    j2: {mass: 2, com: [0.15, 0.02, 0.03], inertia: [0.004, 0, 0, 0.03, 0, 0.03]}
+"""
+)
+"""The same with links, for tests that add friction and noise to its `truth`."""
+
 ARM = (
     TWO_JOINTS
     + """truth:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import yaml
-from friction_experiment_arm import TWO_JOINTS
+from friction_experiment_arm import TWO_BODIES
 
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import DataError, ModelError, UsageError
@@ -34,12 +34,8 @@ pytestmark = pytest.mark.usefixtures("estimates_alone")
 DURATION = 15.0
 
 ARM = (
-    TWO_JOINTS
-    + """truth:
-  links:
-    j1: {mass: 4, com: [0.2, 0.02, 0.02], inertia: [0.02, 0, 0, 0.06, 0, 0.06]}
-    j2: {mass: 2, com: [0.15, 0.02, 0.03], inertia: [0.004, 0, 0, 0.03, 0, 0.03]}
-  joints:
+    TWO_BODIES
+    + """  joints:
     j1: {viscous: 5, coulomb: 4, offset: 0.3, motor_inertia: 0.6, alpha: 1.4, stribeck: 3.0, stribeck_velocity: 0.12,
          load: 0.01, temperature: [36, -0.11, 0]}
     j2: {viscous: 3, coulomb: 3, offset: -0.2, motor_inertia: 0.3, alpha: 1.3, stribeck: 2.0, stribeck_velocity: 0.15,

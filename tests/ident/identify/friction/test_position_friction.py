@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from friction_experiment_arm import TWO_JOINTS
+from friction_experiment_arm import TWO_BODIES
 
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, parse_robot
@@ -26,12 +26,8 @@ from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_re
 pytestmark = pytest.mark.usefixtures("estimates_alone")
 
 ARM = (
-    TWO_JOINTS
-    + """truth:
-  links:
-    j1: {mass: 4, com: [0.2, 0.02, 0.02], inertia: [0.02, 0, 0, 0.06, 0, 0.06]}
-    j2: {mass: 2, com: [0.15, 0.02, 0.03], inertia: [0.004, 0, 0, 0.03, 0, 0.03]}
-  joints:
+    TWO_BODIES
+    + """  joints:
     j1: {viscous: 5, coulomb: 4, offset: 0.3, motor_inertia: 0.6}
     j2: {viscous: 3, coulomb: 3, offset: -0.2, motor_inertia: 0.3}
   noise:
