@@ -283,12 +283,7 @@ def warn_of_strange_files(path: Path, content: Mapping[str, object]) -> None:
 
 
 def strange_files(path: Path, content: Mapping[str, object]) -> list[str]:
-    """Files beside a JSON file that were not written with it: a writer was killed between two files, or one was edited.
-
-    Args:
-        path: of the JSON file.
-        content: its object.
-    """
+    """Files beside a JSON file that were not written with it: a writer was killed in between, or one was edited."""
     hashes = content.get(GENERATION_KEY)
     strange = []
     for name, written in hashes.items() if isinstance(hashes, dict) else ():

@@ -61,12 +61,6 @@ def _numbered(names: Sequence[str], count: int) -> str:
 def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, where: str) -> ImportedSamples:
     """Match the joints, decide what effort is, convert units, determine the time.
 
-    Args:
-        table: as a reader gave it.
-        robot: whose joints are meant.
-        choices: the user's.
-        where: the file, for messages.
-
     Raises:
         ImportFileError: joints that do not match, an undecided effort, unknown or mixed units, no time, arrays of
             different length.

@@ -23,10 +23,6 @@ ANGLE = Range(-1e4, 1e4, "rad")
 def checked_urdf(xml: str, where: str) -> ElementTree.Element:
     """The root element of a URDF whose size and numbers are sensible.
 
-    Args:
-        xml: the URDF.
-        where: the file, for messages.
-
     Raises:
         RobotFileError: no XML, more links than `MOST_LINKS`, an axis without direction, numbers out of range; names
             the joint or link. A name that holds a control character.

@@ -139,11 +139,7 @@ def residual_tests(
 
 
 def residual_checks(tests: Sequence[ResidualTests]) -> list[Check]:
-    """A note for each assumption that joints violate.
-
-    Args:
-        tests: of the joints.
-    """
+    """A note for each assumption that joints violate."""
     checks = []
     for check, assumption, sentence in _NOTES:
         of_joints: list[tuple[str, AssumptionTest | None]] = [(test.joint, getattr(test, assumption)) for test in tests]

@@ -134,11 +134,6 @@ class ExcitationFigures:
 def excitation_figures(robot_file: RobotFile, motion: Motion, prior: PriorKnowledge) -> ExcitationFigures:
     """Figures of a motion as it is played, from rest to rest.
 
-    Args:
-        robot_file: the arm.
-        motion: of all its joints.
-        prior: of its parameters and its noise.
-
     Raises:
         RobotFileError: the geometry cannot be used.
     """

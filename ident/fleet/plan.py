@@ -180,11 +180,7 @@ def _parts(
 
 
 def merges(fleet_jobs: Sequence[Job]) -> Iterator[list[Job]]:
-    """Jobs that merge the results of parts, a level of the tree at a time; `ARM/merged/METHOD` is the last.
-
-    Args:
-        fleet_jobs: all jobs of the fleet.
-    """
+    """Jobs that merge the results of parts, a level of the tree at a time; `ARM/merged/METHOD` is the last."""
     groups: dict[tuple[str, str], list[Job]] = {}
     for job in fleet_jobs:
         if job.part is not None:

@@ -156,12 +156,7 @@ def distinct(labels: Sequence[str]) -> list[str]:
 
 
 def labelled(label: str, overlap: float) -> str:
-    """A held-out recording's name; says so where it is not held out.
-
-    Args:
-        label: the name.
-        overlap: share of its samples that are the identification's.
-    """
+    """A held-out recording's name; says so where it is not held out."""
     if overlap == 0.0:
         return label
     return f"{label} (NOT held out: {percent_text(overlap, 2)} of its samples were used in the identification)"

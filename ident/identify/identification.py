@@ -93,11 +93,7 @@ class IdentifyChoices(EssentialOptions, ReversalOptions):
         return chosen_method(self.method)
 
     def chooses_friction(self, stated: Friction) -> bool:
-        """Whether the data choose the friction's terms: asked for, or where robot file and user state no model.
-
-        Args:
-            stated: the robot file's section.
-        """
+        """Whether the data choose the friction's terms: asked for, or where robot file and user state no model."""
         if self.model.friction is not None or self.model.experiment is not None:
             return self.model.friction == AUTO
         return stated.model == AUTO and self.estimator.equations == "torque"

@@ -67,10 +67,6 @@ class Revalidation:
 def revalidate(result: Result, recording: Recording) -> Revalidation:
     """Predict a recording's torques with a stored model, filters and delay as at its identification.
 
-    Args:
-        result: the model.
-        recording: of the same arm.
-
     Raises:
         ResultFileError: the stored parameters do not belong to the stored robot file.
         DataError: the recording lacks what is needed.

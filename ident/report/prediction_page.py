@@ -46,13 +46,6 @@ def write_prediction_page(
 ) -> None:
     """Write the page.
 
-    Args:
-        path: of the file.
-        robot: the arm.
-        recording: what was predicted.
-        summary: of the joints' torques.
-        predicted: what is plotted.
-
     Raises:
         UsageError, DiskError: it cannot be written.
     """

@@ -56,13 +56,7 @@ class RecordedRuns:
 def recorded_runs(
     identification: Identification, recordings: Sequence[Recording], validation: Sequence[Recording]
 ) -> RecordedRuns:
-    """Motion and temperatures of an identification.
-
-    Args:
-        identification: of the recordings.
-        recordings: that it was identified from.
-        validation: held-out recordings, where there are any.
-    """
+    """Motion and temperatures of an identification."""
     motion = [
         MotionSegment(segment.time, segment.position, segment.velocity, held_out)
         for runs, held_out in ((identification.runs, False), (identification.validation_runs, True))

@@ -42,10 +42,6 @@ __all__ = ["Prepared", "PreprocessChoices", "Segment", "prepare"]
 def prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     """Run the whole pipeline over one recording.
 
-    Args:
-        signals: as recorded.
-        choices: the user's.
-
     Raises:
         DataError: stamps that go backwards, too few samples, no motion.
         UsageError: choices that this recording cannot fulfil.

@@ -155,9 +155,6 @@ def played_window(recording: Recording) -> tuple[float | None, float | None]:
     The approach to the start pose and the hold at the end belong to no excitation: the arm creeps or rests, where
     friction differs from the model, and every joint may move, even one that is locked for the experiment.
 
-    Args:
-        recording: its events and its stamps.
-
     Returns:
         None for an end that is the recording's: imported data have no such events, nor older recordings.
     """

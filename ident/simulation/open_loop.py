@@ -53,10 +53,6 @@ class OpenLoop(Stored):
 def open_loop(inverse: InverseDynamics, segments: Sequence[Segment]) -> OpenLoop | None:
     """Simulate windows of recorded segments, driven by their torque alone.
 
-    Args:
-        inverse: the model.
-        segments: their motion, and the torques of all motors.
-
     Returns:
         The errors; None where no window of motion is long enough.
     """

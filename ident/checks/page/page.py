@@ -23,12 +23,6 @@ MOST_GAPS = 50
 def write_page(folder: Path, info: RecordingInfo, file: str, *, overwrite: bool = False) -> None:
     """Write info.json and info.html into a folder.
 
-    Args:
-        folder: made where it does not exist.
-        info: of the recording.
-        file: name of the recording.
-        overwrite: replace files that exist.
-
     Raises:
         UsageError, DiskError: they exist already and may not be overwritten, or cannot be written.
     """

@@ -29,13 +29,7 @@ def print_tables(tables: Iterable[Table]) -> None:
 
 
 def print_result(result: Result, report: Path, *, verbose: bool = False) -> None:
-    """The result as a person reads it: the verdict first, with `verbose` all that was computed after it.
-
-    Args:
-        result: to be printed.
-        report: where its page is.
-        verbose: print the steps, parameters, errors and checks, too.
-    """
+    """The result as a person reads it: the verdict first, with `verbose` all that was computed after it."""
     verdict, delivered = result.verdict, result.delivered
     significant = sum(parameter.significant for parameter in result.base_parameters)
     count = len(result.base_parameters)

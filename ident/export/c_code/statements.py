@@ -68,12 +68,6 @@ def statements(graph: Graph, function: Function, joints: int, dialect: Dialect) 
     """The body of a function: inputs read, temporaries, outputs written, a line each.
 
     Inputs are read before anything is written, so that arrays may overlap.
-
-    Args:
-        graph: of the function's expressions.
-        function: to write.
-        joints: number n of joints with a motor.
-        dialect: of C.
     """
     outputs = function.outputs
     live = graph.live(outputs)

@@ -100,13 +100,7 @@ class FrictionRows:
             )
 
     def reduction(self, model: DynamicModel, base: BaseParameters, torques: Sequence[int]) -> Reduction:
-        """The system of a model that differs from the plain one in its friction, and of some motors' torques.
-
-        Args:
-            model: the arm.
-            base: its base parameters.
-            torques: of the motors whose equations count.
-        """
+        """The system of a model that differs from the plain one in its friction, and of some motors' torques."""
         blocks: list[list[FloatArray]] = [[] for _ in range(model.dof)]
         columns: list[tuple[int, ...]] = [()] * model.dof
         for part in self._segments:

@@ -170,14 +170,7 @@ class FrictionSearch:
     def choose(
         self, motor: int, name: str, words: Sequence[str] = tuple(OPTION), level: float = LEVEL
     ) -> list[FrictionStep]:
-        """Add terms to a motor as long as one counts.
-
-        Args:
-            motor: its index.
-            name: of its joint.
-            words: terms that are tried.
-            level: of the F-test.
-        """
+        """Add terms to a motor as long as one counts."""
         steps: list[FrictionStep] = []
         rows = float(self._grams.rows[:, list(self._used)].sum())
         nothing = [_Addition(())]

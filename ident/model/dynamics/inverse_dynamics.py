@@ -221,10 +221,6 @@ def weights_in_offsets(model: DynamicModel, base: BaseParameters) -> dict[str, i
     """Joints whose weight no motion separates from a constant friction torque → the base parameter that is both.
 
     Those that slide along gravity, whatever the other joints do.
-
-    Args:
-        model: the arm.
-        base: its base parameters.
     """
     links = len(INERTIAL) * len(model.joints)
     return {

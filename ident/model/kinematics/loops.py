@@ -48,10 +48,6 @@ builds the model of its arm several times."""
 def build_transmission(robot_file: RobotFile, joints: tuple[Joint, ...]) -> Transmission:
     """The transmission of an arm.
 
-    Args:
-        robot_file: the arm's.
-        joints: the tree, joints without a motor included.
-
     Raises:
         RobotFileError: the loops do not determine the joints without a motor, or do not close (with the error).
     """
