@@ -124,7 +124,7 @@ class Driver(Protocol):
         """What the source reported since the last call."""
 
     def command_rate(self) -> float:
-        """At what rate [Hz] it takes positions; 0 where it cannot move the arm; known once open."""
+        """The rate [Hz] at which it takes positions; 0 where it cannot move the arm; known once open."""
 
     def take_control(self) -> None:
         """Make the arm ready to obey commands; it holds its position until the first. May last seconds.

@@ -1,11 +1,10 @@
 """What fits on a bus: bits that a connection's frames take at worst, load, and the highest rate of its cycle.
 
-How long frames of classic CAN are at worst.
-
-Longest frames, with every stuffed bit that may occur and three bits of intermission: 47 + 8n + ⌊(34 + 8n − 1)/4⌋ bits
-for 11-bit identifiers and n data bytes, 67 + 8n + ⌊(54 + 8n − 1)/4⌋ for 29-bit ones, as in Davis, Burns, Bril and
-Lukkien, Controller Area Network (CAN) schedulability analysis, Real-Time Systems 35 (2007). Frames of CAN FD after
-ISO 11898-1:2015: one bit stuffed after four in front of the check sum, where the stuffed bits' places are fixed.
+The longest frames of classic CAN, with every stuffed bit that may occur and three bits of intermission, take 47 + 8n +
+⌊(34 + 8n − 1)/4⌋ bits for 11-bit identifiers and n data bytes, 67 + 8n + ⌊(54 + 8n − 1)/4⌋ for 29-bit ones, as in
+Davis, Burns, Bril and Lukkien, Controller Area Network (CAN) schedulability analysis, Real-Time Systems 35 (2007).
+Frames of CAN FD after ISO 11898-1:2015: one bit stuffed after four in front of the check sum, where the stuffed bits'
+places are fixed.
 """
 
 from __future__ import annotations

@@ -7,16 +7,14 @@ windows are not cut by the clock but by the exchange ∫ Σ|q̇m·τ| dt, of whi
 where the arm is fast and long near velocity reversals. Each begins a quarter of its exchange after the one before, so
 that what happens near its ends is seen in the middle of others.
 
-Both sides, as functions of a window's end, pass the parallel filter before they are differenced (SR400 .4.3 point 4):
-H holds q̇ squared at the two ends alone, where nothing else would average the encoders' noise. Longer windows hold more
+Both sides, as functions of a window's end, pass the parallel filter before they are differenced (SR400 .4.3 point 4): H
+holds q̇ squared at the two ends alone, where nothing else would average the encoders' noise. Longer windows hold more
 signal beside this noise; but there must be many more of them than parameters, and much longer than the motion's own
 periods they average it away.
 
-Least squares on equations of the whole arm's energy: one scalar equation per row instead of one per joint.
-
-`energy_windows` (differences of energy, SR400 eq. 10 to 12) and `power` (their differential form) make the
-rows; here they become a `Reduction` and error bars, as the joints' torque equations do in `observation_matrix` and
-`ident.regression.jackknife`.
+The estimate is least squares with one scalar equation per row instead of one per joint. `EnergyWindows` (differences of
+energy, SR400 eq. 10 to 12) and `power` (their differential form) make the rows; here they become a `Reduction` and
+error bars, as the joints' torque equations do in `observation_matrix` and `ident.regression.jackknife`.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Least squares on the joints' torque equations, one factor per joint (SR400 eq. 13).
 
-An estimate that is no least squares of the torque equations, as the least squares of a triangular system.
-
-What follows an estimate solves reduced systems: with fewer columns, with physical conditions. An estimate θ̂ with the
-(approximate) inverse covariance RᵀR is therefore written as the system R·θ = R·θ̂.
+What follows an estimate solves reduced systems: with fewer columns, with physical conditions. An estimate θ̂ that is no
+least squares of these equations, of (approximate) inverse covariance RᵀR, is therefore written as the system R·θ =
+R·θ̂.
 """
 
 from __future__ import annotations

@@ -1,11 +1,9 @@
 """Criteria of an excitation: a cost of a path, with its derivatives by the path.
 
-Optimality measures of an information matrix, as costs to minimise, with their derivatives.
-
-A measure takes A = ΦᵀΦ (b, b), Φ the base regressor along the motion, and gives a logarithm; all are of similar
-size. λ are A's eigenvalues. Largest and smallest eigenvalue are smoothed by power means of order `sharpness`,
-Σλ^p ^ (1/p) and (Σλ^-p) ^ (-1/p), which tend to them from outside as p grows: the largest is over-, the smallest
-underestimated, so a condition number is never underestimated.
+Optimality measures are costs to minimise, with their derivatives. A measure takes A = ΦᵀΦ (b, b), Φ the base regressor
+along the motion, and gives a logarithm; all are of similar size. λ are A's eigenvalues. Largest and smallest eigenvalue
+are smoothed by power means of order `sharpness`, Σλ^p ^ (1/p) and (Σλ^-p) ^ (-1/p), which tend to them from outside as
+p grows: the largest is over-, the smallest underestimated, so a condition number is never underestimated.
 """
 
 from __future__ import annotations

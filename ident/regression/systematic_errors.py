@@ -3,15 +3,15 @@
 The jackknife sees errors that change from block to block. Two come back with every period of the motion: a torque that
 lags by less than `dynid` corrects (a gravity torque that turns with the joint then looks like viscous friction), and
 equations near reversals, where static friction is wrong. Both leave a trace in the data: the delay's own estimate, and
-how far the parameters move without those equations. Their squares are added to the covariance, as the essential
-model's has the square of what the pruning changed.
+how far the parameters move without those equations. Their squares are added to the covariance, as the essential model's
+has the square of what the pruning changed.
 
-The torque of a joint is its gain times its motor's signal. Least squares is linear in the torque, so a gain that is too
-high by the share ε of itself moves the parameters by ε·(WᵀΩW)⁻¹W_jᵀΩ_jτ_j, W_j and τ_j that joint's rows.
-A robot file has the standard deviation of each gain, and not how the errors of the joints go together. Those of one
-data sheet, or of one weighed load, are common: all masses then come out wrong by that share, and nothing averages out
-over the joints. A ratio of them, such as a centre of mass, suffers from errors of single joints instead. A variance is
-linear in the correlation, so the larger one of both extremes covers whatever lies between them.
+Drive gains leave no trace. The torque of a joint is its gain times its motor's signal. Least squares is linear in the
+torque, so a gain that is too high by the share ε of itself moves the parameters by ε·(WᵀΩW)⁻¹W_jᵀΩ_jτ_j, W_j and τ_j
+that joint's rows. A robot file has the standard deviation of each gain, and not how the errors of the joints go
+together. Those of one data sheet, or of one weighed load, are common: all masses then come out wrong by that share, and
+nothing averages out over the joints. A ratio of them, such as a centre of mass, suffers from errors of single joints
+instead. A variance is linear in the correlation, so the larger one of both extremes covers whatever lies between them.
 """
 
 from __future__ import annotations

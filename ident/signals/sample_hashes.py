@@ -6,13 +6,12 @@ hashes; an interpolated copy shares those of the stamps that both have. Only the
 sketch: A. Broder, On the resemblance and containment of documents, 1997): the share of common samples is estimated from
 the samples of one recording whose hash lies below the largest that is kept of the other.
 
-Is a recording a processed copy of another one? Two runs of one motion share the motion, a copy shares the noise.
-
-Between two runs of one commanded motion torques agree where the motion repeats them and differ by independent noise.
-The regression of one run on the other then has a slope below 1 wherever there is noise: its share of what repeats. In a
-copy, be it resampled, scaled or with noise added, the slope of the copy on its original is the same factor at every
-frequency, as the original's noise is in it. So both are brought onto one grid, aligned, and regressed on each other
-band by band, far above the motion's frequencies and below what resampling attenuates.
+Two runs of one motion share the motion, a processed copy shares the noise, too (`same_noise`). Between two runs of one
+commanded motion torques agree where the motion repeats them and differ by independent noise. The regression of one run
+on the other then has a slope below 1 wherever there is noise: its share of what repeats. In a copy, be it resampled,
+scaled or with noise added, the slope of the copy on its original is the same factor at every frequency, as the
+original's noise is in it. So both are brought onto one grid, aligned, and regressed on each other band by band, far
+above the motion's frequencies and below what resampling attenuates.
 """
 
 from __future__ import annotations

@@ -297,7 +297,7 @@ def _goes_on(bench: Bench, driver: Driver, heard: Received, after: str) -> None:
 
 
 def _agrees(bench: Bench, heard: Received, *, controlled: bool = False) -> None:
-    """Of an arm at rest the median of all samples, and each sample of a position, is the truth."""
+    """The median of all samples of an arm at rest, and each sample of a position, is the truth."""
     for quantity, true in bench.truth().items():
         samples: FloatArray | None = heard.all(quantity)
         if samples is None or not (controlled or quantity in bench.idle):

@@ -53,7 +53,7 @@ class Reference:
 
     @staticmethod
     def at_rest(position: FloatArray) -> Reference:
-        """At rest at a position."""
+        """A goal at rest at a position."""
         zeros = np.zeros(len(position))
         return Reference(np.array(position, dtype=np.float64), zeros, zeros)
 

@@ -1,17 +1,17 @@
-"""Friction of simulated joints: the comprehensive model of the AUBO paper, with a bristle where it is not defined.
+"""Friction of simulated joints, the AUBO paper's model with a bristle where it is not defined, and their heat.
 
 Sliding, per joint (AUBO eq. 3-6; T in kelvin, τ_L the gravity torque; the Stribeck term is not in the paper):
 
     F = sign(q̇)·(Fc + Fb·exp(−(q̇/v_b)²) + f_L·τ_L² + Fv·|q̇|^α + √|q̇|·(β1 + β2·T + β3·T⁻³)) + Fo
 
 Equation 3 leaves out the neighbourhood of zero velocity. There a spring with a damper (a bristle, one Maxwell-slip
-element) replaces sign(q̇) in the terms that do not vanish at rest: it yields up to the break-away torque and
-then slides with it. A joint at rest therefore holds its load without creeping and without a sign that chatters.
+element) replaces sign(q̇) in the terms that do not vanish at rest: it yields up to the break-away torque and then
+slides with it. A joint at rest therefore holds its load without creeping and without a sign that chatters.
 
-Heat of simulated joints: copper loss warms the winding, friction the housing, and the air cools the housing.
+Copper loss warms the winding, friction the housing, and the air cools the housing:
 
-Cw·Ṫw = P_copper − Gwh·(Tw − Th)
-Ch·Ṫh = P_friction + Gwh·(Tw − Th) − Gha·(Th − T_ambient)
+    Cw·Ṫw = P_copper − Gwh·(Tw − Th)
+    Ch·Ṫh = P_friction + Gwh·(Tw − Th) − Gha·(Th − T_ambient)
 """
 
 from __future__ import annotations

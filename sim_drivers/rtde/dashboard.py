@@ -1,10 +1,10 @@
-"""The dashboard port (29999) of a simulated controller: one line per request, one per answer.
+"""The dashboard port (29999) and the secondary interface (port 30002) of a simulated controller.
 
-Wordings: Universal Robots, "Dashboard Server e-Series", as far as ur_rtde 1.6.5 reads them.
+The dashboard has one line per request and one per answer; wordings: Universal Robots, "Dashboard Server e-Series", as
+far as ur_rtde 1.6.5 reads them.
 
-The secondary interface (port 30002) of a simulated controller: of its state only Configuration Data.
-
-A real one repeats it ten times a second among other parts; this one says it once, to every client that connects.
+The secondary interface sends Configuration Data alone of the controller's state. A real one repeats it ten times a
+second among other parts; this one says it once, to every client that connects.
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
-"""Single wrong samples of a recorded signal: spikes of a current, encoder glitches of up to three samples.
+"""Wrong samples of a recorded signal: spikes of a current, encoder glitches, positions that jump.
 
-A sample is an outlier where it is far from what its neighbours on both sides say. These are fitted with a cubic in the
-recorded time, without the one that fits worst, which may be another outlier. Far is many times the largest of three
-scales: the signal's white noise, its quantisation, and what the same cubic leaves of the neighbours, so that a velocity
-reversal, a step of friction or a burst of noise, which no cubic follows, is none.
+A sample, or up to three in a row, is an outlier where it is far from what its neighbours on both sides say. These are
+fitted with a cubic in the recorded time, without the one that fits worst, which may be another outlier. Far is many
+times the largest of three scales: the signal's white noise, its quantisation, and what the same cubic leaves of the
+neighbours, so that a velocity reversal, a step of friction or a burst of noise, which no cubic follows, is none.
 
-Positions that jump between two samples whose stamps go on: a lost zero, a turn that wraps, rows that are missing.
-
-A joint cannot move between two samples by many times what it moves between those around. Where several joints jump at
-once, rows are missing there or stand twice; where one does, its encoder lost counts, or its angle was wrapped.
+Positions jump between two samples whose stamps go on: a lost zero, a turn that wraps, rows that are missing. A joint
+cannot move between two samples by many times what it moves between those around. Where several joints jump at once,
+rows are missing there or stand twice; where one does, its encoder lost counts, or its angle was wrapped.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
-"""Targets for SYNCs from commands that another thread sends at the same rate, but at its own moments.
-
-Stopping drives by SDO that no longer take part in PDOs: those that left operational by themselves.
+"""Targets for SYNCs from commands that another thread sends at the same rate, but at its own moments; and stops by SDO.
 
 A drive that misses its master goes to pre-operational (CiA 301, object 0x1029); it neither hears an RPDO then, nor
-answers SYNC, but it still answers SDO.
+answers SYNC, but it still answers SDO: `SdoStop` stops it.
 """
 
 from __future__ import annotations

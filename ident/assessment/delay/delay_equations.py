@@ -71,7 +71,7 @@ class DelayEquations:
 
     @cached_property
     def every_total(self) -> tuple[FloatArray, ...]:
-        """Of each joint (w_j + 5, w_j + 5), the sum over the blocks of `every`."""
+        """The sum over the blocks of `every` (w_j + 5, w_j + 5), of each joint."""
         return tuple(gram.sum(axis=0) for gram in self.every)
 
     @cached_property

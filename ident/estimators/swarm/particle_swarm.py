@@ -1,11 +1,10 @@
 """Particle swarms with a constant or a random inertia weight (ROCR6 eq. 13-15).
 
-Whether a particle comes to rest: the stability condition of ROCR6 section 3.4, made computable.
-
-With its own best point p and the best of all s fixed, a particle follows x' = (1 + W − θ)·x − W·x₋ + θ1·p + θ2·s,
-θ = θ1 + θ2 = c1·r1 + c2·r2: eq. 17, whose lower right entry must be 1 − θ. The paper asks for ‖C(t)‖ < 1, which no W
-and θ fulfil at every t; W and θ are random and independent, so that mean and variance follow linear recursions. Their
-spectral radii decide: below 1 the particle comes to rest (Poli 2009, IEEE Trans. Evolutionary Computation 13).
+`particle_stability` says whether a particle comes to rest (ROCR6 section 3.4, made computable). With its own best point
+p and the best of all s fixed, a particle follows x' = (1 + W − θ)·x − W·x₋ + θ1·p + θ2·s, θ = θ1 + θ2 = c1·r1 + c2·r2:
+eq. 17, whose lower right entry must be 1 − θ. The paper asks for ‖C(t)‖ < 1, which no W and θ fulfil at every t; W and
+θ are random and independent, so that mean and variance follow linear recursions. Their spectral radii decide: below 1
+the particle comes to rest (Poli 2009, IEEE Trans. Evolutionary Computation 13).
 """
 
 from __future__ import annotations

@@ -4,10 +4,9 @@ A link has a mass m, a centre of mass c and an inertia I about it. The standard 
 them: m·c are its first moments, I and m·c² its inertia about the joint's origin. So the torque is quadratic in c, but
 linear in m and I where c is known: then least squares finds them, too, as far as the torque shows them.
 
-The cost of a linear model, ‖W·x − τ‖₂ (UP6 eq. 10; ROCR6 eq. 9), on the triangular factor of [W τ].
-
-A population of P points costs one product of (P, d) with (d, d), however long the recording was. Least squares
-minimises it exactly, which every other method is measured by.
+The cost of a linear model, ‖W·x − τ‖₂ (UP6 eq. 10; ROCR6 eq. 9), is computed from the triangular factor of [W τ]: a
+population of P points costs one product of (P, d) with (d, d), however long the recording was. Least squares minimises
+it exactly, which every other method is measured by.
 """
 
 from __future__ import annotations
@@ -78,7 +77,7 @@ class QuadraticCost:
         return box.clip(box.lower + box.width * scaled.x)
 
     def cost(self, point: FloatArray) -> float:
-        """At one point (d,)."""
+        """The cost at one point (d,)."""
         return float(self(point[None, :])[0])
 
 

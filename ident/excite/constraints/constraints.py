@@ -1,10 +1,8 @@
 """All constraints of an excitation, from the robot file.
 
-Criteria and constraints clipped to the position limits, for arms with general loops.
-
-A solver tries motions far outside the limits before it converges, and there a loop may not close. Criteria and
-constraints of the whole arm are therefore evaluated with every position clipped to its limits. For feasible motions,
-the only ones that a design returns, this changes nothing.
+A solver tries motions far outside the limits before it converges, and there a general loop may not close. Criteria and
+constraints of an arm with such loops are therefore evaluated with every position clipped to its limits. For feasible
+motions, the only ones that a design returns, this changes nothing.
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """Distances of links along a path, also between its samples: of straight segments, of convex hulls.
 
-Convex hulls of links' shapes: where the capsules around them overlap, they say how far apart the links are.
-
 A capsule around a mesh is often some cm thicker than the mesh. Its convex hull is never smaller than the mesh either,
 and far tighter; it has no smooth distance, and each distance is asked of Coal on its own. So capsules judge first, and
 hulls where capsules touch.

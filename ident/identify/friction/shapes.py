@@ -5,14 +5,13 @@ the others, the jackknife's covariance is that of all parameters and shapes toge
 systematic errors add to it (`ident.regression.systematic_errors`): near reversals, a wrong torque moves α and all that
 depends on it many times as far as it moves any of them alone.
 
-Error bars of friction whose shapes are uncertain by so much that a line no longer describes what depends on them.
-
-Coulomb, viscous and temperature terms beside |q̇|^α describe one curve over the velocity, which is known well; how it
-is shared out among them follows α, and not linearly: beside √|q̇|, Fv grows as 1/(α − 0.5). Where α is estimated too
-large, its derivative there is too small, and a linear error bar of Fv with it. So the friction of each motor is
-estimated again at shapes √3 σ to both sides. With weights 1/6 these are the outer points of a three-point
-Gauss-Hermite quadrature: the mean square change over the shape's distribution, exact to fifth order. By what it exceeds
-the linear part the error bars grow.
+Shapes can be uncertain by so much that a line no longer describes what depends on them (`with_curvature`). Coulomb,
+viscous and temperature terms beside |q̇|^α describe one curve over the velocity, which is known well; how it is shared
+out among them follows α, and not linearly: beside √|q̇|, Fv grows as 1/(α − 0.5). Where α is estimated too large, its
+derivative there is too small, and a linear error bar of Fv with it. So the friction of each motor is estimated again at
+shapes √3 σ to both sides. With weights 1/6 these are the outer points of a three-point Gauss-Hermite quadrature: the
+mean square change over the shape's distribution, exact to fifth order. By what it exceeds the linear part the error
+bars grow.
 """
 
 from __future__ import annotations

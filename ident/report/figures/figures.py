@@ -86,7 +86,7 @@ class Figure:
 
 
 def shortened(text: str, length: int) -> str:
-    """At most `length` characters of a name."""
+    """A name cut to at most `length` characters."""
     return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
