@@ -6,6 +6,7 @@ same rule and import what they need inside the command.
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import sys
@@ -37,6 +38,10 @@ COMMANDS_GROUP = "dynid.commands"
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Set to 1 unless the user has set them, before NumPy is imported: dynid multiplies many small matrices, for which a
 second BLAS thread costs more than it brings, and on a busy machine a hundred times more."""
+
+OBJECTS_PER_COLLECTION = 10_000
+"""New objects after which Python looks for cycles, otherwise 700: imports make many that stay, and to go through them
+again and again takes 4 % of an identification."""
 
 
 def build_app() -> typer.Typer:
@@ -123,6 +128,7 @@ def main() -> None:
         os.environ.setdefault(variable, "1")
     if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():
         del os.environ["SOURCE_DATE_EPOCH"]  # NumPy's f2py, which SciPy imports, reads it and breaks
+    gc.set_threshold(OBJECTS_PER_COLLECTION)
     try:
         status = _status("--json" in sys.argv[1:])
         sys.stdout.flush()

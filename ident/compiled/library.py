@@ -67,7 +67,7 @@ def kernels() -> Kernels:
     if not hasattr(os, "getuid"):
         return Kernels(None, None, "none on this system")
     try:
-        path = _cache_folder() / f"kernels-{_fingerprint(compiler)}.so"
+        path = cache_folder() / f"kernels-{_fingerprint(compiler)}.so"
         if not path.exists():
             _build(compiler, path)
         _refuse_shared(path)
@@ -76,7 +76,12 @@ def kernels() -> Kernels:
         return Kernels(None, None, f"none: {error}")
 
 
-def _cache_folder() -> Path:
+def cache_folder() -> Path:
+    """The folder of dynid in the user's cache folder, made where it is missing.
+
+    Raises:
+        OSError: it cannot be made, or another user could write to it or above it.
+    """
     above = os.environ.get("XDG_CACHE_HOME", "")
     folder = (Path(above) if os.path.isabs(above) else Path.home() / ".cache").resolve() / "dynid"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
