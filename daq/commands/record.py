@@ -281,6 +281,7 @@ def recorded(
     from daq.session.arm_lock import only_mover
     from daq.session.device_limits import require_same_arm, serial_number
     from daq.session.play import Play
+    from daq.session.retract import RETRACTING
     from daq.session.session import record
     from daq.session.supervisor import Limits, Supervisor
     from daq.session.unrecorded import SampleKeeper, Unrecorded
@@ -296,6 +297,7 @@ def recorded(
             watch.begin(layouts)
         if played is not None:
             to_mind = _to_mind(plan.robot_file, driver, without_safety_status=options.without_safety_status)
+            to_mind += [RETRACTING] if retracts else []
             played.confirmation.to_mind = to_mind
             play = Play(played.motion, robot, played.confirmation, options.without_safety_status)
         if guiding is not None:

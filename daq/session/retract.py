@@ -30,6 +30,10 @@ SPEED = 0.25
 """[rad/s or m/s] at most."""
 SHARE = 0.2
 """Of velocity and acceleration limits at most."""
+RETRACTING = (
+    f"after a contact it goes back by itself: up to {WAY:g} rad ({SLIDING_WAY:g} m), at {SPEED:g} rad/s at most, and holds"
+)
+"""What a person should know of it before the arm moves."""
 LOOKING_BACK = 0.005
 """[s] between the positions of the motion that are looked at."""
 

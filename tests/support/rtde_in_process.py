@@ -88,8 +88,6 @@ class PythonControl:
 
     def __init__(self, connect: Connect, clock: SimulatedClock, host: str, rate: float) -> None:
         self._clock = clock
-        with connect(host, 30003, 1.0) as script:
-            script.sendall(PROGRAM)
         self._socket = connect(host, 30004, 1.0)
         self._socket.setblocking(False)
         self._splitter = wire.PackageSplitter()
@@ -101,6 +99,9 @@ class PythonControl:
         if answer[0] == 0:
             raise RuntimeError("One of the RTDE input registers are already in use!")
         self._inputs = answer[0]
+        self._write(0)  # a program before may have left its end there
+        with connect(host, 30003, 1.0) as script:
+            script.sendall(PROGRAM)
         outputs = [("output_int_register_0", "INT32"), ("runtime_state", "UINT32")]
         names = ",".join(name for name, _ in outputs).encode()
         answer = self._ask(wire.SETUP_OUTPUTS, struct.pack(">d", rate) + names)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from canopen_recording import arm_on_bus
 from motor_bench import START, MotorBench, motors, robot_file
+from rtde_in_process import HOST, NOWHERE, Motions, serving
 from simulated_clock import SimulatedClock
 from unchecked import unchecked_play
 
@@ -16,11 +19,17 @@ from daq.motion.trajectories import slow_move
 from daq.recording.reader import read_recording
 from daq.recording.recorder import Recorder
 from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot
+from daq.session.connections import driver_settings
 from daq.session.retract import SPEED, WAY, way_back
 from daq.session.session import SessionReport, record
 from daq.session.supervisor import Limits, Supervisor
+from drivers.base import Driver
 from drivers.core.errors import MotionRefusedError, SafetyStopError
+from drivers.rtde.driver import RtdeDriver
 from drivers.streams import Batch, StreamLayout
+from sim_drivers.plant.plant import Plant
+from sim_drivers.rtde.server import RtdeServer
 
 GOAL = START + [0.8, -0.6]
 
@@ -79,6 +88,41 @@ def test_it_goes_back_and_holds(clock: SimulatedClock, tmp_path: Path) -> None:
         here = bench.server.plant.arm.position.copy()
         clock.sleep(2.0)  # and nothing goes on by itself
         assert bench.server.plant.arm.position == pytest.approx(here, abs=1e-3)
+
+
+def test_drives_on_canopen_are_switched_on_once_more_for_the_way_back(tmp_path: Path) -> None:
+    with arm_on_bus(drives=2) as bench:
+        said = way_back_of(bench.driver, bench.robot_file, bench.plant.position, bench.clock, tmp_path / "run.h5", 90)
+        assert said == ["contact: elbow", "goes back", "went back, and holds"]
+        assert bench.rests()
+
+
+def test_a_ur_arm_is_controlled_once_more_for_the_way_back(clock: SimulatedClock, tmp_path: Path) -> None:
+    file = load_robot("ur5e")
+    plant = Plant(file, seed=1)
+    server = RtdeServer(plant, ports=NOWHERE, joints=file.robot.joints, clock=clock)
+    with serving(server) as network:
+        settings = replace(driver_settings(file.robot, {"host": HOST}), clock=clock)
+        driver = RtdeDriver(settings, network.connect, Motions(clock, network.connect).take_control)
+        driver.open()
+        said = way_back_of(driver, file, plant.position, clock, tmp_path / "run.h5", 450)
+        driver.close()
+        assert said == ["contact: elbow", "goes back", "went back, and holds"]
+        assert server.controller.script is None  # and no program is left
+
+
+def way_back_of(
+    driver: Driver, file: RobotFile, start: np.ndarray, clock: SimulatedClock, path: Path, sample: int
+) -> list[str]:
+    """What the monitor's events say of a motion that touches something at a sample."""
+    layouts, robot = driver.streams(), file.robot
+    recorder = Recorder(path, file, layouts, trajectory="played", clock=clock)
+    goal = start + 0.3 * np.cos(np.arange(robot.dof))
+    play = unchecked_play(slow_move(start, goal, robot.joints, 0.3), robot)
+    supervisor = Supervisor(Limits.of_robot(robot), layouts)
+    record(driver, recorder, supervisor, play, clock=clock, watch=Touching(sample), retracts=True)
+    said = [event.message for event in read_recording(path).events if event.source == "monitor"]
+    return [message.split(" for ")[0] for message in said]
 
 
 def test_another_contact_ends_the_way_back(clock: SimulatedClock, tmp_path: Path) -> None:
