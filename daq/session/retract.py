@@ -31,7 +31,8 @@ SPEED = 0.25
 SHARE = 0.2
 """Of velocity and acceleration limits at most."""
 RETRACTING = (
-    f"after a contact it goes back by itself: up to {WAY:g} rad ({SLIDING_WAY:g} m), at {SPEED:g} rad/s at most, and holds"
+    f"after a contact it goes back by itself, by {WAY:g} rad ({SLIDING_WAY:g} m) and at {SPEED:g} rad/s at most; "
+    "then it holds"
 )
 """What a person should know of it before the arm moves."""
 LOOKING_BACK = 0.005
