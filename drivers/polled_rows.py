@@ -53,7 +53,8 @@ class PolledRows(ABC):
         self._thread = clock.thread(self._run, name)
         self._rows: deque[tuple[float, float, Mapping[str, Sequence[float]]]] = deque(maxlen=BUFFERED)
         self._silent: Counter[str] = Counter()
-        self._lost = self._late = 0
+        self._lost = self._late = self._awaited = 0
+        self._answering = 0.0
         self._noted = -np.inf
         self.notices: deque[Notice] = deque()
         self.latest: FloatArray | None = None
@@ -104,22 +105,27 @@ class PolledRows(ABC):
         """Why rows were lost, in words; empty where none were."""
         said = [f"{name} did not answer {count} times" for name, count in self._silent.items()]
         if self._late:
-            said.append(f"{self._late} readings took longer than their period")
+            said.append(f"{self._late} while this computer was late to ask, or to look")
+        if self._awaited:
+            said.append(f"{self._awaited} while answers took longer than a period to come")
         return "; ".join(said)
 
     def _run(self) -> None:
         due = self._clock.now()
         try:
             while not self._ending.is_set():
+                begun = self._clock.now()
                 self._read()
                 due += self._period
                 if (behind := self._clock.now() - due) > 0.0:
                     skipped = int(behind / self._period)  # what would have been read meanwhile is lost
                     due += skipped * self._period
                     if skipped:
+                        theirs = self._answering > 0.5 * (self._clock.now() - begun)
                         with self._changed:
                             self._lost += skipped
-                            self._late += skipped
+                            self._awaited += skipped if theirs else 0
+                            self._late += 0 if theirs else skipped
                 due = self._pause(due)
         except DynidError as error:
             with self._changed:
@@ -132,6 +138,7 @@ class PolledRows(ABC):
         return due
 
     def _add(self, time: float, received: float, row: Mapping[str, Sequence[float]]) -> None:
+        self._answering = 2.0 * (received - time)
         self.latest = np.array(row["position"])
         self.last_row = received
         with self._changed:
@@ -141,6 +148,7 @@ class PolledRows(ABC):
     def _lose(self, missing: Sequence[str], received: float, besides: str = "") -> None:
         """A row without the answers of some devices; `besides` is what else came, in words."""
         self._silent.update(missing)
+        self._answering = np.inf
         with self._changed:
             self._lost += 1
         if received - self._noted > NOTED_AGAIN:

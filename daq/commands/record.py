@@ -421,12 +421,15 @@ def report_session(
     punctuality = asdict(report.punctuality) if report.punctuality is not None else None
     if as_json:
         streams = {name: asdict(quality) for name, quality in qualities.items()}
-        ended = {"stopped_by": report.stopped_by, "heavy_loss": report.heavy_loss, "overflow": report.overflow}
+        ended = {"stopped_by": report.stopped_by, "heavy_loss": report.heavy_loss}
+        ended |= {"light_loss": report.light_loss, "overflow": report.overflow}
         moved = {name: asdict(figures) if figures is not None else None for name, figures in motions.items()}
         print_json({"file": str(out), "streams": streams, **ended, "punctuality": punctuality, **moved})
         return
     for name, quality in qualities.items():
         print(f"{out}: {name}: {quality.samples} samples at {quality.rate_hz:.4g} Hz, {quality.lost} lost")
+    if report.light_loss:
+        print(report.light_loss)
     if report.punctuality is not None:
         late = report.punctuality
         if late.sent:

@@ -75,6 +75,7 @@ class SessionReport:
         punctuality: of the motion; None without one.
         error: that ended it, for the exit status; None where it ran to its end or was interrupted.
         heavy_loss: which streams lost more than `LOSS_LIMIT` of their samples, and why, in words; empty where none did.
+        light_loss: which streams lost fewer, and why; empty where none did, or nobody knows why.
         file: the recording; None where the motion was refused or interrupted before it began: there is none then.
     """
 
@@ -85,6 +86,7 @@ class SessionReport:
     punctuality: Punctuality | None
     error: DynidError | None = None
     heavy_loss: str = ""
+    light_loss: str = ""
     file: Path | None = None
 
 
@@ -209,7 +211,8 @@ def record(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
             unhalted = _note(driver.notices(), recorder)  # an error now says that the arm could not be stopped in order
             if course.moves and unhalted is None:
                 recorder.event(course.source_time(), "info", "driver", "arm halted")
-        if heavy_loss := _heavy_loss(driver, course):
+        heavy_loss, light_loss = (_losses(driver, course, heavy=heavy) for heavy in (True, False))
+        if heavy_loss:
             recorder.event(course.source_time(), "warning", "session", heavy_loss)
         # It would show an arm at rest, and be in the way of the next attempt.
         refused = isinstance(error, MotionRefusedError) or stopped_by == INTERRUPTED
@@ -229,6 +232,7 @@ def record(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
         player.punctuality() if player else None,
         error,
         heavy_loss,
+        light_loss,
         None if unwanted else recorder.file,
     )
 
@@ -240,12 +244,13 @@ def _note_clocks(recorder: SampleKeeper, course: Course) -> None:
         recorder.event(course.source_time(), "info", "clocks", message)
 
 
-def _heavy_loss(driver: Driver, course: Course) -> str:
+def _losses(driver: Driver, course: Course, *, heavy: bool) -> str:
+    """Which streams lost more than `LOSS_LIMIT`, or fewer for a cause that the driver knows, in words."""
     said = []
     for stream, lost in course.lost.items():
         total = course.samples[stream] + lost
-        if lost > LOSS_LIMIT * total:
-            cause = driver.losses(stream) if isinstance(driver, Attributing) else ""
+        cause = driver.losses(stream) if lost and isinstance(driver, Attributing) else ""
+        if lost > LOSS_LIMIT * total if heavy else cause and lost <= LOSS_LIMIT * total:
             said.append(f"{lost} of {total} samples of {stream} were lost{f' ({cause})' if cause else ''}")
     return "; ".join(said)
 

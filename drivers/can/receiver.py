@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import select
 import threading
 from collections import deque
 from collections.abc import Callable, Container
@@ -145,6 +146,13 @@ class Receiver:
         if not frames and self._failure is not None:
             raise self._failure
         return frames
+
+    def pending(self) -> bool:
+        """Whether frames wait in the adapter's socket, since the thread that takes them is late; else no."""
+        try:
+            return bool(select.select([self._bus.fileno()], [], [], 0.0)[0])
+        except (NotImplementedError, can.CanError, OSError, ValueError, TypeError):
+            return False
 
     def notices(self) -> list[Notice]:
         """Notices since the last call: error frames, truncated and unreadable ones."""

@@ -21,6 +21,8 @@ ATTEMPTS = 3
 """So often a motor is asked before it counts as silent."""
 PATIENCE = 0.1
 """[s] that an answer to a single question is waited for."""
+LOOKING_AGAIN = 0.001
+"""[s] that frames are waited for which have arrived at the adapter."""
 ALIKE = 1e-3
 """How far a register may be from what was written, as a share: floating-point numbers of 32 bits."""
 
@@ -63,6 +65,7 @@ class Feedback:
         strange: frames that were no motor's.
         time: in the middle between sending and the last answer [s, host's monotonic clock].
         received: when the last answer came.
+        overdue: motors whose answers to an earlier request came after they had been given up.
         ages: index of a motor → how long before its answer it obeyed the command in force [s]; inf before the first.
     """
 
@@ -70,6 +73,7 @@ class Feedback:
     strange: int
     time: float
     received: float
+    overdue: int = 0
     ages: Mapping[int, float] = field(default_factory=dict)
 
 
@@ -173,8 +177,8 @@ class MotorBus:
         return replace(feedback, ages=ages)
 
     def forget_surplus(self) -> None:
-        """Count answers anew: frames that nobody counted were answered, too."""
-        self._surplus = [0 for _ in self._motors]
+        """Count answers anew: frames that nobody counted were answered, too. What is still awaited may come later."""
+        self._surplus = [min(surplus, 0) for surplus in self._surplus]
 
     def exchange(self, frames: Sequence[CanFrame], patience: float, of: int | None = None) -> Feedback:
         """Send frames and hear what the motors say, waiting until all have told everything.
@@ -193,6 +197,7 @@ class MotorBus:
             late: list[set[str]] = [set() for _ in self._motors]
             for _, identifier, data in receiver.take():  # too late for its row, but not for a fault
                 self._hear(identifier, data, late)
+            overdue = sum("position" in told for told in late)
             for asked in range(len(self._motors)) if of is None else (of,):
                 self._surplus[asked] = max(self._surplus[asked] - 1, -MOST_AWAITED)
             if self._returned is not None:
@@ -204,9 +209,12 @@ class MotorBus:
             wanted = [self._fast(k) if of is None else self._all(k) if of == k else set() for k in everyone]
             while any(need - got for need, got in zip(wanted, heard, strict=True)):
                 left = end - self._clock.now()
-                if left <= 0.0:
-                    break
-                for arrived, identifier, data in receiver.take(left):
+                if not (came := receiver.take(max(left, 0.0))) and left <= 0.0:
+                    # What has arrived is no motor's fault: the thread that takes it from the adapter is late.
+                    if left < -patience or not receiver.pending():
+                        break
+                    came = receiver.take(LOOKING_AGAIN)
+                for arrived, identifier, data in came:
                     index = self._hear(identifier, data, late if arrived < sent else heard)
                     if index is None and not self._is_own((identifier, data)):
                         strange += 1
@@ -218,7 +226,7 @@ class MotorBus:
             for index in range(len(self._motors))
             if heard[index] and not wanted[index] - heard[index] | self._wanted(index) - self._told[index].keys()
         }
-        return Feedback(states, strange, 0.5 * (sent + received), received)
+        return Feedback(states, strange, 0.5 * (sent + received), received, overdue)
 
     def doubled(self) -> list[int]:
         """Indices of motors whose ids others have, too; an answer to an earlier question does not come three times.

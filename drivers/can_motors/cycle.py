@@ -48,7 +48,7 @@ class MotorCycle(PolledRows):
         self._motors = settings.motors
         self._quantities = [name.quantity for name in feedback_channels(settings) if name.quantity != GOAL_AGE]
         self._faults: dict[int, int] = {}
-        self._strange = 0
+        self._strange = self._overdue = 0
         self._doubled: dict[str, Level] = {}
         self._begun = clock.now()
         self._wanted = False
@@ -58,6 +58,7 @@ class MotorCycle(PolledRows):
         """Why rows were lost, in words; empty where none were."""
         said = [
             super().losses(),
+            f"{self._overdue} answers came after they had been given up" if self._overdue else "",
             f"{self._strange} frames were no motor's" if self._strange else "",
             f"answered twice: {', '.join(self._doubled)}" if self._doubled else "",
         ]
@@ -70,6 +71,7 @@ class MotorCycle(PolledRows):
         patience = PATIENCE * self._period
         feedback = self._control.cycle(patience) if self._control.active else self._bus.cycle(patience=patience)
         self._strange += feedback.strange
+        self._overdue += feedback.overdue
         for index, state in feedback.states.items():
             self.answered[self._motors[index].id] = feedback.received
             self._note_fault(index, state.fault)

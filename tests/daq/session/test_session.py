@@ -218,6 +218,7 @@ def test_a_recording_that_lost_more_than_one_percent_says_so(
     report = run(tmp_path / "run.h5", Lossy(clock=clock), duration=119.5 * PERIOD)
     assert report.samples == {"joints": 120}
     assert report.heavy_loss == said
+    assert report.light_loss == ("" if said else "1 of 121 samples of joints were lost (joints: a loose plug)")
     assert report.stopped_by is None
     recording = read_recording(tmp_path / "run.h5")
     assert recording.complete

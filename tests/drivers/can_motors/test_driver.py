@@ -11,6 +11,7 @@ from daq.motion.trajectories import FourierSeries, RestToRest
 from daq.recording.commanded_motion import commanded_motion
 from daq.recording.quality.stale_samples import stale_rows
 from daq.recording.reader import read_recording
+from drivers.can_motors.bus import MotorBus
 from drivers.can_motors.settings import parse_settings
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
 from ident.identify.identification import IdentifyChoices
@@ -168,6 +169,33 @@ def test_answers_that_come_in_the_next_period_are_rows(clock: SimulatedClock, tm
     assert (report.stopped_by, report.lost["joints"]) == (None, 0)
     steps = np.diff(read_recording(tmp_path / "run.h5").streams["joints"].time)
     assert np.sum(steps > 0.0115) > 8  # late, and there
+
+
+def test_who_was_late_is_said(clock: SimulatedClock, monkeypatch):
+    answering, reading = "sim_drivers.can_motors.server.ANSWERING", MotorBus.cycle
+    late = {"": 0.0}
+
+    def slow(bus: MotorBus, *arguments: object, **keywords: object) -> object:
+        clock.sleep(late[""])
+        return reading(bus, *arguments, **keywords)
+
+    monkeypatch.setattr(MotorBus, "cycle", slow)
+    said = []
+    for answer, look in ((0.0145, 0.0), (0.025, 0.0), (50e-6, 0.015)):
+        with motors(clock) as bench, bench.opened() as driver:
+            driver.start()
+            clock.sleep(0.05)
+            monkeypatch.setattr(answering, answer)
+            late[""] = look
+            clock.sleep(0.2)
+            said.append(driver.losses("joints"))
+            driver.stop()
+            monkeypatch.setattr(answering, 50e-6)
+            late[""] = 0.0
+    assert "while answers took longer than a period to come" in said[0]
+    assert "did not answer" in said[1]
+    assert "while this computer was late to ask, or to look" in said[2]
+    assert "answer" not in said[2]
 
 
 def test_limp_on_stop(clock: SimulatedClock):
