@@ -18,9 +18,10 @@ from daq.motion.trajectory_file import load_trajectory
 from daq.robot.loader import load_robot
 from dynid.command import build_app
 from ident.excite import design as design_module
+from ident.excite.search.search import SearchResult
 
 QUICK = ("--starts", "1", "--harmonics", "1", "--period", "5")
-LARGEST = (*QUICK, "--criterion", "motion-size")
+LARGEST = (*QUICK, "--criterion", "motion-size", "--joints", "j1")
 """Quicker still, for what has nothing to do with the design's quality."""
 
 
@@ -37,18 +38,27 @@ def folder(tmp_path, monkeypatch, three_joint) -> Path:
 
 
 @pytest.fixture(scope="module")
-def usual(three_joint, tmp_path_factory) -> tuple[Path, dict[str, Any]]:
-    """The file of the quick design, and what the command says of it as JSON."""
+def usual(three_joint, tmp_path_factory) -> tuple[Path, dict[str, Any], SearchResult]:
+    """The file of the quick design, what the command says of it as JSON, and what its search found."""
     folder = tmp_path_factory.mktemp("usual")
     (folder / "arm.yaml").write_text(three_joint.text)
+    search, found = design_module.search, []
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        patch.setattr(design_module, "search", lambda *given: found.append(search(*given)) or found[0])
         told = CliRunner().invoke(build_app(), ["excite", "arm.yaml", "-o", "t.yaml", "--json", *QUICK])
     assert told.exit_code == 0, told.output
-    return folder / "t.yaml", json.loads(told.stdout)
+    return folder / "t.yaml", json.loads(told.stdout), found[0]
 
 
-def test_it_designs_writes_and_prints(monkeypatch, capsys, folder):
+@pytest.fixture
+def searched(usual, monkeypatch) -> SearchResult:
+    """Search as `usual` did, which takes most of a design: for what is done before and after."""
+    monkeypatch.setattr(design_module, "search", lambda *_: usual[2])
+    return usual[2]
+
+
+def test_it_designs_writes_and_prints(monkeypatch, capsys, folder, searched):
     status, out, _ = run(
         monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", "--page", "t.html", "--periods", "2", *QUICK
     )
@@ -71,7 +81,7 @@ def test_it_designs_writes_and_prints(monkeypatch, capsys, folder):
 def test_json_is_one_object_with_the_figures_and_an_earlier_design_is_improved_or_kept(
     monkeypatch, capsys, folder, usual
 ):
-    path, told = usual
+    path, told, _ = usual
     assert told["file"] == "t.yaml"
     assert told["page"] is None
     assert told["search"]["interrupted"] is False
@@ -82,7 +92,7 @@ def test_json_is_one_object_with_the_figures_and_an_earlier_design_is_improved_o
     assert (
         told["figures"]["forecast"]["scaled_condition"] < 50
     )  # which optimum a start ends in differs between processors
-    more = ("--starts", "1", "--harmonics", "2", "--period", "5", "--from", str(path), "--json")
+    more = ("--starts", "1", "--harmonics", "1", "--period", "5", "--from", str(path), "--json")
     again = json.loads(run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "b.yaml", *more)[1])
     assert again["cost"] <= 1.02 * told["cost"]
 
@@ -107,36 +117,26 @@ def test_a_payload_and_single_joints(monkeypatch, capsys, folder, usual):
     assert {"Fv1", "Fs1"} <= set(json.loads(out)["figures"]["forecast"]["unexcited"])
 
 
-def interrupted_search(keep: bool):
-    real = design_module.search
-
-    def search(*arguments, **named):
-        found = real(*arguments, **named)
-        return replace(found, interrupted=True, best=found.best if keep else None)
-
-    return search
-
-
-def test_ctrl_c_writes_the_best_so_far(monkeypatch, capsys, folder):
-    monkeypatch.setattr(design_module, "search", interrupted_search(keep=True))
-    status, out, _ = run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", *LARGEST)
+def test_ctrl_c_writes_the_best_so_far(monkeypatch, capsys, folder, searched):
+    monkeypatch.setattr(design_module, "search", lambda *_: replace(searched, interrupted=True))
+    status, out, _ = run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", *QUICK)
     assert status == 0
     assert "Ctrl-C ended the search" in out
     load_trajectory(folder / "t.yaml", load_robot(folder / "arm.yaml").robot)
 
 
-def test_ctrl_c_before_anything_was_found_writes_nothing(monkeypatch, capsys, folder):
-    monkeypatch.setattr(design_module, "search", interrupted_search(keep=False))
-    status, out, err = run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", *LARGEST)
+def test_ctrl_c_before_anything_was_found_writes_nothing(monkeypatch, capsys, folder, searched):
+    monkeypatch.setattr(design_module, "search", lambda *_: replace(searched, interrupted=True, best=None))
+    status, out, err = run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "t.yaml", *QUICK)
     assert (status, out) == (130, "")
     assert "interrupted" in err
     assert not (folder / "t.yaml").exists()
 
 
-def test_an_existing_file_stays_unless_forced(monkeypatch, capsys, folder):
-    assert run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "there.yaml", *LARGEST)[0] == 2
+def test_an_existing_file_stays_unless_forced(monkeypatch, capsys, folder, searched):
+    assert run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "there.yaml", *QUICK)[0] == 2
     assert (folder / "there.yaml").read_text() == "a file of the user"
-    assert run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "there.yaml", "--force", *LARGEST)[0] == 0
+    assert run(monkeypatch, capsys, "excite", "arm.yaml", "-o", "there.yaml", "--force", *QUICK)[0] == 0
     assert yaml.safe_load((folder / "there.yaml").read_text())["kind"] == "fourier"
 
 
