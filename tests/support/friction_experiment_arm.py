@@ -76,10 +76,10 @@ def sweeps(warmer: float = 10.0, seed: int = 1) -> tuple[Recording, ...]:
     told, recordings = arm(told=True), []
     heavy = parse_robot(told.text.replace("mass: 2", "mass: 3"), where="arm", folder=None)
     check = ArmMotionCheck(told)
+    choices = [SweepChoices(pose=name, stroke=1.6, slowest=0.3, speeds=4) for name in POSES]
+    motions = [velocity_sweep(told, check, choice).motion for choice in choices]
     for index in range(4):
-        name = list(POSES)[index % 2]
-        choices = SweepChoices(pose=name, stroke=1.6, slowest=0.3, speeds=4)
-        motion = velocity_sweep(told, check, choices).motion
+        motion = motions[index % 2]
         cold = 22.0 + warmer * (index // 2)
         heat = np.linspace(cold, cold + 0.2 * warmer, round(motion.duration * RATE))[:, None] * [1.0, 0.95]
         loaded = heavy if index % 2 else told
