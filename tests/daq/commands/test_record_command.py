@@ -11,8 +11,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable
 from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -22,13 +20,13 @@ import numpy as np
 import pytest
 import yaml
 from kinematic_arm import FIRST_STAMP, NAMES, RATE, ROBOT_FILE, KinematicArm
+from record_process import IN_REAL_TIME, IN_SIMULATED_TIME, LIMIT, ROOT, SUPPORT, in_a_process, wait_for
 
 from daq.motion.player import MotionSequence
 from daq.motion.trajectory_file import load_trajectory
 from daq.recording.growing_file import SPARE
 from daq.recording.reader import read_recording
 from daq.recording.recover import follow_recording, half_written
-from daq.session import session
 from drivers import declaration
 from drivers.canopen402.declaration import DECLARATION as DRIVES
 from drivers.core.errors import RecordingError
@@ -40,8 +38,6 @@ TRAJECTORY = {
     "points": [[0.1, -0.1], [0.3, 0.1], [0.0, 0.0]],
     "durations": [0.8, 0.8],
 }
-LIMIT = 60.0
-"""How long [s] something that must happen in another process may take, however busy the computer is."""
 
 
 @pytest.fixture
@@ -430,64 +426,6 @@ def test_a_speed_scale_that_is_no_share_exits_2(bench, dynid, scale):
     said = refused(bench, dynid, *PLAY[2:], "--yes", "--speed-scale", scale)
     assert ("is not a finite number" if scale == "nan" else "is not above 0 and at most 1") in said
     assert "need --trajectory" in refused(bench, dynid, "--duration", "1", "--speed-scale", "0.5", "-o", "run.h5")
-
-
-ROOT = Path(session.__file__).parents[2]
-SUPPORT = Path(sys.modules["kinematic_arm"].__file__).parent
-IN_SIMULATED_TIME = """
-import resource
-import drivers.core.clock
-from kinematic_arm import KinematicArm
-from simulated_clock import SimulatedClock
-drivers.core.clock.SYSTEM_CLOCK = SimulatedClock()
-arm = KinematicArm(rate=2000.0, clock=drivers.core.clock.SYSTEM_CLOCK)
-resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
-"""
-IN_REAL_TIME = """
-from pathlib import Path
-from kinematic_arm import KinematicArm
-
-class Arm(KinematicArm):
-    def read(self, timeout):
-        Path("begun").touch()
-        return super().read(timeout)
-
-arm = Arm()
-"""
-MAIN = """
-import sys
-from types import SimpleNamespace
-from drivers import declaration
-from dynid import command
-entry = SimpleNamespace(name="kinematic", load=lambda: declaration.DriverDeclaration(lambda settings: arm))
-declaration.entry_points = lambda group: [entry]
-try:
-    command.main()
-finally:
-    with open("arm.txt", "w") as told:
-        print(len(arm.commands) > 0, arm.stopped_at is not None, arm.commands_after_stop, file=told)
-"""
-
-
-def in_a_process(code, folder, *arguments):
-    """`dynid record` with the driver `kinematic` in a process of its own; `code` runs first and has `arm` to set."""
-    return subprocess.Popen(
-        [sys.executable, "-c", code + MAIN, "record", "robot.yaml", *arguments],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(SUPPORT)])},
-    )
-
-
-def wait_for(condition: Callable[[], object], process: subprocess.Popen[str]) -> None:
-    """Wait until something is true while a process runs."""
-    end = time.monotonic() + LIMIT
-    while not condition():
-        assert process.poll() is None, process.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 @pytest.mark.parametrize(("beyond", "old"), [(300_000, False), (370_000, True)])

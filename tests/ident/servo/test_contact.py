@@ -22,7 +22,7 @@ STEP = 1.5e-3
 @pytest.fixture(scope="module")
 def motions():
     robot = load_robot("so101")
-    return read_motions(dynid.simulate_servo(robot, duration=10.0, seed=4), robot)
+    return read_motions(dynid.simulate_servo(robot, duration=20.0, seed=4), robot)
 
 
 @pytest.mark.parametrize("raised", [0.02, None])

@@ -210,8 +210,8 @@ def test_recordings_whose_commands_and_positions_do_not_belong_together_are_refu
     position, command = (stream.channels[name].values for name in ("position", "target_position"))
     stuck, stopped, against = position.copy(), position.copy(), command.copy()
     stuck[:, 2], stopped[300:, 1], against[:, 1] = position[0, 2], position[300, 1], -command[:, 1]
-    rest = stream.channels["target_position"], Stream(COMMANDS_STREAM, stream.time[:450], stream.time[:450], {})
-    cut = dataclasses.replace(rest[1], channels={"target_position": dataclasses.replace(rest[0], values=command[:450])})
+    rest = stream.channels["target_position"], Stream(COMMANDS_STREAM, stream.time[:600], stream.time[:600], {})
+    cut = dataclasses.replace(rest[1], channels={"target_position": dataclasses.replace(rest[0], values=command[:600])})
     bare = dataclasses.replace(stream, channels={"position": stream.channels["position"]})
     mistakes = {
         "late by 0.3 s": (changed(other, target_position=np.roll(command, 15, axis=0)), "two clocks are apart"),
