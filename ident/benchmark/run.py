@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
 
 from daq.recording.recording import Recording
+from drivers.core.cluster import cluster_executor
 from drivers.core.errors import DataError, DynidError
 from drivers.core.reading_process import Progress
 from drivers.core.software import software_versions
@@ -45,6 +47,7 @@ def run_benchmark(
     folder: Path,
     *,
     fetch: bool = False,
+    scheduler: str = "",
     progress: Progress = lambda step: None,
 ) -> Benchmark:
     """Every method on every data set.
@@ -54,13 +57,14 @@ def run_benchmark(
         methods: name → `module:function`.
         folder: the mirror with the data sets' files.
         fetch: download what the folder lacks and has an address.
+        scheduler: of a Dask cluster (tcp://host:8786), whose workers see the folder; empty for this computer.
         progress: called with what is being done.
 
     Raises:
         DataError: the folder has none of the data sets.
         WorkError: a download failed.
+        UsageError, ConnectionFailedError: no such cluster.
     """
-    entries: list[Entry] = []
     skipped: list[Skipped] = []
     present = []
     for dataset in datasets:
@@ -74,29 +78,46 @@ def run_benchmark(
         present.append(dataset)
     if not present:
         raise DataError(skipped[0].reason if skipped else "no data set is named")
-    for dataset in present:
-        for name, place in methods.items():
-            progress(f"{dataset.name}: {name}")
-            entry = _entry(dataset, name, place, folder)
-            if entry is not None:
-                entries.append(entry)
+    with _judge(folder, scheduler) as judge:
+        begun = []
+        for dataset in present:
+            for name, place in methods.items():
+                if METHODS.get(name) == place and (name in SERVO_METHODS) != (dataset.kind == "servo"):
+                    continue
+                progress(f"{dataset.name}: {name}")
+                begun.append((Entry(dataset.name, name), judge(dataset, place)))
+        entries = [entry for empty, judged in begun if (entry := _entry(empty, judged)) is not None]
     return Benchmark(tuple(present), tuple(entries), tuple(skipped), dict(software_versions()))
 
 
-def _entry(dataset: Dataset, name: str, place: str, folder: Path) -> Entry | None:
+Judge = Callable[[Dataset, str], Future[Judged]]
+
+
+@contextmanager
+def _judge(folder: Path, scheduler: str) -> Iterator[Judge]:
+    """What judges: the workers of a cluster, else one process after the other, so that none slows another down."""
+    if scheduler:
+        with cluster_executor(scheduler) as executor:
+            yield lambda dataset, place: executor.submit(judge_method, dataset, place, folder)
+        return
+
+    def in_a_process(dataset: Dataset, place: str) -> Future[Judged]:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            return pool.submit(judge_method, dataset, place, folder)
+
+    yield in_a_process
+
+
+def _entry(empty: Entry, judging: Future[Judged]) -> Entry | None:
     """A method's figures on a data set; None where it is not for this kind."""
-    if METHODS.get(name) == place and (name in SERVO_METHODS) != (dataset.kind == "servo"):
-        return None
-    empty = Entry(dataset.name, name)
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        try:
-            judged = pool.submit(judge_method, dataset, place, folder).result()
-        except DynidError as error:
-            return replace(empty, failure=str(error))
-        except BrokenProcessPool:
-            return replace(empty, failure="its process ended: out of memory, or a crash")
-        except Exception as error:  # whatever a third party's method raises is its result, not the end of the others'
-            return replace(empty, failure=f"{type(error).__name__}: {error}")
+    try:
+        judged = judging.result()
+    except DynidError as error:
+        return replace(empty, failure=str(error))
+    except BrokenProcessPool:
+        return replace(empty, failure="its process ended: out of memory, or a crash")
+    except Exception as error:  # whatever a third party's method raises is its result, not the end of the others'
+        return replace(empty, failure=f"{type(error).__name__}: {error}")
     if judged.score is None:
         return None
     return replace(

@@ -113,6 +113,11 @@ class SearchOptions(Options):
         one_of=get_args(Solver),
     )
     workers: int | None = option(None, meaning="processes; one per core where None, this one alone where 1.")
+    scheduler: str = option(
+        "",
+        "Dask scheduler whose workers search, too (tcp://host:8786).",
+        meaning="of a Dask cluster (tcp://host:8786), whose workers search in place of further processes.",
+    )
 
 
 SMALLEST_STROKE = 0.1

@@ -11,14 +11,11 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
-from drivers.core.errors import ConnectionFailedError, UsageError
+from drivers.core.cluster import cluster_executor
 from ident.fleet.job import JobOutcome, run_job
 from ident.fleet.plan import Job
 
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-
-CONNECT_TIMEOUT = 20.0
-"""For the scheduler's first answer [s]."""
 
 
 def outcomes(jobs: Sequence[Job], out: str, workers: int, scheduler: str) -> Iterator[JobOutcome]:
@@ -55,15 +52,7 @@ def _submitter(workers: int, scheduler: str) -> Iterator[Submit]:
             context.set_forkserver_preload(["ident.fleet.job", "ident.tasks.identification"])
             yield lambda job, out: pool.submit(_in_a_process, context, job, out)
         return
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise UsageError("a scheduler needs Dask", where="--scheduler", hint="pip install 'dynid[dask]'") from error
-    try:
-        client = Client(scheduler, timeout=CONNECT_TIMEOUT)  # type: ignore[no-untyped-call]
-    except (OSError, ValueError) as error:
-        raise ConnectionFailedError(f"no Dask scheduler answers: {error}", where=scheduler) from error
-    with client, client.get_executor(pure=False) as executor:  # type: ignore[no-untyped-call]
+    with cluster_executor(scheduler) as executor:
         yield lambda job, out: executor.submit(run_job, job, out)
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,7 +12,8 @@ import numpy as np
 from daq.plotting import Backend
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import IdentificationError
+from drivers.core.cluster import cluster_executor
+from drivers.core.errors import IdentificationError, UsageError
 from drivers.core.options import keywords_of
 from drivers.core.text import in_percent, json_text
 from drivers.core.units import common_unit
@@ -32,8 +33,8 @@ from ident.model.regressor import RegressorKernel
 from ident.report.comparison_page import comparison_figure, comparison_page
 from ident.result.tables import Cell, Column, Table, table_of_rows
 from ident.signals.options import PreprocessChoices
-from ident.tasks.arguments import SavedResult, held_out_of, recordings_of
-from ident.tasks.options import CompareOptions
+from ident.tasks.arguments import SavedResult, held_out_of, paths_of, recordings_of
+from ident.tasks.options import CompareOptions, silent
 
 COMPARISON_FILE = "comparison.json"
 """Name of the figures in the folder that `save` writes."""
@@ -233,7 +234,8 @@ def compare(options: CompareOptions) -> MethodComparison:
     """Identify with several methods and set their errors on held-out recordings side by side.
 
     Raises:
-        InputError: invalid recordings, methods or friction models.
+        InputError: invalid recordings, methods or friction models; recordings that are no paths for a scheduler.
+        ConnectionFailedError: the scheduler does not answer.
         IdentificationError: no method has a solution.
 
     Example:
@@ -242,32 +244,70 @@ def compare(options: CompareOptions) -> MethodComparison:
         >>> dynid.compare(run, ("ols", "wls"), validation=other).differences.columns[1].heading
         'difference [N·m]'
     """
-    cases = [
-        (method, model, _choices(method, model, options.delay, options.split))
-        for method in options.methods
-        for model in options.friction or ("",)
-    ]
-    recordings, held_out = recordings_of(options.runs), held_out_of(options.validation)
-    robot_file = None if options.robot is None else load_robot(options.robot)
-    models: list[ComparedModel] = []
+    cases = [(method, model) for method in options.methods for model in options.friction or ("",)]
+    compared = list(_on_a_cluster(options, cases) if options.scheduler else _one_by_one(options, cases))
+    models = [model for case in compared for model in case.models]
+    solved = next((case for case in compared if case.labels), None)
+    if solved is None:
+        raise IdentificationError(f"no method has a solution; {models[0].label}: {models[0].failure}")
+    return MethodComparison(solved.arm, solved.labels, solved.groups, tuple(models), solved.unit)
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What one method and friction model gave; `labels` of the held-out recordings are empty where it failed."""
+
+    models: tuple[ComparedModel, ...]
+    arm: str = ""
+    unit: str = ""
     groups: tuple[JointGroup, ...] = ()
     labels: tuple[str, ...] = ()
-    for method, model, choices in cases:
+
+
+def _one_by_one(options: CompareOptions, cases: Sequence[tuple[str, str]]) -> Iterator[_Case]:
+    recordings, held_out = recordings_of(options.runs), held_out_of(options.validation)
+    robot_file = None if options.robot is None else load_robot(options.robot)
+    for method, model in cases:
         options.progress(f"{method} {model}".strip())
+        choices = _choices(method, model, options.delay, options.split)
         start = time.process_time()
         try:
             identification = identify_recordings(recordings, held_out, choices, robot_file)
         except IdentificationError as error:
-            models.append(ComparedModel(method, model, "full", float("nan"), (), float("nan"), str(error)))
+            yield _Case((ComparedModel(method, model, "full", float("nan"), (), float("nan"), str(error)),))
             continue
         seconds = time.process_time() - start
         groups = joint_groups(identification.model.joint_names)
         labels = tuple(labelled(run.signals.label, run.overlap) for run in identification.validation_runs)
-        models += _models(method, model, identification, groups, seconds)
-    if not labels:
-        raise IdentificationError(f"no method has a solution; {models[0].label}: {models[0].failure}")
-    arm = (robot_file or recordings[0].robot()).robot
-    return MethodComparison(arm.name, labels, groups, tuple(models), common_unit("N·m", arm.sliding))
+        arm = (robot_file or recordings[0].robot()).robot
+        models = tuple(_models(method, model, identification, groups, seconds))
+        yield _Case(models, arm.name, common_unit("N·m", arm.sliding), groups, labels)
+
+
+def _on_a_cluster(options: CompareOptions, cases: Sequence[tuple[str, str]]) -> Iterator[_Case]:
+    """Every case on a worker, which reads the recordings itself.
+
+    Raises:
+        UsageError: recordings that are no paths, which would go through the scheduler; no Dask.
+        ConnectionFailedError: the scheduler does not answer.
+    """
+    given = [
+        run
+        for runs in (options.runs, options.validation)
+        for run in (runs if isinstance(runs, list | tuple) else [runs])
+    ]
+    if len(paths_of(given)) < len(given):
+        raise UsageError("a scheduler's workers read recordings by path", hint="save them, and give their paths")
+    sent = replace(options, scheduler="", progress=silent)
+    with cluster_executor(options.scheduler) as executor:
+        futures = [executor.submit(_on_a_worker, sent, case) for case in cases]
+        for (method, model), future in zip(cases, futures, strict=True):
+            options.progress(f"{method} {model}".strip())
+            yield future.result()
+
+
+def _on_a_worker(options: CompareOptions, case: tuple[str, str]) -> _Case:
+    return next(_one_by_one(options, [case]))
 
 
 def _choices(method: str, friction: str, delay: float | None, split: float | None) -> IdentifyChoices:

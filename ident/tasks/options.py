@@ -130,6 +130,7 @@ class CompareOptions(Options):
     split: float | None = _split_option()
     robot: str | Path | RobotFile | None = _robot_option()
     delay: float | None = delay_option()
+    scheduler: str = option("", "Identify on a Dask cluster (tcp://host:8786).")
     progress: Progress = _progress_option()
 
     def __post_init__(self) -> None:

@@ -10,6 +10,7 @@ import pytest
 from command_line import stored
 
 import dynid
+from drivers.core.errors import UsageError
 from dynid import command
 
 pytestmark = pytest.mark.usefixtures("stated_friction")
@@ -46,6 +47,25 @@ def test_errors_are_those_of_an_identification(comparison, runs):
     assert model.runs[0].rmse == pytest.approx(rmse, rel=0.05)
     largest = max(*model.runs[0].low_speed_max, *model.runs[0].high_speed_max)
     assert largest == pytest.approx(max(result.validation.max_error), rel=1e-9)
+
+
+def test_a_cluster_compares_the_same_from_paths(comparison, runs, tmp_path):
+    distributed = pytest.importorskip("distributed", reason="needs the extra 'dask'")
+    paths = [tmp_path / f"{number}.h5" for number in range(4)]
+    for run, path in zip(runs, paths, strict=True):
+        run.save(path)
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as local:
+        scheduler = local.scheduler_address
+        chosen = {"friction": ["coulomb-viscous"], "validation": paths[1:], "scheduler": scheduler}
+        far = dynid.compare(paths[0], ["wls", "ols"], **chosen)
+        with pytest.raises(UsageError, match="read recordings by path"):
+            dynid.compare(runs[0], scheduler=scheduler)
+    here = {model.label: model for model in comparison.models}
+    assert [model.label for model in far.models if model.parameters == "full"] == [
+        "wls, coulomb-viscous",
+        "ols, coulomb-viscous",
+    ]
+    assert all(model.runs == here[model.label].runs for model in far.models)
 
 
 def test_the_wrong_friction_model_is_significantly_worse(comparison):

@@ -24,6 +24,7 @@ def bench(
     download: bool = typer.Option(False, "--download", help="Fetch missing files that have an address."),
     listed: bool = typer.Option(False, "--list", help="List data sets and methods, and judge nothing."),
     out: Path = typer.Option(None, "-o", "--out", help="Folder for benchmark.json and report.html."),
+    scheduler: str = typer.Option("", "--scheduler", help="Judge on a Dask cluster (tcp://host:8786)."),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
@@ -62,7 +63,7 @@ def bench(
     if data is None:
         raise UsageError("no folder with the data sets' files", hint="--data FOLDER, or DYNID_DATA; dynid bench --list")
     with progress_line(quiet=as_json) as progress:
-        result = run_benchmark(chosen, entries, data, fetch=download, progress=progress)
+        result = run_benchmark(chosen, entries, data, fetch=download, scheduler=scheduler, progress=progress)
         if out is not None:
             result.save(out, overwrite=force)
     if as_json:

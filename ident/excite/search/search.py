@@ -6,7 +6,7 @@ import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -17,9 +17,11 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.child_process import started_without_interrupt
 from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.cluster import cluster_executor
 from drivers.core.errors import DynidError, IdentificationError
 from ident.excite.choices import SearchOptions, Solver
 from ident.excite.search.acceptance import accepted
+from ident.excite.search.on_cluster import ClusterStarts, TimeIsUpError
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.problem import DesignProblem
 from ident.excite.search.start import CandidateMotion, Finished, Report, no_tick, random_start, run_start
@@ -35,10 +37,6 @@ _CHECKS_IN_RESERVE = 8.0
 """Time kept for the last check and the figures of the result, in checks of a motion on the dense grid."""
 _LARGEST_RESERVE = 0.2
 """The same, as a share of the whole time at most."""
-
-
-class TimeIsUpError(Exception):
-    """The search's time is over."""
 
 
 class SearchProcesses:
@@ -234,13 +232,14 @@ def search(
     Raises:
         NoFeasiblePoseError: no pose was found that keeps all limits; names the one that excludes them.
         IdentificationError: a process crashed, and the result would depend on it.
+        UsageError, ConnectionFailedError: no such cluster.
         DynidError: from building the problem.
     """
     if choices.starts is None and choices.time is None:
         raise ValueError("a search needs a number of starts or a time limit")
     begun = clock.now() if begun is None else begun
     left = None if choices.time is None else begun + choices.time - clock.now()
-    with SearchProcesses(choices.processes - 1, make, choices.seed, choices.solver, choices.starts, left) as others:
+    with _others(choices, make, left) as others:
         run = _Run(problem, choices, others, progress, clock, begun)
         try:
             run.all_starts(first)
@@ -251,6 +250,25 @@ def search(
         return run.result()
 
 
+@contextmanager
+def _others(
+    choices: SearchChoices, make: Callable[[], DesignProblem], left: float | None
+) -> Iterator[SearchProcesses | ClusterStarts]:
+    """Who searches beside this process."""
+    if not choices.scheduler:
+        with SearchProcesses(
+            choices.processes - 1, make, choices.seed, choices.solver, choices.starts, left
+        ) as processes:
+            yield processes
+        return
+    with cluster_executor(choices.scheduler) as executor:
+        starts = ClusterStarts(executor, make, choices.seed, choices.solver, choices.starts, left)
+        try:
+            yield starts
+        finally:
+            starts.end()
+
+
 class _Run:
     """State of this process: its starts, the best of all, the time."""
 
@@ -258,7 +276,7 @@ class _Run:
         self,
         problem: DesignProblem,
         choices: SearchChoices,
-        others: SearchProcesses,
+        others: SearchProcesses | ClusterStarts,
         progress: Callable[[SearchResult], None],
         clock: Clock,
         begun: float,

@@ -178,6 +178,9 @@ def test_the_method_of_the_docs_runs_from_the_current_folder(mirror, exact, monk
     assert 5.0 < entry.error < 120.0
     assert entry.memory > 10.0
     assert "cannot be imported" in lost.failure
+    monkeypatch.setattr(run, "cluster_executor", lambda _: ThreadPoolExecutor(1))
+    far = run_benchmark([exact], chosen_methods(("documented_method:fit",)), mirror, scheduler="tcp://elsewhere")
+    assert [(one.method, one.score) for one in far.entries] == [(entry.method, entry.score)]
 
 
 def test_the_data_set_of_the_docs_is_valid():

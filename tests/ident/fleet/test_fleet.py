@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 import dynid
+from drivers.core import cluster
 from drivers.core.errors import ConnectionFailedError, UsageError
 from ident.fleet import workers
 from ident.fleet.fleet import FLEET_RESULT, identify_fleet
@@ -114,15 +115,15 @@ def test_a_worker_that_dies_is_an_outcome(tmp_path, monkeypatch):
 def test_a_dask_cluster_does_the_same(tmp_path):
     distributed = pytest.importorskip("distributed", reason="needs the extra 'dask'")
     jobs = read_fleet(written(tmp_path, "arms: [{name: a, recordings: [a.h5, b.h5]}]"))
-    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as cluster:
-        ended = list(workers.outcomes(jobs, str(tmp_path), 1, cluster.scheduler_address))
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as local:
+        ended = list(workers.outcomes(jobs, str(tmp_path), 1, local.scheduler_address))
     assert sorted(outcome.name for outcome in ended) == ["a/a/wls", "a/b/wls"]
     assert all("no such file" in outcome.failure for outcome in ended)
 
 
 def test_a_scheduler_that_is_not_there_is_named(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="needs the extra 'dask'")
-    monkeypatch.setattr(workers, "CONNECT_TIMEOUT", 0.2)
+    monkeypatch.setattr(cluster, "CONNECT_TIMEOUT", 0.2)
     with pytest.raises(ConnectionFailedError, match="no Dask scheduler answers"):
         list(workers.outcomes((), str(tmp_path), 1, "tcp://127.0.0.1:9"))
     monkeypatch.setitem(sys.modules, "distributed", None)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import active_children
 from multiprocessing.connection import wait
 
@@ -149,3 +151,26 @@ def test_a_process_that_does_not_answer_is_ended(monkeypatch):
 def test_a_search_needs_an_end():
     with pytest.raises(ValueError, match="time limit"):
         search_toy(SearchChoices(starts=None))
+
+
+def test_a_cluster_finds_the_same_as_this_process_alone():
+    distributed = pytest.importorskip("distributed", reason="needs the extra 'dask'")
+    alone = search_toy(SearchChoices(seed=3, starts=4, workers=1))
+    with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as local:
+        found = search_toy(SearchChoices(seed=3, starts=4, scheduler=local.scheduler_address))
+        with pytest.raises(UsageError, match="on purpose"):
+            search_toy(SearchChoices(seed=3, starts=4, scheduler=local.scheduler_address), fault="raise")
+    assert alone.best is not None
+    assert found.best is not None
+    assert np.array_equal(alone.best.variables, found.best.variables)
+    assert (alone.best.start, alone.finished) == (found.best.start, found.finished)
+
+
+def test_a_worker_of_a_cluster_that_is_lost_is_noticed(monkeypatch):
+    class Lost(ThreadPoolExecutor):
+        def submit(self, *_):
+            return super().submit(os.strerror, "not a number")
+
+    monkeypatch.setattr(processes_module, "cluster_executor", lambda _: Lost(1))
+    with pytest.raises(IdentificationError, match="process crashed"):
+        search_toy(SearchChoices(seed=3, starts=2, scheduler="tcp://nowhere"))
