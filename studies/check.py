@@ -297,6 +297,9 @@ def stale_rows(table: Block, printed: Sequence[Row]) -> list[tuple[Row, str]]:
     assert table.measurement is not None
     measurement, found = table.measurement, []
     everything = [number for other in printed for number in other.numbers] if measurement.anywhere else []
+    if not any(row.numbers for row in table.rows):  # all columns are left out: the words are what can be compared
+        words = {other.words for other in printed}
+        return [(row, "no such row") for row in table.rows if row.words not in words]
     for row in table.rows:
         if not row.numbers:
             continue
@@ -529,10 +532,12 @@ def check(tables: Sequence[Block], seconds: float, *, writing: bool = False, out
         made_by_hand: list[Block] = []
         for table in of_command:
             assert table.measurement is not None
-            stale = stale_rows(table, printed_rows(output, table.measurement.skip))
-            good &= not stale and not failure
-            if failure:
-                print(f"  {table.place}: FAILED ({failure})", flush=True)
+            printed = printed_rows(output, table.measurement.skip)
+            stale = stale_rows(table, printed)
+            empty = "has no rows" if not table.rows else "nothing was printed" if not printed else ""
+            good &= not stale and not failure and not empty
+            if failure or empty:
+                print(f"  {table.place}: FAILED ({failure or empty})", flush=True)
             elif stale:
                 print(f"  {table.place}: STALE, {len(stale)} of {len(table.rows)} rows, {table.at}", flush=True)
                 alike = [other for other in of_command if other.heading == table.heading]

@@ -74,6 +74,21 @@ def test_a_table_of_another_shape_has_its_numbers_anywhere(check):
     assert stale(check, page, printed.replace("6.8461", "6.86")) == ["`ur10`, public"]
 
 
+def test_a_row_of_which_every_column_is_left_out_must_still_be_printed(check):
+    page = PAGE.replace("skip: CPU s", "skip: CPU s; error [%]; kept")
+    assert stale(check, page, PRINTED.replace("| ur10, public", "| `ur10`, public")) == []
+    assert stale(check, page, "") == ["`ur10`, public", "panda"]
+
+
+@pytest.mark.parametrize(("rows", "printed"), [(0, PRINTED), (2, "")])
+def test_an_empty_table_is_an_error(check, monkeypatch, capsys, rows, printed):
+    monkeypatch.setattr(check, "output_of", lambda *_: (printed, "", "now"))
+    lines = PAGE.splitlines()
+    tables = list(check.blocks_of("page.md", "\n".join(lines[: 5 + rows])))
+    assert not check.check(tables, 1.0)
+    assert "FAILED" in capsys.readouterr().out
+
+
 def test_the_tolerance_is_relative(check):
     page = PAGE.replace("skip: CPU s", "skip: CPU s | within: 10 %")
     assert stale(check, page, PRINTED.replace("6.849", "6.3")) == []

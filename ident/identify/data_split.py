@@ -16,9 +16,10 @@ from drivers.core.text import percent_text
 from ident.assessment.validation import HELD_OUT_SHARE
 from ident.identify.held_friction import HeldFriction
 from ident.regression.least_squares import LEAST_TORQUE
+from ident.signals.copied_runs import same_noise
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
-from ident.signals.sample_hashes import HashArray, kept_hashes, overlap, same_noise, sample_hashes
+from ident.signals.sample_hashes import HashArray, kept_hashes, overlap, sample_hashes
 from ident.signals.segments import played_window
 
 
