@@ -215,4 +215,4 @@ def quantity_of(parameter: StandardParameter) -> str:
 
 
 def _entries(values: FloatArray) -> tuple[tuple[int, float], ...]:
-    return tuple((int(joint), float(values[joint])) for joint in np.flatnonzero(values))
+    return tuple((joint, value) for joint, value in enumerate(values.tolist()) if value)

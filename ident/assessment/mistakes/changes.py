@@ -174,11 +174,17 @@ class Changes:
         basis = np.linalg.qr(stacked(self._own).T)[0]
         torque = stacked(self.refit.instants.torque[:, None])[0]
         rest = torque - basis @ (basis.T @ torque)
-        gains = []
+        products = []
         for change in changes:
             columns = stacked(change.columns)
             across = columns - (columns @ basis) @ basis.T
-            gains.append(float(across @ rest @ np.linalg.pinv(across @ across.T, hermitian=True) @ (across @ rest)))
+            products.append((across @ across.T, across @ rest))
+        gains = np.zeros(len(changes))
+        for width in {len(right) for _, right in products}:
+            places = [n for n, (_, right) in enumerate(products) if len(right) == width]
+            inverses = np.linalg.pinv(np.array([products[n][0] for n in places]), hermitian=True)
+            rights = np.array([products[n][1] for n in places])
+            gains[places] = np.einsum("ni,nij,nj->n", rights, inverses, rights)
         order = sorted(range(len(changes)), key=lambda n: -gains[n])
         mistakes = [n for n in order if changes[n].what != "friction"][:MOST_FITTED]
         rivals = [n for n in order if changes[n].what == "friction"][:MOST_FITTED]

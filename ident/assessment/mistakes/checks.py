@@ -59,7 +59,8 @@ def mistake_checks(
         return []
     # Friction that was taken off has the sign of what was believed: columns and signs compete for what was recorded.
     recorded = [_as_recorded(run) for run in runs]
-    competition = Competition(model, experiment, base, solution.active, instants(kernel, recorded))
+    held = any(segment.known_torque is not None for run in runs for segment in run.segments)
+    competition = Competition(model, experiment, base, solution.active, instants(kernel, recorded) if held else few)
     folded = unsigned_torques(competition, recorded)
     if folded:
         return [_unsigned_check([model.joint_names[joint] for joint in folded])]

@@ -94,19 +94,16 @@ class CandidateGrams:
 
 def solve_columns(gram: FloatArray, chosen: Sequence[int]) -> FloatArray | None:
     """Values (d − 1,) of all columns that fit the last one best with the chosen ones; None where they depend."""
-    from scipy.linalg import cho_factor, cho_solve
+    from scipy.linalg import lapack
 
     picked = np.array(chosen)
     scale = np.sqrt(gram[picked, picked])
     if not np.all(scale > 0.0):
         return None
-    try:
-        root = cho_factor(gram[picked[:, None], picked] / (scale[:, None] * scale), lower=True, check_finite=False)
-    except np.linalg.LinAlgError:
+    root, failed = lapack.dpotrf(gram[picked[:, None], picked] / (scale[:, None] * scale), lower=True, clean=False)
+    if failed or np.min(np.diagonal(root)) < INDEPENDENT:
         return None
-    if np.min(np.diagonal(root[0])) < INDEPENDENT:
-        return None
-    values = cho_solve(root, gram[picked, -1] / scale, check_finite=False)
+    values, _ = lapack.dpotrs(root, gram[picked, -1] / scale, lower=True)
     parameters = np.zeros(len(gram) - 1)
     parameters[picked] = values / scale
     return parameters
