@@ -68,7 +68,7 @@ def refusal(problems: Iterable[ErrorDetails], schema: type[BaseModel], connectio
     by_path: dict[str, tuple[str, str, str]] = {}
     for problem in problems:
         path, field, section = locate(schema, problem["loc"])
-        by_path.setdefault(path, _words(problem, path, field, section))
+        by_path.setdefault(path, _words(problem, field, section))
     if len(by_path) == 1:
         ((path, (before, after, hint)),) = by_path.items()
         name = f"{before}'{path}' of {connection}" if path else connection
@@ -81,7 +81,7 @@ def refusal(problems: Iterable[ErrorDetails], schema: type[BaseModel], connectio
     return UsageError(f"{len(texts)} keys of {connection} are wrong: {'; '.join(texts[:MOST_PROBLEMS])}{more}")
 
 
-def _words(problem: ErrorDetails, path: str, field: FieldInfo | None, section: type[BaseModel]) -> tuple[str, str, str]:
+def _words(problem: ErrorDetails, field: FieldInfo | None, section: type[BaseModel]) -> tuple[str, str, str]:
     """What stands before and after the key's name, and the hint."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind in {"extra_forbidden", "invalid_key"}:

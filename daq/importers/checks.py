@@ -45,7 +45,7 @@ def check_samples(samples: ImportedSamples, choices: ImportChoices, where: str) 
     samples = _finite(samples, choices, where)
     samples = _rising(samples, choices, where)
     _plausible_rate(samples, choices, where)
-    samples = _opposite(_fresh(samples, choices, where), choices)
+    samples = _opposite(_fresh(samples, choices), choices)
     if samples.commands is None:
         return samples
     commands = _checked_commands(samples.commands, samples.time, choices, where)
@@ -194,7 +194,7 @@ def _restart(time: FloatArray) -> int | None:
     return None
 
 
-def _fresh(samples: ImportedSamples, choices: ImportChoices, where: str) -> ImportedSamples:
+def _fresh(samples: ImportedSamples, choices: ImportChoices) -> ImportedSamples:
     """Drop rows and positions that repeat those before them, where that repair was requested."""
     if DROP_REPEATS not in choices.repair:
         return samples

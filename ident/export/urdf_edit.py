@@ -66,7 +66,7 @@ def edited_urdf(arm: ExportedArm, xml: str, where: str) -> str:
             _remove(links[name], "inertial")
     for name, position in locked.items():
         _fix(document, joints[name], position)
-    exact = _exact_right_angles(document, arm, joints, carriers)
+    exact = _exact_right_angles(arm, joints, carriers)
     lines = notes(arm)
     if locked:
         lines.append(f"Fixed where they were locked: {', '.join(f'{n} at {p:g}' for n, p in locked.items())}.")
@@ -153,9 +153,7 @@ def _fix(document: Document, joint: Element, position: float) -> None:
         _remove(joint, tag)
 
 
-def _exact_right_angles(
-    document: Document, arm: ExportedArm, joints: Mapping[str, Element], carriers: set[str]
-) -> list[str]:
+def _exact_right_angles(arm: ExportedArm, joints: Mapping[str, Element], carriers: set[str]) -> list[str]:
     """Write angles such as 1.5708 in full where the identification took them as right angles; names of the joints."""
     by_child = {_child_link(joint): joint for joint in joints.values()}
     changed = []

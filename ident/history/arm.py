@@ -107,7 +107,7 @@ def _parameter(name: str, values: Sequence[tuple[float, KeptValue]], step_level:
 
 
 def _judged(parameters: Sequence[ParameterHistory]) -> list[ParameterHistory]:
-    """Changes by falling significance; what is below Holm's bound is a finding."""
+    """Parameters by falling significance of their change; what is below Holm's bound is a finding."""
 
     def p_value(entry: ParameterHistory) -> float:
         return np.inf if entry.trend is None else entry.trend.p_value

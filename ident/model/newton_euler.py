@@ -120,7 +120,7 @@ class Recursion:
             return
         parent = self._stacks[joint.parent][..., :count]
         carried[:, 0:3] = parent[:, 0:3]
-        offset = self._offset(joint, position, count)
+        offset = self._offset(joint, position)
         if self._stacks[index].shape[1] > 3:
             self._carry_axes(joint, parent, offset, count)
         omega, alpha, linear = carried[:, 0:1], carried[:, 1:2], carried[:, 2:3]
@@ -146,7 +146,7 @@ class Recursion:
         linears = carried[:, 4 + below : 5 + 2 * below]
         _add_cross(angulars, offset, count, linears, self._term[: below + 1, :count])
 
-    def _offset(self, joint: Joint, position: FloatArray, count: int) -> Direction:
+    def _offset(self, joint: Joint, position: FloatArray) -> Direction:
         """Origin of the joint's frame in its parent's."""
         constant = joint.translation
         if not joint.prismatic:
@@ -242,7 +242,7 @@ class LinkTorques(Recursion):
         # offset × force is force × offset taken away
         self._vector[:, :count] = 0.0
         turned = self._vector[:, None, :count]
-        _add_cross(lowered[:, :1], self._offset(joint, position, count), count, turned, self._term[:1, :count])
+        _add_cross(lowered[:, :1], self._offset(joint, position), count, turned, self._term[:1, :count])
         parent[:, 1] -= turned[:, 0]
 
 

@@ -90,7 +90,7 @@ def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable
             lower[place] = 0.0 if kind not in TERM or TERM[kind].brakes else -size
         lower, upper = _scaled(reference, lower, upper, share, BODY_SIZE * links)
         names = physical_names(model)
-        chosen = [place for place in _acting(of_active, reference, links) if lower[place] < upper[place]]
+        chosen = [place for place in _acting(of_active, links) if lower[place] < upper[place]]
         physical = PhysicalCost(PhysicalParameters.of(model, reference, [names[c] for c in chosen]), cost, of_active)
         box = SearchBox(lower[chosen], upper[chosen], [names[c] for c in chosen])
 
@@ -108,7 +108,7 @@ def physical_space(setup: Setup, feasible: bool, share: float = 1.0) -> Callable
     return space
 
 
-def _acting(projection: FloatArray, reference: FloatArray, links: int) -> list[int]:
+def _acting(projection: FloatArray, links: int) -> list[int]:
     """Physical parameters that act on some base parameter, for the reference bodies or others."""
     acts = np.any(np.abs(projection) > 0.0, axis=0)
     for link in range(links):

@@ -88,7 +88,7 @@ def doubts(
         suspicions.append((True, f"{name} was commanded to move, and its position never changes: its encoder is stuck"))
     share = residual_share(seen, fit)
     if share > POOR_FIT:
-        suspicions += _wrong_sign(model, seen, fit) or _wrong_gravity(robot_file, model, base, seen, fit)
+        suspicions += _wrong_sign(model, seen, fit) or _wrong_gravity(robot_file, model, seen, fit)
     suspicions += _opposite_masses(robot_file, model, base, fit, seen)
     suspicions += _drift(model, seen, fit)
     if visits.unbalanced:
@@ -131,7 +131,7 @@ def _wrong_sign(model: DynamicModel, visits: Sequence[Visit], fit: GravityFit) -
 
 
 def _wrong_gravity(
-    robot_file: RobotFile, model: DynamicModel, base: BaseParameters, visits: Sequence[Visit], fit: GravityFit
+    robot_file: RobotFile, model: DynamicModel, visits: Sequence[Visit], fit: GravityFit
 ) -> list[tuple[bool, str]]:
     torque, rows = (np.array([visit.mean[direction] for visit in visits]) for direction in (0, 1))
     poses = np.array([visit.pose for visit in visits])

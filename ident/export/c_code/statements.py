@@ -100,7 +100,7 @@ def statements(graph: Graph, function: Function, joints: int, dialect: Dialect) 
     for i, row in enumerate(function.rows):
         for j, entry in enumerate(row):
             place = f"[{i}][{j}]" if function.matrix else f"[{j}]"
-            lines.append(f"{function.output}{place} = {_output(graph, entry, texts, dialect)};")
+            lines.append(f"{function.output}{place} = {_output(graph, entry, texts)};")
     return lines
 
 
@@ -136,7 +136,7 @@ def _bound(text: _Text, looseness: int) -> str:
     return text.text if text.looseness <= looseness else f"({text.text})"
 
 
-def _output(graph: Graph, entry: Expression, texts: dict[int, _Text], dialect: Dialect) -> str:
+def _output(graph: Graph, entry: Expression, texts: dict[int, _Text]) -> str:
     text = texts[entry.node]
     if not entry.negative:
         return text.text

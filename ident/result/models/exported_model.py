@@ -306,14 +306,14 @@ def _nearest(model: DynamicModel, value_of: dict[str, float]) -> dict[str, float
         if not plain or (len(own) == len(plain) and not bent):
             continue
         speed = np.linspace(0.0, model.limits[motor].velocity, SPEEDS + 1)[1:]
-        curve = np.sum([value_of[column.name] * _signal(model, column, motor, speed, load) for column in own], axis=0)
+        curve = np.sum([value_of[column.name] * _signal(model, column, speed, load) for column in own], axis=0)
         columns = np.column_stack([np.ones_like(speed) if kind == "coulomb" else speed for kind in plain])
         values |= dict(zip(plain.values(), _not_negative(columns, curve), strict=True))
     return values
 
 
 def _signal(
-    model: DynamicModel, parameter: StandardParameter, motor: int, speed: FloatArray, load: FloatArray | None
+    model: DynamicModel, parameter: StandardParameter, speed: FloatArray, load: FloatArray | None
 ) -> FloatArray:
     """The signal (m,) of a motor's friction column at positive speeds (m,), alone in motion."""
     column = replace(joint_column(model, parameter), motion=((0, 1.0),))
