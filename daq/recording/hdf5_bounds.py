@@ -66,12 +66,12 @@ class Hdf5Bounds:
     def _stays_within(self, group: Any, path: str) -> bool:
         """Whether a path leads to something without passing another link."""
         place = group.file if path.startswith("/") else group
-        for part in path.split("/"):
-            if part in ("", "."):
+        for step in path.split("/"):
+            if step in ("", "."):
                 continue
-            if not isinstance(place, h5py.Group) or not isinstance(place.get(part, getlink=True), h5py.HardLink):
+            if not isinstance(place, h5py.Group) or not isinstance(place.get(step, getlink=True), h5py.HardLink):
                 return False
-            place = place[part]
+            place = place[step]
         return True
 
     def check_dataset(self, dataset: Any) -> None:

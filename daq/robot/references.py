@@ -49,16 +49,16 @@ class JointNames:
 
 def row_problems(rows: Sequence[tuple[str, str]]) -> tuple[str, ...]:
     """Problems of the names (joint, antecedent) of an MDH table's rows."""
-    problems, known = [], [BASE]
+    problems, names = [], [BASE]
     for joint, antecedent in rows:
         if joint == BASE:
             problems.append("a joint is named 'base'")
-        elif joint in known:
+        elif joint in names:
             problems.append(f"'mdh' names joint '{joint}' twice")
-        if antecedent not in known:
-            allowed = ", ".join(sorted(known))
+        if antecedent not in names:
+            allowed = ", ".join(sorted(names))
             problems.append(f"joint '{joint}' has antecedent '{antecedent}', but before it come only: {allowed}")
-        known.append(joint)
+        names.append(joint)
     return tuple(dict.fromkeys(problems))
 
 
@@ -85,9 +85,9 @@ def name_problems(names: JointNames) -> tuple[str, ...]:
             if key not in joints and not (section == "drives" and key in names.passive)
         ]
     for section, keys in names.link_keys:
-        known = links if section in ("truth.links", "prior.links") else (BASE, *links)
+        allowed = links if section in ("truth.links", "prior.links") else (BASE, *links)
         problems += [
-            f"'{section}' names '{key}', but there are only: {', '.join(known)}" for key in keys if key not in known
+            f"'{section}' names '{key}', but there are only: {', '.join(allowed)}" for key in keys if key not in allowed
         ]
     problems += [
         f"'poses.{name}' has {count} position(s), but the arm has {len(joints)} joints: {', '.join(joints)}"

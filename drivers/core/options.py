@@ -161,9 +161,9 @@ def check_kind(name: str, type_name: str, value: Any) -> None:
         sound = sound and not isinstance(value, bool)
     elif sound and "[str" in plain:
         inside = [*value, *value.values()] if isinstance(value, Mapping) else list(value)
-        sound = isinstance(value, str) or all(isinstance(part, str) for part in inside)
+        sound = isinstance(value, str) or all(isinstance(piece, str) for piece in inside)
     elif sound and plain == "tuple[float, float]":
-        sound = len(value) == 2 and all(isinstance(part, numbers.Real) for part in value)
+        sound = len(value) == 2 and all(isinstance(piece, numbers.Real) for piece in value)
     if not sound:
         raise UsageError(f"{name} {textwrap.shorten(repr(value), _SHOWN, placeholder=' …')} is not {words}")
 

@@ -118,7 +118,9 @@ def _expanded_size(node: yaml.Node, sizes: dict[int, int]) -> int:
     size = sizes.get(id(node))
     if size is None:
         sizes[id(node)] = 1  # of an alias within its own value, which is not written out
-        children = [part for pair in node.value for part in pair] if isinstance(node, yaml.MappingNode) else node.value
+        children = (
+            [member for pair in node.value for member in pair] if isinstance(node, yaml.MappingNode) else node.value
+        )
         size = 1
         if not isinstance(node, yaml.ScalarNode):
             size += sum(_expanded_size(child, sizes) for child in children)

@@ -107,7 +107,7 @@ def chosen_method(text: str) -> MethodChoice:
         options = TypeAdapter(method.options).validate_strings(given)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        option = ".".join(str(part) for part in first["loc"][:1])
+        option = ".".join(str(step) for step in first["loc"][:1])
         described = describe_method(name)
         hint = next(line.strip() for line in described.splitlines() if line.strip().startswith(f"{option}="))
         message = first["msg"].removeprefix("Value error, ")

@@ -281,9 +281,9 @@ def _moving(model: DynamicModel, names: tuple[str, ...] | None) -> tuple[int, ..
         return tuple(range(model.dof))
     for name in names:
         if name not in model.joint_names:
-            known = f"joints: {', '.join(model.joint_names)}"
+            joints = f"joints: {', '.join(model.joint_names)}"
             raise UsageError(
-                f"no joint is called '{name}'", where=model.name, hint=did_you_mean(name, model.joint_names) or known
+                f"no joint is called '{name}'", where=model.name, hint=did_you_mean(name, model.joint_names) or joints
             )
     return tuple(joint for joint, name in enumerate(model.joint_names) if name in names)
 

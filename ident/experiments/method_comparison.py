@@ -87,9 +87,9 @@ def run_errors(series: Sequence[TorqueSeries], groups: Sequence[JointGroup]) -> 
     Raises:
         DataError: no sample counts (the arm never moves).
     """
-    counted = np.concatenate([part.counted & np.isfinite(part.predicted) for part in series], axis=1)
-    errors = np.abs(np.concatenate([part.measured - part.predicted for part in series], axis=1))
-    slow = np.abs(np.concatenate([part.velocity for part in series], axis=1)) < LOW_SPEED
+    counted = np.concatenate([torque.counted & np.isfinite(torque.predicted) for torque in series], axis=1)
+    errors = np.abs(np.concatenate([torque.measured - torque.predicted for torque in series], axis=1))
+    slow = np.abs(np.concatenate([torque.velocity for torque in series], axis=1)) < LOW_SPEED
     errors = np.where(counted, errors, 0.0)
     low, high = counted & slow, counted & ~slow
     return RunErrors(

@@ -144,8 +144,8 @@ class FrictionTerms:
         shape = TERM[option.kinds[0]].shape
         if shape is None:
             return terms
-        known = option.shape if value is None else value
-        return terms.with_shape(shape.name, motor, shape.first if known is None else known, free=known is None)
+        own = option.shape if value is None else value
+        return terms.with_shape(shape.name, motor, shape.first if own is None else own, free=own is None)
 
     def option(self, group: str, motor: int) -> FrictionOption | None:
         """What a motor has of a group of options; None where it has nothing of it."""
@@ -213,10 +213,10 @@ def friction_terms(friction: Friction, joint_names: Sequence[str]) -> FrictionTe
 
 
 def _check_words(words: Sequence[str]) -> None:
-    known = tuple(option.word for option in OPTIONS)
+    allowed = tuple(option.word for option in OPTIONS)
     for word in words:
-        if word not in known:
-            hint = did_you_mean(word, known) or f"terms are {', '.join(known)}"
+        if word not in allowed:
+            hint = did_you_mean(word, allowed) or f"terms are {', '.join(allowed)}"
             raise RobotFileError(f"no friction term is called '{word}'", where="friction: terms", hint=hint)
 
 

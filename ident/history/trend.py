@@ -148,7 +148,7 @@ def estimate_trend(series: Series, step_level: float) -> Trend | None:
     of_change[1] = 1.0
     of_change[first_step:] = 1.0
     change, change_half = fit.estimate(of_change)
-    found = [
+    estimated = [
         TrendStep(
             float(points.time[place - 1]),
             float(points.time[place]),
@@ -158,7 +158,9 @@ def estimate_trend(series: Series, step_level: float) -> Trend | None:
         for number, (place, p_value) in enumerate(steps)
     ]
     own_heat = _heat_columns(series.temperature, mean, heat.shape[1])
-    passed = np.array([[series.time[k] >= step.after for step in found] for k in range(len(series))], dtype=np.float64)
+    passed = np.array(
+        [[series.time[k] >= step.after for step in estimated] for k in range(len(series))], dtype=np.float64
+    )
     shape = np.column_stack([np.ones(len(series)), _relative(series.time, series), np.zeros_like(own_heat), passed])
     per_kelvin = fit.estimate(fit.unit(2)) if heat.shape[1] else (None, None)
     return Trend(
@@ -170,7 +172,7 @@ def estimate_trend(series: Series, step_level: float) -> Trend | None:
         per_kelvin_half=per_kelvin[1],
         mean_temperature=mean if heat.shape[1] else None,
         scatter=fit.scatter,
-        steps=tuple(sorted(found, key=lambda step: step.after)),
+        steps=tuple(sorted(estimated, key=lambda step: step.after)),
         corrected=series.value - own_heat @ fit.mean[2 : 2 + heat.shape[1]],
         line=shape @ fit.mean,
     )

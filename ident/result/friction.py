@@ -236,7 +236,7 @@ def friction_results(
 
     def of_motor(motor: int, joint: int) -> dict[str, Any]:
         kinds = [kind for kind in TERM if model.has(kind)[motor]]
-        found = friction_fields(
+        stated = friction_fields(
             model.terms,
             motor,
             kinds,
@@ -244,7 +244,7 @@ def friction_results(
             lambda kind: shape_std.get((kind, motor)) if kind in SHAPED else value(kind, joint, std),
         )
         if repeatability is not None:
-            found |= {f"{kind}_repeatability": value(kind, joint, repeatability) for kind in REPEATED_KINDS}
+            stated |= {f"{kind}_repeatability": value(kind, joint, repeatability) for kind in REPEATED_KINDS}
         places = [position.get((kind, joint)) for kind in TEMPERATURE_KINDS]
         if any(place in solution.active for place in places):
             # β is linear in Ft, Fts and Ftc.
@@ -255,9 +255,9 @@ def friction_results(
             for column, row in enumerate(rows):
                 if row is not None:
                     shares[:, row] = to_beta[:, column]
-            found["temperature"] = (to_beta @ np.array(values)).tolist()
-            found["temperature_std"] = np.sqrt(np.einsum("ij,jk,ik->i", shares, covariance, shares)).tolist()
-        return found
+            stated["temperature"] = (to_beta @ np.array(values)).tolist()
+            stated["temperature_std"] = np.sqrt(np.einsum("ij,jk,ik->i", shares, covariance, shares)).tolist()
+        return stated
 
     return [
         JointFrictionResult(joint=name, sliding=model.sliding[motor], **of_motor(motor, joint))

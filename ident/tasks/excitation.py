@@ -322,10 +322,10 @@ def design_gravity_motion(options: GravityMotionOptions) -> tuple[ExcitationTraj
         (True, ('S',))
     """
     robot_file = load_robot(options.robot)
-    known = None if options.prior is None else result_path(options.prior)
-    prior = find_prior(robot_file, known)
+    prior_path = None if options.prior is None else result_path(options.prior)
+    prior = find_prior(robot_file, prior_path)
     choices = same_named(options, GravityChoices)
-    designed = gravity_motion(robot_file, ArmMotionCheck(robot_file, known), prior, choices)
+    designed = gravity_motion(robot_file, ArmMotionCheck(robot_file, prior_path), prior, choices)
     comment = f"designed by dynid excite --for gravity: {len(designed.poses)} poses, each passed slowly from both sides"
     text, motion = _points_text(robot_file, designed.motion, comment)
     return ExcitationTrajectory(robot_file, text, motion, prior), designed

@@ -70,8 +70,8 @@ def time_stamps(bench: Bench) -> None:
             require(block.stream in layouts, f"a block of '{block.stream}', which streams() does not list")
             layout = layouts[block.stream]
             shapes = {channel.quantity: (len(block.time), len(channel.columns)) for channel in layout.channels}
-            found = {quantity: values.shape for quantity, values in block.values.items()}
-            require(found == shapes, f"a block of '{block.stream}' holds {found}, announced were {shapes}")
+            shape_of = {quantity: values.shape for quantity, values in block.values.items()}
+            require(shape_of == shapes, f"a block of '{block.stream}' holds {shape_of}, announced were {shapes}")
         for name, layout in layouts.items():
             stamps, arrivals = heard.stamps(name), heard.arrivals(name)
             require(bool(np.isfinite(stamps).all()), f"{name}: a time stamp is not finite")

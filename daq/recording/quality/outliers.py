@@ -186,7 +186,7 @@ def _confirmed(time: FloatArray, values: FloatArray, suspects: IntArray, scale: 
 
 
 def _confirm_runs(
-    time: FloatArray, values: FloatArray, first: IntArray, length: int, scale: float, found: BoolArray
+    time: FloatArray, values: FloatArray, first: IntArray, length: int, scale: float, confirmed: BoolArray
 ) -> None:
     """Test runs of `length` samples that begin at `first`; mark and replace the outliers among them, farthest first."""
     if len(first) == 0:
@@ -215,8 +215,8 @@ def _confirm_runs(
     for number in np.flatnonzero(outlying)[np.argsort(-distance[outlying])]:
         there = first[number] + run
         # The same glitch also seems to begin a sample earlier or later: the farthest counts.
-        if not found[max(0, there[0] - 1) : there[-1] + 2].any():
-            found[there] = True
+        if not confirmed[max(0, there[0] - 1) : there[-1] + 2].any():
+            confirmed[there] = True
             values[there] = prediction[number]
 
 

@@ -311,7 +311,7 @@ class InstrumentalEstimator(TorqueEstimator):
                 for rows in SegmentRows(self.setup.kernel, segment, run.parallel_filter, instruments):
                     if plain.joints[rows.motor].rows:
                         sums[rows.motor].add(np.vstack([rows.instruments, rows.regressor, rows.torque]))
-        return [part.factor() for part in sums]
+        return [entry.factor() for entry in sums]
 
 
 def _repetitions(runs: Sequence[Prepared]) -> list[tuple[Segment, ...]] | None:

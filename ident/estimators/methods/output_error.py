@@ -209,8 +209,8 @@ class OutputErrorEstimator(TorqueEstimator):
 def _inverse_rms(rows: Sequence[OutputRows]) -> FloatArray:
     """Weights (n,): one over the root mean square of each joint's error."""
     series = [row.series() for row in rows]
-    squares = sum(np.sum(part.residual**2, axis=1) for part in series)
-    count = sum(int(part.used.sum()) for part in series)
+    squares = sum(np.sum(torque.residual**2, axis=1) for torque in series)
+    count = sum(int(torque.used.sum()) for torque in series)
     return np.asarray(np.sqrt(max(count, 1) / np.maximum(squares, np.finfo(float).tiny)))
 
 

@@ -73,7 +73,7 @@ def noise_deviations(run: Prepared) -> FloatArray:
             f"no segment is longer than {2.0 * END_PERIODS / harmonics:.3g} s, so that none shows the positions' noise",
             hint="record without gaps, or use --method wls",
         )
-    squares, units = (sum(np.sum(part**2, axis=1) for part in parts) for parts in (measured, white))
+    squares, units = (sum(np.sum(block**2, axis=1) for block in parts) for parts in (measured, white))
     return np.asarray(np.sqrt(squares / units))
 
 

@@ -253,8 +253,8 @@ def median_deviations(normalised: Sequence[FloatArray]) -> FloatArray:
 
 def independent_samples(normalised: Sequence[FloatArray], torques: Sequence[int]) -> float:
     """Number of independent samples that the residuals of a joint are worth, mean over the joints."""
-    residuals = [np.where(np.isnan(part), 0.0, part)[list(torques)] for part in normalised]
-    samples = sum(int(np.sum(~np.isnan(part[list(torques)]))) for part in normalised) / max(1, len(torques))
+    residuals = [np.where(np.isnan(segment), 0.0, segment)[list(torques)] for segment in normalised]
+    samples = sum(int(np.sum(~np.isnan(segment[list(torques)]))) for segment in normalised) / max(1, len(torques))
     return samples * independent_share(lag_one(residuals))
 
 

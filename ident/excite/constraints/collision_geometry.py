@@ -183,8 +183,8 @@ def arm_geometry(robot_file: RobotFile, model: DynamicModel) -> ArmGeometry:
         RobotFileError: the URDF and the file's joints do not fit together.
     """
     robot = robot_file.robot
-    found = urdf_shapes(robot_file) if robot.model.urdf is not None else UrdfShapes({}, {}, {})
-    shapes = found.capsules
+    of_urdf = urdf_shapes(robot_file) if robot.model.urdf is not None else UrdfShapes({}, {}, {})
+    shapes = of_urdf.capsules
     tubes = tube_capsules(model, robot.model.mdh, robot.workspace)
     capsules: list[Capsule] = []
     for link in (BASE_INDEX, *range(len(model.joints))):
@@ -195,11 +195,13 @@ def arm_geometry(robot_file: RobotFile, model: DynamicModel) -> ArmGeometry:
         tool.append(_tool_tube(last, model.joints[last].name, robot.workspace))
     capsules += tool
     hulls: list[Hull] = []
-    if found.hulls:
+    if of_urdf.hulls:
         for link in (BASE_INDEX, *range(len(model.joints))):
-            hulls += found.hulls.get(link) or [hull_of_capsule(capsule) for capsule in capsules if capsule.link == link]
-        hulls += [hull_of_capsule(shape) for shape in tool if found.hulls.get(last)]
-    unread = tuple(f"{link_name(model, link)}: {why}" for link, why in sorted(found.unread.items()))
+            hulls += of_urdf.hulls.get(link) or [
+                hull_of_capsule(capsule) for capsule in capsules if capsule.link == link
+            ]
+        hulls += [hull_of_capsule(shape) for shape in tool if of_urdf.hulls.get(last)]
+    unread = tuple(f"{link_name(model, link)}: {why}" for link, why in sorted(of_urdf.unread.items()))
     names = tuple(link_name(model, link) for link in sorted(shapes))
     return ArmGeometry(tuple(capsules), names, tuple(hulls), unread)
 

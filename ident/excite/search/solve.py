@@ -21,9 +21,7 @@ REACHES = (0.5, 0.15)
 that jumps to 10⁵, or into a collision, does not return."""
 
 OPENING_REACH = 0.3
-"""A short round with sharp limits: from a feasible motion it soon reaches a better one that nearly keeps them, where
-narrow ranges leave a blunt round outside for long."""
-
+"""The same of `OPENING`."""
 CHECKED_DECREASE = 0.05
 """Decrease of the cost (a logarithm) from which on an iterate is worth a check before its round ends."""
 OUTSIDE_ITERATIONS = 5
@@ -51,6 +49,8 @@ class Round:
 
 
 OPENING = Round(4.0, 300.0, 25, 1e-3)
+"""A short round with sharp limits: from a feasible motion it soon reaches a better one that nearly keeps them, where
+narrow ranges leave a blunt round outside for long."""
 
 ROUNDS = (Round(4.0, 30.0, 100, 1e-4), Round(16.0, 100.0, 100, 1e-4), Round(64.0, 300.0, 100, 1e-4))
 

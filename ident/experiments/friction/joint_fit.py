@@ -183,7 +183,7 @@ class _JointFit:
         stacked = np.concatenate([solved.columns, *further, self._data.torque[:, None]], axis=1)
         count = self._data.count
         fold = self._data.index * (FOLDS * SHARES_OF_A_FOLD) // count % FOLDS
-        grams = np.array([stacked[fold == part].T @ stacked[fold == part] for part in range(FOLDS)])
+        grams = np.array([stacked[fold == block].T @ stacked[fold == block] for block in range(FOLDS)])
         rows = np.bincount(fold, minlength=FOLDS).astype(np.float64)[:, None]
         width = solved.columns.shape[1]
         own: dict[str, int] = {kind: solved.own + place for place, kind in enumerate(solved.kinds)}

@@ -191,8 +191,8 @@ def _gravity(model: DynamicModel, joint: int, position: FloatArray) -> FloatArra
 
 
 def _with_phases(periods: tuple[tuple[JointPeriod, ...], ...]) -> tuple[tuple[JointPeriod, ...], ...]:
-    found = []
+    alone = []
     for of_joint in periods:
         phases = motion_phases([sweep.velocity[None, :: sweep.parallel_filter.factor] for sweep in of_joint])
-        found.append(tuple(replace(sweep, phase=phase) for sweep, phase in zip(of_joint, phases, strict=True)))
-    return tuple(found)
+        alone.append(tuple(replace(sweep, phase=phase) for sweep, phase in zip(of_joint, phases, strict=True)))
+    return tuple(alone)

@@ -93,13 +93,15 @@ def analyse_gravity(
     if not np.any(base.projection[:, : LINK_SIZE * len(model.joints)]):
         raise DataError("gravity acts on no joint of this arm", where=file.robot.name, hint="there is nothing to find")
     signals = tuple(read_joint_signals(recording, file.robot) for recording in recordings)
-    found = [find_visits(signal, model, base) for signal in signals]
-    visits = [visit for of_run in found for visit in of_run.visits]
+    by_run = [find_visits(signal, model, base) for signal in signals]
+    visits = [visit for of_run in by_run for visit in of_run.visits]
     refuse_wrong_size(visits, model, recordings[0].label)
     progress("gravity")
     fit = fit_gravity(visits, model)
     together = Visits(
-        visits, [pose for part in found for pose in part.unbalanced], np.max([part.moved for part in found], axis=0)
+        visits,
+        [pose for run_visits in by_run for pose in run_visits.unbalanced],
+        np.max([run_visits.moved for run_visits in by_run], axis=0),
     )
     stuck = [name for name, moved in zip(model.joint_names, together.moved, strict=True) if not moved]
     concerns = doubts(file, model, base, together, fit, [name for name in stuck if name in commanded])
@@ -138,7 +140,7 @@ def analyse_gravity(
         recordings=[
             *(
                 _use(recording, "identification", len(passes.visits))
-                for recording, passes in zip(recordings, found, strict=True)
+                for recording, passes in zip(recordings, by_run, strict=True)
             ),
             *(_use(recording, "validation", 0) for recording in held_out),
         ],
@@ -283,15 +285,15 @@ def _of_joints(
     torque, rows = (np.array([visit.mean[direction] for visit in visits]) for direction in (0, 1))
     weighing = [index for index in range(base.count) if base.kinds[index] == "inertial" or _weighs(base, model, index)]
     gravity = rows[:, :, weighing] @ fit.values[weighing]
-    known = file_parameters(file, model, base)
+    file_values = file_parameters(file, model, base)
     joints = []
     for joint, limits in enumerate(model.limits):
         used, error = fit.used[:, joint], fit.held_out[:, joint]
         error = error[np.isfinite(error)]
         of_file = None
-        if known is not None and np.any(used):
+        if file_values is not None and np.any(used):
             inertial = [index for index, kind in enumerate(base.kinds) if kind == "inertial"]
-            rest = (torque[:, joint] - rows[:, joint][:, inertial] @ known[inertial])[used]
+            rest = (torque[:, joint] - rows[:, joint][:, inertial] @ file_values[inertial])[used]
             of_file = float(np.std(rest))
         joints.append(
             GravityJoint(

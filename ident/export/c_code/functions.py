@@ -181,7 +181,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
 
     held_links = held(inertial)
     gravity = tuple(held_link + float(weight) for held_link, weight in zip(held_links, dynamics.weight, strict=True))
-    rubbing_alone = tuple(part - float(weight) for part, weight in zip(rubbing, dynamics.weight, strict=True))
+    rubbing_alone = tuple(term - float(weight) for term, weight in zip(rubbing, dynamics.weight, strict=True))
     drifting_frames = joint_frames(graph, model, q, dq, still)
     drifting = link_motions(graph, drifting_frames, np.zeros(3))
     carried = tree_torques(drifting_frames, [link_wrench(*pair) for pair in zip(drifting, inertial, strict=True)])

@@ -99,10 +99,10 @@ def _panel(data: ReportData, joint: int, points: int) -> Panel:
     name = result.joints[joint]
     velocity = np.concatenate([series.velocity[joint, series.counted[joint]] for series in data.fit])
     residual = np.concatenate([series.residual[joint, series.counted[joint]] for series in data.fit])
-    known = np.flatnonzero(np.isfinite(residual))
-    if len(known) > points:
-        known = np.sort(np.random.default_rng(0).choice(known, points, replace=False))
-    velocity, residual = velocity[known], residual[known]
+    drawn = np.flatnonzero(np.isfinite(residual))
+    if len(drawn) > points:
+        drawn = np.sort(np.random.default_rng(0).choice(drawn, points, replace=False))
+    velocity, residual = velocity[drawn], residual[drawn]
     curve = _curve_velocity(velocity)
     coefficients = _coefficients(result.friction[joint])
     smoothing, friction = result.model_options.smoothing, result.friction[joint]
