@@ -66,7 +66,8 @@ def recorded(file: RobotFile, wire: str, motion: Motion) -> Recording:
 def main() -> None:
     """Print the table."""
     print(
-        "| arm | motion [s] | lag of a joint at most [rad] | torque prediction | held-out torque error [%] | simulation |"
+        "| arm | motion [s] | lag of a joint at most [rad] | torque prediction | held-out torque error [%] "
+        "| simulation |"
     )
     print("|---|---|---|---|---|---|")
     for arm in sys.argv[1:] or ARMS:
