@@ -29,7 +29,7 @@ from ident.monitor.labelled_contacts import (
     read_contacts,
     roc,
 )
-from ident.monitor.load_estimate import LoadEstimate, changed_load
+from ident.monitor.load_estimate import ToolLoad, changed_load
 from ident.monitor.monitor import Contact, Monitor, Residuals, earned_thresholds, joint_samples, sample_period
 from ident.monitor.thresholds import SAME_RATE, Thresholds
 from ident.report.monitor_page import write_monitor_page
@@ -97,7 +97,7 @@ class MonitoredRun:
     contacts: tuple[Contact, ...]
     smallest: tuple[SmallestForce, ...]
     delay: float
-    load: LoadEstimate | None
+    load: ToolLoad | None
     thresholds: Thresholds
     beyond: tuple[str, ...] = ()
     detectors: tuple[Detector, ...] = ()
