@@ -17,6 +17,7 @@ from pathlib import Path
 from benchmarks import startup
 from benchmarks.identification import (
     accuracy,
+    command,
     consistency,
     decimation,
     excitation,
@@ -43,6 +44,7 @@ GOALS = {
     "decimation_vs_column_loop": ("≥", 5.0),
     "help_vs_import_numpy": ("≤", 3.0),
     "import_vs_import_numpy": ("≤", 1.0),
+    "identify_vs_imports": ("≤", 2.0),
     "consistency_panda_ms": ("≤", 50.0),
     "consistency_vs_clarabel_on_rows": ("≥", 100.0),
     "simulate_vs_mj_step_loop_ur5e": ("≥", 1.0),
@@ -61,6 +63,7 @@ _RELATIONS = {"≥": operator.ge, "≤": operator.le}
 
 RUNS = (
     startup.run,
+    command.run,
     regressor.run_pinocchio,
     regressor.run_figaroh,
     parameters.run_pinocchio,
@@ -88,6 +91,7 @@ MODULES = (
     accuracy,
     decimation,
     startup,
+    command,
     pipeline,
     methods,
     consistency,

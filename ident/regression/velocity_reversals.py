@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from daq.recording.quality.windows import least_within
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from ident.model.joint_columns import combined
@@ -142,21 +143,17 @@ def _rest_mask(
 
 def _within_a_step(segment: Segment, steps: FloatArray) -> npt.NDArray[np.bool_]:
     """(n, N) joints whose positions stay within a step of their encoder for `SHORTEST_REST` or longer."""
-    from scipy.ndimage import maximum_filter1d, minimum_filter1d
-
     width = max(1, round(SHORTEST_REST * segment.rate))
-    spread = maximum_filter1d(segment.position, width, axis=1) - minimum_filter1d(segment.position, width, axis=1)
-    with np.errstate(invalid="ignore"):
-        still = spread <= TOGGLING * steps[:, None]  # false where the step is nan
+    window = width // 2, (width - 1) // 2
+    spreads = (-least_within(-row, *window) - least_within(row, *window) for row in segment.position)
+    # Nothing is still where the step is nan.
+    still = np.array([spread <= TOGGLING * step for spread, step in zip(spreads, steps, strict=True)])
     return _dilated(still, width)
 
 
 def _dilated(mask: npt.NDArray[np.bool_], width: int) -> npt.NDArray[np.bool_]:
-    """A mask (…, N) that reaches `width` // 2 samples further to both sides, one less before where it is even."""
-    from scipy.ndimage import maximum_filter1d
-
-    flags = mask.astype(np.uint8)
-    return np.asarray(maximum_filter1d(flags, width, axis=-1, mode="constant", origin=width % 2 - 1) > 0)
+    """A mask (…, N) that reaches `width` // 2 samples further to both sides, one less after where it is even."""
+    return ~least_within(~mask, (width - 1) // 2, width // 2)
 
 
 def _rubbing(kernel: RegressorKernel) -> Iterator[tuple[int, tuple[tuple[int, float], ...]]]:

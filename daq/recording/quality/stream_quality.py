@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from daq.recording.quality.windows import least_within
 from drivers.core.arrays import FloatArray
 
 LOST_FROM = 1.5
@@ -123,17 +124,14 @@ def _averaged_period(intervals: FloatArray) -> float:
 
 def _not_made_up(intervals: FloatArray, period: float) -> npt.NDArray[np.int64]:
     """Samples (k,) by which the stream is later after each interval than before it, by those that came in time."""
-    from scipy.ndimage import minimum_filter1d
-
     # Intervals that are skewed have a mean below their median, and would seem to make up for every loss.
     least = max(min(period, _averaged_period(intervals)), 1.0 / LONGEST_INTERVAL)
     late = np.concatenate([[0.0], np.cumsum(intervals / least - 1.0)])
     after, before = _averaged(period, len(intervals)), min(LEAST_AVERAGED, len(intervals))
     padded = np.pad(late, after, constant_values=np.inf)
     place = after + np.arange(len(intervals))
-    # `minimum_filter1d` is centred.
-    came = minimum_filter1d(padded, 2 * (after // 2) + 1)[place + 1 + after // 2]
-    lacking = came - minimum_filter1d(padded, 2 * (before // 2) + 1)[place - before // 2]
+    came = least_within(padded, 0, 2 * (after // 2))[place + 1]
+    lacking = came - least_within(padded, 2 * (before // 2), 0)[place]
     return np.asarray(np.maximum(np.round(np.minimum(lacking, LONGEST_INTERVAL)), 0.0).astype(np.int64))
 
 
