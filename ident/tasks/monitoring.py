@@ -30,7 +30,7 @@ from ident.monitor.labelled_contacts import (
     roc,
 )
 from ident.monitor.load_estimate import ToolLoad, changed_load
-from ident.monitor.monitor import Contact, Monitor, Residuals, earned_thresholds, joint_samples, sample_period
+from ident.monitor.monitor import Contact, Monitor, WatchedBatch, earned_thresholds, joint_samples, sample_period
 from ident.monitor.thresholds import SAME_RATE, Thresholds
 from ident.report.monitor_page import write_monitor_page
 from ident.result.models.model import Model
@@ -362,7 +362,7 @@ def explanation(learnt: Thresholds, delay: float) -> list[str]:
 
 
 def _detectors(
-    residuals: Residuals, thresholds: Thresholds, labelled: Sequence[LabelledContact]
+    residuals: WatchedBatch, thresholds: Thresholds, labelled: Sequence[LabelledContact]
 ) -> tuple[Detector, ...]:
     """The earned thresholds, and what users do today: one constant per joint, on the residual and on the torque."""
     if not labelled:
