@@ -19,7 +19,6 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from ident.estimators.feasible.pseudo_inertia import body_of, pseudo_inertia
-from ident.estimators.swarm.minimisation import SearchBox
 from ident.linear_algebra.independent_columns import DETERMINED, row_space
 from ident.model.dynamic_model import DynamicModel
 from ident.model.parameters import INERTIAL
@@ -60,21 +59,6 @@ class QuadraticCost:
         lengths = np.linalg.norm(self.root, axis=0)
         lengths = np.where(lengths > 0.0, lengths, 1.0)
         return np.asarray(np.linalg.lstsq(self.root / lengths, self.target, rcond=None)[0] / lengths)
-
-    def least_within(self, box: SearchBox) -> FloatArray:
-        """The exact optimum x (d,) of a box."""
-        from scipy.optimize import lsq_linear
-
-        # Variables scaled to the box: the solver's tolerances are absolute.
-        scaled = lsq_linear(
-            self.root * box.width,
-            self.target - self.root @ box.lower,
-            bounds=(np.zeros(box.size), np.ones(box.size)),
-            method="bvls",
-            tol=1e-14,
-            max_iter=100 * box.size,
-        )
-        return box.clip(box.lower + box.width * scaled.x)
 
     def cost(self, point: FloatArray) -> float:
         """The cost at one point (d,)."""
