@@ -408,23 +408,24 @@ def report_session(
 
     from daq.commands.console import print_json
     from daq.recording.quality.stream_quality import StreamQuality, stream_quality
-    from daq.recording.reader import read_recording
+    from daq.recording.reader import read_stamps
     from drivers.core.errors import RecordingError
 
     qualities: dict[str, StreamQuality] = {}
     try:
-        recording = read_recording(out)
-        qualities = {name: stream_quality(stream.time) for name, stream in recording.streams.items()}
+        qualities = {name: stream_quality(time) for name, time in read_stamps(out).items()}
     except RecordingError:
         if report.error is None:  # otherwise that error is what to tell
             raise
     punctuality = asdict(report.punctuality) if report.punctuality is not None else None
     if as_json:
         streams = {name: asdict(quality) for name, quality in qualities.items()}
-        ended = {"stopped_by": report.stopped_by, "heavy_loss": report.heavy_loss}
-        ended |= {"light_loss": report.light_loss, "overflow": report.overflow}
+        losses = {"heavy_loss": report.heavy_loss, "light_loss": report.light_loss, "overflow": report.overflow}
         moved = {name: asdict(figures) if figures is not None else None for name, figures in motions.items()}
-        print_json({"file": str(out), "streams": streams, **ended, "punctuality": punctuality, **moved})
+        print_json(
+            {"file": str(out), "streams": streams, "stopped_by": report.stopped_by, **losses}
+            | {"punctuality": punctuality, **moved}
+        )
         return
     for name, quality in qualities.items():
         print(f"{out}: {name}: {quality.samples} samples at {quality.rate_hz:.4g} Hz, {quality.lost} lost")

@@ -32,6 +32,7 @@ def recover_command(
     from daq.commands.console import print_json, progress_line
     from daq.output_files import intended_name, unfinished_files
     from daq.recording.quality.stream_quality import stream_quality
+    from daq.recording.reader import read_stamps
     from daq.recording.recover import half_written, recover
 
     intended = intended_name(file)
@@ -42,11 +43,11 @@ def recover_command(
             print(f"dynid: warning: {other} is unfinished, too (dynid recover {other})", file=sys.stderr)
     with progress_line(quiet=as_json) as progress:
         progress(f"reading {source}")
-        rescued = recover(source, target, overwrite=force)
-    qualities = {name: stream_quality(stream.time) for name, stream in rescued.recording.streams.items()}
+        cut = recover(source, target, overwrite=force)
+    qualities = {name: stream_quality(time) for name, time in read_stamps(target).items()}
     if as_json:
         streams = {name: asdict(quality) for name, quality in qualities.items()}
-        print_json({"file": str(target), "streams": streams, "cut": dict(rescued.cut)})
+        print_json({"file": str(target), "streams": streams, "cut": cut})
         return
     for name, quality in qualities.items():
-        print(f"{target}: {name}: {quality.samples} samples rescued, {rescued.cut[name]} announced but not written")
+        print(f"{target}: {name}: {quality.samples} samples rescued, {cut[name]} announced but not written")

@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 
 from drivers.core.errors import DiskError
-from drivers.core.files import RECORDING_FILE, size_text
+from drivers.core.files import LONG_RECORDING_FILE, size_text
 
 
 class FailsafeFile:
@@ -144,9 +144,9 @@ class GrowingFile:
             DiskError: the system refuses it, or the file would be too large for a reader; it can still be closed.
         """
         end = self.file.id.get_filesize() + size + SPARE
-        if end > RECORDING_FILE.largest:
+        if end > LONG_RECORDING_FILE.largest:
             raise DiskError(
-                f"has reached {size_text(RECORDING_FILE.largest)}, the largest recording that is read",
+                f"has reached {size_text(LONG_RECORDING_FILE.largest)}, the largest recording that is read",
                 hint="record in parts",
             )
         if end <= self._reserved or not hasattr(os, "posix_fallocate"):

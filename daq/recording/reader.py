@@ -55,6 +55,16 @@ def read_recording(path: str | Path, part: tuple[float, float] | None = None) ->
     )
 
 
+def read_stamps(path: Path) -> dict[str, FloatArray]:
+    """Stream → its stamps (N,) [s] by the source's clock, however large the file.
+
+    Raises:
+        RecordingError: as `read_recording`.
+    """
+    _check_file(path, LONG_RECORDING_FILE)
+    return read_apart(lambda progress: _opened(path, lambda file: _stamps(file, path)), path, RecordingError)
+
+
 def recording_seconds(path: Path) -> float:
     """How long a recording lasts [s], however large its file.
 
@@ -119,6 +129,13 @@ def _has_hdf5_signature(path: Path) -> bool:
         raise RecordingError(f"cannot be read: {error.strerror}", where=str(path)) from error
 
 
+def _stamps(file: Any, path: Path) -> dict[str, FloatArray]:
+    try:
+        return {name: np.asarray(group["time"], dtype=np.float64) for name, group in file["streams"].items()}
+    except (OSError, LookupError, RuntimeError, TypeError, ValueError, AttributeError) as error:
+        raise RecordingError("is not a recording of dynid, or damaged", where=str(path)) from error
+
+
 def _seconds(file: Any, path: Path) -> float:
     """Longest of its streams."""
     try:
@@ -179,7 +196,7 @@ def _read(file: Any, path: Path, part: tuple[float, float] | None) -> Recording:
         complete=bool(attributes.get("complete", False)),
         streams=streams,
         events=tuple(
-            event for event in _read_events(members.get("events"), bounds) if part is None or _is_in(event.time, within)
+            event for event in read_events(members.get("events"), bounds) if part is None or _is_in(event.time, within)
         ),
     )
 
@@ -265,7 +282,8 @@ def _read_clock(group: Any, name: str, rows: slice, where: str) -> FloatArray:
     return stamps
 
 
-def _read_events(table: Any, bounds: Hdf5Bounds) -> tuple[Event, ...]:
+def read_events(table: Any, bounds: Hdf5Bounds) -> tuple[Event, ...]:
+    """The events of a file's table; none where it is None."""
     if table is None:
         return ()
     bounds.check_dataset(table)

@@ -368,17 +368,7 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
     if not isinstance(recording, Recording):
         hint = "dynid.Recording.from_dataframe and from_dict make one"
         raise UsageError(f"{given_kind(recording)} is not a recording", hint=hint)
-    layouts = [
-        StreamLayout(
-            name=stream.name,
-            channels=tuple(
-                ChannelLayout(channel.quantity, channel.columns, channel.unit, channel.description, channel.magnitude)
-                for channel in stream.channels.values()
-            ),
-            rate=_nominal_rate(stream.time),
-        )
-        for stream in recording.streams.values()
-    ]
+    layouts = layouts_of(recording)
     size = sum(_bytes_of(layout, len(recording.streams[layout.name].time)) for layout in layouts)
     if size + SPARE > RECORDING_FILE.largest:
         largest = size_text(RECORDING_FILE.largest)
@@ -403,6 +393,21 @@ def write_recording(path: str | Path, recording: Recording, *, overwrite: bool =
         writer.take_place(overwrite=overwrite)
     finally:
         writer.discard()
+
+
+def layouts_of(recording: Recording) -> list[StreamLayout]:
+    """The layouts of its streams, with the rates that the stamps have."""
+    return [
+        StreamLayout(
+            name=stream.name,
+            channels=tuple(
+                ChannelLayout(channel.quantity, channel.columns, channel.unit, channel.description, channel.magnitude)
+                for channel in stream.channels.values()
+            ),
+            rate=_nominal_rate(stream.time),
+        )
+        for stream in recording.streams.values()
+    ]
 
 
 def _refused(error: OSError, path: Path) -> DynidError:

@@ -360,7 +360,7 @@ class Supervisor:
         last = np.searchsorted(times, host_time, side="right")
         # Most often all positions are near what was commanded before each of them.
         if (common := targets[first.max() : last.min()]).size:
-            distance = np.maximum(common.min(0) - position, position - common.max(0))
+            distance: FloatArray = np.maximum(common.min(0) - position, position - common.max(0))
             if (distance <= bound).all():
                 return distance
         distance = np.zeros_like(position)

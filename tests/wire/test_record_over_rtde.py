@@ -487,5 +487,6 @@ def test_the_controllers_watchdog_ends_the_program_when_all_of_dynid_is_killed(t
         os.killpg(process.pid, signal.SIGKILL)  # the motion process, too
         process.wait(LIMIT)
         wait_for_rest(host)
-    rescued = recover(half_written(out), tmp_path / "rescued.h5").recording.streams["joints"]
+    recover(half_written(out), tmp_path / "rescued.h5")
+    rescued = read_recording(tmp_path / "rescued.h5").streams["joints"]
     assert_no_sample_is_missing(rescued.time, SELDOM)

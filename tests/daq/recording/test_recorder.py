@@ -191,7 +191,8 @@ def test_a_disk_that_refuses_what_it_granted_is_an_error_and_the_file_is_recover
     assert message.endswith(f"(rescue what was written: dynid recover {file})")
     assert path.read_text() == "old"
     assert unfinished_files(path) == [Path(file)]
-    rescued = recover(Path(file), tmp_path / "rescued.h5").recording
+    recover(Path(file), tmp_path / "rescued.h5")
+    rescued = read_recording(tmp_path / "rescued.h5")
     np.testing.assert_array_equal(rescued.streams["joints"].time, np.arange(int(refused)) / RATE)
     assert int(refused) >= 50
 
@@ -267,7 +268,7 @@ def test_of_two_recordings_of_one_name_the_second_keeps_its_unfinished_one(tmp_p
 
 def test_what_a_reader_would_refuse_is_not_recorded(tmp_path, clock, monkeypatch) -> None:
     """A recording ends in order before it has more bytes, or events, than are read of one."""
-    monkeypatch.setattr("daq.recording.growing_file.RECORDING_FILE", InputKind("a recording", SPARE + 60_000))
+    monkeypatch.setattr("daq.recording.growing_file.LONG_RECORDING_FILE", InputKind("a recording", SPARE + 60_000))
     recorder = Recorder(tmp_path / "long.h5", ROBOT_FILE, LAYOUTS, clock=clock)
     recorder.put(block(0, 100))
     clock.sleep(1.0)

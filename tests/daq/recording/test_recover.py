@@ -25,6 +25,7 @@ from daq.recording.recover import follow_recording, half_written, recover
 from daq.recording.writer import CHUNK_SECONDS, RecordingWriter
 from drivers.core import reading_process
 from drivers.core.errors import RecordingError, UsageError
+from drivers.core.files import InputKind
 from drivers.core.reading_process import read_apart
 from drivers.streams import ChannelLayout, StreamLayout
 
@@ -125,7 +126,7 @@ def test_whole_chunks_of_a_killed_recording_are_in_the_file(killed, life: float)
 
 @pytest.mark.parametrize(("number", "announced"), [(4, 0), (5, CHUNK)])
 def test_a_recording_that_died_within_a_chunk_is_rescued_up_to_it(
-    killed, tmp_path: Path, number: int, announced: int
+    killed, tmp_path: Path, monkeypatch, number: int, announced: int
 ) -> None:
     """A chunk is three writes: stamps, the host's stamps, positions; here the second chunk's last two or last one lack.
 
@@ -140,7 +141,37 @@ def test_a_recording_that_died_within_a_chunk_is_rescued_up_to_it(
     assert not rescued.complete
     assert "recovered" in rescued.events[-1].message
     assert rescued.events[0].message.startswith("τ")
-    assert found.cut == {"joints": announced}
+    assert found == {"joints": announced}
+    # As one that is too large for the memory:
+    monkeypatch.setattr(recover_module, "RECORDING_FILE", InputKind("a recording", 10))
+    monkeypatch.setattr(recover_module, "AT_ONCE", 1.2 * CHUNK_SECONDS)
+    assert recover(path, tmp_path / "parts.h5") == found
+    parts = read_recording(tmp_path / "parts.h5")
+    assert list(map(str, parts.events)) == list(map(str, rescued.events))
+    for name, channel in rescued.streams["joints"].channels.items():
+        np.testing.assert_array_equal(parts.streams["joints"].channels[name].values, channel.values)
+    np.testing.assert_array_equal(parts.streams["joints"].host_time, rescued.streams["joints"].host_time)
+
+
+def test_a_large_recording_is_copied_in_parts(tmp_path, monkeypatch):
+    path, times = tmp_path / "run.h5", np.arange(1700.0) / RATE
+    layouts = (
+        StreamLayout("joints", (ChannelLayout("position", NAMES),), RATE),
+        StreamLayout("thermal", (ChannelLayout("temperature", NAMES),), 1.0),
+    )
+    with RecordingWriter(path, ROBOT_FILE, layouts) as file:
+        file.append("joints", times, times + 3.0, {"position": np.sin(times)[:, np.newaxis] * [1.0, 2.0]})
+        file.append("thermal", times[100::500], times[100::500], {"temperature": np.full((4, 2), 20.0)})
+        file.event(float("nan"), "info", "x", "once")
+    monkeypatch.setattr(recover_module, "RECORDING_FILE", InputKind("a recording", 10))
+    monkeypatch.setattr(recover_module, "AT_ONCE", 0.7)
+    assert recover(path, tmp_path / "rescued.h5") == {"joints": 0, "thermal": 0}
+    rescued, whole = read_recording(tmp_path / "rescued.h5"), read_recording(path)
+    assert [event.message for event in rescued.events][:-1] == ["once"]
+    for name, stream in whole.streams.items():
+        np.testing.assert_array_equal(rescued.streams[name].host_time, stream.host_time)
+        for quantity, channel in stream.channels.items():
+            np.testing.assert_array_equal(rescued.streams[name].channels[quantity].values, channel.values)
 
 
 def test_what_is_no_recording_is_refused(tmp_path):
