@@ -13,7 +13,7 @@ import dynid
 from drivers.core.errors import UsageError
 from dynid import command
 
-pytestmark = pytest.mark.usefixtures("stated_friction")
+pytestmark = pytest.mark.usefixtures("stated_friction", "estimates_alone")
 
 
 @pytest.fixture(scope="module")

@@ -17,6 +17,8 @@ from ident.tasks.identification import identify
 from ident.tasks.validation import validate
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 DURATION = 12.0
 
 
@@ -77,6 +79,7 @@ def test_storage_and_validation_agree(held, tmp_path):
         assert np.allclose(parts, model.torque(q, dq, ddq, heat))
 
 
+@pytest.mark.usefixtures("with_checks")
 @pytest.mark.parametrize("factors", [(1.0, 1.0), (1.0, -1.0), (-1.0, 1.0)])
 def test_a_torque_of_the_wrong_sign_is_found_whatever_friction_is_held(folder, factors):
     run = exciting(1, 30.0, 31.0)
