@@ -13,12 +13,14 @@ that it depends on, without curvature, until one of them reaches its limit (Gill
 
 from __future__ import annotations
 
+import ctypes
 import math
 from operator import mul
 
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.compiled.library import address, kernels
 
 PRECISION = 5e-13
 """Velocity that counts as 0, as a share of |u_free| + |W|·f of the same direction: no unit matters."""
@@ -72,6 +74,28 @@ def dry_friction(matrix: FloatArray, free: FloatArray, limit: FloatArray, guess:
             sticking.remove(reached)
             sticking.append(released)
     raise ArithmeticError("dry friction: the matrix is not positive semidefinite")
+
+
+def quick_dry_friction(matrix: FloatArray, free: FloatArray, limit: FloatArray, guess: FloatArray) -> FloatArray:
+    """The same as `dry_friction`, in a tenth of the time where there is a compiled library.
+
+    Args:
+        matrix: as there; all of float64.
+        free: as there.
+        limit: as there.
+        guess: as there.
+
+    Raises:
+        ArithmeticError: W is not positive semidefinite.
+    """
+    library = kernels().quick
+    if library is None:
+        return dry_friction(matrix, free, limit, guess)
+    torque = guess.copy()
+    rows = [np.ascontiguousarray(array) for array in (matrix, free, limit, torque)]
+    if library.dynid_dry_friction(len(free), *(ctypes.c_void_p(address(row)) for row in rows)):
+        return dry_friction(matrix, free, limit, guess)  # which says why it cannot
+    return rows[-1]
 
 
 class _Sticking:

@@ -23,9 +23,10 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot, TruthJoint, TruthServo, TruthSupply
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
+from ident.compiled.library import kernels
 from ident.model.dynamics.rigid_arm import rigid_arm
 from ident.model.true_parameters import true_model, truth_vector
-from ident.simulation.dry_friction import dry_friction
+from ident.simulation.dry_friction import quick_dry_friction
 from sim_drivers.plant.friction import JointHeat
 
 STEP = 0.002
@@ -126,6 +127,7 @@ class ServoArm:
         self._copper = np.array([given.get(name, loss) for name, loss in zip(robot.joint_names, losses, strict=True)])
         self._warmth = np.zeros((2, count))
         self._steps = 0
+        kernels()  # built, where they do not stand yet, before the arm's clock runs
         self._change_temperature()
 
     @property
@@ -169,7 +171,7 @@ class ServoArm:
         response = np.linalg.inv(matrix)
         free, weights = np.asarray(response @ momentum, dtype=np.float64), np.asarray(h * response, dtype=np.float64)
         limits = self._friction(torque - h * stiffness * velocity)
-        self._guess = dry_friction(weights, free, limits, self._guess)
+        self._guess = quick_dry_friction(weights, free, limits, self._guess)
         rates = free - weights @ self._guess
         self._bodies = self._bodies + self.step * rates
         self._rates = np.where(np.abs(self._guess) < limits, 0.0, 2.0 * rates - self._rates)

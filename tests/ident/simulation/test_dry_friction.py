@@ -2,26 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
-
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from ident.compiled.library import address, kernels
-from ident.simulation.dry_friction import dry_friction
-
-
-def compiled_dry_friction(matrix, free, limit, guess):
-    """The same by the compiled kernel; by Python where there is none."""
-    if kernels().quick is None:
-        return dry_friction(matrix, free, limit, guess)
-    torque = guess.copy()
-    rows = [np.ascontiguousarray(array) for array in (matrix, free, limit, torque)]
-    assert kernels().quick.dynid_dry_friction(len(free), *(ctypes.c_void_p(address(row)) for row in rows)) == 0
-    return rows[-1]
-
+from ident.simulation.dry_friction import dry_friction, quick_dry_friction
 
 GUESSES = ("random", "none", "limits", "far")
 
@@ -67,7 +53,7 @@ def test_the_law_holds(count: int, rank: int, size: float, spread: float, guess:
     start = guessed(guess, limit, generator)
     unit = 10.0 ** generator.uniform(-spread, spread, count)  # metres beside radians, a wrist beside a base
     matrix = (unit[:, None] * directions) @ (unit[:, None] * directions).T  # singular where count > rank
-    for solve in (dry_friction, compiled_dry_friction):
+    for solve in (dry_friction, quick_dry_friction):
         found = solve(matrix, unit * free, limit / unit, start / unit)
         assert violation(matrix, unit * free, limit / unit, found) <= 1e-12
 
@@ -79,7 +65,7 @@ def test_nearly_dependent_directions_keep_it_too(count: int, near: float, seed: 
     directions[-1] = directions[0] + 10.0**near * directions[-1]
     matrix, limit = directions @ directions.T, generator.uniform(0.01, 1.0, count)
     free = generator.normal(size=count)
-    for solve in (dry_friction, compiled_dry_friction):
+    for solve in (dry_friction, quick_dry_friction):
         assert violation(matrix, free, limit, solve(matrix, free, limit, np.zeros(count))) <= 1e-12
 
 
