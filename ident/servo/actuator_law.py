@@ -289,7 +289,7 @@ def nearest_values(form: FileFormat, plain: FloatArray, links: ServoLinks, playe
         links: of the arm.
         played: motions whose positions are the model's roll-out.
     """
-    lanes = lanes_of(played, [measured_load(links, motion, plain[:, INDEX["zero"]]) for motion in played])
+    lanes = lanes_of(played, [measured_load(links, motion, plain[:, INDEX["zero"]], known=True) for motion in played])
     fixed = [INDEX[name] for name in (*form.missing, *(("bias",) if form.shaped else ()))]
     free = np.zeros(plain.shape, dtype=np.bool_)
     free[:, members("")] = True

@@ -1,8 +1,8 @@
-"""Roll-out of a whole servo arm on commands alone: joints in turn, the links' torques brought up to date in between.
+"""Roll-out of a whole servo arm on commands alone: joints together, the links brought up to date in between.
 
-Each pass rolls out all joints with gravity and coupling along the arm's last path (waveform relaxation); high gears
-make the joints nearly independent, so that a few passes do. Beside it, what positions would be without a model: the
-command itself, and one delay and lag for all joints.
+Each pass rolls out all joints with the inertia between them, gravity and what depends on velocities along the arm's
+last path, which change little with it. Beside it, what positions would be without a model: the command itself, and one
+delay and lag for all joints.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.optimize import minimize
 from drivers.core.arrays import FloatArray
 from ident.servo.contact import Contact
 from ident.servo.links import ServoLinks
-from ident.servo.motion import SETTLING, MotionLoad, ServoMotion, lanes_of, motion_load, motion_touch, with_coupling
+from ident.servo.motion import SETTLING, ServoMotion, lanes_of, motion_load, motion_touch
 from ident.servo.rollout import Lanes, at_samples, roll_out
 from ident.servo.terms import INDEX
 
@@ -27,10 +27,6 @@ PASSES = 12
 
 SETTLED = 5e-4
 """[rad or m] Mean change of a path between two passes at which the passes end."""
-
-COUPLING_SPANS = (0.005, 0.04)
-"""[s] over which accelerations are averaged for coupling: joints that weigh more on each other than on themselves make
-the passes part, by the quickest accelerations first. From then on the wider span holds."""
 
 DELAY_AND_LAG = ((0.02, 0.03), (0.02, 0.1), (0.08, 0.03))
 """[s] Starts of the search."""
@@ -57,23 +53,6 @@ def touched_paths(
     found: list[tuple[FloatArray, FloatArray]] = []
     for first in range(0, len(motions), AT_ONCE):
         found += _side_by_side(motions[first : first + AT_ONCE], links, values, contact)
-    return found
-
-
-def coupled_loads(
-    motions: Sequence[ServoMotion], links: ServoLinks, values: FloatArray, loads: Sequence[MotionLoad]
-) -> list[MotionLoad]:
-    """The links along measured motions, with torques between the joints as a roll-out on such loads moves them.
-
-    Accelerations of measured positions are those of a smooth line through them, which has too little of a step's.
-    """
-    found: list[MotionLoad] = []
-    for first in range(0, len(motions), AT_ONCE):
-        own = motions[first : first + AT_ONCE]
-        lanes = lanes_of(own, loads[first : first + AT_ONCE], None)
-        path = roll_out(lanes, np.tile(values.T, (1, len(own))))[0]
-        for motion, moved in zip(own, _on_grids(own, lanes, path), strict=True):
-            found.append(path_load(links, motion, moved, values[:, INDEX["zero"]], COUPLING_SPANS[0], measured=True))
     return found
 
 
@@ -110,60 +89,26 @@ def _settled(
     for motion in motions:
         paths.append(motion.command[motion.history :].copy())
         paths[-1][0] = motion.position[0]
-    span, moving, before = 0, False, np.inf
+    before = np.inf
     surface = None if contact is None else contact.surface(len(motions))
-    for _ in range(PASSES):
-        over = COUPLING_SPANS[span] if moving else None
-        loads = [path_load(links, motion, path, zero, over) for motion, path in zip(motions, paths, strict=True)]
-        touches = (
-            []
-            if contact is None
-            else [
-                motion_touch(links, contact.link, motion, motion.grid[: len(path)], path)
-                for motion, path in zip(motions, paths, strict=True)
-            ]
-        )
+    for number in range(PASSES):
+        loads, touches = [], []
+        for motion, path in zip(motions, paths, strict=True):
+            # the first path is the command, which jumps
+            velocity = np.gradient(path, motion.step, axis=0) if number else np.zeros_like(path)
+            loads.append(motion_load(links, motion, motion.grid, path, zero, velocity))
+            if contact is not None:
+                touches.append(motion_touch(links, contact.link, motion, motion.grid, path))
         lanes = lanes_of(motions, loads, None, touches)
-        new, _, force = roll_out(lanes, np.tile(values.T, (1, len(motions))), surface=surface)
-        settling = _on_grids(motions, lanes, new)
+        rolled = roll_out(lanes, np.tile(values.T, (1, len(motions))), surface=surface)
+        settling = _on_grids(motions, lanes, rolled.path)
         change = max(float(np.mean(np.abs(own - last).max(axis=1))) for own, last in zip(settling, paths, strict=True))
-        if change > before:
-            if span == len(COUPLING_SPANS) - 1:
-                break
-            span, before = span + 1, np.inf
-            continue
-        paths, found = settling, (lanes, new, force)
-        if moving:
-            before = change
-        moving = True
+        if change >= before:
+            break
+        paths, found, before = settling, (lanes, rolled.path, rolled.force), change
         if change < SETTLED:
             break
     return found
-
-
-def path_load(
-    links: ServoLinks,
-    motion: ServoMotion,
-    path: FloatArray,
-    zero: FloatArray,
-    span: float | None,
-    measured: bool = False,
-) -> MotionLoad:
-    """The links along a path (K, n) on a motion's grid; gravity and inertia of the path, or as `measured`.
-
-    The torques between the joints are in it where there is a span [s] over which accelerations are averaged.
-    """
-    times = motion.grid
-    if measured:
-        load = motion_load(links, motion, motion.time, motion.position, zero)
-    else:
-        load = motion_load(links, motion, times, path, zero)
-    if span is None or path.shape[1] < 2:
-        return load
-    span = max(1, round(span / motion.step))
-    velocity = _averaged(np.gradient(path, motion.step, axis=0), span)
-    acceleration = _averaged(np.gradient(velocity, motion.step, axis=0), span)
-    return with_coupling(links, motion, load, times, (path + zero, velocity, acceleration))
 
 
 def rollout_errors(motions: Sequence[ServoMotion], paths: Sequence[FloatArray]) -> FloatArray:
@@ -174,14 +119,6 @@ def rollout_errors(motions: Sequence[ServoMotion], paths: Sequence[FloatArray]) 
             for motion, path in zip(motions, paths, strict=True)
         ]
     )
-
-
-def _averaged(values: FloatArray, span: int) -> FloatArray:
-    """Moving average over `span` rows."""
-    from scipy.ndimage import uniform_filter1d
-
-    averaged: FloatArray = uniform_filter1d(values, span, axis=0, mode="nearest")
-    return averaged
 
 
 def command_paths(motions: Sequence[ServoMotion]) -> list[FloatArray]:

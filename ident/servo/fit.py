@@ -8,20 +8,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
-from ident.servo.arm_rollout import coupled_loads
 from ident.servo.contact import Contact, away, find_contact, in_contact
 from ident.servo.links import ServoLinks
-from ident.servo.motion import PIECE, MotionLoad, ServoMotion, halves, lanes_with_touch, measured_load, some_pieces
-from ident.servo.rollout import Lanes, repeated
+from ident.servo.motion import PIECE, ServoMotion, halves, lanes_with_touch, measured_load, some_pieces
+from ident.servo.rollout import Lanes, repeated, with_pull
 from ident.servo.search import (
     BLOCKED_LITTLE,
     EVERY_ERROR,
+    Intervals,
     evaluate,
     intervals,
     joint_cost,
     lane_cost,
     robust_scale,
     search,
+    search_arm,
 )
 from ident.servo.terms import GROUPS, INDEX, TERMS, members, start_values, to_search, with_group, without_group
 
@@ -84,6 +85,9 @@ TORQUES = ("stiffness", "damping", "armature", "coulomb", "breakaway", "torque_l
 LEAST_MOTOR = 0.1
 """Share of a joint's inertia that is its motor's, at least: gears make it count."""
 
+TORQUE_FACTORS = tuple(2.0 ** (power / 4) for power in range(-8, 9))
+"""Between the torques of a joint and those of an assumed stiffness, in a first search."""
+
 MOVING = 0.02
 """[rad/s] of a joint in the regression that gives the start."""
 
@@ -142,7 +146,7 @@ def fit_servo(
     """
     joints = motions[0].position.shape[1]
     progress("links along the motion")
-    loads = [measured_load(links, motion, np.zeros(joints)) for motion in motions]
+    loads = [measured_load(links, motion, np.zeros(joints), known=True) for motion in motions]
     lanes = lanes_with_touch(motions, links, loads, tool[0])
     values, held = _start(motions, links), np.zeros((joints, len(TERMS)), dtype=np.bool_)
     for (joint, name), value in given.items():
@@ -170,42 +174,78 @@ def fit_servo(
     inertia = np.array([lanes.inertia[:, lanes.joint == joint].mean() for joint in range(joints)])
     values, free, held, assumed = _tied(values, free, held, centre, (scaled, moving), inertia, given)
     values = search(chosen, values, free, _scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
-    state = _State(lanes, lanes, loads, values, free, None, gains)
-    _settle_terms(state, (chosen, judged), motions, links, (centre, held, heavy, moving), tool, least, progress)
+    state = _State(lanes, lanes, values, free, held, assumed, None, gains)
+    _settle_terms(state, (chosen, judged), motions, links, (centre, heavy, moving), tool, least, progress)
     _coupled_again(state, motions, links, tool[0])
-    values, free, contact = state.values, state.free, state.contact
     progress("final fit")
     final = some_pieces(state.kept, FINAL_PIECES)
-    values = search(final, values, free, _scale(final, values, least), centre, 20, BLOCKED_LITTLE)
+    state.values = _of_whole_arm(final, state, centre, least)
     longer = _longer_pieces(state, final, motions, links, tool[0])
-    values = search(longer, values, free, _scale(longer, values, least), centre, 20, BLOCKED_LITTLE)
-    values, free, pruned = _pruned(final, values, free, least, gains)
-    if pruned:
-        values = search(longer, values, free, _scale(longer, values, least), centre, 20, BLOCKED_LITTLE)
-    seen = intervals(final, values, free, least)[2][:, INDEX["stiffness"]]
-    loose = free[:, INDEX["stiffness"]] & ~seen
-    if loose.any():
-        values, free, held, more = _tied(values, free, held, centre, (~loose, moving), inertia, given)
-        assumed |= more
-        progress("final fit of joints whose torques nothing ties to N·m")
-        values = search(longer, values, free, _scale(longer, values, least), centre, 20, BLOCKED_LITTLE)
-    low, high, seen, _, covariance = intervals(final, values, free, least)
-    pieces = len(np.unique(final.piece))
+    if longer is not final:
+        state.values = _of_whole_arm(longer, state, centre, least)
+    if _pruned(final, state, least):
+        state.values = _of_whole_arm(longer, state, centre, least)
+    progress("torques of joints without gravity")
+    low, high, seen, _, covariance = _settle_torques(state, final, longer, (centre, moving), inertia, given, least)
+    pieces, contact = len(np.unique(final.piece)), state.contact
     if contact is not None:
         progress("contact")
-        contact = find_contact(state.lanes, values, *tool, least, contact)
+        contact = find_contact(state.lanes, state.values, *tool, least, contact)
+    values, free, held, assumed = state.values, state.free, state.held, state.assumed
     return ServoFit(values, low, high, free, seen, held, assumed, moving, covariance, tuple(gains), pieces, contact)
+
+
+def _settle_torques(
+    state: _State,
+    final: Lanes,
+    longer: Lanes,
+    joints: tuple[FloatArray, BoolArray],
+    inertia: FloatArray,
+    given: Mapping[tuple[int, str], float],
+    least: float,
+) -> Intervals:
+    """Find what ties the torques that gravity does not: inertia of links that change their pose, or other joints.
+
+    Args:
+        state: changed in place.
+        final: pieces that intervals come from.
+        longer: pieces of the last fit.
+        joints: prior (n, terms), whether a joint moves (n,).
+        inertia: (n,) of the links about each joint, on average.
+        given: known values.
+        least: smallest scale of errors.
+    """
+    (centre, moving), stiffness = joints, INDEX["stiffness"]
+    again = np.array([joint for joint, term in state.assumed if term == stiffness and moving[joint]], dtype=np.intp)
+    if len(again):
+        state.free, state.held = state.free.copy(), state.held.copy()
+        state.free[again, stiffness], state.held[again, stiffness] = True, False
+        state.assumed -= {(joint, stiffness) for joint in again.tolist()}
+        state.values = _scaled_torques(with_pull(final, state.values), state.values, again, inertia, least)
+        state.values = _of_whole_arm(longer, state, centre, least)
+    found = intervals(final, state.values, state.free, least)
+    loose = state.free[:, stiffness] & ~found[2][:, stiffness]
+    if not loose.any():
+        return found
+    scaled = (~loose, moving)
+    state.values, state.free, state.held, more = _tied(
+        state.values, state.free, state.held, centre, scaled, inertia, given
+    )
+    state.assumed |= more
+    state.values = _of_whole_arm(longer, state, centre, least)
+    return intervals(final, state.values, state.free, least)
 
 
 @dataclass(eq=False)
 class _State:
-    """A fit under way: lanes, those without contact, motions' loads, values, free terms, contact, what terms saved."""
+    """A fit under way: lanes, those without contact; the arm's values and terms as of `ServoFit`; what terms saved."""
 
     lanes: Lanes
     kept: Lanes
-    loads: list[MotionLoad]
     values: FloatArray
     free: BoolArray
+    held: BoolArray
+    assumed: frozenset[tuple[int, int]]
     contact: Contact | None
     gains: list[dict[str, float]]
 
@@ -215,7 +255,7 @@ def _settle_terms(
     parts: tuple[Lanes, Lanes],
     motions: Sequence[ServoMotion],
     links: ServoLinks,
-    joints: tuple[FloatArray, BoolArray, BoolArray, BoolArray],
+    joints: tuple[FloatArray, BoolArray, BoolArray],
     tool: tuple[int, FloatArray],
     least: float,
     progress: Progress,
@@ -227,12 +267,12 @@ def _settle_terms(
         parts: pieces to fit and pieces to judge, away from what the arm may touch.
         motions: of the arm.
         links: of the arm.
-        joints: prior (n, terms), held terms (n, terms), whether gravity loads a joint (n,), whether it moves (n,).
+        joints: prior (n, terms), whether gravity loads a joint (n,), whether it moves (n,).
         tool: the link and its point that may touch something.
         least: smallest scale of errors.
         progress: called with the name of each step.
     """
-    centre, held, weighted, moving = joints
+    (centre, weighted, moving), held = joints, state.held
     chosen, judged = parts
     progress("are the servos alike?")
     _like_the_others(state, chosen, judged, centre, held, moving, least)
@@ -311,8 +351,8 @@ def _coupled_again(
     state: _State, motions: Sequence[ServoMotion], links: ServoLinks, link: int, piece: float = PIECE
 ) -> tuple[Lanes, Lanes]:
     """Lanes anew, with torques between the joints as the fit moves them; pieces to fit and to judge."""
-    state.loads = coupled_loads(motions, links, state.values, state.loads)
-    state.lanes = lanes_with_touch(motions, links, state.loads, link, piece)
+    loads = [measured_load(links, motion, state.values[:, INDEX["zero"]]) for motion in motions]
+    state.lanes = lanes_with_touch(motions, links, loads, link, piece)
     return _left(state)
 
 
@@ -322,7 +362,7 @@ def _left(state: _State) -> tuple[Lanes, Lanes]:
     if state.contact is not None:
         bent = in_contact(state.lanes, state.values, state.contact)
         state.kept = replace(state.lanes, measured=np.where(bent, np.nan, state.lanes.measured))
-    return halves(state.kept, PIECES)
+    return halves(with_pull(state.kept, state.values), PIECES)
 
 
 def _longer_pieces(state: _State, final: Lanes, motions: Sequence[ServoMotion], links: ServoLinks, link: int) -> Lanes:
@@ -369,6 +409,39 @@ def _start(motions: Sequence[ServoMotion], links: ServoLinks) -> FloatArray:
     # A servo's loop is overdamped: half of its lag would be its inertia at critical damping.
     values[:, INDEX["armature"]] = 0.1 * values[:, INDEX["damping"]] ** 2 / stiffness
     return values
+
+
+def _scaled_torques(
+    lanes: Lanes, values: FloatArray, joints: IndexArray, inertia: FloatArray, least: float
+) -> FloatArray:
+    """Values (n, terms) with all torques of some joints times whichever factor fits best, at the same inertia (n,)."""
+    scale, best, found = _scale(lanes, values, least), np.full(len(values), np.inf), values.copy()
+    for factor in TORQUE_FACTORS:
+        trial = _times(values, joints, factor, inertia)
+        able = joints[trial[joints, INDEX["armature"]] > 0.0]
+        cost = joint_cost(evaluate(lanes, np.where(trial > 0.0, trial, values))[0], lanes, scale, EVERY_ERROR)
+        better = able[cost[able] < best[able]]
+        best[better], found[better] = cost[better], trial[better]
+    return found
+
+
+def _times(values: FloatArray, joints: IndexArray, factor: float, inertia: FloatArray) -> FloatArray:
+    """Values (n, terms) with all torques of some joints times a factor, and with them the sum of both inertias."""
+    values, motor = values.copy(), INDEX["armature"]
+    for joint in joints.tolist():
+        whole = factor * (values[joint, motor] + inertia[joint])
+        present = [INDEX[name] for name in TORQUES if values[joint, INDEX[name]] != TERMS[INDEX[name]].absent]
+        values[joint, present] *= factor
+        values[joint, motor] = whole - inertia[joint]
+    return values
+
+
+def _of_whole_arm(lanes: Lanes, state: _State, centre: FloatArray, least: float) -> FloatArray:
+    """Values of least cost of the whole arm, from those of its joints one by one."""
+    known = with_pull(lanes, state.values)
+    scale = _scale(known, state.values, least)
+    values = search(known, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
+    return search_arm(lanes, values, state.free, _scale(lanes, values, least), centre, 30, BLOCKED_LITTLE)
 
 
 def _scale(lanes: Lanes, values: FloatArray, least: float) -> FloatArray:
@@ -513,20 +586,18 @@ def _savings(
     return saved
 
 
-def _pruned(
-    lanes: Lanes, values: FloatArray, free: BoolArray, least: float, gains: list[dict[str, float]]
-) -> tuple[FloatArray, BoolArray, bool]:
-    """Values and free terms without the optional terms of which all data together tell nothing."""
-    wide = intervals(lanes, values, free, least)[3]
-    values, free, pruned = values.copy(), free.copy(), False
+def _pruned(lanes: Lanes, state: _State, least: float) -> bool:
+    """Take away the optional terms of which all data together tell nothing, in place."""
+    wide = intervals(lanes, state.values, state.free, least)[3]
+    state.values, state.free, pruned = state.values.copy(), state.free.copy(), False
     for group in GROUPS:
         own = members(group)
-        for joint in range(len(values)) if group != "load" else ():  # without it Coulomb friction would take its part
-            if free[joint, own].any() and wide[joint, own][free[joint, own]].all():
-                without_group(values, free, [joint], group)
-                gains[joint].pop(group, None)
+        for joint in range(len(wide)) if group != "load" else ():  # without it Coulomb friction would take its part
+            if state.free[joint, own].any() and wide[joint, own][state.free[joint, own]].all():
+                without_group(state.values, state.free, [joint], group)
+                state.gains[joint].pop(group, None)
                 pruned = True
-    return values, free, pruned
+    return pruned
 
 
 def _tied(

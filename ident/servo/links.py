@@ -47,16 +47,16 @@ class ServoLinks:
         return self.torque(position, still, still)
 
     def along(self, position: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Gravity, its slope by each joint's own position, and the inertia about each joint, (n, N) each."""
+        """Gravity and its slope by each joint's own position, (n, N) each, and the matrix of inertia (n, n, N)."""
         gravity, still = self.gravity(position), np.zeros_like(position)
-        slope, inertia = np.empty_like(gravity), np.empty_like(gravity)
+        slope, inertia = np.empty_like(gravity), np.empty((len(gravity), *gravity.shape))
         for joint in range(len(position)):
             moved = np.zeros_like(position)
             moved[joint] = DIFFERENCE
             there, back = self.gravity(position + moved)[joint], self.gravity(position - moved)[joint]
             slope[joint] = (there - back) / (2 * DIFFERENCE)
             moved[joint] = 1.0
-            inertia[joint] = self.torque(position, still, moved)[joint] - gravity[joint]
+            inertia[:, joint] = self.torque(position, still, moved) - gravity
         return gravity, slope, inertia
 
     def heights(self, link: int, position: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -12,7 +12,7 @@ from daq.recording.commanded_motion import TARGET, CommandedMotion
 from drivers.core.arrays import FloatArray, IndexArray
 from drivers.core.errors import DataError
 from ident.servo.links import ServoLinks
-from ident.servo.rollout import Lanes, Touch
+from ident.servo.rollout import THINNED, Lanes, Touch
 
 STEP = 0.005
 """[s] Longest step of a roll-out."""
@@ -32,12 +32,8 @@ GAP = 0.25
 SHORTEST = 3.0
 """[s] of a motion that can be used."""
 
-THINNED = 4
-"""Inertia and the slope of gravity are evaluated at every fourth sample: they change slowly."""
-
-
 SMOOTHED = 0.14
-"""[s] span of the local polynomial through measured positions that gives accelerations for coupling."""
+"""[s] span of the local polynomial through measured positions that gives velocities and accelerations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,61 +138,45 @@ class MotionLoad:
     """What the links do to the joints along a motion's grid, (K, n) each.
 
     Attributes:
-        torque: that gravity and the other joints ask for [N·m].
+        torque: that gravity asks for, and what depends on velocities where joints move each other [N·m].
         slope: derivative of gravity by each joint's own position [N·m/rad].
         inertia: of the links about each joint [kg·m²].
+        between: (K / `THINNED`, n, n) the matrix of inertia, by which the joints move each other [kg·m²]; None where
+            they do not, or where the torque holds it.
     """
 
     torque: FloatArray
     slope: FloatArray
     inertia: FloatArray
+    between: FloatArray | None = None
 
 
 def motion_load(
-    links: ServoLinks, motion: ServoMotion, times: FloatArray, position: FloatArray, zero: FloatArray
+    links: ServoLinks,
+    motion: ServoMotion,
+    times: FloatArray,
+    position: FloatArray,
+    zero: FloatArray,
+    velocity: FloatArray | None = None,
 ) -> MotionLoad:
     """The links along positions (N, n) at times (N,); `zero` (n,) is added to them for gravity.
 
-    The torque is that of gravity at the moved position, less what a roll-out adds for `zero` itself.
+    The torque is that of gravity at the moved position, less what a roll-out adds for `zero` itself. With velocities
+    (N, n) the joints move each other.
     """
     moved = (position + zero).T
     thin = np.unique(np.append(np.arange(0, len(times), THINNED), len(times) - 1))
-    gravity = links.gravity(moved)
-    _, slope, inertia = links.along(moved[:, thin])
-    grid = motion.grid
+    torque = links.gravity(moved) if velocity is None else links.torque(moved, velocity.T, np.zeros_like(moved))
+    _, slope, matrix = links.along(moved[:, thin])
+    grid, joints = motion.grid, len(moved)
 
     def on_grid(stamps: FloatArray, values: FloatArray) -> FloatArray:
         return np.stack([np.interp(grid, stamps, row) for row in values], axis=1)
 
-    slopes = on_grid(times[thin], slope)
-    return MotionLoad(on_grid(times, gravity) - zero * slopes, slopes, on_grid(times[thin], inertia))
-
-
-def with_coupling(
-    links: ServoLinks,
-    motion: ServoMotion,
-    load: MotionLoad,
-    times: FloatArray,
-    moved: tuple[FloatArray, FloatArray, FloatArray],
-) -> MotionLoad:
-    """The load with the torques between the joints.
-
-    Args:
-        links: of the arm.
-        motion: whose grid it is.
-        load: gravity and inertia.
-        times: (N,) [s].
-        moved: positions with `zero` added, velocities and accelerations (N, n) at these times.
-    """
-    position, velocity, acceleration = moved
-    grid = motion.grid
-
-    def on_grid(rows: FloatArray) -> FloatArray:
-        return np.stack([np.interp(grid, times, row) for row in rows], axis=1)
-
-    moving = links.torque(position.T, velocity.T, acceleration.T) - links.gravity(position.T)
-    between = on_grid(moving) - load.inertia * on_grid(acceleration.T)
-    return MotionLoad(load.torque + between, load.slope, load.inertia)
+    slopes, whole = on_grid(times[thin], slope), on_grid(times[thin], matrix.reshape(joints * joints, -1))
+    inertia = whole[:, :: joints + 1]
+    between = None if velocity is None else whole[::THINNED].reshape(-1, joints, joints)
+    return MotionLoad(on_grid(times, torque) - zero * slopes, slopes, inertia, between)
 
 
 def motion_touch(links: ServoLinks, link: int, motion: ServoMotion, times: FloatArray, position: FloatArray) -> Touch:
@@ -250,6 +230,8 @@ def lanes_of(
     torque, slope = np.empty((steps, width)), np.empty((steps, width))
     sample, measured = np.zeros((samples, width)), np.full((samples, width), np.nan)
     reference, height, lever = np.empty((steps, width)), np.empty((4, steps, len(cuts))), np.empty((4, steps, width))
+    coupled = all(load.between is not None for load in loads)
+    between = np.empty((-(-steps // THINNED) + 1 if coupled else 0, len(cuts), joints, joints))
     for number, (source, begin, last) in enumerate(cuts):
         motion, load = motions[source], loads[source]
         lanes = slice(number * joints, (number + 1) * joints)
@@ -265,6 +247,9 @@ def lanes_of(
         after = np.minimum(own + 1, len(load.torque) - 1)
         for on_steps, on_grid in ((torque, load.torque), (slope, load.slope), (inertia, load.inertia)):
             on_steps[:, lanes] = 0.5 * (on_grid[own] + on_grid[after])
+        if load.between is not None and coupled:
+            places = np.rint((origin + np.arange(len(between)) * THINNED * step) / (THINNED * motion.step))
+            between[:, number] = load.between[np.clip(places, 0, len(load.between) - 1).astype(np.intp)]
         if touches:
             touch = touches[source]
             reference[:, lanes], lever[:, :, lanes] = touch.reference[own], touch.lever[:, own]
@@ -286,6 +271,7 @@ def lanes_of(
         sample,
         measured,
         Touch(reference, height, lever) if touches else None,
+        between if coupled else None,
     )
 
 
@@ -297,19 +283,25 @@ def lanes_with_touch(
     return lanes_of(motions, loads, piece, touches)
 
 
-def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray) -> MotionLoad:
-    """The links along a measured motion: gravity and inertia, and the torques between the joints."""
+def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray, known: bool = False) -> MotionLoad:
+    """The links along a measured motion, whose joints move each other.
+
+    Where their torques on each other are `known`, they are those of the accelerations of a smooth line through the
+    positions, which has too little of a step's.
+    """
     from scipy.signal import savgol_filter  # here, since `dynid excite` reads this module and needs no SciPy signals
 
-    load = motion_load(links, motion, motion.time, motion.position, zero)
     period = float(np.median(np.diff(motion.time)))
     window = max(5, round(SMOOTHED / period) | 1)
-    if motion.position.shape[1] < 2 or window >= len(motion.time):
-        return load
     velocity, acceleration = (
         savgol_filter(motion.position, window, 3, deriv=order, delta=period, axis=0) for order in (1, 2)
     )
-    return with_coupling(links, motion, load, motion.time, (motion.position + zero, velocity, acceleration))
+    load = motion_load(links, motion, motion.time, motion.position, zero, velocity)
+    if not known or load.between is None:
+        return load
+    moving = np.stack([np.interp(motion.grid, motion.time, column) for column in acceleration.T], axis=1)
+    pull = np.einsum("kij,kj->ki", np.repeat(load.between, THINNED, axis=0)[: len(moving)], moving)
+    return replace(load, torque=load.torque + pull - load.inertia * moving, between=None)
 
 
 def halves(lanes: Lanes, most: int) -> tuple[Lanes, Lanes]:
@@ -322,7 +314,7 @@ def halves(lanes: Lanes, most: int) -> tuple[Lanes, Lanes]:
 
 def some_pieces(lanes: Lanes, most: int) -> Lanes:
     """Pieces, as many at most."""
-    return lanes.of(np.flatnonzero(np.isin(lanes.piece, _chosen(lanes, most))))
+    return lanes.of_pieces(_chosen(lanes, most))
 
 
 def _chosen(lanes: Lanes, most: int) -> IndexArray:

@@ -1,9 +1,10 @@
 """Roll-out of servo joints on commands, many pieces of motion side by side, with derivatives by their parameters.
 
-Every joint is one equation, with the rigid body's torques known along the motion: gear ratios are high, and the other
-joints act through gravity and coupling, which `ident.servo.arm_rollout` brings up to date between two roll-outs. A step
-is the implicit midpoint rule: half a step implicit in damping, stiffness and friction (soft threshold, so that sticking
-is exact), and its velocity over the whole step. It is stable with any step, and neither ahead of the joint nor damped.
+Every joint is one equation, with gravity known along the motion. The joints of a piece move each other by the inertia
+between them, which is known along the motion, too: a step solves them together, or, where only single joints are
+looked at, takes the torque between them as known. A step is the implicit midpoint rule: half a step implicit in
+damping, stiffness and friction (soft threshold, so that sticking is exact), and its velocity over the whole step. It is
+stable with any step, and neither ahead of the joint nor damped.
 """
 
 from __future__ import annotations
@@ -31,8 +32,12 @@ UNLIMITED = 1e6
 TOUCH_DAMPING = 0.01
 """[s] Damping of a contact over its stiffness."""
 
-TOUCH_ROUNDS = 4
-"""Newton steps at most to the force of a contact, whose joints stick and slip."""
+THINNED = 4
+"""Inertia and the slope of gravity are evaluated at every fourth sample, and inertia between joints at every fourth
+step: they change slowly."""
+
+SWEEPS, SETTLED = 200, 1e-9
+"""Rounds at most over the joints of a step and what they touch, and the change [rad/s or N] at which they agree."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +72,8 @@ class Lanes:
         sample: (S, L) where the measured samples are on the grid, as fractions of steps.
         measured: (S, L) positions; nan where a sample does not count.
         touch: of the point that may touch something; None where the lanes are not those of whole arms.
+        between: (K / `THINNED`, P, n, n) inertia of each piece's joints [kg·m²], by which they move each other; None
+            where its torques are in `load`.
     """
 
     step: float
@@ -81,15 +88,15 @@ class Lanes:
     sample: FloatArray
     measured: FloatArray
     touch: Touch | None = None
+    between: FloatArray | None = None
 
     def of_pieces(self, pieces: IndexArray) -> Lanes:
         """All lanes of some pieces, by number, with what they touch."""
         chosen = np.flatnonzero(np.isin(self.piece, pieces))
-        if self.touch is None:
-            return self.of(chosen)
-        kept = np.flatnonzero(np.isin(np.unique(self.piece), pieces))
-        touch = Touch(self.touch.reference[:, chosen], self.touch.height[:, :, kept], self.touch.lever[:, :, chosen])
-        return replace(self.of(chosen), touch=touch)
+        kept, touch = np.flatnonzero(np.isin(np.unique(self.piece), pieces)), self.touch
+        if touch is not None:
+            touch = Touch(touch.reference[:, chosen], touch.height[:, :, kept], touch.lever[:, :, chosen])
+        return replace(self.of(chosen), touch=touch, between=None if self.between is None else self.between[:, kept])
 
     def of(self, chosen: IndexArray) -> Lanes:
         """Some of the lanes."""
@@ -119,13 +126,31 @@ def repeated(lanes: Lanes, times: int, joints: int) -> Lanes:
             np.tile(touch.height, (1, 1, times)),
             np.tile(touch.lever, (1, 1, times)),
         )
-    return replace(wide, joint=wide.joint + offsets, touch=touch)
+    between = None if lanes.between is None else np.tile(lanes.between, (1, times, 1, 1))
+    return replace(wide, joint=wide.joint + offsets, touch=touch, between=between)
+
+
+class RollOut(NamedTuple):
+    """What a roll-out gives.
+
+    Attributes:
+        path: (K, L) positions on the grid [rad or m].
+        tangents: (F, K, L) derivatives of the path without contact by the search's coordinates (logarithms of positive
+            terms); (n·F, K, L) where joints move each other, by the terms of each joint of a piece in turn.
+        force: (K, P) of the contact [N], without columns where nothing is touched.
+        pull: (K, L) torque that the other joints ask for [N·m], without columns where none moves another.
+    """
+
+    path: FloatArray
+    tangents: FloatArray
+    force: FloatArray
+    pull: FloatArray
 
 
 def roll_out(
     lanes: Lanes, values: FloatArray, free: IndexArray | None = None, surface: FloatArray | None = None
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Positions on the grid, their derivatives without contact, and the force of the contact.
+) -> RollOut:
+    """Roll lanes out on their commands.
 
     Args:
         lanes: K steps, L lanes.
@@ -133,26 +158,22 @@ def roll_out(
         free: (F,) indices of the terms to derive by; none where None.
         surface: (5, P) height [m] and stiffness [N/m] of what each piece may touch, and the point (3) [m] that touches;
             nothing is touched where None.
-
-    Returns:
-        (K, L) positions [rad or m]; (F, K, L) derivatives by the search's coordinates (logarithms of positive terms);
-        (K, P) forces [N], without columns where nothing is touched.
     """
     free = np.zeros(0, dtype=np.intp) if free is None else free
     rows = {TERMS[term].name: row for row, term in enumerate(free)}
     p = {name: values[index] for name, index in INDEX.items()}
     goals, d_goals = _goals(lanes, p["delay"], p["acceleration_limit"], rows)
-    if surface is None and (library := kernels().long) is not None:
-        return *_compiled(library, lanes, values, free, goals, d_goals), np.zeros((len(goals), 0))
+    together = _Together(lanes, surface)
+    if (library := kernels().long) is not None:
+        return _compiled(library, lanes, values, free, goals, d_goals, together)
     inertia = p["armature"] + lanes.inertia
     offset = p["zero"] * lanes.load_slope
     h, (count, width) = lanes.step, lanes.load.shape
     half = 0.5 * h
     resistance = inertia + half * p["damping"]
     position, velocity = lanes.start.copy(), np.zeros(width)
-    path, velocities = np.empty((count, width)), np.empty((count, width))
-    contact = None if surface is None or lanes.touch is None else _Surface(lanes, lanes.touch, surface)
-    force = np.zeros((count, 0 if contact is None else contact.pieces))
+    path, velocities, pull = np.empty((count, width)), np.empty((count, width)), np.zeros((count, width))
+    force = np.zeros((count, together.pieces))
     present = _Present.of(p)
     for index in range(count):
         path[index], velocities[index] = position, velocity
@@ -160,37 +181,65 @@ def roll_out(
         step = _step(
             half, p, inertia[index], resistance[index], lanes.load[index], offset[index], error, velocity, present
         )
-        if contact is not None:
-            step = contact.pushed(step, index, position, force[index])
-        velocity = np.where(step.moving, 2.0 * step.velocity - velocity, 0.0)
-        position = position + h * step.velocity
-    if not len(free):
-        return path, np.zeros((0, count, width)), force
-    step = _step(half, p, inertia, resistance, lanes.load, offset, goals - path - p["bias"], velocities)
-    return path, _tangents(lanes, p, rows, inertia, step, velocities, d_goals), force
+        middle, moving = step.velocity, step.moving
+        if together.touched or lanes.between is not None:
+            middle, pull[index], force[index] = together.settled(step, index, resistance[index], position, velocity)
+            moving = middle != 0.0
+        velocity = np.where(moving, 2.0 * middle - velocity, 0.0)
+        position = position + h * middle
+    tangents = np.zeros((0, count, width))
+    if len(free):
+        error = goals - path - p["bias"]
+        step = _step(half, p, inertia, resistance, lanes.load + pull, offset, error, velocities)
+        tangents = _tangents(lanes, p, rows, inertia, step, velocities, d_goals, together)
+    none = slice(None) if lanes.between is not None else slice(0)
+    return RollOut(path, tangents, force if surface is not None else force[:, :0], pull[:, none])
+
+
+def with_pull(lanes: Lanes, values: FloatArray) -> Lanes:
+    """Lanes whose joints' torques on each other are known: those of a roll-out with values (n, terms)."""
+    if lanes.between is None:
+        return lanes
+    return replace(lanes, load=lanes.load + roll_out(lanes, values[lanes.joint].T).pull, between=None)
 
 
 def _compiled(
-    library: Any, lanes: Lanes, values: FloatArray, free: IndexArray, goals: FloatArray, d_goals: dict[int, FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """Positions (K, L) and derivatives (F, K, L), by the library's C code."""
+    library: Any,
+    lanes: Lanes,
+    values: FloatArray,
+    free: IndexArray,
+    goals: FloatArray,
+    d_goals: dict[int, FloatArray],
+    together: _Together,
+) -> RollOut:
+    """The same by the library's C code."""
     count, width = lanes.load.shape
     by_goals = np.zeros((len(free), count, width))
     for row, derivative in d_goals.items():
         by_goals[row] = derivative
-    given = [values, lanes.inertia, lanes.load, lanes.load_slope, lanes.start, goals]
-    arrays = [np.ascontiguousarray(array, dtype=np.float64) for array in given]
-    terms = np.ascontiguousarray(free, dtype=np.int_)
-    path, tangents = np.empty((count, width)), np.empty((len(free), count, width))
+    coupled, touched = lanes.between is not None, together.touched
+    owners = together.joints if coupled else 1
+    path, tangents = np.empty((count, width)), np.empty((owners * len(free), count, width))
+    pull, force = np.empty((count, width if coupled else 0)), np.empty((count, together.pieces if touched else 0))
+    kept = []  # what C reads lives until it has
+
+    def given(array: FloatArray | None, kind: Any = np.float64) -> c_void_p:
+        if array is None:
+            return c_void_p(None)
+        kept.append(np.ascontiguousarray(array, dtype=kind))
+        return c_void_p(address(kept[-1]))
+
+    known = [values, lanes.inertia, lanes.load, lanes.load_slope, lanes.start, goals]
     library.servo_roll_out(
-        c_long(count),
-        c_long(width),
+        *(c_long(size) for size in (count, width // together.joints, together.joints)),
         c_double(lanes.step),
-        *(c_void_p(address(array)) for array in arrays),
-        c_long(len(free)),
-        *(c_void_p(address(array)) for array in (terms, by_goals, path, tangents)),
+        *(given(array) for array in known),
+        *(given(lanes.between), c_long(THINNED), c_void_p(address(pull)) if coupled else c_void_p(None)),
+        *(given(array if touched else None) for array in (together.clear, together.lever, together.surface)),
+        *(c_void_p(address(force)) if touched else c_void_p(None), c_long(len(free))),
+        *(given(free, np.int_), given(by_goals), c_void_p(address(path)), c_void_p(address(tangents))),
     )
-    return path, tangents
+    return RollOut(path, tangents, force, pull)
 
 
 class _Present(NamedTuple):
@@ -222,6 +271,7 @@ class _Step(NamedTuple):
     side: FloatArray
     torque: FloatArray
     acting: FloatArray
+    share: FloatArray
     divisor: FloatArray
     faded: FloatArray
     passed: FloatArray
@@ -274,48 +324,87 @@ def _step(
     passed = np.maximum(1.0 - direction * np.sign(torque) * share, 0.0)
     divisor = resistance + h * h * acting * passed
     after = np.where(moving, (momentum - direction * friction) / divisor, 0.0)
-    return _Step(outside, side, torque, acting, divisor, faded, passed, momentum, friction, moving, direction, after)
+    return _Step(
+        outside, side, torque, acting, share, divisor, faded, passed, momentum, friction, moving, direction, after
+    )
 
 
-class _Surface:
-    """What pieces of motion may touch."""
+class _Together:
+    """Joints of a piece of motion that move each other, by the inertia between them or by what they touch."""
 
-    def __init__(self, lanes: Lanes, touch: Touch, surface: FloatArray) -> None:
+    def __init__(self, lanes: Lanes, surface: FloatArray | None) -> None:
         """Prepare lanes; `surface` as of `roll_out`."""
-        weights = np.concatenate([np.ones((1, surface.shape[1])), surface[2:]])
-        self.pieces = surface.shape[1]
+        self.touched = surface is not None and lanes.touch is not None
+        together = self.touched or lanes.between is not None
+        self.pieces = len(np.unique(lanes.piece)) if together else len(lanes.joint)
+        if surface is not None and lanes.touch is not None:
+            self.pieces = surface.shape[1]
         self.joints = len(lanes.joint) // self.pieces
-        self._step = lanes.step
-        self._clear = np.einsum("ckp,cp->kp", touch.height, weights) - surface[0]
-        self._lever = np.einsum("ckl,cl->kl", touch.lever, np.repeat(weights, self.joints, axis=1))
-        self._reference = touch.reference
-        self._stiffness = surface[1]
+        self._half, self._between = 0.5 * lanes.step, lanes.between
+        self._middle = np.zeros((self.pieces, self.joints))
+        self._pressed = np.zeros(self.pieces)
+        self.lever, self.surface = np.zeros(lanes.load.shape), np.zeros((2, self.pieces))
+        self.clear = np.zeros((len(lanes.load), self.pieces))
+        if surface is not None and lanes.touch is not None:
+            weights = np.concatenate([np.ones((1, self.pieces)), surface[2:]])
+            touch = lanes.touch
+            self.lever = np.einsum("ckl,cl->kl", touch.lever, np.repeat(weights, self.joints, axis=1))
+            reached = (self.lever * touch.reference).reshape(len(self.lever), self.pieces, self.joints).sum(axis=2)
+            self.clear = np.einsum("ckp,cp->kp", touch.height, weights) - surface[0] - reached
+            self.surface = np.stack([surface[1], TOUCH_DAMPING * surface[1]])
 
-    def pushed(self, step: _Step, index: int, position: FloatArray, force: FloatArray) -> _Step:
-        """The step with what the surface adds; its forces (P,) are written into `force`."""
-        lever, h = self._lever[index], 0.5 * self._step
-        clear = self._clear[index] + self._sum(lever * (position - self._reference[index]))
-        if np.all(clear > 0.02):
-            return step
-        hardness, damping = self._stiffness, TOUCH_DAMPING * self._stiffness
-        give = lever * lever * (h / step.divisor)
-        velocity, moving, direction = step.velocity, step.moving, step.direction
-        for _ in range(TOUCH_ROUNDS):
-            rate = self._sum(lever * velocity)
-            lacking = -hardness * (clear + h * rate) - damping * rate - force
-            change = lacking / (1.0 + (h * hardness + damping) * self._sum(np.where(moving, give, 0.0)))
-            after = np.maximum(force + change, 0.0)
-            if not np.any(np.abs(after - force) > 1e-6 * (1.0 + force)):
+    def settled(
+        self, step: _Step, index: int, resistance: FloatArray, position: FloatArray, velocity: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Velocities (L,) in the middle of a step, torques (L,) between the joints, and forces (P,) of the surface."""
+        h, shape = self._half, self._middle.shape
+        given = step.momentum, step.friction, step.torque, step.acting, step.share, velocity, self.lever[index]
+        momentum, friction, torque, acting, share, before, lever = (each.reshape(shape) for each in given)
+        above = self.clear[index] + np.sum(lever * position.reshape(shape), axis=1)
+        matrix, resisting, middle = self.matrix(index), resistance.reshape(shape), self._middle
+        hardness, damping = self.surface
+        divisor = np.empty(shape)
+        for _ in range(SWEEPS):
+            last, pressed = middle.copy(), self._pressed
+            for joint in range(self.joints):
+                pushed = momentum[:, joint] + h * lever[:, joint] * pressed
+                pushed = pushed + np.einsum("pj,pj->p", matrix[:, joint], before - middle)
+                direction = np.sign(pushed)
+                passed = np.maximum(1.0 - direction * np.sign(torque[:, joint]) * share[:, joint], 0.0)
+                divisor[:, joint] = resisting[:, joint] + h * h * acting[:, joint] * passed
+                moving = np.abs(pushed) > friction[:, joint]
+                middle[:, joint] = np.where(moving, (pushed - direction * friction[:, joint]) / divisor[:, joint], 0.0)
+            if self.touched:
+                rate, give = (lever * middle).sum(axis=1), np.sum(lever**2 * (h / divisor) * (middle != 0.0), axis=1)
+                lacking = -hardness * (above + h * rate) - damping * rate - pressed
+                self._pressed = np.maximum(pressed + lacking / (1.0 + (h * hardness + damping) * give), 0.0)
+            if max(np.max(np.abs(middle - last)), np.max(np.abs(self._pressed - pressed))) < SETTLED:
                 break
-            force[:] = after
-            momentum = step.momentum + h * lever * np.repeat(force, self.joints)
-            moving, direction = np.abs(momentum) > step.friction, np.sign(momentum)
-            velocity = np.where(moving, (momentum - direction * step.friction) / step.divisor, 0.0)
-        return step._replace(velocity=velocity, moving=moving, direction=direction)
+        pull = np.einsum("pij,pj->pi", matrix, middle - before) / h
+        return middle.ravel().copy(), pull.ravel(), self._pressed
 
-    def _sum(self, values: FloatArray) -> FloatArray:
-        summed: FloatArray = values.reshape(self.pieces, self.joints).sum(axis=1)
-        return summed
+    def matrix(self, index: int) -> FloatArray:
+        """(P, n, n) inertia between joints in a step, 0 on the diagonal."""
+        if self._between is None:
+            return np.zeros((self.pieces, self.joints, self.joints))
+        row, part = divmod(index, THINNED)
+        matrix = self._between[row]
+        if part:
+            matrix = matrix + part / THINNED * (self._between[row + 1] - matrix)
+        return np.asarray(matrix * (1.0 - np.eye(self.joints)), dtype=np.float64)
+
+    def solved(self, index: int, step: _Step, d_middle: FloatArray, d_velocity: FloatArray) -> FloatArray:
+        """Derivatives (F, L) of the middle's velocities, from those (F, L) that each joint would have on its own."""
+        shape = (len(d_middle), self.pieces, self.joints)
+        matrix, moving, divisor = self.matrix(index), step.moving[index], step.divisor[index]
+        asked = d_middle * divisor + moving * np.einsum("pij,fpj->fpi", matrix, d_velocity.reshape(shape)).reshape(
+            d_middle.shape
+        )
+        mask = moving.reshape(shape[1:])
+        whole = matrix * mask[:, :, None] * mask[:, None, :]
+        whole[:, range(self.joints), range(self.joints)] = divisor.reshape(shape[1:])
+        found = np.linalg.solve(whole, np.moveaxis(asked.reshape(shape), 0, 2))
+        return np.asarray(np.moveaxis(found, 2, 0).reshape(d_middle.shape), dtype=np.float64)
 
 
 def _tangents(
@@ -326,8 +415,9 @@ def _tangents(
     step: _Step,
     velocity: FloatArray,
     d_goals: dict[int, FloatArray],
+    together: _Together,
 ) -> FloatArray:
-    """Derivatives (F, K, L) of the positions on the grid.
+    """Derivatives (F, K, L) of the positions on the grid; (n·F, K, L) where joints move each other.
 
     Along a known path they are linear in each other: of the velocity in the middle of a step, from those of position
     and velocity before it, d_middle = kept·d_velocity + pulled·d_position + driven. The coefficients of all steps are
@@ -363,12 +453,20 @@ def _tangents(
     add("zero", lambda: -gate * h * lanes.load_slope)
     add("armature", lambda: gate * p["armature"] * (velocity - step.velocity))
     add("damping", lambda: -gate * h * p["damping"] * step.velocity)
+    if lanes.between is not None:
+        own, count = driven, together.joints
+        driven = np.zeros((count, *own.shape))
+        for joint in range(count):
+            driven[joint, :, :, joint::count] = own[:, :, joint::count]
+        driven = driven.reshape(-1, *own.shape[1:])
     d_position, d_velocity = np.zeros_like(driven[:, 0]), np.zeros_like(driven[:, 0])
     change = np.empty_like(d_position)
     for index in range(len(velocity)):
         d_middle = kept[index] * d_velocity
         d_middle += np.multiply(d_position, pulled[index], out=change)
         d_middle += driven[:, index]
+        if lanes.between is not None:
+            d_middle = together.solved(index, step, d_middle, d_velocity)
         driven[:, index] = d_position  # what this step was driven by is needed no more
         d_velocity = np.subtract(2.0 * d_middle, d_velocity, out=d_velocity) * step.moving[index]
         d_position += np.multiply(d_middle, lanes.step, out=change)

@@ -38,7 +38,7 @@ def test_a_surface_is_found_where_it_is_and_only_then(raised, motions):
             for motion, (path, _) in zip(motions, touched_paths(motions, links, values, surface), strict=True)
         ]
         return lanes_with_touch(
-            played, links, [measured_load(links, motion, np.zeros(6)) for motion in played], tool[0]
+            played, links, [measured_load(links, motion, np.zeros(6), known=True) for motion in played], tool[0]
         )
 
     free = pieces(None)

@@ -11,7 +11,7 @@ from daq.recording.commanded_motion import CommandedMotion
 from ident.compiled.library import Kernels, kernels
 from ident.servo import rollout
 from ident.servo.motion import servo_motions
-from ident.servo.rollout import Lanes, Touch, _goals, profile_goals, roll_out
+from ident.servo.rollout import THINNED, Lanes, Touch, _goals, profile_goals, roll_out, with_pull
 from ident.servo.search import evaluate
 from ident.servo.terms import GROUPS, INDEX, TERMS, from_search, members, start_values, to_search, with_group
 
@@ -40,6 +40,29 @@ def lanes(steps: int = 300, seed: int = 0, load: float = 0.37, step: float = 0.0
         np.tile(np.arange(0, steps - 4, 4.0)[:, None], (1, 3)),
         np.zeros((len(range(0, steps - 4, 4)), 3)),
     )
+
+
+def arm_lanes(steps: int = 300, step: float = 0.005) -> Lanes:
+    """Two pieces of an arm of three joints that weigh more on each other than on themselves."""
+    pieces = [lanes(steps, seed, step=step) for seed in (0, 1)]
+    wide = {
+        name: np.concatenate([getattr(piece, name) for piece in pieces], axis=-1)
+        for name in ("command", "start", "inertia", "load", "load_slope", "sample", "measured", "joint")
+    }
+    matrix = np.array([[0.0, 0.02, 0.006], [0.02, 0.0, 0.015], [0.006, 0.015, 0.0]])
+    slowly = np.cos(np.arange(0, steps + THINNED, THINNED) * step)[:, None, None, None]
+    between = np.tile(matrix, (2, 1, 1)) * (1.0 + 0.1 * slowly)
+    wide["inertia"] = wide["inertia"] + np.tile([0.05, 0.04, 0.01], 2)
+    return dataclasses.replace(pieces[0], **wide, piece=np.repeat([0, 1], 3), between=between)
+
+
+def touching(moved: Lanes) -> tuple[Lanes, np.ndarray]:
+    """The lanes with a point that the first two joints move, and a surface that it reaches."""
+    pieces, width = len(moved.joint) // 3, len(moved.joint)
+    lever = np.zeros((4, len(moved.load), width))
+    lever[0, :, 0::3], lever[0, :, 1::3] = -1.0, 0.3
+    touch = Touch(np.zeros(moved.load.shape), np.zeros((4, len(moved.load), pieces)), lever)
+    return dataclasses.replace(moved, touch=touch), np.tile([[-0.1], [800.0], [0.0], [0.0], [0.0]], (1, pieces))
 
 
 def every_term() -> tuple[np.ndarray, np.ndarray]:
@@ -85,15 +108,53 @@ def test_the_library_computes_what_numpy_does(monkeypatch):
         pytest.skip(kernels().said)
     values, _ = every_term()
     free = np.arange(len(TERMS))
-    # lanes of one library and of none, of profiles and without
-    for steepest in (values[:, INDEX["acceleration_limit"]], np.full(3, 1e7)):
+    touched, surface = touching(arm_lanes())
+    # profiles and none; joints on their own, of one arm, and with something that they touch
+    for moved, steepest, pushed in (
+        (lanes(), values[:, INDEX["acceleration_limit"]], None),
+        (lanes(), np.full(3, 1e7), None),
+        (arm_lanes(), np.full(3, 1e7), None),
+        (touched, np.full(3, 1e7), surface),
+        (dataclasses.replace(touched, between=None), np.full(3, 1e7), surface),
+    ):
         values[:, INDEX["acceleration_limit"]] = steepest
-        found = roll_out(lanes(), values.T, free)
+        found = roll_out(moved, values[moved.joint].T, None if pushed is not None else free, pushed)
         with monkeypatch.context() as without:
             without.setattr(rollout, "kernels", lambda: Kernels(None, None, "off"))
-            expected = roll_out(lanes(), values.T, free)
+            expected = roll_out(moved, values[moved.joint].T, None if pushed is not None else free, pushed)
         for own, other in zip(found, expected, strict=True):
-            np.testing.assert_allclose(own, other, rtol=1e-9, atol=1e-11)
+            np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-8)
+        assert pushed is None or found.force.max() > 1.0
+
+
+def test_joints_of_one_arm_move_each_other_as_one_system():
+    moved, values = arm_lanes(), start_values(3)
+    values[:, INDEX["coulomb"]] = 0.05
+    found = roll_out(moved, values[moved.joint].T)
+    # what the others ask for, taken as known, moves each joint alike
+    alone = roll_out(with_pull(moved, values), values[moved.joint].T)
+    np.testing.assert_allclose(alone.path, found.path, atol=1e-9)
+    assert np.abs(found.pull).max() > 0.1
+    # steps of a fifth of the length come to the same path
+    fine = roll_out(arm_lanes(1500, 0.001), values[moved.joint].T).path[::5]
+    assert np.abs(found.path - fine).max() < 2e-3
+
+
+def test_derivatives_of_an_arm_are_those_by_the_terms_of_every_joint():
+    moved, values = arm_lanes(), start_values(3)
+    values[:, INDEX["coulomb"]] = 1e-6  # sticking has derivatives that jump
+    free = np.array([INDEX["stiffness"], INDEX["armature"], INDEX["bias"]])
+    tangents = roll_out(moved, values[moved.joint].T, free).tangents.reshape(3, 3, *moved.load.shape)
+    for owner in range(3):
+        for row, term in enumerate(free):
+            ends = []
+            for shift in (1e-5, -1e-5):
+                point = to_search(values)
+                point[owner, term] += shift
+                ends.append(roll_out(moved, from_search(point)[moved.joint].T).path)
+            difference = (ends[0] - ends[1]) / 2e-5
+            wrong = np.abs(difference - tangents[owner, row]) > 1e-4 + 1e-3 * np.abs(difference).max()
+            assert wrong.mean() < 0.02, (owner, TERMS[term].name)
 
 
 def test_a_joint_sticks_where_its_friction_holds_it():
@@ -158,7 +219,7 @@ def test_a_surface_holds_what_pushes_on_it_and_nothing_else():
     touch = Touch(np.zeros((steps, 3)), np.zeros((4, steps, 1)), lever)
     moved = lanes(steps=steps)
     held = dataclasses.replace(moved, command=np.full_like(moved.command, 0.2), start=np.zeros(3), touch=touch)
-    path, _, force = roll_out(held, values.T, surface=np.array([[-0.1], [1000.0], [0.0], [0.0], [0.0]]))
+    path, _, force, _ = roll_out(held, values.T, surface=np.array([[-0.1], [1000.0], [0.0], [0.0], [0.0]]))
     pressed = (15.0 * 0.1 - 0.37) / (1.0 + 15.0 / 1000.0)
     assert force[-1] == pytest.approx(pressed, rel=1e-4)
     assert path[-1] == pytest.approx([0.1 + pressed / 1000.0, 0.2 - 0.37 / 15.0, 0.2 - 0.37 / 15.0], abs=1e-5)

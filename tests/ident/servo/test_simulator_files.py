@@ -253,9 +253,14 @@ def test_a_servo_that_a_drive_can_hold_is_replayed_within_the_gate(file, tmp_pat
     time = np.arange(0.0, 3.1, PERIOD)
     run = record_servo(simple, time, servo_commands(simple, time, 3), 0)
     model = dynid.ServoModel(true_servo_result(simple))
-    for replayed in (model.export_isaaclab(tmp_path / "cfg.py", run), model.export_mjcf(tmp_path / "arm.xml", run)):
-        assert replayed is None or replayed.faithful, str(replayed)
-        assert replayed is None or replayed.error < 5e-3
+    replayed = model.export_isaaclab(tmp_path / "cfg.py", run)
+    assert replayed.faithful, str(replayed)
+    assert replayed.error < 5e-3
+    # MuJoCo's friction gives way a little: the roll-out is nearer to the arm, and the file says so
+    replayed = model.export_mjcf(tmp_path / "arm.xml", run)
+    if replayed is not None:
+        assert replayed.error < file.robot.truth.noise.encoder_resolution
+        assert replayed.faithful or "takes a step of time" in str(replayed)
 
 
 def test_ranges_of_a_type_are_wider_than_those_of_one_arm_and_unseen_parameters_stay(model):
