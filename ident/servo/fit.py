@@ -9,9 +9,10 @@ import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.contact import Contact, away, find_contact, in_contact
+from ident.servo.first_fit import FIRST_GROUPS, LIKE, error_scale, first_fit, largest_torques, regressed_values, savings
 from ident.servo.links import ServoLinks
 from ident.servo.motion import PIECE, ServoMotion, halves, lanes_with_touch, measured_load, some_pieces
-from ident.servo.rollout import Lanes, repeated, with_pull
+from ident.servo.rollout import Lanes, with_pull
 from ident.servo.search import (
     BLOCKED_LITTLE,
     EVERY_ERROR,
@@ -19,12 +20,10 @@ from ident.servo.search import (
     evaluate,
     intervals,
     joint_cost,
-    lane_cost,
-    robust_scale,
     search,
     search_arm,
 )
-from ident.servo.terms import GROUPS, INDEX, TERMS, members, start_values, to_search, with_group, without_group
+from ident.servo.terms import GROUPS, INDEX, TERMS, members, to_search, with_group, without_group
 
 PIECES = 160
 """Pieces at most with which terms are chosen; the final fit takes `FINAL_PIECES`."""
@@ -35,25 +34,9 @@ WANTED_PIECES, LONGEST_PIECE = 60, 12.0
 """Of long recordings, the pieces of the final fit are longer [s], as long as there are so many: a model is judged by
 whole motions, and a piece begins at the measured position, which hides where friction would have stopped the joint."""
 
-STARTING_PIECES = 40
-"""Pieces at most in the first searches from several limits of acceleration."""
-
-LIKE = 2
-"""Joints with a profile, at least, from which on another is taken to have one alike."""
-
-GAIN = 1.3
-"""What a term saves on held-out pieces, over what it costs on others: no t-test, since a limit of acceleration shows in
-few pieces, and there clearly."""
-
-LEAST_GAIN = 0.01
-"""Share of the cost of held-out pieces that a profile must save."""
-
 LATE_GAIN, ZERO_GAIN = 0.05, 0.25
 """The same of a limit or a dead band, and of a zero: an offset makes up for some of what any joint's friction lacks, at
 other torques and for these motions only."""
-
-ACCELERATIONS = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
-"""[rad/s²] Starts of a profile's limit."""
 
 LITTLE, FADING = 0.02, 0.1
 """Starts of load_breakaway and of the Stribeck velocity [rad/s]."""
@@ -62,19 +45,10 @@ LATE = ("load_breakaway", "stribeck_velocity")
 """Terms that are held in the first fit: a joint that breaks away from a large friction within a small velocity jumps,
 and no search comes back from there."""
 
-SATURATIONS = (0.1, 0.2, 0.4)
-"""Starts of a drive's limit, over the torque that the largest position error would ask for."""
-
-FIRST_GROUPS = ("profile", "saturation")
-"""Optional terms of which one is settled with those that every joint has: either limits how fast a joint follows."""
-
 FRICTION = ("load", "breakaway")
 """Groups that are fitted from the beginning, and taken away where nothing asks for them: without them all torques of a
 joint grow until its bias and Coulomb friction take their part, and no search comes back from there. What the arm
 touches is looked for after them, and before a zero could stand for it."""
-
-CLEAR = 3.0
-"""Times the median change of a held-out piece's cost from which on a change counts for `GAIN`."""
 
 RESTING = 5.0
 """Encoder steps below which a joint is not commanded to move."""
@@ -87,9 +61,6 @@ LEAST_MOTOR = 0.1
 
 TORQUE_FACTORS = tuple(2.0 ** (power / 4) for power in range(-8, 9))
 """Between the torques of a joint and those of an assumed stiffness, in a first search."""
-
-MOVING = 0.02
-"""[rad/s] of a joint in the regression that gives the start."""
 
 Progress = Callable[[str], None]
 
@@ -148,7 +119,7 @@ def fit_servo(
     progress("links along the motion")
     loads = [measured_load(links, motion, np.zeros(joints), known=True) for motion in motions]
     lanes = lanes_with_touch(motions, links, loads, tool[0])
-    values, held = _start(motions, links), np.zeros((joints, len(TERMS)), dtype=np.bool_)
+    values, held = regressed_values(motions, links), np.zeros((joints, len(TERMS)), dtype=np.bool_)
     for (joint, name), value in given.items():
         values[joint, INDEX[name]], held[joint, INDEX[name]] = value, True
     free = np.zeros_like(held)
@@ -167,13 +138,13 @@ def fit_servo(
     chosen, judged = halves(away(lanes, tool[1]), PIECES)
     progress("first fit")
     gains: list[dict[str, float]] = [{} for _ in range(joints)]
-    values, free = _first_fit(chosen, judged, values, free, centre, np.flatnonzero(moving), held, least, gains)
+    values, free = first_fit(chosen, judged, values, free, centre, np.flatnonzero(moving), held, least, gains)
     free |= late
     heavy = np.isin(np.arange(joints), weighted)
     scaled = (heavy & moving) | held[:, [INDEX[name] for name in TORQUES]].any(axis=1)
     inertia = np.array([lanes.inertia[:, lanes.joint == joint].mean() for joint in range(joints)])
     values, free, held, assumed = _tied(values, free, held, centre, (scaled, moving), inertia, given)
-    values = search(chosen, values, free, _scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
+    values = search(chosen, values, free, error_scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
     state = _State(lanes, lanes, values, free, held, assumed, None, gains)
     _settle_terms(state, (chosen, judged), motions, links, (centre, heavy, moving), tool, least, progress)
     _coupled_again(state, motions, links, tool[0])
@@ -279,7 +250,7 @@ def _settle_terms(
     progress("does the arm touch something?")
     state.contact = find_contact(state.lanes, state.values, *tool, least)
     chosen, judged = _coupled_again(state, motions, links, tool[0])
-    scale = _scale(chosen, state.values, least)
+    scale = error_scale(chosen, state.values, least)
     state.values = search(chosen, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
     for group in GROUPS:
         if group in FRICTION:
@@ -293,10 +264,10 @@ def _settle_terms(
         progress(f"is there a {group}?")
         share = ZERO_GAIN if group == "zero" else LATE_GAIN
         # as many steps without the term: what a longer search saves is not the term's
-        scale = _scale(chosen, state.values, least)
+        scale = error_scale(chosen, state.values, least)
         state.values = search(chosen, state.values, state.free, scale, centre, 12, BLOCKED_LITTLE)
         trial = _tried(chosen, state.values, state.free, centre, able.tolist(), group, least)
-        saved = _savings(judged, state.values, trial[0], able.tolist(), least, BLOCKED_LITTLE, share)
+        saved = savings(judged, state.values, trial[0], able.tolist(), least, BLOCKED_LITTLE, share)
         _taken(state, centre, trial, list(saved))
         for joint, saving in saved.items():
             state.gains[joint][group] = saving
@@ -330,9 +301,9 @@ def _like_the_others(
     scaled[rows] = np.where(held[rows], scaled[rows], common)
     prior[rows] = np.where(optional & free[rows], to_search(common), prior[rows])
     for shape in (EVERY_ERROR, BLOCKED_LITTLE):
-        scaled = search(chosen, scaled, free, _scale(chosen, scaled, least), prior, 15, shape)
-    state.values = search(chosen, state.values, state.free, _scale(chosen, state.values, least), centre, 15, shape)
-    saved = _savings(judged, state.values, scaled, rows.tolist(), least, BLOCKED_LITTLE)
+        scaled = search(chosen, scaled, free, error_scale(chosen, scaled, least), prior, 15, shape)
+    state.values = search(chosen, state.values, state.free, error_scale(chosen, state.values, least), centre, 15, shape)
+    saved = savings(judged, state.values, scaled, rows.tolist(), least, BLOCKED_LITTLE)
     _taken(state, centre, (scaled, free, prior), list(saved))
     for joint, share in saved.items():
         kept = [group for group in FIRST_GROUPS if state.free[joint, members(group)].any()]
@@ -374,48 +345,11 @@ def _longer_pieces(state: _State, final: Lanes, motions: Sequence[ServoMotion], 
     return state.kept
 
 
-def _start(motions: Sequence[ServoMotion], links: ServoLinks) -> FloatArray:
-    """Values from a regression of the position error on gravity, friction's direction and velocity."""
-    joints = motions[0].position.shape[1]
-    values = start_values(joints)
-    gravity = np.concatenate([links.gravity(motion.position.T) for motion in motions], axis=1)
-    errors, velocities = [], []
-    for motion in motions:
-        commanded = np.stack(
-            [np.interp(motion.time, motion.grid, column) for column in motion.command[motion.history :].T], axis=1
-        )
-        errors.append(commanded - motion.position)
-        velocities.append(np.gradient(motion.position, motion.time, axis=0))
-    error, velocity = np.concatenate(errors).T, np.concatenate(velocities).T
-    stiffness = np.full(joints, np.nan)
-    for joint in range(joints):
-        moving = np.abs(velocity[joint]) > MOVING
-        if np.count_nonzero(moving) < 50:
-            continue
-        columns = np.stack(
-            [gravity[joint], np.sign(velocity[joint]), velocity[joint], np.ones_like(velocity[joint])], axis=1
-        )[moving]
-        slope, friction, lag, _ = np.linalg.lstsq(columns, error[joint][moving], rcond=None)[0]
-        if slope > 0 and np.ptp(columns[:, 0]) * slope > 1e-3:
-            stiffness[joint] = 1.0 / slope
-        values[joint, INDEX["damping"]] = np.clip(lag, 5e-3, 0.5)
-        values[joint, INDEX["coulomb"]] = np.clip(friction, 1e-4, 0.2)
-    common = float(np.nanmedian(stiffness)) if np.isfinite(stiffness).any() else float(values[0, INDEX["stiffness"]])
-    common = float(np.clip(common, 1e-2, 1e5))
-    # Servos of one arm are mostly of one kind, and friction disturbs a single joint's ratio of sag to gravity.
-    values[:, INDEX["stiffness"]] = stiffness = np.full(joints, common)
-    values[:, INDEX["damping"]] *= stiffness
-    values[:, INDEX["coulomb"]] *= stiffness
-    # A servo's loop is overdamped: half of its lag would be its inertia at critical damping.
-    values[:, INDEX["armature"]] = 0.1 * values[:, INDEX["damping"]] ** 2 / stiffness
-    return values
-
-
 def _scaled_torques(
     lanes: Lanes, values: FloatArray, joints: IndexArray, inertia: FloatArray, least: float
 ) -> FloatArray:
     """Values (n, terms) with all torques of some joints times whichever factor fits best, at the same inertia (n,)."""
-    scale, best, found = _scale(lanes, values, least), np.full(len(values), np.inf), values.copy()
+    scale, best, found = error_scale(lanes, values, least), np.full(len(values), np.inf), values.copy()
     for factor in TORQUE_FACTORS:
         trial = _times(values, joints, factor, inertia)
         able = joints[trial[joints, INDEX["armature"]] > 0.0]
@@ -439,13 +373,9 @@ def _times(values: FloatArray, joints: IndexArray, factor: float, inertia: Float
 def _of_whole_arm(lanes: Lanes, state: _State, centre: FloatArray, least: float) -> FloatArray:
     """Values of least cost of the whole arm, from those of its joints one by one."""
     known = with_pull(lanes, state.values)
-    scale = _scale(known, state.values, least)
+    scale = error_scale(known, state.values, least)
     values = search(known, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
-    return search_arm(lanes, values, state.free, _scale(lanes, values, least), centre, 30, BLOCKED_LITTLE)
-
-
-def _scale(lanes: Lanes, values: FloatArray, least: float) -> FloatArray:
-    return robust_scale(evaluate(lanes, values)[0], lanes, len(values), least)
+    return search_arm(lanes, values, state.free, error_scale(lanes, values, least), centre, 30, BLOCKED_LITTLE)
 
 
 def _tried(
@@ -460,8 +390,8 @@ def _tried(
     """Values, free terms and prior (n, terms) with a group added to some joints, fitted."""
     trial, trial_free = with_group(values, free, able, group)
     if group == "saturation":
-        trial[able, INDEX["torque_limit"]] = 0.5 * _largest_torques(chosen, values)[able]
-    trial_centre, scale = np.where(trial_free & ~free, to_search(trial), centre), _scale(chosen, values, least)
+        trial[able, INDEX["torque_limit"]] = 0.5 * largest_torques(chosen, values)[able]
+    trial_centre, scale = np.where(trial_free & ~free, to_search(trial), centre), error_scale(chosen, values, least)
     return search(chosen, trial, trial_free, scale, trial_centre, 12, BLOCKED_LITTLE), trial_free, trial_centre
 
 
@@ -474,116 +404,6 @@ def _beside_coulomb(values: FloatArray, able: Sequence[int], group: str) -> Floa
         values[able, INDEX["breakaway"]] = 0.3 * values[able, INDEX["coulomb"]]
         values[able, INDEX["load_breakaway"]], values[able, INDEX["stribeck_velocity"]] = LITTLE, FADING
     return values
-
-
-def _piece_costs(residual: FloatArray, lanes: Lanes, scale: FloatArray, shape: float) -> list[FloatArray]:
-    """Robust cost of each joint's pieces."""
-    return [lane_cost(residual, lanes, scale, shape)[lanes.joint == joint] for joint in range(len(scale))]
-
-
-def _first_fit(
-    chosen: Lanes,
-    judged: Lanes,
-    values: FloatArray,
-    free: BoolArray,
-    centre: FloatArray,
-    moving: IndexArray,
-    held: BoolArray,
-    least: float,
-    gains: list[dict[str, float]],
-) -> tuple[FloatArray, BoolArray]:
-    """Values of the terms that every joint has, without a limit and with each of several, whichever fits best.
-
-    What limits how fast a joint follows changes what all other terms have to explain: it is settled before they are. A
-    profile that is the wrong answer to a drive's limit stays the best one, once they have made up for it.
-    """
-    limit = INDEX["acceleration_limit"]
-    plain = search(chosen, values, free, _scale(chosen, values, least), centre, 10, EVERY_ERROR)
-    plain = search(chosen, plain, free, _scale(chosen, plain, least), centre, 15, EVERY_ERROR)
-    scale = _scale(chosen, plain, least)
-    starts, searched, frees, able = [], [], [], []
-    for group, levels in zip(FIRST_GROUPS, (ACCELERATIONS, SATURATIONS), strict=True):
-        able.append(moving[~held[moving][:, members(group)].any(axis=1)])
-        trial, trial_free = with_group(values, free, able[-1].tolist(), group)
-        for level in levels:
-            start = trial.copy()
-            start[able[-1], members(group)] = level
-            if group == "saturation":
-                start[able[-1], members(group)] *= _largest_torques(chosen, values)[able[-1]]
-            starts.append(start)
-            # a profile is held at first: all other terms would make up for a wrong one
-            searched.append(free if group == "profile" else trial_free)
-            frees.append(trial_free)
-    # all starts side by side
-    begun, many = np.concatenate(starts), len(starts)
-    wide, every_free = repeated(some_pieces(chosen, STARTING_PIECES), many, len(values)), np.concatenate(frees)
-    centres = np.where(every_free & ~np.tile(free, (many, 1)), to_search(begun), np.tile(centre, (many, 1)))
-    begun = search(wide, begun, np.concatenate(searched), np.tile(scale, many), centres, 8, EVERY_ERROR)
-    costs = joint_cost(evaluate(wide, begun)[0], wide, np.tile(scale, many), EVERY_ERROR).reshape(many, -1)
-    which = np.argmin(costs, axis=0)
-    cheapest = which * len(values) + np.arange(len(values))
-    best, best_free, best_centre = begun[cheapest], every_free[cheapest], centres[cheapest]
-    best = search(chosen, best, best_free, scale, best_centre, 10, EVERY_ERROR)
-    best = search(chosen, best, best_free, _scale(chosen, best, least), best_centre, 15, EVERY_ERROR)
-    offered = np.union1d(able[0], able[1]).tolist()
-    saved = _savings(judged, plain, best, offered, least, EVERY_ERROR)
-    profiled = [joint for joint in saved if best_free[joint, limit]]
-    left = np.array([joint for joint in able[0].tolist() if joint not in saved], dtype=np.intp)
-    if len(left) and len(profiled) >= LIKE:
-        # Servos of one arm are mostly of one kind: those that found no limit begin again with the others' profile.
-        own = chosen.of(np.flatnonzero(np.isin(chosen.joint, left)))
-        alike, alike_free = with_group(values, free, left.tolist(), "profile")
-        for name in ("acceleration_limit", "delay"):
-            alike[left, INDEX[name]] = np.median(best[profiled, INDEX[name]])
-        only = alike_free & np.isin(np.arange(len(values)), left)[:, None]
-        best_centre[left, limit] = to_search(alike)[left, limit]
-        held_limit = only.copy()
-        held_limit[:, limit] = False
-        for freed in (held_limit, only):
-            alike = search(own, alike, freed, scale, best_centre, 12, EVERY_ERROR)
-        best[left], best_free[left] = alike[left], alike_free[left]
-        saved = _savings(judged, plain, best, offered, least, EVERY_ERROR)
-    rows = list(saved)
-    values, free = plain.copy(), free.copy()
-    values[rows], free[rows], centre[rows] = best[rows], best_free[rows], best_centre[rows]
-    for joint, share in saved.items():
-        gains[joint]["profile" if best_free[joint, limit] else "saturation"] = share
-    return values, free
-
-
-def _largest_torques(lanes: Lanes, values: FloatArray) -> FloatArray:
-    """(n,) torques that the largest position errors of any piece would ask for, if the joint stood still."""
-    reach = np.zeros(len(values))
-    np.maximum.at(reach, lanes.joint, np.abs(lanes.command[lanes.history :] - lanes.start).max(axis=0))
-    return np.asarray(values[:, INDEX["stiffness"]] * np.maximum(reach, 1e-3), dtype=np.float64)
-
-
-def _savings(
-    judged: Lanes,
-    before: FloatArray,
-    after: FloatArray,
-    able: Sequence[int],
-    least: float,
-    shape: float,
-    share: float = LEAST_GAIN,
-) -> dict[int, float]:
-    """Joints whose cost on held-out pieces falls clearly, and by what share."""
-    residual = evaluate(judged, before)[0]
-    scale = robust_scale(residual, judged, len(before), least)
-    old = _piece_costs(residual, judged, scale, shape)
-    new = _piece_costs(evaluate(judged, after)[0], judged, scale, shape)
-    saved = {}
-    for joint in able:
-        difference = old[joint] - new[joint]
-        total = float(difference.sum())
-        clear = difference[np.abs(difference) > CLEAR * np.median(np.abs(difference))]
-        helps = any(
-            float(changes[changes > 0].sum()) > -GAIN * float(changes[changes < 0].sum())
-            for changes in (difference, clear)
-        )
-        if helps and total > share * float(old[joint].sum()):
-            saved[joint] = total / float(old[joint].sum())
-    return saved
 
 
 def _pruned(lanes: Lanes, state: _State, least: float) -> bool:

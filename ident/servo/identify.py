@@ -25,7 +25,6 @@ from ident.servo.arm_rollout import command_paths, delay_and_lag, delayed_paths,
 from ident.servo.contact import PRESSING, Contact, tool_point
 from ident.servo.fit import ServoFit, fit_servo
 from ident.servo.links import ServoLinks, servo_links
-from ident.servo.mjcf import model_paths, read_model_file
 from ident.servo.motion import ServoMotion, servo_motions
 from ident.servo.result import (
     ContactStretch,
@@ -38,6 +37,7 @@ from ident.servo.result import (
     ServoRecording,
     ServoResult,
 )
+from ident.servo.simulators.mjcf import model_paths, read_model_file
 from ident.servo.terms import TERMS
 
 HELD_OUT = 0.3

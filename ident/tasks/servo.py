@@ -25,8 +25,6 @@ from ident.ranges import UNIT_SPREAD
 from ident.report.servo_page import rollout_figure, servo_page
 from ident.result.models.model import result_path
 from ident.result.result_file import file_sha256
-from ident.servo import isaaclab, mjcf, usd
-from ident.servo.actuator_law import ServoReplay, law_paths, left_out, nearest_file
 from ident.servo.arm_rollout import roll_out_arm
 from ident.servo.identify import ServoIdentification, contact_of, read_motions, revalidate_servo
 from ident.servo.identify import identify_servo as identify_recordings
@@ -34,6 +32,8 @@ from ident.servo.links import servo_links
 from ident.servo.motion import ServoMotion, servo_motions
 from ident.servo.ranges import drawn, servo_ranges
 from ident.servo.result import ServoResult, read_servo_result, with_values
+from ident.servo.simulators import isaaclab, mjcf, usd
+from ident.servo.simulators.actuator_law import ServoReplay, law_paths, left_out, nearest_file
 from ident.servo.terms import INDEX, TERMS
 from ident.tasks.arguments import GradedResult, Run, Runs, held_out_of, recording_of, recordings_of
 from ident.tasks.excitation import CSV_RATE, load_trajectory

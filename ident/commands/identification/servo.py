@@ -138,8 +138,8 @@ def export_servo_command(options: ExportOptions, *, force: bool, as_json: bool) 
     import json
 
     from daq.output_files import replace_files, written_together
-    from ident.servo import isaaclab, mjcf, usd
-    from ident.servo.actuator_law import left_out
+    from ident.servo.simulators import isaaclab, mjcf, usd
+    from ident.servo.simulators.actuator_law import left_out
     from ident.tasks.servo import load_servo_model
 
     if options.given("urdf", "ros2_inertial", "c"):

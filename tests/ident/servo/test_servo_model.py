@@ -12,10 +12,10 @@ import pytest
 
 import dynid
 from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Recording, Stream
-from ident.servo.actuator_law import shaped_commands
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Contact
-from ident.servo.mjcf import played_paths, servo_mjcf
+from ident.servo.simulators.actuator_law import shaped_commands
+from ident.servo.simulators.mjcf import played_paths, servo_mjcf
 from ident.servo.terms import INDEX
 
 WEIGHTED = ("shoulder_lift", "elbow_flex", "wrist_flex")

@@ -21,13 +21,13 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import TruthServo
 from ident.servo import arm_rollout
-from ident.servo.actuator_law import FAITHFUL, actuator_law
 from ident.servo.identify import read_motions
-from ident.servo.isaaclab import PHYSICS_STEP, read_isaaclab
 from ident.servo.links import servo_links
 from ident.servo.rollout import profile_goals
+from ident.servo.simulators.actuator_law import FAITHFUL, actuator_law
+from ident.servo.simulators.isaaclab import PHYSICS_STEP, read_isaaclab
+from ident.servo.simulators.usd import read_usd, usd_installed
 from ident.servo.terms import INDEX
-from ident.servo.usd import read_usd, usd_installed
 from sim_drivers.synthetic.servo import record_servo, servo_commands
 from studies.synthetic.altered_arms import with_servos
 

@@ -20,10 +20,10 @@ from ident.export.xml_text import comment_text, number, numbers
 from ident.friction.terms import NO_TERMS
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
-from ident.servo.actuator_law import FileFormat, actuator_law
 from ident.servo.contact import Contact
 from ident.servo.links import ServoLinks
 from ident.servo.motion import ServoMotion
+from ident.servo.simulators.actuator_law import FileFormat, actuator_law
 from ident.servo.terms import INDEX, TERMS
 
 MISSING = ("acceleration_limit", "load_friction", "breakaway", "load_breakaway", "dead_band")

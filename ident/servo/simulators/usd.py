@@ -20,8 +20,8 @@ from ident.estimators.feasible.pseudo_inertia import body_of
 from ident.export.xml_text import quaternion
 from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.parameters import LINK_SIZE
-from ident.servo.actuator_law import ActuatorLaw, FileFormat, actuator_law
 from ident.servo.links import ServoLinks
+from ident.servo.simulators.actuator_law import ActuatorLaw, FileFormat, actuator_law
 from ident.servo.terms import INDEX, TERMS
 
 MISSING = ("acceleration_limit", "load_friction", "load_breakaway", "dead_band", "bias", "delay")

@@ -15,10 +15,10 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
-from ident.servo.actuator_law import ActuatorLaw, FileFormat, actuator_law, left_out
 from ident.servo.links import ServoLinks
 from ident.servo.ranges import UnitRange, gaussians, unit_ranges
 from ident.servo.result import ServoResult
+from ident.servo.simulators.actuator_law import ActuatorLaw, FileFormat, actuator_law, left_out
 from ident.servo.terms import INDEX, TERMS
 
 PHYSICS_STEP = 0.005
