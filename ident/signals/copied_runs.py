@@ -19,6 +19,7 @@ from itertools import pairwise
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.signals.repetition import correlation
 
 BAND = (0.06, 0.22)
 """Frequencies that are compared, over the lower of both rates."""
@@ -233,8 +234,6 @@ def _aligned(
     time: FloatArray, torque: FloatArray, other_time: FloatArray, other_torque: FloatArray
 ) -> tuple[FloatArray, FloatArray, float, float] | None:
     """Both on one grid (K, n) where they overlap after the shift at which they agree best; step and shift [s]."""
-    from scipy.signal import correlate
-
     if min(len(time), len(other_time)) < FEWEST_SAMPLES or torque.shape[1] != other_torque.shape[1]:
         return None
     step = max(float(np.median(np.diff(stamps))) for stamps in (time, other_time))
@@ -247,8 +246,7 @@ def _aligned(
         np.diff(torques, axis=0) / np.maximum(np.std(torque, axis=0), np.finfo(float).tiny)
         for torques in (first, second)
     ]
-    pairs = zip(changes[0].T, changes[1].T, strict=True)
-    match = np.sum([correlate(a, b, method="fft") for a, b in pairs], axis=0)
+    match = correlation(changes[1].T, changes[0].T).sum(axis=0)
     best = int(np.argmax(match))
     lag = best - (len(changes[1]) - 1)
     shift = 0.0

@@ -109,7 +109,7 @@ def _differences(first: FloatArray, second: FloatArray) -> FloatArray:
     scale = np.sqrt(np.mean(np.concatenate([first, second], axis=1) ** 2, axis=1, keepdims=True))
     scale = np.where(scale > 0, scale, 1.0)  # every joint counts alike
     first, second = first / scale, second / scale
-    product = _correlation(first, second).sum(axis=0)
+    product = correlation(first, second).sum(axis=0)
     ones_first, ones_second = np.ones(first.shape[1]), np.ones(second.shape[1])
     energy = _overlap(np.sum(first**2, axis=0), ones_second) + _overlap(ones_first, np.sum(second**2, axis=0))
     tiny = 1e-9 * float(energy.max(initial=0.0)) + np.finfo(float).tiny
@@ -118,11 +118,11 @@ def _differences(first: FloatArray, second: FloatArray) -> FloatArray:
 
 def _overlap(first: FloatArray, second: FloatArray) -> FloatArray:
     """Correlation of two non-negative series at every lag, as in `_differences`."""
-    return np.maximum(_correlation(first, second), 0.0)
+    return np.maximum(correlation(first, second), 0.0)
 
 
-def _correlation(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Sums (…, M + K − 1) of the products of `first` (…, M) with `second` (…, K) moved; lags as in `_differences`."""
+def correlation(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Sums (…, M + K − 1) of the products of `first` (…, M) with `second` (…, K) moved; entry i is lag i − (M − 1)."""
     from scipy.fft import irfft, next_fast_len, rfft
 
     size = first.shape[-1] + second.shape[-1] - 1
