@@ -53,12 +53,16 @@ class MethodChoice:
 
 
 @cache
+def _modules() -> dict[str, str]:
+    """The module of each method by the method's name."""
+    modules = sorted(module.name for module in iter_modules(methods_folder.__path__))
+    return {name.replace("_", "-"): f"{methods_folder.__name__}.{name}" for name in modules}
+
+
+@cache
 def all_methods() -> MappingProxyType[str, Method[Any]]:
     """Every method by its name: one module each of `ident.estimators.methods`."""
-    modules = sorted(module.name for module in iter_modules(methods_folder.__path__))
-    return MappingProxyType(
-        {name.replace("_", "-"): import_module(f"{methods_folder.__name__}.{name}").METHOD for name in modules}
-    )
+    return MappingProxyType({name: import_module(module).METHOD for name, module in _modules().items()})
 
 
 @cache
@@ -79,19 +83,19 @@ def chosen_method(text: str) -> MethodChoice:
         UsageError: no such method or option, or a value that it cannot have; says what there is.
     """
     name, *pairs = text.split(":")
-    if name in _aliases():
+    if name not in _modules() and name in _aliases():
         name, *chosen = _aliases()[name].split(":")
         pairs = chosen + pairs
-    method = all_methods().get(name)
     if name == "servo":
         raise UsageError(
             "servo identifies from commands and encoders, not from torques",
             where="--method",
             hint="dynid identify --method servo, and in Python dynid.identify_servo",
         )
-    if method is None:
-        *others, last = all_methods()
+    if name not in _modules():
+        *others, last = _modules()
         raise UsageError(f"no method is called '{name}'", where="--method", hint=f"{', '.join(others)} or {last}")
+    method: Method[Any] = import_module(_modules()[name]).METHOD  # the others need not be imported
     names = [field.name for field in fields(method.options)]
     given: dict[str, str] = {}
     for pair in pairs:

@@ -99,7 +99,7 @@ class ZeroPhaseFilter:
         slowest = float(np.abs(self.modes.pole).max())
         return math.ceil(math.log(tolerance) / math.log(slowest)) if slowest > 0 else 1
 
-    @property
+    @cached_property
     def extension(self) -> int:
         """Samples of odd extension at each end, as scipy.signal.sosfiltfilt chooses it."""
         taps = 2 * len(self.sos) + 1

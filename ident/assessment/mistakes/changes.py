@@ -66,6 +66,9 @@ MOST_TRIED = 4
 PROMISING, MOST_FITTED = 20.0, 8
 """Fall of the weighted sum of squares from which on changes are fitted with weights of their own, and how many."""
 
+AT_ONCE = 32
+"""Changes whose columns are multiplied together."""
+
 LEAST_FACTOR = 0.05
 """Factor at least from which a gain's is estimated."""
 
@@ -175,10 +178,12 @@ class Changes:
         torque = stacked(self.refit.instants.torque[:, None])[0]
         rest = torque - basis @ (basis.T @ torque)
         products = []
-        for change in changes:
-            columns = stacked(change.columns)
+        for first in range(0, len(changes), AT_ONCE):
+            some = [change.columns for change in changes[first : first + AT_ONCE]]
+            columns = stacked(np.concatenate(some, axis=1))
             across = columns - (columns @ basis) @ basis.T
-            products.append((across @ across.T, across @ rest))
+            parts = np.split(across, np.cumsum([each.shape[1] for each in some])[:-1])
+            products += [(part @ part.T, part @ rest) for part in parts]
         gains = np.zeros(len(changes))
         for width in {len(right) for _, right in products}:
             places = [n for n, (_, right) in enumerate(products) if len(right) == width]

@@ -44,7 +44,6 @@ def identify_recordings(
     from ident.commands.identification.servo import identify_servo_command, is_servo, print_servo, refuse_model_file
     from ident.commands.options import limits_option
     from ident.commands.printing.result import print_result
-    from ident.history.database import check_history
     from ident.result.friction_experiment import friction_path
     from ident.tasks.arguments import paths_of
     from ident.tasks.identification import identify
@@ -64,6 +63,8 @@ def identify_recordings(
     if not is_servo(options.method):
         refuse_model_file(model_file)
     if history is not None:
+        from ident.history.database import check_history
+
         check_history(history)
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
     with progress_line(quiet=as_json) as progress:
@@ -94,7 +95,7 @@ def identify_recordings(
 
 def _add_to_history(folder: Path, database: Path | None) -> None:
     """Add the result in a folder; nothing where no history is named."""
-    from ident.tasks.history import History
-
     if database is not None:
+        from ident.tasks.history import History
+
         History(database).add(folder)
