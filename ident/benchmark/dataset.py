@@ -132,9 +132,9 @@ class LoadedData:
 @cache
 def registered() -> dict[str, Dataset]:
     """Data sets that come with dynid, by name."""
-    found = sorted(files("ident.benchmark").joinpath("datasets").iterdir(), key=lambda path: path.name)
+    entries = sorted(files("ident.benchmark").joinpath("datasets").iterdir(), key=lambda path: path.name)
     listed = [
-        parse_dataset(path.read_text(encoding="utf-8"), path.name) for path in found if path.name.endswith("yaml")
+        parse_dataset(path.read_text(encoding="utf-8"), path.name) for path in entries if path.name.endswith("yaml")
     ]
     return {dataset.name: dataset for dataset in listed}
 
@@ -156,16 +156,16 @@ def chosen_datasets(names: Sequence[str]) -> list[Dataset]:
     Raises:
         UsageError: there is no such data set, its file is wrong, or two have one name.
     """
-    known = registered()
+    data_sets = registered()
     chosen = []
-    for name in names or list(known):
-        if name in known:
-            chosen.append(known[name])
+    for name in names or list(data_sets):
+        if name in data_sets:
+            chosen.append(data_sets[name])
         elif name.endswith((".yaml", ".yml")):
             chosen.append(parse_dataset(read_text(Path(name), DATASET_FILE, UsageError), name))
         else:
-            hint = did_you_mean(name, known) or "the path of a YAML file, too"
-            raise UsageError(f"no data set is called '{name}'; there are {', '.join(known)}", hint=hint)
+            hint = did_you_mean(name, data_sets) or "the path of a YAML file, too"
+            raise UsageError(f"no data set is called '{name}'; there are {', '.join(data_sets)}", hint=hint)
     given = [dataset.name for dataset in chosen]
     if len(set(given)) < len(given):
         raise UsageError(f"a data set is named twice: {', '.join(given)}")

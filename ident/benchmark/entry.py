@@ -125,14 +125,14 @@ def load_method(place: str) -> Method:
     here = str(Path.cwd())
     sys.path.append(here)
     try:
-        found = getattr(import_module(module), name, None)
+        function = getattr(import_module(module), name, None)
     except (ImportError, ValueError) as error:
         raise UsageError(f"the module of the method cannot be imported: {error}", where=place) from error
     finally:
         sys.path.remove(here)
-    if not callable(found):
+    if not callable(function):
         raise UsageError("there is no such function", where=place, hint="module:function")
-    method: Method = found
+    method: Method = function
     return method
 
 

@@ -104,7 +104,7 @@ def judge_torques(predictor: TorquePredictor, motions: list[BenchmarkMotion], ro
         DataError: the torques are not finite, or of another shape; or the arm never moves.
     """
     parts = [_compared(predictor, motion) for motion in motions]
-    band, raw, torque, raw_torque, dq = (np.concatenate([part[index] for part in parts]) for index in range(5))
+    band, raw, torque, raw_torque, dq = (np.concatenate([window[index] for window in parts]) for index in range(5))
     speed = np.abs(dq)
     moving = np.any(speed >= REST, axis=1)
     if not moving.any():

@@ -77,7 +77,7 @@ def motions(recording: Recording, robot: RobotFile, rate: float, states: float, 
     signals = read_joint_signals(recording, robot.robot)
     time, of_joints = signals.time, signals.torque @ build_model(robot).transmission.coupling
     ends = np.flatnonzero(np.diff(time) > LARGEST_GAP) + 1
-    found = []
+    read = []
     for rows in np.split(np.arange(len(time)), ends):
         if len(rows) < 3:
             continue
@@ -91,10 +91,10 @@ def motions(recording: Recording, robot: RobotFile, rate: float, states: float, 
         acceleration = np.gradient(velocity, 1.0 / native, axis=0)
         every = slice(None, None, round(native / used))
         torque = _at(grid, time[rows], of_joints[rows])
-        found.append(BenchmarkMotion(used, band, position[every], velocity[every], acceleration[every], torque[every]))
-    if not found:
+        read.append(BenchmarkMotion(used, band, position[every], velocity[every], acceleration[every], torque[every]))
+    if not read:
         raise DataError(f"no gap-free motion lasts {3.0 * EDGE / band:.2g} s", where=recording.label)
-    return found
+    return read
 
 
 def _at(grid: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:

@@ -81,14 +81,14 @@ def with_opposite_torques(identification: Identification, check: Check) -> Check
 
     The parameters of −τ are the negative ones, so that only the consistent bodies are sought anew.
     """
-    found, estimate = identification.consistent, identification.estimate
+    consistent, estimate = identification.consistent, identification.estimate
     opposite = found_consistent(
         identification.model, identification.base, replace(estimate, values=-estimate.values), identification.robot_file
     )
-    if found is None or opposite is None:
+    if consistent is None or opposite is None:
         return check
-    errors = found.fit.relative_error, _error(identification, -opposite.base)
-    masses = [_kilograms(float(_links(bodies)[:, MASS].sum())) for bodies in (found.parameters, opposite)]
+    errors = consistent.fit.relative_error, _error(identification, -opposite.base)
+    masses = [_kilograms(float(_links(bodies)[:, MASS].sum())) for bodies in (consistent.parameters, opposite)]
     text = (
         f"{check.text}; with −τ the torque error of the consistent model falls from {percent_text(errors[0], 2)} to "
         f"{percent_text(errors[1], 2)}, and its mass is {masses[1]} instead of {masses[0]}: import with --repair "
@@ -121,17 +121,17 @@ def refuse_denied(identification: Identification, checks: Sequence[Check]) -> No
     Raises:
         RobotFileError: names it, with what the data say.
     """
-    found = identification.consistent
-    if found is None or found.parameters.without is None:
+    consistent = identification.consistent
+    if consistent is None or consistent.parameters.without is None:
         return
     # A mistake elsewhere makes a sound statement of the file look wrong.
     if any(c.severity == "serious" or (c.severity == "warning" and c.name in MISTAKES) for c in checks):
         return
-    error = _error(identification, found.parameters.without)
-    stated = found.fit.relative_error
+    error = _error(identification, consistent.parameters.without)
+    stated = consistent.fit.relative_error
     if stated > DENIED_FACTOR * error and stated - error > DENIED_RISE:
         raise RobotFileError(
-            f"no data fit {', '.join(found.parameters.contradicted)}: with it the torque error is "
+            f"no data fit {', '.join(consistent.parameters.contradicted)}: with it the torque error is "
             f"{percent_text(stated, 2)}, without it {percent_text(error, 2)}",
             where=identification.robot_file.where,
             hint="correct 'known' or 'prior.links', or the drive gains and the geometry",

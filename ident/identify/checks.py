@@ -246,7 +246,7 @@ def _weight_checks(identification: Identification) -> list[Check]:
 def _mistake_checks(identification: Identification) -> list[Check]:
     """Gravity, signs, columns, gains, lengths and zeros that fit the data better than those believed."""
     if identification.choices.estimator.equations == "torque":
-        found = mistake_checks(
+        of_mistakes = mistake_checks(
             identification.model,
             identification.experiment,
             identification.base,
@@ -257,7 +257,7 @@ def _mistake_checks(identification: Identification) -> list[Check]:
         )
         return [
             with_opposite_torques(identification, check) if check.name == "torques-opposite" else check
-            for check in found
+            for check in of_mistakes
         ]
     opposite = np.any(identification.model.gravity) and _fits_opposite_gravity(identification)
     return [opposite_gravity()] if opposite else []

@@ -145,10 +145,10 @@ def _held_out_error(
     for held_out in (0, 1):
         normal, right = np.zeros((count, count)), np.zeros(count)
         for joint, gram in fitted.items():
-            columns, part = list(kernel.joint_rows[joint].columns), gram[1 - held_out]
-            weight = 1.0 / part[-1, -1] if part[-1, -1] > 0.0 else 0.0
-            normal[np.ix_(columns, columns)] += weight * part[:-1, :-1]
-            right[columns] += weight * part[:-1, -1]
+            columns, held = list(kernel.joint_rows[joint].columns), gram[1 - held_out]
+            weight = 1.0 / held[-1, -1] if held[-1, -1] > 0.0 else 0.0
+            normal[np.ix_(columns, columns)] += weight * held[:-1, :-1]
+            right[columns] += weight * held[:-1, -1]
         scale = np.sqrt(np.diag(normal))
         scale = np.where(scale > 0.0, scale, 1.0)
         parameters = np.linalg.lstsq(normal / np.outer(scale, scale), right / scale, rcond=1e-10)[0] / scale

@@ -75,8 +75,8 @@ class HeldFriction:
             return prepared
         segments = []
         for segment in prepared.segments:
-            known = self.torque(segment)
-            segments.append(replace(segment, torque=segment.torque - known, known_torque=known))
+            held = self.torque(segment)
+            segments.append(replace(segment, torque=segment.torque - held, known_torque=held))
         step = Step("friction held", {"joints": len(self.joints)}, self.text)
         return replace(prepared, segments=tuple(segments), steps=(*prepared.steps, step))
 

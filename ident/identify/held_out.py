@@ -106,7 +106,7 @@ class ParameterSets:
         """Measured and predicted torques for base parameters (b,), a series per segment."""
         columns, segments, run_filter = self.base.columns, prepared.segments, prepared.parallel_filter
         series = compare_torques(self.model, columns, values, segments, run_filter)
-        return tuple(only_predicted(part, torques) for part in series)
+        return tuple(only_predicted(torque, torques) for torque in series)
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,13 +329,13 @@ def _of_all(series: Sequence[Sequence[TorqueSeries]], runs: Sequence[HeldOutRun]
     """Errors over all recordings together."""
     if not runs:
         return None
-    parts = [part for of_run in series for part in of_run]
+    parts = [torque for of_run in series for torque in of_run]
     return fit_errors(parts, held_out=all(run.errors.held_out for run in runs))
 
 
 def _share_at_rest(in_motion: Sequence[TorqueSeries], all_samples: Sequence[TorqueSeries]) -> float:
     """Share of all samples' torques that do not count in motion."""
-    moving, every = (sum(int(part.counted.sum()) for part in series) for series in (in_motion, all_samples))
+    moving, every = (sum(int(torque.counted.sum()) for torque in series) for series in (in_motion, all_samples))
     return 1.0 - moving / max(1, every)
 
 

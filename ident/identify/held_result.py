@@ -101,7 +101,7 @@ def _beta(joint: HeldJoint) -> dict[str, Any]:
 
 def _consistent(consistent: ConsistentModel, entries: list[BaseParameterResult]) -> ConsistentModel:
     """Held coefficients are none of a body's: they stay as they are."""
-    known = [
+    held = [
         StandardParameterResult(
             name=entry.name, unit=entry.unit, value=entry.value or 0.0, std=entry.std, determined=1.0, known=False
         )
@@ -109,7 +109,7 @@ def _consistent(consistent: ConsistentModel, entries: list[BaseParameterResult])
     ]
     values = {entry.name: entry.value or 0.0 for entry in entries}
     return consistent.model_copy(
-        update={"parameters": [*consistent.parameters, *known], "base_values": {**consistent.base_values, **values}}
+        update={"parameters": [*consistent.parameters, *held], "base_values": {**consistent.base_values, **values}}
     )
 
 
@@ -124,8 +124,8 @@ def _estimate(estimate: EstimateResult, model: DynamicModel, held: HeldFriction)
     root[:count, :count] = estimate.root
     covariance[:count, :count] = [[np.inf if entry is None else entry for entry in row] for row in estimate.covariance]
     for block in blocks:
-        part = slice(count, count + len(block))
-        root[part, part] = np.linalg.cholesky(np.linalg.inv(block)).T
-        covariance[part, part] = block
+        place = slice(count, count + len(block))
+        root[place, place] = np.linalg.cholesky(np.linalg.inv(block)).T
+        covariance[place, place] = block
         count += len(block)
     return estimate.model_copy(update={"parameters": names, "root": root.tolist(), "covariance": covariance.tolist()})

@@ -313,5 +313,5 @@ class Identification:
             rows = np.array([joint.rows for joint in self.reduction.joints])
             return np.where(rows > 0, self.solution.joint_std, np.nan)
         squares = sum(np.sum(fit_sery.residual**2, axis=1) for fit_sery in self.fit_series)
-        counts = sum(np.sum(part.counted, axis=1) for part in self.fit_series)
+        counts = sum(np.sum(torque.counted, axis=1) for torque in self.fit_series)
         return np.asarray(np.sqrt(squares / np.maximum(1, counts)))

@@ -302,12 +302,12 @@ def _observation(estimator: Estimator, setup: Setup, choices: IdentifyChoices) -
 def _filtered_runs(runs: Sequence[PreparedRun], series: Sequence[Sequence[TorqueSeries]]) -> Iterator[FilteredRun]:
     """What the jackknife looks at: torques that were not used leave no residual."""
     for run, of_run in zip(runs, series, strict=True):
-        known = tuple(
-            replace(part, predicted=np.where(np.isnan(part.predicted), part.measured, part.predicted))
-            for part in of_run
+        complete = tuple(
+            replace(torque, predicted=np.where(np.isnan(torque.predicted), torque.measured, torque.predicted))
+            for torque in of_run
         )
-        yield FilteredRun(run.prepared.segments, run.prepared.parallel_filter, known)
+        yield FilteredRun(run.prepared.segments, run.prepared.parallel_filter, complete)
 
 
 def _flat(series: Iterable[Sequence[TorqueSeries]]) -> tuple[TorqueSeries, ...]:
-    return tuple(part for of_run in series for part in of_run)
+    return tuple(torque for of_run in series for torque in of_run)

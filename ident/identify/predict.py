@@ -90,8 +90,8 @@ def predict_recording(model: Model, robot_file: RobotFile, recording: Recording)
     prepared = prepare(signals, choices)
     segments = tuple(_predicted(model, prepared, segment, signals) for segment in prepared.segments)
     deviations = model.result.residuals.joint_std
-    known = len(deviations) == model.dof and all(value is not None for value in deviations)
-    noise = model.coupling.T**2 @ np.square(np.array(deviations, dtype=np.float64)) if known else None
+    complete = len(deviations) == model.dof and all(value is not None for value in deviations)
+    noise = model.coupling.T**2 @ np.square(np.array(deviations, dtype=np.float64)) if complete else None
     return RecordingPrediction(
         segments=segments,
         noise=None if noise is None else np.sqrt(noise),

@@ -170,4 +170,4 @@ def compare_run(kernel: RegressorKernel, parameters: FloatArray, run: PreparedRu
     """Measured and predicted torques of a run for base parameters (b,), a series per segment."""
     prepared = run.prepared
     series = compare_torques(kernel.model, kernel.columns, parameters, prepared.segments, prepared.parallel_filter)
-    return tuple(only_predicted(part, run.torques) for part in series)
+    return tuple(only_predicted(torque, run.torques) for torque in series)

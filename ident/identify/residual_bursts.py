@@ -77,16 +77,20 @@ def burst_checks(identification: Identification) -> list[Check]:
                 kernel.model, kernel.columns, parameters, run.prepared.segments, run.prepared.parallel_filter
             )
         ]
-        for part, bursts in zip(series, suspect or [[] for _ in series], strict=True):
-            kept = part.counted & ~np.any([burst.within(part.time) for burst in bursts] or [np.zeros(1, bool)], axis=0)
-            squares += float(np.sum(np.where(kept, part.residual**2, 0.0)))
-            power += float(np.sum(np.where(kept, part.measured**2, 0.0)))
-        found = windows(_away_from_gaps(runs, series), torques, suspect or None)
-        place = iter(bursts_beyond(found, CONFIRMED, LARGER) or [[] for _ in series])
+        for torque, bursts in zip(series, suspect or [[] for _ in series], strict=True):
+            kept = torque.counted & ~np.any(
+                [burst.within(torque.time) for burst in bursts] or [np.zeros(1, bool)], axis=0
+            )
+            squares += float(np.sum(np.where(kept, torque.residual**2, 0.0)))
+            power += float(np.sum(np.where(kept, torque.measured**2, 0.0)))
+        per_segment = windows(_away_from_gaps(runs, series), torques, suspect or None)
+        place = iter(bursts_beyond(per_segment, CONFIRMED, LARGER) or [[] for _ in series])
         for run in runs:
             first = float(run.signals.time[0])
             shown += _texts(run.prepared, first, place, run.signals.label if several else "")
-        larger = max([larger, *(float(part.larger[part.deviation > CONFIRMED].max(initial=0.0)) for part in found)])
+        larger = max(
+            [larger, *(float(entry.larger[entry.deviation > CONFIRMED].max(initial=0.0)) for entry in per_segment)]
+        )
     if not shown or squares > MOST_ERROR**2 * power:
         return []
     more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
@@ -105,14 +109,14 @@ def _away_from_gaps(runs: Sequence[PreparedRun], series: Sequence[TorqueSeries])
     """
     of_segments = [run for run in runs for _ in run.prepared.segments]
     kept = []
-    for run, part in zip(of_segments, series, strict=True):
-        used = part.used.copy()
+    for run, torque in zip(of_segments, series, strict=True):
+        used = torque.used.copy()
         if run.signals.stale is not None:
             time = run.signals.time
             steps = np.diff(time)
             for row in np.flatnonzero(steps > GAP * np.median(steps)):
-                used &= (part.time < time[row] - REVERSAL) | (part.time > time[row + 1] + REVERSAL)
-        kept.append(replace(part, used=used))
+                used &= (torque.time < time[row] - REVERSAL) | (torque.time > time[row + 1] + REVERSAL)
+        kept.append(replace(torque, used=used))
     return kept
 
 

@@ -142,7 +142,7 @@ def stored_choices(result: Result) -> PreprocessChoices:
         return TypeAdapter(PreprocessChoices).validate_python(chosen)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        key = ".".join(str(part) for part in first["loc"])
+        key = ".".join(str(step) for step in first["loc"])
         raise ResultFileError(first["msg"], where=f"options.{key}", hint="identify again") from error
 
 

@@ -392,13 +392,13 @@ def convergence_result(identification: Identification) -> Convergence | None:
     if estimation.weights:
         weights = np.concatenate(estimation.weights, axis=1)
         for name, of_joint in zip(names, weights, strict=True):
-            known = of_joint[~np.isnan(of_joint)]
+            finite = of_joint[~np.isnan(of_joint)]
             equations.append(
                 JointEquations(
                     joint=name,
-                    equations=len(known),
-                    rejected=int(np.sum(known == 0.0)),
-                    mean_weight=float(known.mean()) if len(known) else None,
+                    equations=len(finite),
+                    rejected=int(np.sum(finite == 0.0)),
+                    mean_weight=float(finite.mean()) if len(finite) else None,
                 )
             )
     covariance = estimation.joint_covariance

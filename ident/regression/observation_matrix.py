@@ -276,10 +276,10 @@ def _accumulators(
     if condition > PRECONDITIONED_CONDITION_LIMIT or _sample_count(segments) < CONDITION_SAMPLES:
         return "QR of stacked blocks", [*sampled]
     torque = np.concatenate([torque[:, :: _stride(segments)] for torque in torques], axis=1)
-    for part, packed in evaluate_in_chunks(kernel, *_spread_motion(segments)):
+    for chunk, packed in evaluate_in_chunks(kernel, *_spread_motion(segments)):
         for joint, accumulator in enumerate(sampled):
-            accumulator.add(_joint_rows(kernel, joint, packed, torque[:, part]))
-    return "preconditioned Gram matrix", [PreconditionedGram(part.factor(), part.rows) for part in sampled]
+            accumulator.add(_joint_rows(kernel, joint, packed, torque[:, chunk]))
+    return "preconditioned Gram matrix", [PreconditionedGram(chunk.factor(), chunk.rows) for chunk in sampled]
 
 
 def estimate_condition(kernel: RegressorKernel, segments: Sequence[Segment]) -> float:

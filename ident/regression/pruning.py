@@ -44,8 +44,8 @@ class Pruned:
 def relative_std(parameters: FloatArray, std: FloatArray) -> FloatArray:
     """Relative standard deviations [%]; inf where a parameter is 0 or was not estimated."""
     result = np.full(len(parameters), np.inf)
-    known = np.isfinite(std) & (parameters != 0)
-    result[known] = 100.0 * std[known] / np.abs(parameters[known])
+    finite = np.isfinite(std) & (parameters != 0)
+    result[finite] = 100.0 * std[finite] / np.abs(parameters[finite])
     return result
 
 
@@ -67,8 +67,8 @@ def partial_f(parameters: FloatArray, std: FloatArray) -> FloatArray:
     not estimated.
     """
     result = np.full(len(parameters), np.nan)
-    known = np.isfinite(std) & (std > 0)
-    result[known] = (parameters[known] / std[known]) ** 2
+    finite = np.isfinite(std) & (std > 0)
+    result[finite] = (parameters[finite] / std[finite]) ** 2
     return result
 
 

@@ -78,8 +78,8 @@ def repeatability(runs: RunDeviations) -> tuple[FloatArray, FloatArray]:
 
 def _moments(runs: RunDeviations, place: int, tau: float) -> tuple[float, int, float]:
     """Cochran's Q of one parameter for a given τ, its degrees of freedom, and by how much τ² = 1 would raise it."""
-    known = np.isfinite(runs.values[:, place])
-    values, weights = runs.values[known, place], 1.0 / (runs.variances[known, place] + tau**2)
+    finite = np.isfinite(runs.values[:, place])
+    values, weights = runs.values[finite, place], 1.0 / (runs.variances[finite, place] + tau**2)
     total = float(weights.sum())
     mean = float(weights @ values) / total
     return float(weights @ (values - mean) ** 2), len(values) - 1, total - float(weights @ weights) / total
@@ -150,18 +150,18 @@ def with_repeatability(
     )
     for number, (sums, normal) in enumerate(zip(of_runs, normals, strict=True)):
         lengths = np.diag(normal)[friction]
-        known = np.flatnonzero(lengths > 1e-6 * np.diag(total)[friction])
-        own = [friction[place] for place in known]
+        excited = np.flatnonzero(lengths > 1e-6 * np.diag(total)[friction])
+        own = [friction[place] for place in excited]
         if len(sums.gram) < FEWEST_BLOCKS or not own:
             continue
         block, grams = normal[np.ix_(own, own)], sums.gram[:, own][:, :, own]
         value = _solve(block, sums.score[:, own].sum(axis=0))
         moves = tolerant_moves(BlockSums(grams, sums.score[:, own] - grams @ value), block)
         # An error of the shared bodies moves the friction of runs apart where their motions differ.
-        leaning = _solve(block, normal[np.ix_(own, bodies)]) - shared[known]
+        leaning = _solve(block, normal[np.ix_(own, bodies)]) - shared[excited]
         covariance = jackknife_covariance(moves) + leaning @ of_bodies @ leaning.T
-        deviations.values[number, known] = value
-        deviations.variances[number, known] = np.diag(covariance)
+        deviations.values[number, excited] = value
+        deviations.variances[number, excited] = np.diag(covariance)
     std, factor = repeatability(deviations)
     inverse = _solve(total, np.eye(len(active)))
     added = sum(

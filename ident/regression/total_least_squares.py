@@ -181,10 +181,10 @@ def _concatenated(factors: Sequence[FloatArray], weights: FloatArray) -> tuple[F
 
 def _normalised(factors: FloatArray, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The same direction, with the last unknown at 1."""
-    known = unknowns[-1]
-    if abs(known) < 1e-12 * float(np.max(np.abs(unknowns))) or known == 0.0:
+    last = unknowns[-1]
+    if abs(last) < 1e-12 * float(np.max(np.abs(unknowns))) or last == 0.0:
         raise IdentificationError(
             "the known load does not show in the motor signals, so nothing fixes the size of the gains",
             hint="record with a heavier load, or a motion that moves it more",
         )
-    return factors / known, unknowns / known
+    return factors / last, unknowns / last

@@ -50,8 +50,8 @@ def _identified(training: Training, method: str) -> IdentificationResult:
 def predictor_of(identified: IdentificationResult, kind: Literal["consistent", "full"]) -> TorquePredictor:
     """One of an identification's models; the unconstrained one where no bodies were found."""
     result = identified.result
-    known = result.standard_parameters is not None
-    model = Model(result, kind if known else "full")
+    determined = result.standard_parameters is not None
+    model = Model(result, kind if determined else "full")
     bodies, parameters = None, {}
     if kind == "consistent" and result.standard_parameters is not None:
         parameters = {

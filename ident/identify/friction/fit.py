@@ -271,7 +271,7 @@ class _Fit:
         """Torques of a solution, a series per segment."""
         model = solved.model if presliding else replace(solved.model, presliding=())
         kernel = RegressorKernel(model, solved.base.columns)
-        return [part for run in self._prepared for part in compare_run(kernel, solved.solution.parameters, run)]
+        return [torque for run in self._prepared for torque in compare_run(kernel, solved.solution.parameters, run)]
 
     def with_travels(self, friction: FrictionFit) -> FrictionFit:
         """The model with pre-sliding travels, and its shapes settled with them."""

@@ -73,9 +73,9 @@ class FreeShapes:
         kept = replace(corrected, covariance=corrected.covariance[:count, :count])
         if self.names:
             of_shapes = corrected.covariance[count:]
-            known = np.isfinite(np.diag(of_shapes[:, count:]))
-            shared = of_shapes[known, :count]
-            given = kept.covariance - shared.T @ np.linalg.pinv(of_shapes[known][:, count:][:, known]) @ shared
+            finite = np.isfinite(np.diag(of_shapes[:, count:]))
+            shared = of_shapes[finite, :count]
+            given = kept.covariance - shared.T @ np.linalg.pinv(of_shapes[finite][:, count:][:, finite]) @ shared
             kept = replace(kept, within=given, shapes=self.names, shape_covariance=of_shapes)
         if corrected.random_std is not None:
             kept = replace(kept, random_std=corrected.random_std[:count])
@@ -173,15 +173,15 @@ def with_curvature(
         runs: the data.
         weights: (n,) of the motors' equations.
     """
-    terms, known = kernel.model.terms, {name: std for name, std in shape_std.items() if np.isfinite(std)}
-    if free.reduction is None or not known:
+    terms, finite = kernel.model.terms, {name: std for name, std in shape_std.items() if np.isfinite(std)}
+    if free.reduction is None or not finite:
         return corrected
     count, reduction = len(free.active) - len(free.names), free.reduction
     active = list(free.active[:count])
     torques = [motor for motor, joint in enumerate(reduction.joints) if joint.rows]
 
     def estimated(distance: float) -> FloatArray:
-        moved = shifted_shapes(terms, {name: distance * std for name, std in known.items()})
+        moved = shifted_shapes(terms, {name: distance * std for name, std in finite.items()})
         shifted = RegressorKernel(replace(kernel.model, terms=moved), kernel.columns)
         system = reduce_torques(shifted, runs, torques)
         if not set(active) <= set(excited_columns(system)):
@@ -196,10 +196,10 @@ def with_curvature(
         return corrected
     slopes = inverse[:count, count:] @ np.linalg.inv(inverse[count:, count:])
     linear = slopes @ np.array(
-        [known.get(name, 0.0) * coefficient for name, coefficient in zip(free.names, free.coefficients, strict=True)]
+        [finite.get(name, 0.0) * coefficient for name, coefficient in zip(free.names, free.coefficients, strict=True)]
     )
     squares = WEIGHT * (np.square(outer[0]) + np.square(outer[1]))
-    standard, joints = kernel.model.parameters, {kernel.model.active[motor] for _, motor in known}
+    standard, joints = kernel.model.parameters, {kernel.model.active[motor] for _, motor in finite}
     own = [standard[kernel.columns[place]] for place in active]
     shaped = np.array([column.kind in FRICTION_KINDS and column.joint in joints for column in own])
     return replace(corrected, curvature=np.where(shaped, np.sqrt(np.maximum(squares - np.square(linear), 0.0)), 0.0))
