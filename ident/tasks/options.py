@@ -83,7 +83,7 @@ class DataOptions(Options):
     )
     validation: Runs = option(
         (),
-        "Held-out recording; the last 30 % without one.",
+        "Held-out recording, once per file; the last 30 % without one.",
         meaning="held-out recordings; without any, the last 30 % of each of the others.",
         flag="--validate",
         command_type=list[Path],
