@@ -21,7 +21,7 @@ SILENT_PERIODS = 20
 """Without a row for so many periods, at least `SILENCE_LIMIT`, the connection counts as lost."""
 
 
-class ArmControl(Protocol):
+class MotorsControl(Protocol):
     """Commands of an arm's motors.
 
     Attributes:
@@ -78,7 +78,7 @@ class PolledArm(ABC):
         self._command_lock = self._clock.lock()
         self._commanded = self._halted = False
         self._notices: deque[Notice] = deque()
-        self._control: ArmControl
+        self._control: MotorsControl
 
     @abstractmethod
     def _connect(self) -> None:
