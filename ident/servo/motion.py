@@ -17,9 +17,6 @@ from ident.servo.rollout import THINNED, Lanes, Touch
 STEP = 0.005
 """[s] Longest step of a roll-out."""
 
-SLOW = 0.0125
-"""[s] Period of samples up to which steps are half as long: servos that are recorded so often are stiff."""
-
 HISTORY = 0.5
 """[s] of commands before a piece, for its delay."""
 
@@ -103,7 +100,7 @@ def servo_motions(recorded: CommandedMotion, label: str) -> list[ServoMotion]:
             where=label,
             hint="cut the recording to where both are, or import it again with both stamps of one clock",
         )
-    step = period / max(1, round(period / (STEP if period > SLOW else 0.5 * STEP)))
+    step = period / max(1, round(period / STEP))
     motions = []
     ends = [0, *(np.flatnonzero(np.diff(time) > max(GAP, 5 * period)) + 1).tolist(), len(time)]
     for first, end in pairwise(ends):

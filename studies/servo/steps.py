@@ -50,7 +50,7 @@ def positions(name: str, step: float) -> FloatArray:
     for row, truth in enumerate(true_values(file).values()):
         for term, value in truth.items():
             values[row, INDEX[term]] = value
-    pieces.STEP, pieces.SLOW = step, 0.0
+    pieces.STEP = step
     motions = pieces.servo_motions(CommandedMotion(names, time, command, time, {TARGET: command}), name)
     loads = [pieces.motion_load(links, motion, time, motion.position, np.zeros(len(names))) for motion in motions]
     lanes = pieces.lanes_of(motions, loads, None)
