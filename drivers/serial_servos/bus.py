@@ -49,20 +49,25 @@ class ServoBus:
         line: under it.
         fast: whether the servos answer in one packet; found out by `open`.
         block: first address and number of bytes of the feedback.
+        gathered: whether each shows it side by side at its indirect data, behind whether its torque is on; by `open`.
     """
 
     def __init__(self, settings: ServoSettings, clock: Clock = SYSTEM_CLOCK) -> None:
         self._motors = settings.motors
         protocol = PROTOCOLS[settings.motors[0].table.protocol]()
         self.line = ServoLine(settings.url, settings.keys.baudrate, protocol, clock)
-        self.fast = False
+        self.fast = self.gathered = False
+        self._may_gather = not settings.keys.read_only and all(
+            m.table.indirect is not None and len(m.table.gathered_bytes) <= m.table.indirect.count
+            for m in settings.motors
+        )
         self._lock: AbstractContextManager[object] = clock.lock()
         self._ids = [motor.id for motor in settings.motors]
         self._sync = all(motor.table.sync_read for motor in settings.motors)
         self._may_be_fast = settings.keys.fast_sync_read and all(m.table.fast_sync_read for m in settings.motors)
         blocks = [motor.table.block for motor in settings.motors]
         first = min(start for start, _ in blocks)
-        self.block = first, max(start + size for start, size in blocks) - first
+        self.block = self._scattered = first, max(start + size for start, size in blocks) - first
 
     def open(self) -> None:
         """Open the port, see whether it returns what is sent, and whether the servos answer in one packet.
@@ -81,6 +86,7 @@ class ServoBus:
                 heard = self.line.notice_echo(request, protocol.answer_size(entry.size))
             if heard.answers:
                 break
+        self._gather()
         if self._may_be_fast:
             self.fast = True
             self.fast = len(self.feedback().answers) == len(self._ids)
@@ -88,6 +94,38 @@ class ServoBus:
     def close(self) -> None:
         """Let go of the port; safe at any time."""
         self.line.close()
+
+    def _gather(self) -> None:
+        """Let all servos show their feedback side by side in their RAM; nothing where one refuses (torque on)."""
+        self.gathered, self.block = False, self._scattered
+        if not self._may_gather:
+            return
+        for motor in self._motors:
+            protocol, indirect = self.line.protocol, motor.table.indirect
+            assert indirect is not None
+            words = b"".join(place.to_bytes(2, "little") for place in motor.table.gathered_bytes)
+            try:
+                if self.read_bytes(motor, indirect.address, len(words)) == words:
+                    continue
+                with self._lock:
+                    written = protocol.write(motor.id, indirect.address, words)
+                    self.line.exchange(written, protocol.answer_size(0), 1, motor.id)
+                if self.read_bytes(motor, indirect.address, len(words)) != words:
+                    return
+            except ConnectionFailedError:  # older firmware; who is silent shows when each is asked who it is
+                return
+        self.gathered = True
+        self.block = 0, max(len(motor.table.gathered_bytes) for motor in self._motors)
+
+    def _request(self) -> bytes:
+        """For the feedback of all servos at once."""
+        protocol, (address, size) = self.line.protocol, self.block
+        if not self.gathered:
+            return protocol.sync_read(address, size, self._ids, fast=self.fast)
+        places = {m.id: m.table.indirect.data for m in self._motors if m.table.indirect is not None}
+        if len({*places.values()}) == 1:
+            return protocol.sync_read(places[self._ids[0]], size, self._ids, fast=self.fast)
+        return protocol.bulk_read(places, size, fast=self.fast)
 
     def ping(self, motor: int) -> bool:
         """Whether a servo answers to its id."""
@@ -170,13 +208,11 @@ class ServoBus:
         protocol, count = self.line.protocol, len(self._ids)
         with self._lock:
             if self.fast:
-                request = protocol.sync_read(address, size, self._ids, fast=True)
-                heard = self.line.exchange(request, protocol.fast_answer_size(size, count), 1)
+                heard = self.line.exchange(self._request(), protocol.fast_answer_size(size, count), 1)
                 packets = [answer for packet in heard.answers for answer in protocol.fast_answers(packet, size)]
                 return _feedback(packets, [heard], self._ids, size)
             if self._sync:
-                request = protocol.sync_read(address, size, self._ids)
-                heard = self.line.exchange(request, count * protocol.answer_size(size), count)
+                heard = self.line.exchange(self._request(), count * protocol.answer_size(size), count)
                 return _feedback(heard.answers, [heard], self._ids, size)
             each = [
                 self.line.exchange(protocol.read(motor, address, size), protocol.answer_size(size), 1)
@@ -187,7 +223,7 @@ class ServoBus:
     def value(self, motor: ServoMotor, name: str, answer: Packet) -> int:
         """The counts of a register of the feedback in a servo's answer."""
         entry: Register = motor.table.registers[name]
-        start = entry.address - self.block[0]
+        start = motor.table.gathered[name] if self.gathered else entry.address - self.block[0]
         return entry.decoded(answer.data[start : start + entry.size])
 
     def _asked(self, motor: ServoMotor, request: bytes, size: int, *, hurried: bool = False) -> Packet:

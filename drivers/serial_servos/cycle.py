@@ -42,13 +42,24 @@ class ServoCycle(PolledRows):
             self.answered[motor] = feedback.received
             self._note_fault(motor, packet.code)
         missing = [motor for motor in self._motors if motor.id not in feedback.answers]
+        watched = self._control.active and not self._control.led
+        if watched and self._bus.gathered and (off := [m for m in self._motors if self._is_off(m, feedback)]):
+            said = f"the torque of {', '.join(map(called, off))} is off"
+            self._tell(
+                "error", said, "was its power interrupted, or did it protect itself? look at supply, heat and load"
+            )
+            return  # whose power was interrupted shows other bytes than those asked for
         self._garbled += feedback.strange
         if missing:
             self._note_missing(missing, feedback)
         else:
             self._add(feedback.time, feedback.received, self._row(feedback))
-        if self._control.active and not self._control.led:
+        if watched and not self._bus.gathered:
             self._look_closer()
+
+    def _is_off(self, motor: ServoMotor, feedback: ServoFeedback) -> bool:
+        answer = feedback.answers.get(motor.id)
+        return answer is not None and not self._bus.value(motor, "torque_enable", answer)
 
     def _row(self, feedback: ServoFeedback) -> dict[str, list[float]]:
         row: dict[str, list[float]] = {}

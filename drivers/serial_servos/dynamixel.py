@@ -10,7 +10,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from drivers.serial_servos.packets import BROADCAST, FAST_SYNC_READ, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet, scanned
+from drivers.serial_servos.packets import (
+    BROADCAST,
+    BULK_READ,
+    FAST_BULK_READ,
+    FAST_SYNC_READ,
+    READ,
+    SYNC_READ,
+    SYNC_WRITE,
+    WRITE,
+    Packet,
+    scanned,
+)
 
 HEADER = b"\xff\xff\xfd\x00"
 MARK = HEADER[:3]
@@ -43,6 +54,11 @@ class DynamixelProtocol:
     def sync_read(self, address: int, size: int, motors: Sequence[int], *, fast: bool = False) -> bytes:
         """The request for the same bytes of several servos; `fast` in one packet."""
         return self.request(BROADCAST, FAST_SYNC_READ if fast else SYNC_READ, _words(address, size) + bytes(motors))
+
+    def bulk_read(self, addresses: Mapping[int, int], size: int, *, fast: bool = False) -> bytes:
+        """The request for bytes of several servos, id → where in each; `fast` in one packet."""
+        rows = b"".join(bytes([motor]) + _words(address, size) for motor, address in addresses.items())
+        return self.request(BROADCAST, FAST_BULK_READ if fast else BULK_READ, rows)
 
     def sync_write(self, address: int, rows: Mapping[int, bytes]) -> bytes:
         """The request that writes equally many bytes to several servos; none answers."""

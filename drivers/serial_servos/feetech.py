@@ -41,6 +41,10 @@ class FeetechProtocol:
             raise ValueError("Feetech servos have no fast sync read")
         return self.request(BROADCAST, SYNC_READ, bytes([address, size, *motors]))
 
+    def bulk_read(self, addresses: Mapping[int, int], size: int, *, fast: bool = False) -> bytes:
+        """They have none."""
+        raise ValueError("Feetech servos have no bulk read")
+
     def sync_write(self, address: int, rows: Mapping[int, bytes]) -> bytes:
         """The request that writes equally many bytes to several servos; none answers."""
         size = len(next(iter(rows.values())))

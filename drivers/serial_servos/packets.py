@@ -10,8 +10,10 @@ BROADCAST = 0xFE
 """Id that every servo obeys and none answers, in both protocols."""
 
 PING, READ, WRITE = 0x01, 0x02, 0x03
-SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
-"""Instructions of both protocols; Feetech has no fast sync read."""
+SYNC_READ, SYNC_WRITE = 0x82, 0x83
+"""Instructions of both protocols."""
+FAST_SYNC_READ, BULK_READ, FAST_BULK_READ = 0x8A, 0x92, 0x9A
+"""Of the Dynamixel protocol."""
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,9 @@ class ServoProtocol(Protocol):
 
     def sync_read(self, address: int, size: int, motors: Sequence[int], *, fast: bool = False) -> bytes:
         """The request for the same bytes of several servos, which answer in this order; `fast` in one packet."""
+
+    def bulk_read(self, addresses: Mapping[int, int], size: int, *, fast: bool = False) -> bytes:
+        """The request for bytes of several servos, id → where in each; answered as `sync_read`."""
 
     def sync_write(self, address: int, rows: Mapping[int, bytes]) -> bytes:
         """The request that writes equally many bytes to several servos; none answers."""

@@ -71,6 +71,21 @@ class Register:
 
 
 @dataclass(frozen=True)
+class Indirect:
+    """Bytes of a servo's memory in which it shows others, wherever those are.
+
+    Attributes:
+        address: of the first of the words that say which byte is shown.
+        data: where the first of them is shown.
+        count: of words, and bytes.
+    """
+
+    address: int
+    data: int
+    count: int
+
+
+@dataclass(frozen=True)
 class ServoTable:
     """What the documents say of a servo model.
 
@@ -86,6 +101,7 @@ class ServoTable:
         fast_sync_read: whether their answers may come as one packet.
         magnitudes: quantities of the feedback without a sign.
         documents: what says so.
+        indirect: where it shows bytes from all over its memory; None where it does not.
     """
 
     model: str
@@ -99,6 +115,22 @@ class ServoTable:
     fast_sync_read: bool
     magnitudes: frozenset[str]
     documents: Mapping[str, str]
+    indirect: Indirect | None = None
+
+    @property
+    def gathered(self) -> dict[str, int]:
+        """Registers that are read in a motion where it shows them side by side, and how far behind the first byte."""
+        places, size = dict[str, int](), 0
+        for name in ("torque_enable", *self.feedback.values()):
+            places[name] = size
+            size += self.registers[name].size
+        return places
+
+    @property
+    def gathered_bytes(self) -> list[int]:
+        """Addresses of their bytes."""
+        entries = (self.registers[name] for name in self.gathered)
+        return [place for entry in entries for place in range(entry.address, entry.address + entry.size)]
 
     @property
     def block(self) -> tuple[int, int]:
@@ -157,4 +189,5 @@ def servo_table(model: str) -> ServoTable:
         content.get("fast_sync_read", False),
         frozenset(content.get("magnitudes", ())),
         content["documents"],
+        Indirect(**content["indirect"]) if "indirect" in content else None,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from drivers.serial_servos.registers import ServoTable
 from drivers.serial_servos.settings import ServoMotor
 
-MEMORY = 160
+MEMORY = 256
 """Bytes of a servo's memory."""
 POWER_UP = 0.4
 """[s] that a servo needs after its power came back."""
@@ -89,13 +89,26 @@ class SimulatedServo:
         return name in self.table.registers
 
     def read(self, address: int, size: int) -> bytes:
-        """Bytes of the memory; nothing beyond its end."""
-        return bytes(self._memory[address : address + size]) if address + size <= MEMORY else b""
+        """Bytes of the memory, and of those that it shows in others' place; nothing beyond its end."""
+        if address + size > MEMORY:
+            return b""
+        return bytes(self._memory[self._shown(place)] for place in range(address, address + size))
+
+    def _shown(self, place: int) -> int:
+        """The address of the byte that an address shows."""
+        indirect = self.table.indirect
+        if indirect is None or not 0 <= place - indirect.data < indirect.count:
+            return place
+        word = indirect.address + 2 * (place - indirect.data)
+        return int.from_bytes(self._memory[word : word + 2], "little") or place
 
     def write(self, address: int, data: bytes) -> int:
         """Write into the memory as a client does; the error of a Dynamixel servo, 0 where it obeys."""
         if not all(place in self._written for place in range(address, address + len(data))):
             return ACCESS
+        indirect = self.table.indirect
+        if indirect is not None and address >= indirect.address and self.get("torque_enable"):
+            return ACCESS  # as ROBOTIS' example of indirect addresses says
         eeprom = {entry.address for entry in self.table.registers.values() if entry.eeprom}
         if self.table.protocol == "dynamixel":
             if self.get("torque_enable") and any(place in eeprom for place in range(address, address + len(data))):
@@ -119,6 +132,8 @@ class SimulatedServo:
         for name, entry in self.table.registers.items():
             if not entry.eeprom:
                 self.put(name, DEFAULTS[self.table.protocol].get(name, 0))
+        if (indirect := self.table.indirect) is not None:
+            self._memory[indirect.address : indirect.address + 2 * indirect.count] = bytes(2 * indirect.count)
 
     def protect(self, bit: int) -> None:
         """Go into a fault: its bit is set, the torque off."""
@@ -157,4 +172,7 @@ class SimulatedServo:
             for name, entry in table.registers.items()
             if not name.startswith("present_") and name not in ("model_number", "firmware", "status", "moving")
         ]
-        return frozenset(place for entry in own for place in range(entry.address, entry.address + entry.size))
+        places = {place for entry in own for place in range(entry.address, entry.address + entry.size)}
+        if (indirect := table.indirect) is not None:
+            places |= {*range(indirect.address, indirect.address + 2 * indirect.count)}
+        return frozenset(places)

@@ -20,7 +20,18 @@ from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.serial_port import BITS_A_BYTE
 from drivers.serial_servos.bus import PROTOCOLS
 from drivers.serial_servos.dynamixel import DynamixelProtocol
-from drivers.serial_servos.packets import BROADCAST, FAST_SYNC_READ, PING, READ, SYNC_READ, SYNC_WRITE, WRITE, Packet
+from drivers.serial_servos.packets import (
+    BROADCAST,
+    BULK_READ,
+    FAST_BULK_READ,
+    FAST_SYNC_READ,
+    PING,
+    READ,
+    SYNC_READ,
+    SYNC_WRITE,
+    WRITE,
+    Packet,
+)
 from drivers.serial_servos.settings import ServoSettings
 from sim_drivers.faults import (
     BlockJoint,
@@ -246,20 +257,29 @@ class SerialServoServer(FaultyServer):
             ordered = sorted(listening, key=lambda servo: servo.motor.id)
             answers = [self._obeyed(servo, request, now) for servo in ordered]
             return b"".join(answers), sum(map(self._delay, ordered))
-        if request.code == SYNC_READ and listening and all(servo.table.sync_read for servo in listening):
-            asked = [by_id[motor] for motor in rest if motor in by_id]
-            answers = [self._answer(servo, 0, servo.read(address, size)) for servo in asked]
-            return b"".join(answers), sum(map(self._delay, asked))
-        if request.code == FAST_SYNC_READ and isinstance(self._protocol, DynamixelProtocol):
+        asked = [(motor, address, size) for motor in rest]
+        if request.code in (BULK_READ, FAST_BULK_READ):
+            rest = request.data
+            asked = [
+                (rest[k], int.from_bytes(rest[k + 1 : k + 3], "little"), int.from_bytes(rest[k + 3 : k + 5], "little"))
+                for k in range(0, len(rest) - 4, 5)
+            ]
+        dynamixel = isinstance(self._protocol, DynamixelProtocol)
+        one_each = request.code == SYNC_READ and all(servo.table.sync_read for servo in listening)
+        if listening and (one_each or (request.code == BULK_READ and dynamixel)):
+            heard = [(by_id[motor], place, count) for motor, place, count in asked if motor in by_id]
+            answers = [self._answer(servo, 0, servo.read(place, count)) for servo, place, count in heard]
+            return b"".join(answers), sum(self._delay(servo) for servo, _, _ in heard)
+        if request.code in (FAST_SYNC_READ, FAST_BULK_READ) and isinstance(self._protocol, DynamixelProtocol):
             rows = []
-            for motor in rest:
+            for motor, place, count in asked:
                 if (servo := by_id.get(motor)) is None:  # the next ones wait for it
                     break
-                rows.append((motor, servo.answer_code, servo.read(address, size)))
+                rows.append((motor, servo.answer_code, servo.read(place, count)))
             whole = self._protocol.fast_answer(rows) if rows else b""
             if self._twice & {motor for motor, _, _ in rows}:
                 whole = _with_others(whole, self._protocol.fast_answer([(m, e, _other(d)) for m, e, d in rows]))
-            return whole if len(rows) == len(rest) else whole[:-2], sum(self._delay(by_id[row[0]]) for row in rows)
+            return whole if len(rows) == len(asked) else whole[:-2], sum(self._delay(by_id[row[0]]) for row in rows)
         return b"", 0.0
 
     def _answer(self, servo: SimulatedServo, error: int, data: bytes) -> bytes:

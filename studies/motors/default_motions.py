@@ -38,8 +38,8 @@ from sim_drivers.can_motors.server import CanMotorServer
 ARMS = ("moteus_rig", "openarm", *WIRES)
 
 
-def recorded(file: RobotFile, wire: str, motion: Motion) -> Recording:
-    """A motion of the simulated arm, from its start pose.
+def recorded(file: RobotFile, wire: str, motion: Motion, folder: Path) -> Recording:
+    """A motion of the simulated arm, from its start pose, recorded in a folder.
 
     Raises:
         RuntimeError: the motion was stopped.
@@ -48,13 +48,13 @@ def recorded(file: RobotFile, wire: str, motion: Motion) -> Recording:
     connection = robot.connections[wire]
     keys = dict(connection.model_extra or {}) | {"interface": "virtual", "channel": "default", "options": {}}
     start = motion.evaluate(np.zeros(1))[0][:, 0]
-    with TemporaryDirectory() as folder, simulated_time() as clock:
+    with simulated_time() as clock:
         settings = parse_settings(keys, robot.joint_names, connection.driver)
         driver = CanMotorDriver(replace(driver_settings(robot, keys), clock=clock), connection.driver)
         with CanMotorServer(file, settings, start, clock, held=True):
             driver.open()
             layouts = driver.streams()
-            recorder = Recorder(Path(folder) / "run.h5", file, layouts, trajectory="default", clock=clock)
+            recorder = Recorder(folder / "run.h5", file, layouts, trajectory="default", clock=clock)
             supervisor = Supervisor(Limits.of_robot(robot), layouts)
             report = record(driver, recorder, supervisor, unchecked_play(motion, robot), clock=clock)
             driver.close()
@@ -63,21 +63,29 @@ def recorded(file: RobotFile, wire: str, motion: Motion) -> Recording:
         return read_recording(report.file)
 
 
+def lag(run: Recording) -> float:
+    """How far a joint was behind its goals at most [rad]."""
+    joints, goals = run.streams["joints"], run.streams["commands"]
+    target, position = goals.channels["target_position"].values, joints.channels["position"].values
+    aimed = np.column_stack([np.interp(joints.time, goals.time, column) for column in target.T])
+    return float(np.max(np.abs(aimed - position)))
+
+
 def main() -> None:
     """Print the table."""
-    print(
-        "| arm | motion [s] | lag of a joint at most [rad] | torque prediction | held-out torque error [%] "
-        "| simulation |"
-    )
+    print("| arm | rows | lag of a joint at most [rad] | torque prediction | held-out torque error [%] | simulation |")
     print("|---|---|---|---|---|---|")
     for arm in sys.argv[1:] or ARMS:
         file = robot_file() if arm in WIRES else load_robot(arm)
         wire = arm if arm in WIRES else next(iter(file.robot.connections))
-        motion = dynid.design_excitation(file, starts=1, workers=1)
-        run = recorded(file, wire, motion.motion)
-        result = dynid.identify(run)
-        verdict = {purpose.name: purpose.grade for purpose in result.verdict.purposes}
-        print(arm, verdict, result.validation.relative_error)
+        motion = dynid.design_excitation(file, starts=1, workers=1).motion
+        with TemporaryDirectory() as folder:
+            run = recorded(file, wire, motion, Path(folder))
+            result = dynid.identify(run)
+        grades = {name: judged.grade for name, judged in result.verdict.purposes.items()}
+        rows, error = len(run.streams["joints"].time), 100.0 * result.validation.relative_error
+        graded = f"{grades['torque_prediction']} | {error:.2g} | {grades['simulation']}"
+        print(f"| {arm} | {rows} | {lag(run):.3f} | {graded} |", flush=True)
 
 
 if __name__ == "__main__":

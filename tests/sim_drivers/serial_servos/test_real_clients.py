@@ -9,6 +9,8 @@ import scservo_sdk
 from servo_bench import START, STEP, ServoBench, servos
 from simulated_clock import SimulatedClock
 
+from drivers.serial_servos.registers import servo_table
+
 FEETECH, DYNAMIXEL = scservo_sdk.PacketHandler(0), dynamixel_sdk.PacketHandler(2.0)
 
 
@@ -89,3 +91,24 @@ def test_robotis_package(clock: SimulatedClock):
         assert DYNAMIXEL.reboot(port, 7)[0] == 0
         clock.sleep(0.6)
         assert DYNAMIXEL.read1ByteTxRx(port, 7, 70) == (0, 0, 0)
+
+
+def test_robotis_package_reads_what_indirect_addresses_gather(clock: SimulatedClock):
+    with servos(clock, "dynamixel") as bench:
+        port = SimulatedPort(bench)
+        words = [place for first, size in ((64, 1), (132, 4), (146, 1)) for place in range(first, first + size)]
+        for index, place in enumerate(words):
+            assert DYNAMIXEL.write2ByteTxRx(port, 1, 168 + 2 * index, place)[1] & 0x7F == 7  # while the torque is on
+        for motor in (1, 7):
+            assert DYNAMIXEL.write1ByteTxRx(port, motor, 64, 0) == (0, 0)
+            for index, place in enumerate(words):
+                assert DYNAMIXEL.write2ByteTxRx(port, motor, 168 + 2 * index, place) == (0, 0)
+        at = {1: servo_table("xl430-w250").indirect.data, 7: servo_table("xl330-m288").indirect.data}
+        for fast in (False, True):
+            reading = dynamixel_sdk.GroupBulkRead(port, DYNAMIXEL)
+            for motor, data in at.items():
+                assert reading.addParam(motor, data, len(words))
+            assert (reading.fastBulkRead() if fast else reading.txRxPacket()) == 0
+            steps = np.array([reading.getData(motor, data + 1, 4) for motor, data in at.items()])
+            assert (steps - 2048) * STEP * [1, -1] == pytest.approx(START, abs=0.1)  # it falls meanwhile
+            assert [reading.getData(motor, data, 1) for motor, data in at.items()] == [0, 0]
