@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -56,6 +57,7 @@ class MotorControl:
         self.fresh: Callable[[], None] = _nothing
         self._pushed: tuple[float, FloatArray] | None = None
         self._led: list[MotorCodec] = []
+        self._held = False
 
     def take(self) -> None:
         """Write limits and time-outs, read them back, and let the motors hold where they are.
@@ -170,6 +172,7 @@ class MotorControl:
         """Let the arm hold or go limp, as the connection says; what is wrong, in words, or nothing."""
         led, self.active, self.obeying, self.led = self.led, False, False, False
         limp = self._settings.keys.on_stop == "limp"
+        self._held = self._held or not limp
         state = "limp" if limp else "held"
         try:
             if led and not limp:
@@ -186,6 +189,14 @@ class MotorControl:
         if silent := [motor.name for index, motor in enumerate(self._motors) if index not in heard]:
             return f"{', '.join(silent)} did not answer when the arm was {state}: where it is, is unknown"
         return f"the arm did not show within {STOP_LIMIT:g} s that it stands still, {state}"
+
+    def part(self) -> None:
+        """Switch off an arm that goes limp with this program anyway: a time-out would leave its motors in fault."""
+        held, self._held = self._held, False
+        if held and self._settings.when_lost == "limp":
+            with suppress(ConnectionLostError):
+                for _ in range(STOP_SENDINGS):
+                    self._bus.send([frame for codec in self._bus.codecs for frame in codec.disable()])
 
     def left_alone(self) -> str:
         """What the motors do where nobody commands them any more, in words."""

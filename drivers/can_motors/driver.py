@@ -83,6 +83,7 @@ class CanMotorDriver(PolledArm):
         self._require_own_ids()
 
     def _disconnect(self) -> None:
+        self._control.part()
         self._bus.close()
 
     def _new_cycle(self) -> MotorCycle:

@@ -198,6 +198,17 @@ def test_who_was_late_is_said(clock: SimulatedClock, monkeypatch):
     assert "answer" not in said[2]
 
 
+@pytest.mark.parametrize("wire", ["damiao", "moteus"])
+def test_motors_that_go_limp_with_the_end_are_not_in_fault_at_the_next_begin(clock: SimulatedClock, tmp_path, wire):
+    with motors(clock, wire, when_lost="limp") as bench:
+        for name, goal in (("one.h5", START), ("two.h5", START)):
+            report = bench.session(tmp_path / name, goal + [0.1, -0.1])
+            assert report.stopped_by is None
+            assert not any(motor.enabled or motor.fault for motor in bench.server.motors)
+            clock.sleep(4.0)  # longer than any time-out, and until it hangs
+            assert not any(motor.fault for motor in bench.server.motors)
+
+
 def test_limp_on_stop(clock: SimulatedClock):
     for wire in WIRES:
         with motors(clock, wire, on_stop="limp") as bench, bench.opened() as driver:
