@@ -173,7 +173,7 @@ class RtdeReceiver:
     def take(self, timeout: float) -> Samples | None:
         """What has arrived since the last call; None where nothing has.
 
-        It waits for `TOGETHER`'s samples, at most `timeout` [s]: handling each by itself takes most of a core.
+        It waits for the samples of `TOGETHER`, at most `timeout` [s]: handling each by itself takes most of a core.
 
         Raises:
             ConnectionLostError: nothing is left and the connection broke, fell silent or spoke something else.
