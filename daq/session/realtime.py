@@ -1,14 +1,17 @@
-"""Real-time priority for the process that records (Linux)."""
+"""Real-time priority for the process that records, and a processor that does not sleep meanwhile (Linux)."""
 
 from __future__ import annotations
 
 import os
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 
 from drivers.core.errors import UsageError
 
+WAKE_LATENCY = Path("/dev/cpu_dma_latency")
+"""Linux keeps processors out of every sleep that takes longer to end [µs, int32] than what holds this file open says."""
 PRIORITY = 20
 """Priority of SCHED_FIFO: above all ordinary processes, below the kernel's own threads that serve interrupts (50)."""
 
@@ -62,3 +65,16 @@ def ordinary_priority() -> Iterator[None]:
         yield
     finally:
         os.sched_setscheduler(0, *before)
+
+
+@contextmanager
+def awake_processor() -> Iterator[None]:
+    """Keep the processor from sleeping, where the system allows it (root, or a rule for the file).
+
+    An idle processor needs up to 0.1 ms to wake up; that of a virtual machine, which its host gives to others
+    meanwhile, needed up to 70 ms (docs/measurements/faults.md).
+    """
+    with ExitStack() as held:
+        with suppress(OSError):
+            held.enter_context(WAKE_LATENCY.open("wb", buffering=0)).write(bytes(4))
+        yield

@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -33,6 +33,7 @@ from daq.session.play import (
 )
 from daq.session.retract import retract
 from daq.session.sources import Sources
+from daq.session.realtime import awake_processor
 from daq.session.supervisor import Supervisor
 from daq.session.unrecorded import SampleKeeper
 from daq.session.watch import Watch
@@ -170,7 +171,8 @@ def record(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
     cycle = partial(_cycle, driver, recorder, supervisor, course)
     player: Player | None = None
     error: DynidError | None = None
-    with _signals_noted(course), _undisturbed():
+    awake = awake_processor() if clock is SYSTEM_CLOCK else nullcontext()
+    with _signals_noted(course), _undisturbed(), awake:
         try:
             driver.start()
             begun = clock.now()

@@ -69,3 +69,13 @@ def test_a_refusal_is_seen_by_trying(monkeypatch):
 
     monkeypatch.setattr(realtime, "ask_for_realtime", refuse)
     assert realtime.may_have_realtime() is False
+
+
+def test_the_processor_is_kept_awake_where_the_system_allows_it(tmp_path, monkeypatch):
+    held = tmp_path / "latency"
+    for path, written in ((held, bytes(4)), (tmp_path / "nowhere" / "latency", None)):
+        monkeypatch.setattr(realtime, "WAKE_LATENCY", path)
+        with pytest.raises(OSError, match="of what is done meanwhile"), realtime.awake_processor():
+            assert not path.exists() or path.read_bytes() == written
+            raise OSError("of what is done meanwhile")
+    assert held.read_bytes() == bytes(4)
