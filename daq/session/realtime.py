@@ -11,7 +11,7 @@ from pathlib import Path
 from drivers.core.errors import UsageError
 
 WAKE_LATENCY = Path("/dev/cpu_dma_latency")
-"""Linux keeps processors out of every sleep that takes longer to end [µs, int32] than what holds this file open says."""
+"""Linux keeps processors out of sleeps that take longer to end [µs, int32] than what holds this file open says."""
 PRIORITY = 20
 """Priority of SCHED_FIFO: above all ordinary processes, below the kernel's own threads that serve interrupts (50)."""
 

@@ -31,9 +31,9 @@ from daq.session.play import (
     unreported_safety,
     wait_for_position,
 )
+from daq.session.realtime import awake_processor
 from daq.session.retract import retract
 from daq.session.sources import Sources
-from daq.session.realtime import awake_processor
 from daq.session.supervisor import Supervisor
 from daq.session.unrecorded import SampleKeeper
 from daq.session.watch import Watch
