@@ -223,7 +223,7 @@ def _compiled(
     pull, force = np.empty((count, width if coupled else 0)), np.empty((count, together.pieces if touched else 0))
     kept = []  # what C reads lives until it has
 
-    def given(array: FloatArray | None, kind: Any = np.float64) -> c_void_p:
+    def given(array: FloatArray | IndexArray | None, kind: Any = np.float64) -> c_void_p:
         if array is None:
             return c_void_p(None)
         kept.append(np.ascontiguousarray(array, dtype=kind))
