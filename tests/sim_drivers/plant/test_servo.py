@@ -53,16 +53,19 @@ def test_a_supply_sags_by_the_current_that_is_drawn(file):
 
 
 def test_play_is_crossed_and_kept(file):
-    play = 0.02
-    arm = ServoArm(with_servos(file, backlash=play, gear_stiffness=5000.0), np.zeros(6))
+    play, gear = 0.02, 5000.0
+    arm = ServoArm(with_servos(file, backlash=play, gear_stiffness=gear), np.zeros(6))
     gaps = []
     for target in (0.2, -0.2):
         goal = np.full(6, target)
         for _ in range(250):
             arm.advance(goal)
             gaps.append((arm.motor - arm.position)[PAN])
-    assert max(gaps) == pytest.approx(play / 2, rel=0.1)
-    assert min(gaps) == pytest.approx(-play / 2, rel=0.1)
+    truth = file.robot.truth.joints[file.robot.joint_names[PAN]]
+    closing = np.abs(np.diff(gaps)).max() / arm.step
+    yielding = truth.servo.torque_limit / gear + closing * np.sqrt(truth.motor_inertia / gear)
+    for gap in (max(gaps), -min(gaps)):
+        assert play / 2 <= gap <= play / 2 + yielding  # what the gear yields: to the torque, and to the impact
 
 
 def test_a_warm_winding_weakens_a_servo_by_its_resistance(file):
