@@ -104,14 +104,19 @@ class Driver(Protocol):
 
         Raises:
             ConnectionFailedError: no answer, or not from the expected device.
-            UsageError: the connection's keys are wrong.
+            MotionRefusedError: another master is on the bus, or something moves the arm.
+            UsageError: the connection's keys are wrong, or do not fit this bus or these devices.
         """
 
     def streams(self) -> tuple[StreamLayout, ...]:
         """What will be delivered; known once open."""
 
     def start(self) -> None:
-        """Make samples flow."""
+        """Make samples flow.
+
+        Raises:
+            ConnectionLostError, ConnectionFailedError: the connection broke meanwhile.
+        """
 
     def read(self, timeout: float) -> Sequence[Batch]:
         """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
@@ -130,8 +135,9 @@ class Driver(Protocol):
         """Make the arm ready to obey commands; it holds its position until the first. May last seconds.
 
         Raises:
-            DriverStateError: this driver or this connection cannot move the arm, or the arm is not ready.
-            MotionRefusedError: something else moves the arm.
+            DriverStateError: this driver or this connection cannot move the arm, or the arm is not ready (no position
+                known yet, a motor in fault or in another mode).
+            MotionRefusedError: something else moves the arm, or a clock is wrong.
             ConnectionFailedError: no control of the arm within a time limit.
             ConnectionLostError: the connection broke.
         """
@@ -140,8 +146,10 @@ class Driver(Protocol):
         """Send a joint position (n,) [rad or m] to be reached within one period; takes control first if need be.
 
         Raises:
-            DriverStateError: this driver or this connection cannot move the arm.
+            DriverStateError: this driver or this connection cannot move the arm, a position is beyond what it can be
+                told, or a first one is too far from where the arm is.
             ConnectionLostError: the connection broke.
+            ValueError: not n finite numbers.
         """
 
     def stop(self) -> None:
@@ -243,6 +251,7 @@ class Guidable(Protocol):
         Raises:
             DriverStateError: it is not released.
             ConnectionLostError: the connection broke.
+            ValueError: not n finite numbers.
         """
 
 

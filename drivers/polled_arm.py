@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
 
-from drivers.base import SILENCE_LIMIT, DriverSettings, Level, Notice, State, drained, require_state
+from drivers.base import SILENCE_LIMIT, DriverSettings, Notice, drained, require_state
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.core.errors import ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
+from drivers.life_cycle import LifeCycle
 from drivers.polled_rows import PolledRows
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
@@ -48,8 +49,8 @@ class MotorsControl(Protocol):
         """Let the arm hold or go limp; what is wrong, in words, or nothing."""
 
 
-class PolledArm(ABC):
-    """Implements `drivers.base.Driver` on `_connect`, `_disconnect`, `_new_cycle` and `_channels`.
+class PolledArm(LifeCycle):
+    """Implements `drivers.base.Driver` and `Guidable` on `_connect`, `_disconnect`, `_new_cycle` and `_channels`.
 
     Args:
         settings: of the arm.
@@ -70,23 +71,13 @@ class PolledArm(ABC):
         *,
         read_only: bool,
     ) -> None:
-        self._joints, self._sliding, self._clock = settings.joints, settings.sliding, settings.clock
+        super().__init__(settings)
         self._where, self._rate, self._names, self._device = where, rate, names, device
         self._read_only = read_only
-        self._state: State = "closed"
         self._cycle: PolledRows | None = None
         self._command_lock = self._clock.lock()
-        self._commanded = self._halted = False
-        self._notices: deque[Notice] = deque()
+        self._commanded = False
         self._control: MotorsControl
-
-    @abstractmethod
-    def _connect(self) -> None:
-        """Open the connection and ask every motor who it is."""
-
-    @abstractmethod
-    def _disconnect(self) -> None:
-        """Let go of the connection; safe at any time."""
 
     @abstractmethod
     def _new_cycle(self) -> PolledRows:
@@ -112,31 +103,8 @@ class PolledArm(ABC):
     def _stopped_words(self) -> str:
         """How a stop has left the arm."""
 
-    def open(self) -> None:
-        """Open the connection and ask every motor who it is.
-
-        Raises:
-            ConnectionFailedError: no such bus, or a motor that does not answer or is another model.
-            UsageError: the keys do not fit this bus or these motors.
-            DriverStateError: it is open already.
-        """
-        require_state(self._state, "closed", "open")
-        try:
-            self._connect()
-        except ConnectionLostError as error:
-            self._disconnect()
-            raise ConnectionFailedError(error.message, where=error.where, hint=error.hint) from error
-        except BaseException:
-            self._disconnect()
-            raise
-        self._state = "open"
-
     def streams(self) -> tuple[StreamLayout, ...]:
-        """`joints` at the connection's rate, and `commands`: what was sent, when it was sent.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
+        """`joints` at the connection's rate, and `commands`: what was sent, when it was sent."""
         self._require_open("list its streams")
         joints = StreamLayout("joints", self._channels(), self._rate)
         if self._read_only:
@@ -146,11 +114,7 @@ class PolledArm(ABC):
         return joints, StreamLayout("commands", (goal, *gains), 0.0, essential=False)
 
     def start(self) -> None:
-        """Make samples flow.
-
-        Raises:
-            DriverStateError: it is not open.
-        """
+        """Make samples flow."""
         require_state(self._state, "open", "start")
         self._halted = False
         self._control.sent.clear()
@@ -159,12 +123,7 @@ class PolledArm(ABC):
         self._state = "running"
 
     def read(self, timeout: float) -> Sequence[Batch]:
-        """Rows that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
-
-        Raises:
-            DriverStateError: it is not running.
-            ConnectionLostError: the bus is gone, or no complete row came for half a second.
-        """
+        """Rows that have arrived, waiting at most `timeout` [s] for the first; empty where none came."""
         require_state(self._state, "running", "read")
         cycle = self._running_cycle()
         batches = cycle.take(timeout)
@@ -179,7 +138,7 @@ class PolledArm(ABC):
         return batches
 
     def notices(self) -> Sequence[Notice]:
-        """Notices since the last call: faults of motors, missing answers, a slow or faulty bus."""
+        """Faults of motors, missing answers, a slow or faulty bus, since the last call."""
         return drained(self._notices) + (drained(self._cycle.notices) if self._cycle is not None else [])
 
     def command_rate(self) -> float:
@@ -191,25 +150,13 @@ class PolledArm(ABC):
         return True
 
     def take_control(self) -> None:
-        """Set limits in the motors, read them back, and let the arm hold where it is.
-
-        Raises:
-            DriverStateError: it is not running, or a motor is in fault or in another mode.
-            ConnectionFailedError: a motor does not answer, or does not keep what is written.
-            ConnectionLostError: the bus is gone.
-        """
+        """Set limits in the motors, read them back, and let the arm hold where it is."""
         with self._command_lock:
             self._require_movable()
             self._control.take()
 
     def command(self, position: FloatArray) -> None:
-        """Send a joint position (n,) [rad] to be reached within one period; takes control first if need be.
-
-        Raises:
-            DriverStateError: it is not running, a position does not fit, or a first one is too far from the arm.
-            ConnectionLostError: the bus is gone.
-            ValueError: not n finite numbers.
-        """
+        """Send a joint position (n,) [rad] to be reached within one period; takes control first if need be."""
         target = finite_position(position, self._joints)
         with self._command_lock:
             self._require_movable()
@@ -221,11 +168,7 @@ class PolledArm(ABC):
             self._commanded = True
 
     def guiding_cautions(self, *, pushed: bool) -> Sequence[str]:
-        """What to mind before the arm is led by hand (see `drivers.base.Guidable`).
-
-        Raises:
-            DriverStateError: it is closed.
-        """
+        """What to mind before the arm is led by hand."""
         self._require_open("tell cautions")
         carried = (
             f"while you hold the key, the {self._device}s carry the arm's weight as the model has it: it drifts, and "
@@ -236,24 +179,13 @@ class PolledArm(ABC):
         return [carried, self._stop_words()]
 
     def release(self, torque: FloatArray | None) -> None:
-        """Let the arm go, so that it is led by hand (see `drivers.base.Guidable`).
-
-        Raises:
-            DriverStateError: it is not running, or a motor is in fault or in another mode.
-            ConnectionFailedError: a motor does not answer, or does not keep what is written.
-            ConnectionLostError: the bus is gone.
-        """
+        """Let the arm go, so that it is led by hand, with first torques (n,) [N·m], or limp."""
         with self._command_lock:
             self._require_movable()
             self._control.release(torque)
 
     def push(self, torque: FloatArray) -> None:
-        """Command joint torques (n,) [N·m] of a released arm (see `drivers.base.Guidable`).
-
-        Raises:
-            DriverStateError: it is not released.
-            ValueError: not n finite numbers.
-        """
+        """Command joint torques (n,) [N·m] of a released arm."""
         if torque.shape != (len(self._joints),) or not np.all(np.isfinite(torque)):
             raise ValueError(f"{len(self._joints)} finite torques are needed, not {torque}")
         with self._command_lock:
@@ -275,12 +207,6 @@ class PolledArm(ABC):
         if self._state == "running":
             self._state = "open"
 
-    def close(self) -> None:
-        """Let go of the connection; safe in every state."""
-        self.stop()
-        self._disconnect()
-        self._state = "closed"
-
     def silence(self, stream: str, limit: float) -> str:
         """Which motors do not answer, in words; empty of another stream than `joints` (see `drivers.base`)."""
         if stream != "joints" or self._cycle is None:
@@ -296,14 +222,8 @@ class PolledArm(ABC):
         """Why rows of `joints` were lost, in words (see `drivers.base`)."""
         return self._cycle.losses() if stream == "joints" and self._cycle is not None else ""
 
-    def _require_open(self, action: str) -> None:
-        if self._state == "closed":
-            require_state(self._state, "open", action)
-
     def _require_movable(self) -> None:
-        require_state(self._state, "running", "move")
-        if self._halted:
-            raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
+        self._require_running()
         if self._read_only:
             raise DriverStateError("this connection is read only")
 
@@ -311,6 +231,3 @@ class PolledArm(ABC):
         if self._cycle is None:
             raise DriverStateError("no samples flow", hint="start the driver first")
         return self._cycle
-
-    def _tell(self, level: Level, *messages: str) -> None:
-        self._notices.extend(Notice(math.nan, level, message) for message in messages)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 
 from drivers.base import DriverSettings
@@ -54,8 +54,6 @@ def motor_budget(settings: DriverSettings, family: str) -> Budget:
     return Budget(keys.bitrate, keys.rate, (*goals, *readings), worst=WORST)
 
 
-def _budget_of(family: str) -> Callable[[DriverSettings], Budget]:
-    return partial(motor_budget, family=family)
-
-
-damiao_budget, robstride_budget, cubemars_budget, moteus_budget, odrive_budget = map(_budget_of, CODECS)
+damiao_budget, robstride_budget, cubemars_budget, moteus_budget, odrive_budget = (
+    partial(motor_budget, family=family) for family in CODECS
+)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -82,8 +83,10 @@ class CanMotorDriver(PolledArm):
         self._identities = tuple(self._identity(index, motor) for index, motor in enumerate(self._settings.motors))
         self._require_own_ids()
 
-    def _disconnect(self) -> None:
+    def _take_leave(self) -> None:
         self._control.part()
+
+    def _disconnect(self) -> None:
         self._bus.close()
 
     def _new_cycle(self) -> MotorCycle:
@@ -96,24 +99,16 @@ class CanMotorDriver(PolledArm):
         return self._settings.gains()
 
     def notices(self) -> Sequence[Notice]:
-        """Notices since the last call: faults of motors, missing answers, errors of the bus."""
+        """Faults of motors, missing answers, errors of the bus, since the last call."""
         return [*super().notices(), *self._bus.notices()]
 
     def identify(self) -> Sequence[MotorIdentity]:
-        """What every motor says of itself.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
+        """What every motor says of itself."""
         self._require_open("identify")
         return self._identities
 
     def device_limits(self) -> DeviceLimits:
-        """Torque limits that the motors keep for this program.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
+        """Torque limits that the motors keep for this program."""
         self._require_open("tell limits")
         nothing = np.full(len(self._settings.motors), np.nan)
         torque = np.array(
@@ -192,7 +187,8 @@ class CanMotorDriver(PolledArm):
         if not self._settings.keys.read_only:
             raise ConnectionFailedError(said, where=self._settings.where, hint=hint)
         if self._bus.codecs[0].unasked:  # the others' answers are counted while they are read
-            self._tell("warning", said, hint)
+            self._tell("warning", said)
+            self._tell("warning", hint)
 
     def _take_told_ranges(self) -> None:
         """Scale of each motor's frames as the motor has it, where the table's is another."""
@@ -236,14 +232,4 @@ class CanMotorDriver(PolledArm):
         )
 
 
-@dataclass(frozen=True)
-class _Family:
-    """Makes the driver of a family, as the entry points of `dynid.drivers` need it."""
-
-    name: str
-
-    def __call__(self, settings: DriverSettings) -> CanMotorDriver:
-        return CanMotorDriver(settings, self.name)
-
-
-damiao, robstride, cubemars, moteus, odrive = map(_Family, CODECS)
+damiao, robstride, cubemars, moteus, odrive = (partial(CanMotorDriver, family=family) for family in CODECS)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections import deque
 from collections.abc import Sequence
 
 import can
 
-from drivers.base import SILENCE_LIMIT, DriverSettings, Notice, State, drained, require_state
+from drivers.base import SILENCE_LIMIT, DriverSettings, Notice, require_state
 from drivers.can.bus import RETURNED, Sender, close_bus, confirms_sending, open_bus
 from drivers.can.receiver import Receiver
 from drivers.can_signals.polling import Poller
@@ -21,6 +20,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.clock import STALL_LIMIT, SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.first_step import check_first_step, finite_position
+from drivers.life_cycle import LifeCycle
 from drivers.standstill import REST_WINDOW, StandstillWatch
 from drivers.streams import Batch, StreamLayout
 
@@ -39,7 +39,7 @@ GAP_PERIODS = 2.5
 """After so many periods without a row, and half a window of rest, the arm may have moved."""
 
 
-class CanFramesDriver:
+class CanFramesDriver(LifeCycle):
     """An arm on a CAN bus with a proprietary protocol; implements `drivers.base.Driver`.
 
     Args:
@@ -51,76 +51,46 @@ class CanFramesDriver:
     """
 
     def __init__(self, settings: DriverSettings) -> None:
-        self._joints = settings.joints
-        self._sliding = settings.sliding
-        self._clock = settings.clock
+        super().__init__(settings)
         self._settings = parse_settings(settings.connection, settings.joints, settings.folder)
-        self._state: State = "closed"
         self._bus: can.BusABC | None = None
         self._receiver: Receiver | None = None
         self._sender: Sender | None = None
         self._poller: Poller | None = None
         self._commander: Commander | None = None
         self._command_lock = self._clock.lock()
-        self._halted = False
         self._looked = 0.0
-        self._notices: deque[Notice] = deque()
         self._streams = FrameStreams(
             self._settings, self._joints, settings.gains, settings.coupling, self._notices, self._clock
         )
 
-    def open(self) -> None:
-        """Open the bus and hear every frame of the joints once, within the connection's `timeout`.
-
-        Raises:
-            ConnectionFailedError: no such bus, or frames of the table that do not come.
-            DriverStateError: it is open already.
-        """
-        require_state(self._state, "closed", "open")
+    def _connect(self) -> None:
+        """Open the bus and hear every frame of the joints once, within the connection's `timeout`."""
         settings = self._settings
         confirms = confirms_sending(settings.interface, settings.options)
         options = {**settings.options, **(RETURNED if confirms else {})}
         self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, options)
-        try:
-            self._sender = Sender(self._bus, self._clock)
-            own = self._sender.confirm if confirms else None
-            self._receiver = Receiver(self._bus, settings.identifiers, clock=self._clock, own=own)
-            self._receiver.start()
-            self._send(settings.begin)
-            if settings.poll is not None:
-                self._poller = Poller(self._sender, settings.poll, self._clock)
-                self._poller.start()
-            order = hear_all(settings, self._receiver, self._clock)
-            self._streams.joints.expect(order, 1.0 / settings.rate, self._streams.clock)
-            if order.first and settings.cycle is None:
-                label = settings.frame_layouts("joints")[order.first].label
-                said = f"a cycle begins with {label}: before it is the longest pause"
-                self._notices.append(Notice(math.nan, "info", said))
-        except ConnectionLostError as error:
-            self._let_go()
-            raise ConnectionFailedError(error.message, where=error.where, hint=error.hint) from error
-        except BaseException:
-            self._let_go()
-            raise
-        self._state = "open"
+        self._sender = Sender(self._bus, self._clock)
+        own = self._sender.confirm if confirms else None
+        self._receiver = Receiver(self._bus, settings.identifiers, clock=self._clock, own=own)
+        self._receiver.start()
+        self._send(settings.begin)
+        if settings.poll is not None:
+            self._poller = Poller(self._sender, settings.poll, self._clock)
+            self._poller.start()
+        order = hear_all(settings, self._receiver, self._clock)
+        self._streams.joints.expect(order, 1.0 / settings.rate, self._streams.clock)
+        if order.first and settings.cycle is None:
+            label = settings.frame_layouts("joints")[order.first].label
+            self._tell("info", f"a cycle begins with {label}: before it is the longest pause")
 
     def streams(self) -> tuple[StreamLayout, ...]:
-        """`joints` at the nominal rate, and as the table has them `thermal`, `status` and streams of its own.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
-        if self._state == "closed":
-            require_state(self._state, "open", "list its streams")
+        """`joints` at the nominal rate, and as the table has them `thermal`, `status` and streams of its own."""
+        self._require_open("list its streams")
         return self._streams.layouts()
 
     def start(self) -> None:
-        """Make samples flow.
-
-        Raises:
-            DriverStateError: it is not open.
-            ConnectionLostError: the adapter is gone.
-        """
+        """Make samples flow."""
         require_state(self._state, "open", "start")
         self._opened_receiver().take()
         self._streams.forget()
@@ -128,13 +98,7 @@ class CanFramesDriver:
         self._state = "running"
 
     def read(self, timeout: float) -> Sequence[Batch]:
-        """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
-
-        Raises:
-            DriverStateError: it is not running.
-            ConnectionLostError: the adapter is gone, or no complete row came for half a second (20 periods of arms
-                slower than 40 Hz).
-        """
+        """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came."""
         require_state(self._state, "running", "read")
         receiver = self._opened_receiver()
         end = self._clock.now() + timeout
@@ -150,9 +114,8 @@ class CanFramesDriver:
                 return blocks
 
     def notices(self) -> Sequence[Notice]:
-        """Notices since the last call: faults of the arm, lost frames, errors of the bus."""
-        of_bus = self._receiver.notices() if self._receiver is not None else []
-        return of_bus + drained(self._notices)
+        """Faults of the arm, lost frames, errors of the bus, since the last call."""
+        return [*(self._receiver.notices() if self._receiver is not None else ()), *super().notices()]
 
     def command_rate(self) -> float:
         """Rate of the commands [Hz], that of the joints' rows; 0 where the table has no command frames."""
@@ -173,12 +136,7 @@ class CanFramesDriver:
         return ()
 
     def take_control(self) -> None:
-        """Check that the arm can be moved from where it is; the drives are enabled with the first command.
-
-        Raises:
-            DriverStateError: it is not running, the table has no command frames, or where the arm is does not fit into
-                them.
-        """
+        """Check that the arm can be moved from where it is; the drives are enabled with the first command."""
         with self._command_lock:
             table = self._require_movable()
             if (here := self._streams.latest_position) is None:
@@ -186,14 +144,7 @@ class CanFramesDriver:
             Commander(table, self._joints).frames(here)
 
     def command(self, position: FloatArray) -> None:
-        """Send a joint position (n,) [rad] to be reached within one period; the first enables the drives before.
-
-        Raises:
-            DriverStateError: it is not running, the table has no command frames, the position does not fit into them,
-                or a first position is too far from where the arm stands.
-            ConnectionLostError: the adapter is gone.
-            ValueError: not n finite numbers.
-        """
+        """Send a joint position (n,) [rad] to be reached within one period; the first enables the drives before."""
         target = finite_position(position, self._joints)
         with self._command_lock:
             table = self._require_movable()
@@ -217,7 +168,7 @@ class CanFramesDriver:
         with self._command_lock:
             commander, self._commander = self._commander, None
         if commander is not None and (trouble := self._halt()):
-            self._notices.append(Notice(math.nan, "error", trouble))
+            self._tell("error", trouble)
         if self._state == "running":
             self._state = "open"
 
@@ -244,18 +195,12 @@ class CanFramesDriver:
         late = f"{dropped} frame(s) dropped: this computer was late to read them" if dropped else ""
         return "; ".join(words for words in (late, self._streams.losses()) if words) if stream == "joints" else ""
 
-    def close(self) -> None:
-        """Let go of the connection; safe in every state."""
-        self.stop()
+    def _take_leave(self) -> None:
         with contextlib.suppress(ConnectionLostError):
             self._send(self._settings.end)
-        self._let_go()
-        self._state = "closed"
 
     def _require_movable(self) -> CommandTable:
-        require_state(self._state, "running", "move")
-        if self._halted:
-            raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
+        self._require_running()
         if self._settings.command is None:
             raise DriverStateError(
                 "this connection cannot move the arm", hint="its table has no 'command'; recording works"
@@ -323,7 +268,7 @@ class CanFramesDriver:
                 return ""
         return f"the arm did not show within {STOP_LIMIT:g} s of the stop frames that it stands still"
 
-    def _let_go(self) -> None:
+    def _disconnect(self) -> None:
         if self._poller is not None:
             self._poller.stop()
         if self._receiver is not None:

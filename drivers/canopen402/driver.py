@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 
 import can
 import numpy as np
 
-from drivers.base import SILENCE_LIMIT, DeviceLimits, DriverSettings, Notice, State, drained, require_state
+from drivers.base import SILENCE_LIMIT, DeviceLimits, DriverSettings, Notice, require_state
 from drivers.can.bus import Sender, close_bus, keep_quiet, open_bus, returns_own_frames, sends_in_kernel
 from drivers.can.receiver import Receiver
 from drivers.canopen402.monitor.drives import DriveWatch
@@ -33,8 +32,9 @@ from drivers.canopen402.setup.drive_limits import at_joints
 from drivers.canopen402.setup.error_control import check_own_id, release
 from drivers.canopen402.setup.readiness import masters_heartbeats, require_alone
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, MotionRefusedError
+from drivers.core.errors import ConnectionLostError, DriverStateError, MotionRefusedError
 from drivers.first_step import check_first_step, finite_position
+from drivers.life_cycle import LifeCycle
 from drivers.standstill import StandstillWatch
 from drivers.streams import Batch, StreamLayout
 
@@ -46,7 +46,7 @@ STANDSTILL = 0.01
 """Speed [rad/s] below which a stopped joint is at rest."""
 
 
-class Canopen402Driver:
+class Canopen402Driver(LifeCycle):
     """An arm of CiA 402 drives; implements `drivers.base.Driver`.
 
     Args:
@@ -57,18 +57,14 @@ class Canopen402Driver:
     """
 
     def __init__(self, settings: DriverSettings) -> None:
-        self._joints = settings.joints
-        self._sliding = settings.sliding
+        super().__init__(settings)
         self._coupling = settings.coupling
         self._settings = parse_settings(settings.connection, settings.joints)
         self._ids = tuple(node.id for node in self._settings.nodes)
         self._mode = MODES[self._settings.mode]
-        self._state: State = "closed"
-        self._notices: deque[Notice] = deque()
-        self._clock = settings.clock
         self._motion_lock = self._clock.lock()
         self._motion: DriveMotion | None = None
-        self._halted = self._end_told = False
+        self._end_told = False
         self._bus: can.BusABC | None = None
         self._poll: TemperaturePoll | None = None
         self._life: LifeSigns | None = None
@@ -79,59 +75,45 @@ class Canopen402Driver:
         self._standstill = StandstillWatch(BEHIND + REST_LATENESS)
         self._skipped = self._asked = 0
 
-    def open(self) -> None:
+    def _connect(self) -> None:
         """Open the bus, listen for other masters, then check the drives and configure them within `timeout`.
 
         Raises:
-            ConnectionFailedError: no such bus, a drive does not answer, is not the right one, or refuses something.
             MotionRefusedError: another master is on the bus, or a drive is powered; nothing was changed. Or a drive is
                 in fault, where the arm is to be moved.
-            DriverStateError: it is open already.
         """
-        require_state(self._state, "closed", "open")
         settings = self._settings
         keep_quiet("canopen")  # the library
         self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
-        try:
-            self._sender = Sender(self._bus, self._clock)
-            network = CanopenNetwork(self._sender)
-            stored = frozenset(base + node for base in objects.TPDO_BASES for node in self._ids)
-            self._receiver = Receiver(self._bus, stored, network.take, self._clock)
-            self._receiver.start()
-            require_alone(network, self._ids, settings.own_id, settings.heartbeat, self._clock)
-            deadline = self._clock.now() + settings.timeout
-            pairs = zip(self._joints, self._ids, strict=True)
-            self._drives = [
-                RemoteDrive(network, joint, node, settings.sdo_timeout, self._clock) for joint, node in pairs
-            ]
-            self._configured = self._configure(deadline, network)
-            self._scaling = replace(self._configured.scaling, coupling=self._coupling)
-            self._sync = self._make_sync(network)
-            self._watch = self._make_watch()
-            self._sdo_stop = SdoStop(self._sender, self._ids, self._clock)
-            self._silence = Silence(self._joints, self._ids, self._receiver.latest)
-            for node in self._ids:
-                network.subscribe(objects.EMCY + node, self._watch.on_emergency)
-                network.subscribe(objects.HEARTBEAT + node, self._watch.on_error_control)
-                network.subscribe(objects.SDO_ANSWER + node, self._sdo_stop.on_answer)
-            for identifier, node in masters_heartbeats(self._ids, settings.own_id).items():
-                if node != settings.own_id or not returns_own_frames(self._bus):
-                    network.subscribe(identifier, self._watch.on_other_master)
-            self._poll = self._make_poll()
-            if self._life is not None:
-                self._life.start()
-        except BaseException:
-            self._disconnect()
-            raise
-        self._state = "open"
+        self._sender = Sender(self._bus, self._clock)
+        network = CanopenNetwork(self._sender)
+        stored = frozenset(base + node for base in objects.TPDO_BASES for node in self._ids)
+        self._receiver = Receiver(self._bus, stored, network.take, self._clock)
+        self._receiver.start()
+        require_alone(network, self._ids, settings.own_id, settings.heartbeat, self._clock)
+        deadline = self._clock.now() + settings.timeout
+        pairs = zip(self._joints, self._ids, strict=True)
+        self._drives = [RemoteDrive(network, joint, node, settings.sdo_timeout, self._clock) for joint, node in pairs]
+        self._configured = self._configure(deadline, network)
+        self._scaling = replace(self._configured.scaling, coupling=self._coupling)
+        self._sync = self._make_sync(network)
+        self._watch = self._make_watch()
+        self._sdo_stop = SdoStop(self._sender, self._ids, self._clock)
+        self._silence = Silence(self._joints, self._ids, self._receiver.latest)
+        for node in self._ids:
+            network.subscribe(objects.EMCY + node, self._watch.on_emergency)
+            network.subscribe(objects.HEARTBEAT + node, self._watch.on_error_control)
+            network.subscribe(objects.SDO_ANSWER + node, self._sdo_stop.on_answer)
+        for identifier, node in masters_heartbeats(self._ids, settings.own_id).items():
+            if node != settings.own_id or not returns_own_frames(self._bus):
+                network.subscribe(identifier, self._watch.on_other_master)
+        self._poll = self._make_poll()
+        if self._life is not None:
+            self._life.start()
 
     def identify(self) -> tuple[Identity, ...]:
-        """Who the drives are, one a joint.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
-        self._require_not_closed("identify the drives")
+        """Who the drives are, one a joint."""
+        self._require_open("identify the drives")
         return self._configured.identities
 
     def holds(self) -> bool:
@@ -139,39 +121,22 @@ class Canopen402Driver:
         return self._settings.mode == "profile"
 
     def device_limits(self) -> DeviceLimits:
-        """The drives' own limits: 0x607D, 0x607F, 0x6072, 0x6065 and the ramp of their quick stop.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
-        self._require_not_closed("tell the drives' limits")
+        """The drives' own limits: 0x607D, 0x607F, 0x6072, 0x6065 and the ramp of their quick stop."""
+        self._require_open("tell the drives' limits")
         return at_joints(self._configured.limits, self._scaling)
 
     def cautions(self) -> tuple[str, ...]:
-        """What to mind of the drives' quick stop (0x605A), of their supervision, and of how they notice dynid's end.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
-        self._require_not_closed("tell what to mind")
+        """What to mind of the drives' quick stop (0x605A), of their supervision, and of how they notice dynid's end."""
+        self._require_open("tell what to mind")
         return self._configured.cautions
 
     def streams(self) -> tuple[StreamLayout, ...]:
-        """`joints` at the rate of SYNC; `thermal` with a column for every joint whose drive tells a temperature.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
-        self._require_not_closed("list its streams")
+        """`joints` at the rate of SYNC; `thermal` with a column for every joint whose drive tells a temperature."""
+        self._require_open("list its streams")
         return stream_layouts(self._joints, self._joints_with_temperature(), self._settings.sync_rate)
 
     def start(self) -> None:
-        """Set the drives operational and send SYNC: samples flow. Nothing is enabled.
-
-        Raises:
-            DriverStateError: it is not open.
-            ConnectionLostError: the adapter is gone.
-        """
+        """Set the drives operational and send SYNC: samples flow. Nothing is enabled."""
         require_state(self._state, "open", "start")
         self._receiver.take()  # from before
         self._aligner = Aligner(self._ids, self._settings.sync_rate)
@@ -193,10 +158,6 @@ class Canopen402Driver:
         """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
 
         A row is handed out when the next SYNC has gone out: only then it is sure that nothing more belongs to it.
-
-        Raises:
-            DriverStateError: it is not running.
-            ConnectionLostError: the adapter is gone, or a drive does not answer SYNC.
         """
         require_state(self._state, "running", "read")
         deadline = self._clock.now() + timeout
@@ -214,7 +175,7 @@ class Canopen402Driver:
 
     def notices(self) -> Sequence[Notice]:
         """What drives and adapter reported since the last call."""
-        notices = drained(self._notices)
+        notices = [*super().notices()]
         if self._bus is not None:
             notices += self._receiver.notices()
             if self._state != "closed":
@@ -228,14 +189,7 @@ class Canopen402Driver:
         return 0.0 if self._mode is None else self._settings.sync_rate
 
     def take_control(self) -> None:
-        """Enable the drives, each holding its position; that lasts a few tenths of a second and more.
-
-        Raises:
-            DriverStateError: it is not running, the connection's mode is "none", no position is known yet, or a drive
-                is in fault or cannot be enabled.
-            MotionRefusedError: the drives' heartbeats say that this computer's clock is wrong.
-            ConnectionLostError: the adapter is gone.
-        """
+        """Enable the drives, each holding its position; that lasts a few tenths of a second and more."""
         with self._motion_lock:
             motion = self._require_movable()
             if self._latest_position is None:
@@ -249,12 +203,6 @@ class Canopen402Driver:
         """Send a joint position (n,) [rad] to be reached within a few periods (see `TargetPath`).
 
         The first one enables the drives where `take_control` did not.
-
-        Raises:
-            DriverStateError: it is not running, the connection's mode is "none", a first position is too far from where
-                the arm stands, or a drive is in fault or cannot be enabled.
-            ConnectionLostError: the adapter is gone.
-            ValueError: not n finite numbers.
         """
         position = finite_position(position, self._joints)
         with self._motion_lock:
@@ -285,7 +233,7 @@ class Canopen402Driver:
             moved = motion is not None and not motion.idle
             if motion is not None and self._state == "running":
                 for trouble in motion.stop(lambda: self._sync.running):
-                    self._notices.append(Notice(math.nan, "error", trouble))
+                    self._tell("error", trouble)
             self._motion = None
             if self._state == "running":
                 self._receiver.report_rest()
@@ -311,18 +259,12 @@ class Canopen402Driver:
         """Why rows of `joints` were lost, in words; empty of another stream (see `drivers.base`)."""
         return self._watch.losses() if stream == "joints" and self._state != "closed" else ""
 
-    def close(self) -> None:
-        """Let go of the bus; safe in every state."""
-        self.stop()
+    def _take_leave(self) -> None:
         if self._life is not None:
             release(self._drives, self._configured.controls, self._clock)  # while they still hear from us
-        self._disconnect()
-        self._state = "closed"
 
     def _require_movable(self) -> DriveMotion:
-        require_state(self._state, "running", "move")
-        if self._halted:
-            raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
+        self._require_running()
         if self._motion is None:
             raise DriverStateError(
                 "this connection only records (mode: none)", hint="set its 'mode' to position or profile"
@@ -334,16 +276,13 @@ class Canopen402Driver:
 
     def _configure(self, deadline: float, network: CanopenNetwork) -> Configured:
         settings = self._settings
-        try:
-            if settings.mode != "none" and settings.guarding is None:
-                own = RemoteDrive(network, "dynid", settings.own_id, settings.sdo_timeout, self._clock)
-                check_own_id(own, self._clock)
-            configured = configure(self._drives, self._settings, self._sender, deadline, self._clock)
-            for drive, node in zip(self._drives, self._settings.nodes, strict=True):
-                if node.temperature is not None:
-                    read_temperature(drive, node.temperature)  # a wrong index shows here, not in the recording
-        except ConnectionLostError as error:
-            raise self._as_failed(error) from error
+        if settings.mode != "none" and settings.guarding is None:
+            own = RemoteDrive(network, "dynid", settings.own_id, settings.sdo_timeout, self._clock)
+            check_own_id(own, self._clock)
+        configured = configure(self._drives, self._settings, self._sender, deadline, self._clock)
+        for drive, node in zip(self._drives, self._settings.nodes, strict=True):
+            if node.temperature is not None:
+                read_temperature(drive, node.temperature)  # a wrong index shows here, not in the recording
         for drive in self._drives:
             drive.deadline = math.inf
         self._notices.extend(configured.notices)
@@ -428,7 +367,7 @@ class Canopen402Driver:
         motion = self._motion
         if motion is not None and motion.ended_by is not None and motion.dropped_out is None and not self._end_told:
             self._end_told = True
-            self._notices.append(Notice(float(time_[0]), "error", motion.ended_by))
+            self._tell("error", motion.ended_by, time=float(time_[0]))
         self._watch.check_status(time_, rows.statusword, rows.mode)
         return [Batch("joints", time_, rows.host_time, values, lost)]
 
@@ -458,13 +397,6 @@ class Canopen402Driver:
             where=f"{self._settings.interface} {self._settings.channel}",
             hint="is the power on, and can the bus carry this sync_rate? (dynid check)",
         )
-
-    def _as_failed(self, error: ConnectionLostError) -> ConnectionFailedError:
-        return ConnectionFailedError(error.message, where=error.where, hint=error.hint)
-
-    def _require_not_closed(self, action: str) -> None:
-        if self._state == "closed":
-            require_state(self._state, "open", action)
 
     def _disconnect(self) -> None:
         life, self._life = self._life, None

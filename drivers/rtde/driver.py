@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -14,11 +13,12 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from drivers.base import DeviceLimits, DriverSettings, Notice, State, drained, require_state
+from drivers.base import DeviceLimits, DriverSettings, Notice, require_state
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, DriverStateError, MotionRefusedError, UsageError
 from drivers.first_step import check_first_step, finite_position
 from drivers.gains import gives_torque, joint_torque, torque_channel
+from drivers.life_cycle import LifeCycle
 from drivers.rtde import protocol as wire
 from drivers.rtde.configuration import Configuration, read_configuration
 from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode, serial_number, stop_program
@@ -104,7 +104,7 @@ OWN_PROGRAM = (
 )
 
 
-class RtdeDriver:
+class RtdeDriver(LifeCycle):
     """A Universal Robots arm on RTDE; implements `drivers.base.Driver`.
 
     Args:
@@ -128,7 +128,7 @@ class RtdeDriver:
                 f"{', '.join(settings.joints)}",
                 hint="choose a Universal Robots arm, or another connection",
             )
-        self._joints = settings.joints
+        super().__init__(settings)
         self._gains, self._coupling = settings.gains, settings.coupling
         self._knows_torque = gives_torque(settings.gains, settings.joints)
         self._settings = parse_settings(settings.connection)
@@ -140,54 +140,38 @@ class RtdeDriver:
             self._settings.rate,
             self._settings.timeout,
             connect,
-            settings.clock,
+            self._clock,
         )
-        self._connect = connect
+        self._reach = connect
         self._take_control = take_control
-        self._clock = settings.clock
-        self._state: State = "closed"
         self._motion: ArmControl | None = None
         self._moved = False
-        self._motion_lock = settings.clock.lock()  # held while control is being taken
-        self._halted = False
-        self._notices: deque[Notice] = deque()
+        self._motion_lock = self._clock.lock()  # held while control is being taken
         self._cautions: tuple[str, ...] = ()
         self._last_group: dict[str, int] = {}
         self._last_mode: dict[str, int] = {}
         self._latest_position: FloatArray | None = None
 
-    def open(self) -> None:
-        """Connect and agree on what will be delivered, within the connection's `timeout`.
-
-        Raises:
-            ConnectionFailedError: no answer, not from the expected device, or of another serial number.
-            UsageError: the controller does not reach the connection's `rate`.
-            DriverStateError: it is open already.
-        """
-        require_state(self._state, "closed", "open")
+    def _connect(self) -> None:
         self._receiver.connect()
         if (expected := self._settings.serial) is not None and (own := self.serial_number()) != expected:
-            self._receiver.close()
             raise ConnectionFailedError(
                 f"the controller {f'has serial number {own}' if own else 'tells no serial number'}, but the robot file "
                 f"expects {expected}",
                 where=self._settings.host,
                 hint="is this the right arm? The key 'serial' is the connection's; port 29999 gives the number",
             )
-        self._state = "open"
+
+    def _disconnect(self) -> None:
+        self._receiver.close()
 
     def serial_number(self) -> str:
         """The controller's serial number, asked now at its dashboard; empty where it tells none."""
-        return serial_number(self._settings.host, LIMITS_TIMEOUT, self._connect, self._clock)
+        return serial_number(self._settings.host, LIMITS_TIMEOUT, self._reach, self._clock)
 
     def identify(self) -> tuple[ControllerIdentity, ...]:
-        """The controller.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
-        if self._state == "closed":
-            require_state(self._state, "open", "identify the controller")
+        """The controller."""
+        self._require_open("identify the controller")
         receiver = self._receiver
         return (
             ControllerIdentity(
@@ -200,13 +184,8 @@ class RtdeDriver:
         )
 
     def device_limits(self) -> DeviceLimits:
-        """The joint limits that the controller's secondary interface tells, asked now; nan where it tells none.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
-        if self._state == "closed":
-            require_state(self._state, "open", "ask for the controller's limits")
+        """The joint limits that the controller's secondary interface tells, asked now; nan where it tells none."""
+        self._require_open("ask for the controller's limits")
         limits, self._cautions = np.full((4, JOINTS), np.nan), ()
         try:
             limits = self._configuration().limits
@@ -216,13 +195,8 @@ class RtdeDriver:
         return DeviceLimits(limits[0], limits[1], limits[2], np.full(JOINTS, np.nan), sources, acceleration=limits[3])
 
     def arm_lengths(self) -> FloatArray | None:
-        """Upper arm, forearm, shoulder offset and wrist offset (4,) [m], asked now; None where it tells none.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
-        if self._state == "closed":
-            require_state(self._state, "open", "ask for the arm's lengths")
+        """Upper arm, forearm, shoulder offset and wrist offset (4,) [m], asked now; None where it tells none."""
+        self._require_open("ask for the arm's lengths")
         with contextlib.suppress(ConnectionFailedError):
             return self._configuration().lengths
         return None
@@ -233,13 +207,8 @@ class RtdeDriver:
         return (*self._cautions, OWN_PROGRAM) if own else self._cautions
 
     def streams(self) -> tuple[StreamLayout, ...]:
-        """`joints` at the full rate, `thermal` at about 20 Hz and `status` at about 10 Hz, as far as delivered.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
-        if self._state == "closed":
-            require_state(self._state, "open", "list its streams")
+        """`joints` at the full rate, `thermal` at about 20 Hz and `status` at about 10 Hz, as far as delivered."""
+        self._require_open("list its streams")
         layouts = []
         for name in _STREAMS:
             channels = [
@@ -258,24 +227,13 @@ class RtdeDriver:
         return tuple(layouts)
 
     def unreported(self) -> Sequence[str]:
-        """Which of safety mode, robot mode and runtime state the controller refuses to deliver.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
-        if self._state == "closed":
-            require_state(self._state, "open", "list what is not reported")
+        """Which of safety mode, robot mode and runtime state the controller refuses to deliver."""
+        self._require_open("list what is not reported")
         delivered = self._receiver.recipe.variables
         return [source.variable for source in _MODES if source.variable not in delivered]
 
     def start(self) -> None:
-        """Make samples flow.
-
-        Raises:
-            DriverStateError: it is not open.
-            ConnectionFailedError: the connection was lost while open, and cannot be had again.
-            ConnectionLostError: the controller does not start.
-        """
+        """Make samples flow; a connection that was lost while open is made again."""
         require_state(self._state, "open", "start")
         self._last_group, self._last_mode, self._latest_position = {}, {}, None
         if self._receiver.connected:
@@ -286,12 +244,7 @@ class RtdeDriver:
         self._state = "running"
 
     def read(self, timeout: float) -> Sequence[Batch]:
-        """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came.
-
-        Raises:
-            DriverStateError: it is not running.
-            ConnectionLostError: the connection broke, or nothing new came for half a second.
-        """
+        """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came."""
         require_state(self._state, "running", "read")
         samples = self._receiver.take(timeout)
         if samples is None:
@@ -306,7 +259,7 @@ class RtdeDriver:
 
     def notices(self) -> Sequence[Notice]:
         """What the controller reported since the last call: modes, messages, refused variables, reconnections."""
-        return self._receiver.notices() + drained(self._notices)
+        return [*self._receiver.notices(), *super().notices()]
 
     def command_rate(self) -> float:
         """The controller's own rate, whatever that of the samples; 0 where it is closed."""
@@ -321,22 +274,15 @@ class RtdeDriver:
             ConnectionFailedError: no control of the arm within the connection's `timeout`.
         """
         with self._motion_lock:
-            self._require_movable()
+            self._require_running()
             self._check_port()
             self._controlled()
 
     def command(self, position: FloatArray) -> None:
-        """Send a joint position (6,) [rad] to be reached within one period; takes control first if need be.
-
-        Raises:
-            DriverStateError: as `take_control`, or a first position is too far from where the arm stands.
-            MotionRefusedError, ConnectionFailedError: as `take_control`.
-            ConnectionLostError: the connection broke, or the controller refused a position.
-            ValueError: not six finite numbers.
-        """
+        """Send a joint position (6,) [rad] to be reached within one period; takes control first if need be."""
         position = finite_position(position, self._joints)
         with self._motion_lock:
-            self._require_movable()
+            self._require_running()
             if not self._moved:
                 self._check_port()
                 check_first_step(position, self._latest_position, self._joints)
@@ -353,23 +299,17 @@ class RtdeDriver:
             motion, self._motion, self._moved = self._motion, None, False
         if motion is not None and not motion.stop():
             # Out of reach, or killed; ur_rtde may have started a fresh program meanwhile, which would stay.
-            if stop_program(self._settings.host, DASHBOARD_TIMEOUT, self._connect, self._clock):
+            if stop_program(self._settings.host, DASHBOARD_TIMEOUT, self._reach, self._clock):
                 said = "the arm did not confirm that it stopped; the controller's program was ended by its dashboard"
             else:
                 said = "the arm did not confirm that it stopped, and the controller's program may still run"
-            self._notices.append(Notice(float("nan"), "error", said))
+            self._tell("error", said)
         if self._state == "running":
             self._receiver.pause()
             self._state = "open"
 
-    def close(self) -> None:
-        """Let go of the connection; safe in every state."""
-        self.stop()
-        self._receiver.close()
-        self._state = "closed"
-
     def _configuration(self) -> Configuration:
-        return read_configuration(self._settings.host, LIMITS_TIMEOUT, self._connect, self._clock)
+        return read_configuration(self._settings.host, LIMITS_TIMEOUT, self._reach, self._clock)
 
     def _delivered(self, stream: str) -> tuple[_Source, ...]:
         variables = self._receiver.recipe.variables
@@ -411,13 +351,8 @@ class RtdeDriver:
             changed = np.flatnonzero(np.diff(column, prepend=column[0] - 1 if before is None else before))
             for index in changed:
                 level, text, hint = describe_mode(source.variable, int(column[index]))
-                self._notices.append(Notice(float(clock[index]), level, text, hint))
+                self._tell(level, text, hint, float(clock[index]))
             self._last_mode[source.variable] = int(column[-1])
-
-    def _require_movable(self) -> None:
-        require_state(self._state, "running", "move")
-        if self._halted:
-            raise DriverStateError("the arm is being stopped", hint="start again before the next motion")
 
     def _controlled(self) -> ArmControl:
         if self._motion is None:

@@ -2,46 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 
 from drivers.base import DriverSettings
 from drivers.bus_budget import Budget, FrameGroup
 from drivers.serial_port import BITS_A_BYTE
-from drivers.serial_servos.bus import ServoBus
+from drivers.serial_servos.bus import PROTOCOLS, ServoBus
 from drivers.serial_servos.line import ServoLine
 from drivers.serial_servos.settings import ServoSettings, parse_settings
 from drivers.serial_servos.setup import USUAL_TIMER
 
 
-def feetech_budget(settings: DriverSettings) -> Budget:
-    """The budget of a connection to Feetech servos.
+def servo_budget(connection: DriverSettings, driver: str) -> Budget:
+    """What a connection to servos asks of its line.
 
     Raises:
         UsageError: the connection's keys are wrong.
     """
-    return _budget(parse_settings(settings.connection, settings.joints, settings.folder, "feetech"))
-
-
-def dynamixel_budget(settings: DriverSettings) -> Budget:
-    """The budget of a connection to Dynamixel servos.
-
-    Raises:
-        UsageError: the connection's keys are wrong.
-    """
-    return _budget(parse_settings(settings.connection, settings.joints, settings.folder, "dynamixel"))
-
-
-def feetech_advice(settings: DriverSettings) -> Sequence[str]:
-    """What to mind of a connection to Feetech servos."""
-    return _advice(parse_settings(settings.connection, settings.joints, settings.folder, "feetech"))
-
-
-def dynamixel_advice(settings: DriverSettings) -> Sequence[str]:
-    """What to mind of a connection to Dynamixel servos."""
-    return _advice(parse_settings(settings.connection, settings.joints, settings.folder, "dynamixel"))
-
-
-def _budget(settings: ServoSettings) -> Budget:
+    settings = _parsed(connection, driver)
     bus, motors = ServoBus(settings), settings.motors
     protocol, (address, size), count = bus.line.protocol, bus.block, len(motors)
     ids = [motor.id for motor in motors]
@@ -65,8 +43,9 @@ def _budget(settings: ServoSettings) -> Budget:
     )
 
 
-def _advice(settings: ServoSettings) -> list[str]:
-    said = []
+def servo_advice(connection: DriverSettings, driver: str) -> list[str]:
+    """What to mind of a connection to servos, one line each."""
+    settings, said = _parsed(connection, driver), []
     timer = ServoLine(settings.url, settings.keys.baudrate, ServoBus(settings).line.protocol).latency_timer()
     if timer is not None and timer > USUAL_TIMER:
         said.append(f"the adapter at {settings.url} hands bytes on every {timer} ms: write 1 into its latency_timer")
@@ -75,3 +54,11 @@ def _advice(settings: ServoSettings) -> list[str]:
             "no calibration: the middle of a servo's turn is taken for its joint's zero (docs/serial-servos.md)"
         )
     return said
+
+
+def _parsed(settings: DriverSettings, driver: str) -> ServoSettings:
+    return parse_settings(settings.connection, settings.joints, settings.folder, driver)
+
+
+feetech_budget, dynamixel_budget = (partial(servo_budget, driver=name) for name in PROTOCOLS)
+feetech_advice, dynamixel_advice = (partial(servo_advice, driver=name) for name in PROTOCOLS)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from drivers.base import DeviceLimits, DriverSettings
 from drivers.core.errors import UsageError
 from drivers.polled_arm import PolledArm
-from drivers.serial_servos.bus import ServoBus, called
+from drivers.serial_servos.bus import PROTOCOLS, ServoBus, called
 from drivers.serial_servos.control import ServoControl
 from drivers.serial_servos.cycle import ServoCycle, feedback_channels
 from drivers.serial_servos.line import LEAST_PATIENCE
@@ -44,14 +44,14 @@ class SerialServoDriver(PolledArm):
 
     def _connect(self) -> None:
         self._bus.open()
-        if self._settings.keys.configure:
-            self._tell("info", *configure(self._bus, self._settings))
+        for change in configure(self._bus, self._settings) if self._settings.keys.configure else ():
+            self._tell("info", change)
         self._identities = tuple(identity(self._bus, motor) for motor in self._settings.motors)
         self._require_own_calibration()
         lasted = reading_time(self._bus, self._clock)
         self._bus.line.patience = min(max(LEAST_PATIENCE, 2.0 * lasted), LONGEST_PATIENCE)
-        if said := slow_reading(self._bus, self._settings, lasted):
-            self._tell("warning", *said)
+        for trouble in slow_reading(self._bus, self._settings, lasted):
+            self._tell("warning", trouble)
 
     def _disconnect(self) -> None:
         self._bus.close()
@@ -63,20 +63,12 @@ class SerialServoDriver(PolledArm):
         return feedback_channels(self._settings)
 
     def identify(self) -> Sequence[ServoIdentity]:
-        """What every servo says of itself.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
+        """What every servo says of itself."""
         self._require_open("identify")
         return self._identities
 
     def device_limits(self) -> DeviceLimits:
-        """The position limits that the servos keep.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
+        """The position limits that the servos keep."""
         bounds = [
             sorted((motor.scale.position(told.min_position), motor.scale.position(told.max_position)))
             if told.min_position < told.max_position
@@ -134,15 +126,4 @@ class SerialServoDriver(PolledArm):
                 )
 
 
-@dataclass(frozen=True)
-class _Protocol:
-    """Makes the driver of a protocol, as the entry points of `dynid.drivers` need it."""
-
-    name: str
-
-    def __call__(self, settings: DriverSettings) -> SerialServoDriver:
-        return SerialServoDriver(settings, self.name)
-
-
-feetech = _Protocol("feetech")
-dynamixel = _Protocol("dynamixel")
+feetech, dynamixel = (partial(SerialServoDriver, protocol=protocol) for protocol in PROTOCOLS)

@@ -7,14 +7,14 @@ the bytes of a chunk and the baud rate.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.base import DriverSettings, Level, Notice, State, require_state
+from drivers.base import DriverSettings, Level, require_state
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, DriverStateError
+from drivers.life_cycle import LifeCycle
 from drivers.serial_port import BITS_A_BYTE
 from drivers.serial_thermometer.port import Chunk, LineParser, Lost, Restored, SerialPort, ThermometerReading
 from drivers.serial_thermometer.settings import ThermometerSettings, parse_settings
@@ -33,7 +33,7 @@ STILL_GONE_PERIOD = 60.0
 """[s] between two notices on a port that is still gone."""
 
 
-class SerialThermometerDriver:
+class SerialThermometerDriver(LifeCycle):
     """Temperatures of some joints; implements `drivers.base.Driver`, but moves nothing.
 
     Args:
@@ -44,16 +44,14 @@ class SerialThermometerDriver:
     """
 
     def __init__(self, settings: DriverSettings) -> None:
+        super().__init__(settings)
         self._settings = parse_settings(settings.connection, settings.joints)
-        self._clock = settings.clock
         mapped = self._settings.channels.values()
         self._silent_after = max(SILENT_PERIODS / self._settings.rate, SILENT_FLOOR)
         self._joints = tuple(joint for joint in settings.joints if joint in mapped)
         self._port = SerialPort(self._settings.url, self._settings.baudrate, self._clock)
         self._parser = LineParser(self._settings)
         self._rows = RowAssembler(self._joints)
-        self._state: State = "closed"
-        self._notices: deque[Notice] = deque()
         self._heard = self._opened = math.nan
         self._silent = False
         self._lost_since: float | None = None
@@ -62,41 +60,22 @@ class SerialThermometerDriver:
         self._reported_unknown: set[str] = set()
         self._dropped = self._reported_dropped = 0
 
-    def open(self) -> None:
-        """Open the port and wait for a first temperature, within the connection's `timeout`.
-
-        Raises:
-            ConnectionFailedError: the port cannot be opened, is silent, or its lines hold no temperature.
-            UsageError: the port does not have this baud rate, or the URL is none.
-            DriverStateError: it is open already.
-        """
-        require_state(self._state, "closed", "open")
+    def _connect(self) -> None:
         self._port.open()
-        try:
-            self._await_temperature()
-        except BaseException:
-            self._port.close()
-            raise
-        self._state = "open"
+        self._await_temperature()
+
+    def _disconnect(self) -> None:
+        self._port.close()
 
     def streams(self) -> tuple[StreamLayout, ...]:
-        """One stream, a column for each joint that has a channel.
-
-        Raises:
-            DriverStateError: it is closed.
-        """
-        if self._state == "closed":
-            require_state(self._state, "open", "list its streams")
+        """One stream, a column for each joint that has a channel."""
+        self._require_open("list its streams")
         described = "temperature by an external sensor; the stamps are the host's clock, the sensor has none"
         channel = ChannelLayout("temperature", self._joints, "", described)
         return (StreamLayout(STREAM, (channel,), self._settings.rate, essential=self._settings.required),)
 
     def start(self) -> None:
-        """Make samples flow.
-
-        Raises:
-            DriverStateError: it is not open.
-        """
+        """Make samples flow."""
         require_state(self._state, "open", "start")
         self._port.clear()
         self._parser.restart()
@@ -110,9 +89,6 @@ class SerialThermometerDriver:
 
         A row holds what each channel said since the row before, nan where a channel said nothing. A port that has gone
         raises nothing: it is opened again as soon as it is back, and notices tell.
-
-        Raises:
-            DriverStateError: it is not running.
         """
         require_state(self._state, "running", "read")
         rows: list[tuple[float, FloatArray]] = []
@@ -142,32 +118,18 @@ class SerialThermometerDriver:
         values = {"temperature": np.array([row for _, row in rows])}
         return (Batch(STREAM, stamps, stamps.copy(), values),)
 
-    def notices(self) -> Sequence[Notice]:
-        """Notices since the last call: loss and return of the port, silence, lines that were ignored."""
-        notices = list(self._notices)
-        self._notices.clear()
-        return notices
-
     def command_rate(self) -> float:
         """0: a thermometer moves nothing."""
         return 0.0
 
     def take_control(self) -> None:
-        """Refuse: a thermometer moves nothing.
-
-        Raises:
-            DriverStateError: always.
-        """
+        """Refuse: a thermometer moves nothing."""
         raise DriverStateError(
             "a thermometer cannot move an arm", hint="choose the arm's own connection, and record this one `with` it"
         )
 
     def command(self, position: FloatArray) -> None:
-        """Refuse, as `take_control`.
-
-        Raises:
-            DriverStateError: always.
-        """
+        """Refuse, as `take_control`."""
         self.take_control()
 
     def stop(self) -> None:
@@ -175,12 +137,6 @@ class SerialThermometerDriver:
         if self._state == "running":
             self._state = "open"
             self._report_rejected(self._clock.now(), at_once=True)
-
-    def close(self) -> None:
-        """Let go of the port; safe in every state."""
-        self.stop()
-        self._port.close()
-        self._state = "closed"
 
     def _await_temperature(self) -> None:
         deadline = self._clock.now() + self._settings.timeout
@@ -214,34 +170,36 @@ class SerialThermometerDriver:
 
     def _hear(self, when: float) -> None:
         if self._silent:
-            self._report("info", f"sends again after {when - self._heard:.1f} s", when)
+            self._tell("info", f"sends again after {when - self._heard:.1f} s", time=when)
         self._heard, self._silent = when, False
 
     def _lose(self, lost: Lost) -> None:
         self._parser.restart(cut=True)
         self._lost_since = self._reported_gone = lost.time
-        self._report(
-            self._loss_level, f"the port has gone: {lost.reason}; it is opened again when it is back", lost.time
+        self._tell(
+            self._loss_level, f"the port has gone: {lost.reason}; it is opened again when it is back", time=lost.time
         )
 
     def _restore(self, restored: Restored) -> None:
         since = restored.time if self._lost_since is None else self._lost_since
         self._lost_since, self._opened = None, restored.time
         gone = restored.time - since
-        self._report("info", f"the port is open again after {gone:.1f} s, attempt {restored.attempts}", restored.time)
+        self._tell(
+            "info", f"the port is open again after {gone:.1f} s, attempt {restored.attempts}", time=restored.time
+        )
 
     def _watch(self, now: float, read_until: float) -> None:
         if self._lost_since is not None:
             if now - self._reported_gone >= STILL_GONE_PERIOD:
                 self._reported_gone = now
                 gone = now - self._lost_since
-                self._report(
-                    "warning", f"the port is still gone after {gone:.0f} s, {self._port.attempts} attempts", now
+                self._tell(
+                    "warning", f"the port is still gone after {gone:.0f} s, {self._port.attempts} attempts", time=now
                 )
         elif not self._silent and read_until - max(self._heard, self._opened) > self._silent_after:
             # Not `now`: where this computer was stalled, the port's thread may not have had its turn since.
             self._silent = True
-            self._report(self._loss_level, f"no temperature for {read_until - self._heard:.2f} s", now)
+            self._tell(self._loss_level, f"no temperature for {read_until - self._heard:.2f} s", time=now)
         self._report_rejected(now, at_once=False)
 
     def _report_rejected(self, now: float, *, at_once: bool) -> None:
@@ -256,14 +214,11 @@ class SerialThermometerDriver:
             texts.append(f"{dropped} characters were dropped because they were not read")
         for text in filter(None, texts):
             self._reported_rejected = now
-            self._report("warning", text, now)
+            self._tell("warning", text, time=now)
 
     @property
     def _loss_level(self) -> Level:
         return "error" if self._settings.required else "warning"
-
-    def _report(self, level: Level, message: str, when: float) -> None:
-        self._notices.append(Notice(when, level, message))
 
 
 class RowAssembler:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 from daq.robot.loader import RobotFile
@@ -28,8 +27,6 @@ def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock
     return CanMotorServer(robot_file, settings, plant.position.copy(), clock, held=True)
 
 
-def _serve(family: str) -> Callable[[RobotFile, Plant, SimOptions, Clock], CanMotorServer]:
-    return partial(serve, family=family)
-
-
-serve_damiao, serve_robstride, serve_cubemars, serve_moteus, serve_odrive = map(_serve, CODECS)
+serve_damiao, serve_robstride, serve_cubemars, serve_moteus, serve_odrive = (
+    partial(serve, family=family) for family in CODECS
+)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from daq.robot.loader import RobotFile
 from drivers.core.clock import Clock
+from drivers.serial_servos.bus import PROTOCOLS
 from drivers.serial_servos.settings import parse_settings
 from sim_drivers.plant.plant import Plant
 from sim_drivers.serial_servos.server import SerialServoServer
@@ -11,26 +14,13 @@ from sim_drivers.served import SimOptions
 from sim_drivers.server import stated_keys
 
 
-def serve_feetech(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> SerialServoServer:
-    """Feetech servos as the robot file's connection has them; `--channel` is the path of their port.
+def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock, driver: str) -> SerialServoServer:
+    """Servos of a protocol as the robot file's connection has them; `--channel` is the path of their port.
 
     Raises:
         UsageError: there is no such connection, or its keys are wrong.
         RobotFileError: the truth has no servos.
     """
-    return _serve("feetech", robot_file, plant, options, clock)
-
-
-def serve_dynamixel(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> SerialServoServer:
-    """Dynamixel servos; as `serve_feetech`.
-
-    Raises:
-        UsageError, RobotFileError: as `serve_feetech`.
-    """
-    return _serve("dynamixel", robot_file, plant, options, clock)
-
-
-def _serve(driver: str, robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> SerialServoServer:
     robot = robot_file.robot
     keys = stated_keys(robot, driver, "there are no ids", "docs/serial-servos.md")
     if options.channel is not None:
@@ -38,3 +28,6 @@ def _serve(driver: str, robot_file: RobotFile, plant: Plant, options: SimOptions
     settings = parse_settings(keys, robot.joint_names, robot_file.folder, driver)
     # Of the plant, whose drives are told torques, only the place is taken: servos have a plant of their own.
     return SerialServoServer(robot_file, settings, plant.position.copy(), options.seed, clock=clock)
+
+
+serve_feetech, serve_dynamixel = (partial(serve, driver=protocol) for protocol in PROTOCOLS)
