@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import ast
-import io
-import subprocess
 import sys
-import tarfile
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterator
@@ -15,8 +12,6 @@ from pathlib import Path
 
 PACKAGES = ("drivers", "daq", "ident", "sim_drivers", "dynid")
 PAGE = Path("docs/house.md")
-BEFORE = "5d1fd2ff"
-"""The commit of the first picture."""
 
 WALK = (
     ("drivers/gains.py", "joint_torque", "current [A] becomes joint torque [N·m], by gain and coupling"),
@@ -35,20 +30,12 @@ WALK = (
 """File, name in it, what it does: from a motor's current to the fit."""
 
 
-def sources(revision: str) -> dict[str, str]:
-    """Module → source, of a commit or of the working tree (empty text)."""
-    found = {}
-    if not revision:
-        for package in PACKAGES:
-            found |= {str(path): path.read_text() for path in sorted(Path(package).rglob("*.py"))}
-    else:
-        archive = subprocess.run(["git", "archive", revision, *PACKAGES], check=True, capture_output=True).stdout
-        with tarfile.open(fileobj=io.BytesIO(archive)) as files:
-            for member in files.getmembers():
-                content = files.extractfile(member) if member.name.endswith(".py") else None
-                if content is not None:
-                    found[member.name] = content.read().decode()
-    return {path.removesuffix(".py").removesuffix("/__init__").replace("/", "."): text for path, text in found.items()}
+def sources() -> dict[str, str]:
+    """Module → source, of the working tree."""
+    files = [path for package in PACKAGES for path in sorted(Path(package).rglob("*.py"))]
+    return {
+        str(path).removesuffix(".py").removesuffix("/__init__").replace("/", "."): path.read_text() for path in files
+    }
 
 
 def imported(text: str) -> Iterator[str]:
@@ -152,26 +139,20 @@ def walk() -> str:
 
 def main() -> None:
     """Write the page."""
-    now, before = sources(""), sources(BEFORE)
+    modules = sources()
     page = f"""# The house
 
-Drawn from the imports by `make house`. An arrow goes from a room to one that it imports; those that follow from longer
-ways are left out. Thick arrows are between packages: each imports those to its left.
+Drawn from the imports by `make house`: {count_of(modules)}. An arrow goes from a room to one that it imports; arrows
+that follow from longer paths are left out. Thick arrows are between packages: each imports those to its left.
 
-## Today: {count_of(now)}
-
-{picture(now)}
+{picture(modules)}
 
 ## From current to fit
 
 {walk()}
-
-## Before the rooms were made one: {count_of(before)}, commit {BEFORE}
-
-{picture(before)}
 """
     PAGE.write_text(page)
-    print(f"{PAGE}: {count_of(now)}; before: {count_of(before)}", file=sys.stderr)
+    print(f"{PAGE}: {count_of(modules)}", file=sys.stderr)
 
 
 if __name__ == "__main__":
