@@ -7,7 +7,7 @@ moment n at that frame is v·f + w·n. Where joints without a motor follow, the 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -15,7 +15,13 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
 from ident.export.c_code.expressions import Expression, Graph, solved
 from ident.export.c_code.frames import JointFrame, combination, joint_frames
-from ident.export.c_code.joint_terms import friction, joint_parameter_column, joint_terms
+from ident.export.c_code.joint_terms import (
+    friction,
+    joint_parameter_column,
+    joint_terms,
+    presliding_states,
+    presliding_torque,
+)
 from ident.export.c_code.recursion import LinkMotion, link_motions, link_wrench, tree_inertia, tree_torques, unit_wrench
 from ident.export.c_code.vectors import Vector, add, constant_vector, cross, dot, scale
 from ident.model.base_parameters import random_states
@@ -23,6 +29,7 @@ from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.kinematics.transmission import LinearTransmission
 from ident.model.parameters import INERTIAL
+from ident.model.presliding import presliding_motions
 
 Axes = dict[int, tuple[Vector, Vector]]
 """(w, v) by the number of the joint in the tree."""
@@ -107,11 +114,6 @@ def payload_torque(graph: Graph, motion: LinkMotion, axes: Axes, follow: FloatAr
     return tuple(totals)
 
 
-def input_size(name: str, joints: int) -> int:
-    """Length of an input array."""
-    return PAYLOAD_SIZE if name == PAYLOAD else joints
-
-
 @dataclass(frozen=True)
 class Function:
     """One C function.
@@ -119,10 +121,11 @@ class Function:
     Attributes:
         name: without the arm's prefix.
         summary: what it gives, for a comment.
-        inputs: names of its arrays (n,); `payload` is (10,).
+        inputs: names of its arrays (n,).
         output: name of what it writes.
         rows: the output's entries, (1, n) for a vector.
         matrix: whether the output has rows and columns.
+        sizes: length of the arrays that are not (n,).
     """
 
     name: str
@@ -131,6 +134,7 @@ class Function:
     output: str
     rows: tuple[tuple[Expression, ...], ...]
     matrix: bool = False
+    sizes: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def outputs(self) -> list[Expression]:
@@ -233,6 +237,7 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
             ("q", "dq", "ddq", PAYLOAD),
             "tau",
             (payload_torque(graph, motions[tool], axes[tool], follow),),
+            sizes={PAYLOAD: PAYLOAD_SIZE},
         )
     )
     functions.append(
@@ -244,6 +249,26 @@ def arm_functions(graph: Graph, dynamics: InverseDynamics) -> tuple[Function, ..
             (solved(mass, driving),),
         )
     )
+    if count_of_states := len(presliding_motions(model)):
+        z = [graph.symbol(f"z{number}") for number in range(count_of_states)]
+        functions += [
+            Function(
+                "presliding_state",
+                "Presliding states after one more time step [s] at dq; they start at the sign of the first motion.",
+                ("z", "dq", "step"),
+                "next",
+                (presliding_states(graph, model, dq, z, graph.symbol("step0")),),
+                sizes={"z": count_of_states, "step": 1},
+            ),
+            Function(
+                "presliding_torque",
+                "Torques that presliding states add to those of a motion: its friction reverses gradually.",
+                ("q", "dq", "z"),
+                "tau",
+                (presliding_torque(graph, model, terms, q, dq, z, load_torque),),
+                sizes={"z": count_of_states},
+            ),
+        ]
     if not np.array_equal(dynamics.coupling, np.eye(count)):
         functions.append(_motor_torque(graph, dynamics))
     lacking = left_out(dynamics)

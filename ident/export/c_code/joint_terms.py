@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +10,12 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.export.c_code.expressions import Expression, Graph, cosine, decay, hyperbolic_tangent, power, sign, sine
 from ident.export.c_code.frames import combination
-from ident.friction.table import TERM, Maths, Operands
+from ident.friction.table import DRY_KINDS, TERM, Maths, Operands
+from ident.friction.terms import Motion
 from ident.model.dynamic_model import DynamicModel
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.joint_columns import JointColumn, joint_column
+from ident.model.presliding import presliding_motions
 
 EXPRESSIONS = Maths(sign, power, decay, cosine, sine)
 """The functions that friction terms are written with."""
@@ -29,6 +31,7 @@ class JointTermsCode:
         coulomb: (motion (n,), torques (n,) [N·m]) of each Coulomb column.
         offset: (n,) [N·m].
         further: (column, motion (n,), torques (n,)) of each other column of friction.
+        sliding: the same of the dry friction, Coulomb columns included, whose motion has a presliding travel.
     """
 
     inertia: FloatArray
@@ -36,6 +39,7 @@ class JointTermsCode:
     coulomb: tuple[tuple[FloatArray, FloatArray], ...]
     offset: FloatArray
     further: tuple[tuple[JointColumn, FloatArray, FloatArray], ...]
+    sliding: tuple[tuple[JointColumn, FloatArray, FloatArray], ...]
 
 
 def joint_terms(dynamics: InverseDynamics) -> JointTermsCode:
@@ -43,13 +47,16 @@ def joint_terms(dynamics: InverseDynamics) -> JointTermsCode:
     model = dynamics.model
     inertia, viscous = np.zeros((2, model.dof, model.dof))
     offset = np.zeros(model.dof)
-    coulomb, further = [], []
+    coulomb, further, sliding = [], [], []
+    gradual = presliding_motions(model)
     for number, value in zip(dynamics.base.columns, dynamics.parameters, strict=True):
         parameter = model.parameters[number]
         if parameter.kind == "inertial" or value == 0.0:
             continue
         column = joint_column(model, parameter)
-        motion, torques = _motion(model, column), float(value) * _rows(dynamics, column)
+        motion, torques = _motion(model, column.motion), float(value) * _rows(dynamics, column)
+        if column.motion in gradual and column.quantity in DRY_KINDS:
+            sliding.append((column, motion, torques))
         if column.quantity == "motor_inertia":
             inertia += np.outer(torques, motion)
         elif column.quantity == "viscous" and column.shape == 1.0:
@@ -60,7 +67,7 @@ def joint_terms(dynamics: InverseDynamics) -> JointTermsCode:
             offset += torques
         else:
             further.append((column, motion, torques))
-    return JointTermsCode(inertia, viscous, tuple(coulomb), offset, tuple(further))
+    return JointTermsCode(inertia, viscous, tuple(coulomb), offset, tuple(further), tuple(sliding))
 
 
 def friction(
@@ -78,16 +85,50 @@ def friction(
         totals = [total + direction * float(torque) for total, torque in zip(totals, torques, strict=True)]
     for column, motion, torques in terms.further:
         angle, rate = (combination(graph, motion, signals) for signals in (position, velocity))
-        signal = _further_signal(column, angle, rate, smoothing, load_torque)
+        signal = _further_signal(column, angle, rate, coulomb_direction(rate, smoothing), load_torque)
         totals = [total + signal * float(torque) for total, torque in zip(totals, torques, strict=True)]
     return [total + float(constant) for total, constant in zip(totals, terms.offset, strict=True)]
 
 
+def presliding_states(
+    graph: Graph, model: DynamicModel, velocity: Sequence[Expression], states: Sequence[Expression], time: Expression
+) -> tuple[Expression, ...]:
+    """Dahl's states (s,) after a time [s] at constant velocities (n,), as `ident.model.presliding.dahl_states`."""
+    after = []
+    for (motion, travel), state in zip(presliding_motions(model).items(), states, strict=True):
+        rate = combination(graph, _motion(model, motion), velocity)
+        direction = sign(rate)
+        after.append(direction + (state - direction) * decay(direction * rate * time / travel))
+    return tuple(after)
+
+
+def presliding_torque(
+    graph: Graph,
+    model: DynamicModel,
+    terms: JointTermsCode,
+    position: Sequence[Expression],
+    velocity: Sequence[Expression],
+    states: Sequence[Expression],
+    load_torque: Sequence[Expression],
+) -> tuple[Expression, ...]:
+    """What Dahl's states (s,) in place of sign(q̇) add to the joints' torques (n,)."""
+    by_motion: Mapping[Motion, Expression] = dict(zip(presliding_motions(model), states, strict=True))
+    totals = [graph.constant(0.0)] * model.dof
+    for column, motion, torques in terms.sliding:
+        angle, rate = (combination(graph, motion, signals) for signals in (position, velocity))
+        with_state, static = (
+            _further_signal(column, angle, rate, direction, load_torque)
+            for direction in (by_motion[column.motion], sign(rate))
+        )
+        change = with_state - static
+        totals = [total + change * float(torque) for total, torque in zip(totals, torques, strict=True)]
+    return tuple(totals)
+
+
 def _further_signal(
-    column: JointColumn, angle: Expression, rate: Expression, smoothing: float, load_torque: Sequence[Expression]
+    column: JointColumn, angle: Expression, rate: Expression, direction: Expression, load_torque: Sequence[Expression]
 ) -> Expression:
-    """Signal of a column of further friction at a motor's position and velocity."""
-    direction = coulomb_direction(rate, smoothing)
+    """Signal of a column of friction at a motor's position and velocity, for its direction of motion."""
     at = Operands(rate, direction, column.shape, load_torque[column.rows[0][0]], maths=EXPRESSIONS, angle=angle)
     signal: Expression = TERM[column.quantity].signal(at)
     return signal
@@ -105,7 +146,7 @@ def joint_parameter_column(
     """The regressor's column (n,) of a standard parameter that is no link's."""
     model = dynamics.model
     column = joint_column(model, model.parameters[number])
-    motion = _motion(model, column)
+    motion = _motion(model, column.motion)
     if column.quantity == "motor_inertia":
         signal = combination(graph, motion, acceleration)
     elif column.quantity == "viscous" and column.shape == 1.0:
@@ -116,7 +157,7 @@ def joint_parameter_column(
         signal = graph.constant(1.0)
     else:
         angle, rate = (combination(graph, motion, signals) for signals in (position, velocity))
-        signal = _further_signal(column, angle, rate, model.smoothing, load_torque)
+        signal = _further_signal(column, angle, rate, coulomb_direction(rate, model.smoothing), load_torque)
     return [signal * float(factor) for factor in _rows(dynamics, column)]
 
 
@@ -125,11 +166,11 @@ def coulomb_direction(velocity: Expression, smoothing: float) -> Expression:
     return hyperbolic_tangent(velocity * (1.0 / smoothing)) if smoothing > 0.0 else sign(velocity)
 
 
-def _motion(model: DynamicModel, column: JointColumn) -> FloatArray:
-    motion = np.zeros(model.dof)
-    for joint, factor in column.motion:
-        motion[joint] = factor
-    return motion
+def _motion(model: DynamicModel, motion: Motion) -> FloatArray:
+    factors = np.zeros(model.dof)
+    for joint, factor in motion:
+        factors[joint] = factor
+    return factors
 
 
 def _rows(dynamics: InverseDynamics, column: JointColumn) -> FloatArray:

@@ -13,7 +13,9 @@ from ident.export.c_code.functions import PAYLOAD, Function
 from ident.export.c_code.statements import Real
 from ident.model.base_parameters import random_states
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
+from ident.model.joint_columns import combined
 from ident.model.parameters import INERTIAL, link_parameters
+from ident.model.presliding import dahl_states, presliding_motions
 from ident.model.regressor import regressor
 
 STATES = 8
@@ -27,7 +29,7 @@ class ExpectedValues:
     """What the functions should give.
 
     Attributes:
-        inputs: q, dq, ddq and tau (N, n), and payload (N, 10), by name.
+        inputs: q, dq, ddq and tau (N, n), payload (N, 10), and with presliding z (N, s) and step (N, 1), by name.
         outputs: (N, …) by the function's name.
         scales: largest value of each, that deviations are relative to; of all torques the same, of accelerations
             times the condition number of the inertia matrix, which multiplies rounding.
@@ -56,6 +58,7 @@ def reference(dynamics: InverseDynamics, real: Real, count: int = STATES, seed: 
     payload = random_payloads(count, seed)
     if real == "float":
         payload = payload.astype(np.float32).astype(np.float64)
+    inputs = {"q": position.T, "dq": velocity.T, "ddq": acceleration.T, PAYLOAD: payload, "tau": torque.T}
     inertia = dynamics.inertia(position)
     at_rest = dynamics.torque(position, velocity, still)
     rows = np.einsum(
@@ -72,12 +75,26 @@ def reference(dynamics: InverseDynamics, real: Real, count: int = STATES, seed: 
         "forward_dynamics": _accelerations(inertia, torque - at_rest),
         "motor_torque": np.linalg.solve(dynamics.coupling.T, torque).T,
     }
+    if motions := presliding_motions(model):
+        generator = np.random.default_rng(seed + 2)
+        z, step = generator.uniform(-1.0, 1.0, (count, len(motions))), generator.uniform(1e-4, 1e-2, (count, 1))
+        if real == "float":
+            z, step = (values.astype(np.float32).astype(np.float64) for values in (z, step))
+        inputs |= {"z": z, "step": step}
+        after = np.empty_like(z)
+        for place, (motion, travel) in enumerate(motions.items()):
+            for state, rate in enumerate(combined(motion, velocity)):
+                after[state, place] = dahl_states(rate[None], 1.0 / step[state, 0], [travel], z[state, place])[0, 0]
+        outputs["presliding_state"] = after
+        gradual = dict(zip(motions, z.T, strict=True))
+        outputs["presliding_torque"] = (
+            dynamics.friction(velocity, position, presliding=gradual) - dynamics.friction(velocity, position)
+        ).T
     largest = {name: float(np.max(np.abs(values), initial=0.0)) or 1.0 for name, values in outputs.items()}
     names = ("torque", "coriolis", "gravity", "friction")
     torques = max(largest[name] for name in names)
     worst = float(np.max(np.linalg.cond(inertia)))
     scales = {**largest, **dict.fromkeys(names, torques), "forward_dynamics": worst * largest["forward_dynamics"]}
-    inputs = {"q": position.T, "dq": velocity.T, "ddq": acceleration.T, PAYLOAD: payload, "tau": torque.T}
     return ExpectedValues(inputs, outputs, scales)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.export.c_code.expressions import Graph
-from ident.export.c_code.functions import PAYLOAD, PAYLOAD_SIZE, Function
+from ident.export.c_code.functions import Function
 from ident.export.c_code.names import comment_text
 from ident.export.c_code.reference import TOLERANCES, ExpectedValues
 from ident.export.c_code.statements import Dialect, statements
@@ -70,6 +70,11 @@ class Description:
     tool: str
 
 
+PRESLIDING = (
+    "Presliding: keep z from sample to sample, presliding_state(z, dq, step, z), and add presliding_torque to torque; "
+    "without them dry friction changes with the sign of dq."
+)
+
 GENERATION = "@generation@"
 """Stands in both texts for what the files of one export have in common, and others have not."""
 
@@ -87,6 +92,7 @@ def header(description: Description, functions: Sequence[Function], dialect: Dia
         _lines(("", "Not there:", *(f"  {line}" for line in description.left_out))) if description.left_out else ""
     )
     whole = any(function.name == "torque" for function in functions)
+    sliding = _lines((PRESLIDING,)) if any(function.name == "presliding_state" for function in functions) else ""
     equation = f"tau = M(q) ddq + C(q, dq) dq + g(q) + friction({friction})" if whole else "tau = g(q)"
     return f"""\
 /* Dynamic model of {comment_text(description.robot)}, written by dynid; it holds {comment_text(description.kind)}.
@@ -98,10 +104,10 @@ def header(description: Description, functions: Sequence[Function], dialect: Dia
 {order}
 {origin} *
  * Units: rad, rad/s, rad/s^2, N m; of prismatic joints m, m/s, m/s^2, N. C99, straight-line code: no allocation, no
- * state, no loop. The arrays of a call may overlap. cc -D{macro}_SELF_TEST makes a program that tests the code.
+ * state of its own, no loop. The arrays of a call may overlap. cc -D{macro}_SELF_TEST makes a program that tests it.
  * A payload is its mass, its centre of mass x y z and its inertia xx xy xz yy yz zz about that centre [kg, m, kg m^2],
  * in the frame of joint {comment_text(description.tool)}; add payload_torque to torque.
-{lacking} */
+{sliding}{lacking} */
 #ifndef {macro}_H
 #define {macro}_H
 
@@ -177,13 +183,12 @@ def source(
 
 def _signature(function: Function, prefix: str, joints: int) -> str:
     macro, real = prefix.upper(), f"{prefix}_real"
-    inputs = [
-        f"const {real} {name}[{PAYLOAD_SIZE if name == PAYLOAD else f'{macro}_JOINTS'}]" for name in function.inputs
-    ]
+    inputs = [f"const {real} {name}[{function.sizes.get(name, f'{macro}_JOINTS')}]" for name in function.inputs]
     columns = ""
     if function.matrix:
         columns = f"[{macro}_JOINTS]" if len(function.rows[0]) == joints else f"[{macro}_PARAMETERS]"
-    arguments = [*inputs, f"{real} {function.output}[{macro}_JOINTS]{columns}"]
+    rows = f"{macro}_JOINTS" if function.matrix or len(function.rows[0]) == joints else len(function.rows[0])
+    arguments = [*inputs, f"{real} {function.output}[{rows}]{columns}"]
     opening = f"void {prefix}_{function.name}("
     one_line = f"{opening}{', '.join(arguments)})"
     return one_line if len(one_line) < WIDTH else opening + (",\n" + " " * len(opening)).join(arguments) + ")"

@@ -10,7 +10,7 @@ import numpy as np
 
 from drivers.core.errors import ModelError
 from ident.export.c_code.expressions import Expression, Graph
-from ident.export.c_code.functions import Function, input_size
+from ident.export.c_code.functions import Function
 
 Real = Literal["double", "float"]
 
@@ -76,7 +76,7 @@ def statements(graph: Graph, function: Function, joints: int, dialect: Dialect) 
     names = {
         f"{array}{joint}": f"{array}[{joint}]"
         for array in function.inputs
-        for joint in range(input_size(array, joints))
+        for joint in range(function.sizes.get(array, joints))
     }
     lines = []
     for array in function.inputs:

@@ -57,10 +57,6 @@ def write_c(
     model = dynamics.model
     refused = left_out(dynamics) if names is None else {}
     lacking = tuple(f"{name}: {reason}" for name, reason in refused.items())
-    if model.presliding:
-        lacking += (
-            "presliding: dry friction is that of the sign of dq, which knows no time (Model.presliding_torque)",
-        )
     plain = [
         Parameter(name, float(value)) for name, value in zip(dynamics.base.names, dynamics.parameters, strict=True)
     ]

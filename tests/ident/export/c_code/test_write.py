@@ -20,6 +20,8 @@ from ident.export.c_code.write import write_c
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
+from ident.model.joint_columns import combined
+from ident.model.presliding import dry_friction, presliding_motions
 from ident.model.true_parameters import true_model, truth_vector
 
 pytestmark = pytest.mark.realtime
@@ -210,8 +212,28 @@ def test_further_friction_is_in_the_code(tmp_path):
     assert np.allclose(friction, dynamics.friction(dq, q).T, rtol=0, atol=1e-9)
 
 
-def test_the_header_says_that_presliding_is_not_in_the_code(tmp_path: Path) -> None:
-    model = replace(build_model(load_robot("rocr6")), presliding=(("Fs1", 1e-3),))
-    sticking = InverseDynamics(model, base_parameters(model), true_dynamics("rocr6").parameters)
-    write_c(sticking, tmp_path / "arm", kind="true parameters")
-    assert "presliding: dry friction is that of the sign of dq" in (tmp_path / "arm.h").read_text()
+def test_presliding_along_a_motion_is_what_the_model_adds(tmp_path: Path) -> None:
+    """Kept from sample to sample, the states of C are those of the model, coupled motors included."""
+    travels = {"Fs1": 1e-3, "Fs5": 3e-3, "Fs6": 2e-3}
+    model = replace(true_dynamics("sr400").model, presliding=tuple(travels.items()))
+    base = base_parameters(model)
+    dynamics = InverseDynamics(model, base, base.projection @ truth_vector(load_robot("sr400")))
+    path = write_c(dynamics, tmp_path / "arm").path
+    assert self_test(path, "sr400").returncode == 0
+    arm, rate, time = CompiledArm(path, "sr400"), 500.0, np.arange(200) / 500.0
+    dq = 0.2 * np.sin(12.0 * time[:, None] + 0.3 + np.arange(6))
+    q = np.cumsum(dq, axis=0) / rate
+    states = np.array([[np.sign(velocity[0]) for velocity in dahl_motions(model, dq)]])
+    added = []
+    for position, velocity in zip(q, dq, strict=True):
+        states = arm("presliding_state", [states, velocity[None], np.array([[1.0 / rate]])], states.shape[1:])
+        added.append(arm("presliding_torque", [position[None], velocity[None], states], (6,))[0])
+    dry = dry_friction(model, base, dynamics.parameters)
+    expected = (dynamics.coupling.T @ dry.torque_change(travels, q.T, dq.T, rate)).T
+    assert np.abs(expected).max() > 1.0
+    assert np.allclose(added, expected, rtol=0, atol=1e-9)
+
+
+def dahl_motions(model: DynamicModel, dq: np.ndarray) -> list[np.ndarray]:
+    """Velocities (N,) of the motions that have a travel."""
+    return [combined(motion, dq.T) for motion in presliding_motions(model)]
