@@ -91,11 +91,6 @@ def line_figure(panels: Sequence[LinePanel], columns: int, backend: Backend, *, 
 def drawn(data: Sequence[Mapping[str, Any]], layout: Mapping[str, Any], backend: Backend) -> Any:
     """The figure: a `plotly.graph_objects.Figure`, or a `matplotlib.figure.Figure` of the same lines and markers.
 
-    Args:
-        data: traces of the type `scatter`.
-        layout: with the axes' domains.
-        backend: what draws.
-
     Raises:
         UsageError: the backend does not exist or is not installed.
     """

@@ -47,11 +47,7 @@ def read_settings(
 ) -> Settings:
     """The keys of a connection as its driver's schema has them.
 
-    Args:
-        schema: of the keys.
-        keys: as the robot file has them, without `driver`.
-        driver: what a message calls the connection's kind.
-        context: what the validators need beside the keys, such as the joints.
+    `context` is what the validators need beside the keys, such as the joints.
 
     Raises:
         UsageError: names every key that is wrong, what was found and what is allowed.

@@ -117,9 +117,7 @@ def installed_drivers() -> dict[str, EntryPoint]:
 def declared(driver: str, where: str = "") -> DriverDeclaration:
     """The declaration of an installed driver.
 
-    Args:
-        driver: its name, as robot files have it.
-        where: file and key that name it, for messages.
+    `where` is the file and key that name it, for messages.
 
     Raises:
         UsageError: no such driver is installed, or its package cannot be imported or declares something else.

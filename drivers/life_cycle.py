@@ -12,11 +12,7 @@ from drivers.core.errors import ConnectionFailedError, ConnectionLostError, Driv
 
 
 class LifeCycle(ABC):
-    """Implements `open`, `notices` and `close` of `drivers.base.Driver` on `_connect`, `_disconnect` and `stop`.
-
-    Args:
-        settings: of the arm.
-    """
+    """Implements `open`, `notices` and `close` of `drivers.base.Driver` on `_connect`, `_disconnect` and `stop`."""
 
     def __init__(self, settings: DriverSettings) -> None:
         self._joints, self._sliding, self._clock = settings.joints, settings.sliding, settings.clock

@@ -8,57 +8,70 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from queue import Empty, SimpleQueue
 
 from drivers.core.errors import UsageError
 
 
 @dataclass(frozen=True)
-class Drop:
-    """Lose the next `count` data packages of every RTDE client, or sample frames of a bus; time continues."""
+class Fault:
+    """A fault that a person asks for."""
+
+
+@dataclass(frozen=True)
+class Counted(Fault):
+    """One that concerns the next `count` of something."""
 
     count: int
 
 
 @dataclass(frozen=True)
-class Freeze:
-    """Send nothing for `duration` [s] and keep the connections; the data of that time are lost."""
+class Lasting(Fault):
+    """One that ends after `duration` [s]."""
 
     duration: float
 
 
 @dataclass(frozen=True)
-class Cut:
+class OfJoint(Fault):
+    """One of the joint of index `joint`."""
+
+    joint: int
+
+
+class Drop(Counted):
+    """Lose the next `count` data packages of every RTDE client, or sample frames of a bus; time continues."""
+
+
+class Freeze(Lasting):
+    """Send nothing for `duration` [s] and keep the connections; the data of that time are lost."""
+
+
+class Cut(Fault):
     """Close every RTDE connection."""
 
 
-@dataclass(frozen=True)
-class ProtectiveStop:
+class ProtectiveStop(Fault):
     """Stop protectively, as after a collision."""
 
 
-@dataclass(frozen=True)
-class LocalControl:
+class LocalControl(Fault):
     """The pendant takes the controller out of remote control: it takes no programs or stops from outside any more."""
 
 
 @dataclass(frozen=True)
-class Heat:
+class Heat(Fault):
     """Warm the joint of index `joint` up by `celsius` [K]."""
 
     joint: int
     celsius: float
 
 
-@dataclass(frozen=True)
-class BlockJoint:
+class BlockJoint(OfJoint):
     """Jam the joint of index `joint` for good: it stops at once and does not move."""
 
-    joint: int
-
 
 @dataclass(frozen=True)
-class Stick:
+class Stick(Fault):
     """What the joint of index `joint` reports as `quantity` stays what it is; without both, all of a thermometer."""
 
     quantity: str = ""
@@ -66,14 +79,14 @@ class Stick:
 
 
 @dataclass(frozen=True)
-class Refuse:
+class Refuse(Fault):
     """Clients that connect from now on are refused an RTDE variable (NOT_FOUND)."""
 
     variable: str
 
 
 @dataclass(frozen=True)
-class Drift:
+class Drift(Fault):
     """Move the joint of index `joint` away from its target at `velocity` [rad/s] while a program runs."""
 
     joint: int
@@ -81,150 +94,85 @@ class Drift:
 
 
 @dataclass(frozen=True)
-class ClockJump:
+class ClockJump(Fault):
     """The clock or counter in the samples jumps by `seconds` [s], and goes on from there; the arm does not."""
 
     seconds: float
 
 
-@dataclass(frozen=True)
-class PowerCycle:
+class PowerCycle(OfJoint):
     """Interrupt the power of the drive of joint index `joint` for a moment."""
 
-    joint: int
 
-
-@dataclass(frozen=True)
-class HeartbeatStop:
+class HeartbeatStop(OfJoint):
     """The drive of joint index `joint` sends no heartbeat any more; all else continues."""
 
-    joint: int
 
-
-@dataclass(frozen=True)
-class OverTemperature:
+class OverTemperature(OfJoint):
     """The drive of joint index `joint` goes into fault, as if it were too hot."""
 
-    joint: int
 
-
-@dataclass(frozen=True)
-class BusOff:
+class BusOff(Lasting):
     """An error frame, then `duration` [s] without any frame in either direction."""
 
-    duration: float
 
-
-@dataclass(frozen=True)
-class Truncate:
+class Truncate(Counted):
     """Cut the next `count` sample frames short: the adapter's line, or the frame itself without an adapter."""
 
-    count: int
 
-
-@dataclass(frozen=True)
-class Garbage:
+class Garbage(Counted):
     """Send `count` lines of random bytes through the adapter, or frames of random content without one."""
 
-    count: int
-
 
 @dataclass(frozen=True)
-class Unplug:
+class Unplug(Fault):
     """Pull the adapter or the thermometer out; it comes back after `duration` [s] if there is one."""
 
     duration: float | None = None
 
 
 @dataclass(frozen=True)
-class Mute:
+class Mute(Fault):
     """Frames of one identifier are not sent for `duration` [s]; all else continues."""
 
     identifier: int
     duration: float
 
 
-@dataclass(frozen=True)
-class Noise:
+class Noise(Lasting):
     """Send random bytes in place of lines for `duration` [s], as at a wrong baud rate."""
 
-    duration: float
 
-
-@dataclass(frozen=True)
-class Replug:
+class Replug(Fault):
     """Plug the thermometer in again; nothing where it is plugged in."""
 
 
-@dataclass(frozen=True)
-class Die:
+class Die(OfJoint):
     """The servo of joint index `joint` neither answers nor drives any more, as with a broken cable."""
 
-    joint: int
 
-
-@dataclass(frozen=True)
-class SameId:
+class SameId(OfJoint):
     """Another servo with the id of joint index `joint` answers at the same time."""
 
-    joint: int
 
-
-@dataclass(frozen=True)
-class Sag:
+class Sag(Lasting):
     """The supply falls to half of its nominal voltage for `duration` [s]."""
 
-    duration: float
 
-
-@dataclass(frozen=True)
-class WrongSum:
+class WrongSum(Counted):
     """The next `count` answers have a wrong sum."""
 
-    count: int
-
 
 @dataclass(frozen=True)
-class Latency:
+class Latency(Fault):
     """The adapter hands answers on only every `seconds` [s] from now on."""
 
     seconds: float
 
 
-@dataclass(frozen=True)
-class Echo:
+class Echo(Fault):
     """The adapter returns what is sent from now on."""
 
-
-Fault = (
-    Drop
-    | Freeze
-    | Cut
-    | ProtectiveStop
-    | LocalControl
-    | Heat
-    | BlockJoint
-    | Stick
-    | Refuse
-    | Drift
-    | ClockJump
-    | PowerCycle
-    | HeartbeatStop
-    | OverTemperature
-    | BusOff
-    | Truncate
-    | Garbage
-    | Unplug
-    | Mute
-    | Noise
-    | Replug
-    | Die
-    | SameId
-    | Sag
-    | WrongSum
-    | Latency
-    | Echo
-)
 
 ServerKind = str
 """Who obeys a fault, in words; the arm at rest is one that only its thermometer watches."""
@@ -371,23 +319,3 @@ def parse_fault(line: str, server: ServerKind, joints: Sequence[str], faults: Se
             if None not in values:
                 return entry.make(*values)
     raise UsageError(f"'{line.strip()}' is not a fault of the {server}", hint=usage(server, faults))
-
-
-class FaultQueue:
-    """Faults that wait for a server's next period; may be called from any thread."""
-
-    def __init__(self) -> None:
-        self._waiting: SimpleQueue[Fault] = SimpleQueue()
-
-    def put(self, fault: Fault) -> None:
-        """Request a fault."""
-        self._waiting.put(fault)
-
-    def requested(self) -> list[Fault]:
-        """The faults requested since the last call."""
-        faults: list[Fault] = []
-        while True:
-            try:
-                faults.append(self._waiting.get_nowait())
-            except Empty:
-                return faults

@@ -8,7 +8,7 @@ import select
 import tempfile
 import tty
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, Self
 
 from drivers.core.errors import UsageError
 
@@ -40,8 +40,7 @@ class PollableLineEnd(LineEnd, Protocol):
 class PseudoTerminal:
     """A device's end of a pseudo-terminal that any program on this computer can open.
 
-    Args:
-        path: of the port; in a temporary folder where None.
+    It is in a temporary folder where no path is given.
 
     Attributes:
         path: of the port.
@@ -59,6 +58,11 @@ class PseudoTerminal:
             raise UsageError("there is something already", where=path, hint="choose another path, or remove it")
         self.path = path
         self._master: int | None = None
+
+    @classmethod
+    def at(cls, url: str) -> Self:
+        """One where a connection's `url` says, if that is the path of no device; else in a temporary folder."""
+        return cls(url if os.path.isabs(url) and not url.startswith("/dev/") else None)
 
     def plug_in(self) -> None:
         """Create the port; nothing where it exists."""

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Self
 
 from daq.robot.schema import Robot
 from daq.session.connections import keys_of_driver
+from drivers.base import drained
 from drivers.core.clock import Clock
 from drivers.core.errors import UsageError
-from sim_drivers.faults import FAULTS, Fault, FaultEntry, FaultQueue, ServerKind, parse_fault
+from sim_drivers.faults import FAULTS, Fault, FaultEntry, ServerKind, parse_fault
 
 if TYPE_CHECKING:
     import threading
@@ -27,9 +28,7 @@ STOP_TIMEOUT = 5.0
 class Server(ABC):
     """A simulated device; `start` and `stop`, or its context, begin and end it. It starts once.
 
-    Args:
-        clock: the host's.
-        beside: servers that start and stop with this one; the end of one ends this one.
+    Servers `beside` start and stop with this one; the end of one ends this one.
     """
 
     def __init__(self, clock: Clock, beside: Sequence[Server] = ()) -> None:
@@ -115,12 +114,7 @@ class Server(ABC):
 class FaultyServer(Server):
     """A server that obeys faults.
 
-    Args:
-        kind: decides which faults.
-        joints: their names, in order.
-        clock: the host's.
-        beside: servers that start and stop with this one.
-        faults: the table that has its faults.
+    `kind` decides which faults of the table.
 
     Attributes:
         messages: for the terminal, oldest first.
@@ -139,11 +133,11 @@ class FaultyServer(Server):
         self.messages: deque[str] = deque(maxlen=100)
         self._kind = kind
         self._known_faults = tuple(faults)
-        self._faults = FaultQueue()
+        self._requested: deque[Fault] = deque()
 
     def cause(self, fault: Fault) -> None:
         """Request a fault; from any thread."""
-        self._faults.put(fault)
+        self._requested.append(fault)
 
     def obey(self, line: str) -> None:
         """Request a typed fault.
@@ -152,6 +146,15 @@ class FaultyServer(Server):
             UsageError: not a fault of this server.
         """
         self.cause(parse_fault(line, self._kind, self.joints, self._known_faults))
+
+    def _new_faults(self) -> list[Fault]:
+        """The faults requested since the last call."""
+        return drained(self._requested)
+
+
+def with_troubles(line: str, **counts: int) -> str:
+    """A line about a server's state, and what went wrong how often."""
+    return line + "".join(f", {count} {word.replace('_', ' ')}" for word, count in counts.items() if count)
 
 
 def stated_keys(robot: Robot, driver: str, lacks: str, page: str) -> dict[str, object]:

@@ -219,11 +219,7 @@ def served_arm(
 ) -> tuple[Served, Plant]:
     """A simulated arm on its bus, not started yet, and its plant.
 
-    Args:
-        robot_file: of the arm.
-        options: its bus, and how both differ from the robot file's.
-        position: (n,) of its joints at first [rad or m]; the middle of their ranges where None.
-        clock: of all that is served.
+    It stands at a `position` (n,) [rad or m] at first, in the middle of the joints' ranges where None.
 
     Raises:
         UsageError: a bus, a version or an arm that cannot be simulated, or wrong keys of a connection.

@@ -43,10 +43,7 @@ Record = Callable[[Path, Path], Recorded]
 def over_rtde(robot: str, seed: int, position: FloatArray | None = None) -> Iterator[Record]:
     """Serve a simulated arm over RTDE within the context; returns its recorder in another process.
 
-    Args:
-        robot: built-in robot or robot file.
-        seed: of the noise.
-        position: (n,) of its joints at first [rad or m]; the middle of their ranges where None.
+    It stands at a `position` (n,) [rad or m] at first, in the middle of the joints' ranges where None.
 
     Raises:
         ConnectionFailedError: it could not be started.

@@ -54,12 +54,7 @@ def unchecked_lines(figures: MotionFigures) -> list[str]:
 class Confirmation:
     """Tells a person where the arm will go, and asks; a `daq.session.play.Permission`.
 
-    Args:
-        motion: that will be played.
-        limits: of the joints.
-        check: of the arm.
-        question: terminal on which the person is asked; None where the answer is yes already.
-        screen: where the approach is described; None for nowhere.
+    Without a `question` the answer is yes already; without a `screen` the approach is described nowhere.
     """
 
     def __init__(

@@ -22,11 +22,6 @@ REPEATED = 0.3
 class KeyAtTerminal:
     """Asks, and sees whether the space bar is held; a `daq.session.guiding.Hand` that restores its terminal at the end.
 
-    Args:
-        terminal: where the person sits: its input and output.
-        asks: whether to ask before the arm is let go.
-        clock: the host's.
-
     Raises:
         UsageError: this computer's terminals tell no single keys.
     """

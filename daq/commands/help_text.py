@@ -48,12 +48,7 @@ class GroupedCommands(TyperGroup):
 
 
 class CommandApp(typer.Typer):
-    """Commands of one group; they have the help's layout and completion without saying so one by one.
-
-    Args:
-        group: of the help.
-        settings: Typer's own.
-    """
+    """Commands of one group; they have the help's layout and completion without saying so one by one."""
 
     def __init__(self, group: str, **settings: Any) -> None:
         super().__init__(**settings)

@@ -72,9 +72,7 @@ def host_option() -> str | None:
 def takes(options: type[Given], **more: dict[str, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """A command whose parameter `options` is a dataclass; its arguments and options stand in the parameter's place.
 
-    Args:
-        options: the dataclass.
-        more: further settings of Typer by the field's name.
+    `more` are further settings of Typer by the field's name.
     """
     entries = [(of, entry) for of in fields(options) if (entry := declared(of)) is not None and entry.help]  # type: ignore[arg-type]
 

@@ -182,13 +182,7 @@ def planned(
 ) -> SessionPlan:
     """Refuse what cannot be recorded or must not move, and tell what will move where.
 
-    Args:
-        options: of the session.
-        out: recording to write; None where none is kept.
-        clock: the host's.
-        overwrite: replace it where it exists.
-        as_json: whether standard output is a program's.
-        guided: whether the arm is led by hand.
+    None as `out` keeps no recording.
 
     Raises:
         DynidError: says why not.
@@ -256,17 +250,7 @@ def recorded(
 ) -> SessionReport:
     """Open the driver, make the file, and record until the end.
 
-    Args:
-        plan: of `planned`.
-        options: of the session.
-        out: recording to write; None where none is kept.
-        clock: the host's.
-        overwrite: replace it where it exists.
-        live: whether the terminal shows the session.
-        browser: whether a page does.
-        watch: of contacts.
-        guiding: how the arm is led by hand.
-        retracts: whether the arm goes a short way back after a contact that ended its motion.
+    None as `out` keeps no recording.
 
     Raises:
         DynidError: the connection fails, or the file cannot be made; later errors are in the report.

@@ -31,11 +31,6 @@ RESTART_RUN = 50
 def check_samples(samples: ImportedSamples, choices: ImportChoices, where: str) -> ImportedSamples:
     """Check for missing values, the order of the stamps and the sampling rate; make the requested repairs.
 
-    Args:
-        samples: in SI, in the robot's order.
-        choices: `repair` names what may be repaired.
-        where: the file, for messages.
-
     Returns:
         The samples with strictly rising stamps and finite values, repairs as notes.
 

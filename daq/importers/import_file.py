@@ -82,12 +82,6 @@ def import_file(
 
     Current stays current: it becomes torque at identification, with the drive gains.
 
-    Args:
-        path: of the file, or of a ROS 2 bag's folder.
-        robot: whose joints the columns are matched to.
-        choices: the user's choices.
-        progress: called with what is being done.
-
     Returns:
         A recording in SI, columns in the robot's order, every assumption and repair as an event.
 
@@ -166,13 +160,6 @@ def recording_of_table(
     table: ForeignTable, robot: RobotFile, choices: ImportChoices, where: str, comment: str
 ) -> Recording:
     """The recording of a foreign table: in the robot's joint order and in SI, checked.
-
-    Args:
-        table: as a reader gave it.
-        robot: whose joints are meant.
-        choices: the user's.
-        where: the file, for messages.
-        comment: for the recording.
 
     Raises:
         ImportFileError: columns that are wrong, incomplete or ambiguous.

@@ -26,13 +26,6 @@ def check_units(
 ) -> ImportedSamples:
     """Compare positions with the joint limits and velocities with the change of position.
 
-    Args:
-        samples: in SI, as far as the file and the user stated units.
-        robot: whose limits are meant.
-        sliding: names of its prismatic joints.
-        choices: whether degrees were converted.
-        where: the file, for messages.
-
     Returns:
         The samples with doubts as notes.
 

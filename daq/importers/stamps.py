@@ -20,12 +20,7 @@ def sample_times(
 ) -> tuple[FloatArray, FloatArray | None]:
     """Stamps of the samples (N,) and, where they have their own, of the commands (M,) [s].
 
-    Args:
-        table: as a reader gave it.
-        count: N.
-        choices: `rate` and `time_unit`.
-        where: the file, for messages.
-        notes: assumptions are appended to them.
+    Assumptions are appended to `notes`; `count` is N.
 
     Raises:
         ImportFileError: no stamps and no rate, both, or an unknown unit.

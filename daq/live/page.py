@@ -197,13 +197,7 @@ def skeleton(robot_file: RobotFile) -> list[dict[str, object]] | None:
 
 
 class PageView:
-    """A session's view that shows the joints' stream on a page; it neither blocks nor raises.
-
-    Args:
-        page: to show it on.
-        layout: of the stream.
-        beside: a view that is shown, too.
-    """
+    """A session's view that shows the joints' stream on a page; it neither blocks nor raises."""
 
     def __init__(self, page: BrowserPage, layout: StreamLayout, beside: View | None) -> None:
         self._page, self._layout, self._beside = page, layout, beside

@@ -30,12 +30,7 @@ MOST_COMPRESSION = 100
 
 
 class Hdf5Bounds:
-    """Counts what is read of one HDF5 file, and refuses what leads out of it or declares too much.
-
-    Args:
-        path: of the file.
-        refusal: error that is raised.
-    """
+    """Counts what is read of one HDF5 file, and refuses what leads out of it or declares too much."""
 
     def __init__(self, path: Path, refusal: type[InputError]) -> None:
         self._path = path

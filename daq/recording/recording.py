@@ -507,9 +507,6 @@ class Recording:
 
         Quantities of other columns than the first one's have their own dimension, `<quantity>_column`.
 
-        Args:
-            stream: name of the stream.
-
         Raises:
             UsageError: xarray is not installed, or there is no such stream.
 

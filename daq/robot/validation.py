@@ -20,10 +20,7 @@ STILL_TODO = f"is still to be filled in ({TODO})"
 def validated_robot(content: Mapping[Any, Any], where: str, sliding: Collection[str]) -> Robot:
     """A robot from the keys of its file.
 
-    Args:
-        content: the file's keys.
-        sliding: names of the joints that slide, whose limits are in m.
-        where: name of the file in error messages.
+    Limits of joints that slide, whose names are `sliding`, are in m.
 
     Raises:
         RobotFileError: about the first problem; its `problems` are all of them.

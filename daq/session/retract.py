@@ -76,19 +76,7 @@ def retract(
     robot: Robot,
     stop: Callable[[Driver, Player | None], None],
 ) -> None:
-    """Go back, hold, and note how it went; never raises. The driver was stopped, and is stopped at the end.
-
-    Args:
-        driver: open.
-        cycle: of the session.
-        course: of the session.
-        supervisor: of the arm's limits.
-        recorder: of the session.
-        player: that played the motion.
-        path: that it played.
-        robot: whose limits hold.
-        stop: halts the arm.
-    """
+    """Go back, hold, and note how it went; never raises. The driver was stopped, and is stopped at the end."""
     back: Player | None = None
     try:
         course.moves, course.gate, course.retracting = False, None, True

@@ -39,11 +39,6 @@ class Sources:
 
     The main one moves the arm and is waited for; the others are polled. The main one's streams keep
     their names; another's only stream has the name of its connection, several are called `connection_stream`.
-
-    Args:
-        name: of the main connection.
-        main: its driver.
-        others: connection → driver.
     """
 
     def __init__(self, name: str, main: Driver, others: Mapping[str, Driver]) -> None:

@@ -116,11 +116,7 @@ class StuckChannel:
 
 
 class JointSpeed:
-    """The joints' positions and, once per `SPEED_TIME`, their speeds over it; (n,), else NaN.
-
-    Args:
-        joints: how many.
-    """
+    """The joints' positions and, once per `SPEED_TIME`, their speeds over it; (n,), else NaN."""
 
     def __init__(self, joints: int) -> None:
         self.position, self.speed = np.full((2, joints), np.nan)

@@ -157,10 +157,6 @@ class Supervisor:
     A column with a joint's name has that joint's limit, also in a stream that has only some of the joints
     or has them in another order; where no column does, as many columns as joints count as the joints. Only streams with
     all joints are compared with commands and targets.
-
-    Args:
-        limits: of the arm.
-        layouts: of the streams that will come.
     """
 
     def __init__(self, limits: Limits, layouts: Sequence[StreamLayout]) -> None:
@@ -434,11 +430,7 @@ WINDOWS = 6
 
 
 class VelocityUnit:
-    """Compares the velocities of one stream with the speeds of its positions.
-
-    Args:
-        joints: how many.
-    """
+    """Compares the velocities of one stream with the speeds of its positions."""
 
     def __init__(self, joints: int) -> None:
         self._sum, self._count = np.zeros(joints), 0

@@ -35,12 +35,7 @@ FAULTY_LIMIT = 1000
 
 
 class ArrivalClock:
-    """Takes stamps of frames to the host's monotonic clock.
-
-    Args:
-        bus: whose frames they are.
-        clock: the host's.
-    """
+    """Takes stamps of frames to the host's monotonic clock."""
 
     def __init__(self, bus: can.BusABC, clock: Clock) -> None:
         self._clock = clock

@@ -80,10 +80,6 @@ class Feedback:
 class MotorBus:
     """The motors of a connection; safe to use from several threads.
 
-    Args:
-        settings: of the connection.
-        clock: the host's.
-
     Attributes:
         codecs: one a motor; they may be replaced while nothing is exchanged.
     """
@@ -152,10 +148,6 @@ class MotorBus:
         """Read all motors, and command them, if so: by their answers, else just before.
 
         Either way a reading is of the time before its command acts, and one exchange a cycle does for both.
-
-        Args:
-            commands: to the motors.
-            patience: longest wait [s].
 
         Raises:
             ConnectionLostError: the adapter is gone, or carries nothing.

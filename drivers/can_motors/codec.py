@@ -66,9 +66,6 @@ class Answer:
 class MotorCodec(ABC):
     """Frames of one motor.
 
-    Args:
-        motor: address, model and settings.
-
     Attributes:
         motor: as given.
         fd: whether frames are of CAN FD.

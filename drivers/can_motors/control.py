@@ -32,11 +32,6 @@ ENABLING = 0.5
 class MotorControl:
     """Commands of the motors of a connection; one thread at a time.
 
-    Args:
-        bus: open.
-        settings: of the connection.
-        clock: the host's.
-
     Attributes:
         active: whether the motors were made to obey, and not yet stopped.
         obeying: whether all showed that they do.

@@ -33,14 +33,7 @@ MEANINGS = {
 
 
 class MotorCycle(PolledRows):
-    """Reads all motors at a rate, with goals while they are moved; a new goal goes out at once.
-
-    Args:
-        bus: open.
-        control: of the same motors.
-        settings: of the connection.
-        clock: the host's.
-    """
+    """Reads all motors at a rate, with goals while they are moved; a new goal goes out at once."""
 
     def __init__(self, bus: MotorBus, control: MotorControl, settings: CanMotorSettings, clock: Clock) -> None:
         super().__init__(f"motors {settings.where}", settings.keys.rate, control.sent, clock, settings.gains())

@@ -58,9 +58,7 @@ class MotorIdentity:
 class CanMotorDriver(PolledArm):
     """CAN motors of one family on one bus; implements `drivers.base.Driver`.
 
-    Args:
-        settings: joints and the connection's keys (see `drivers.can_motors.settings.CanMotorKeys`).
-        family: of the motors.
+    The connection's keys are those of `drivers.can_motors.settings.CanMotorKeys`.
 
     Raises:
         UsageError: the connection's keys are wrong.

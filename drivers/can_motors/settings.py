@@ -230,11 +230,6 @@ class CanMotorSettings:
 def parse_settings(connection: Mapping[str, object], joints: Sequence[str], family: str) -> CanMotorSettings:
     """Check a connection's keys.
 
-    Args:
-        connection: the keys beside `driver`.
-        joints: names of the arm's joints.
-        family: of the motors, one of `CODECS`.
-
     Raises:
         UsageError: names every key that is wrong, what was found and what is allowed.
     """

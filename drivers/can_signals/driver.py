@@ -42,9 +42,7 @@ GAP_PERIODS = 2.5
 class CanFramesDriver(LifeCycle):
     """An arm on a CAN bus with a proprietary protocol; implements `drivers.base.Driver`.
 
-    Args:
-        settings: joints, the connection's keys (see `drivers.can_signals.settings.CanFramesSettings`), the gains,
-            the folder that a DBC file is looked for in, and the host's clock.
+    The connection's keys are those of `drivers.can_signals.settings.CanFramesSettings`.
 
     Raises:
         UsageError: the connection's keys are wrong, or the DBC file cannot be used.
@@ -281,12 +279,7 @@ class CanFramesDriver(LifeCycle):
 
 
 class Commander:
-    """Encodes one position after the other; counts them where the table has a counter.
-
-    Args:
-        table: of the command frames.
-        joints: in the order of every position.
-    """
+    """Encodes one position after the other; counts them where the table has a counter."""
 
     def __init__(self, table: CommandTable, joints: Sequence[str]) -> None:
         self._table = table

@@ -51,11 +51,6 @@ class PollAnswers:
 class Poller:
     """Polls until it is stopped.
 
-    Args:
-        sender: of the bus.
-        poll: what is sent, and how often.
-        clock: the host's.
-
     Attributes:
         failure: what ended it; None while all is well.
         period: from one poll to the next [s].

@@ -232,10 +232,7 @@ def parse_settings(
 
     Without `signals`, those of the DBC file are chosen whose name is a quantity, an underscore and a joint.
 
-    Args:
-        connection: the keys beside `driver`.
-        joints: names of the arm's joints.
-        folder: what a relative `dbc` starts at; the current folder where None.
+    A relative `dbc` starts at `folder`, the current folder where None.
 
     Raises:
         UsageError: names every key that is wrong, what was found and what is allowed; or the DBC file cannot be used.

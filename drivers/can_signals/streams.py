@@ -192,10 +192,6 @@ class FrameStreams:
 class Troubles:
     """Counts what went wrong, and says so at most once a second.
 
-    Args:
-        notices: are appended to.
-        clock: the host's.
-
     Attributes:
         missing: what the last incomplete row lacked; empty where none was.
     """
@@ -248,11 +244,7 @@ class Troubles:
 
 
 class FaultWatch:
-    """Tells when a signal `fault` stops being 0, as an error, and when it is 0 again.
-
-    Args:
-        notices: are appended to.
-    """
+    """Tells when a signal `fault` stops being 0, as an error, and when it is 0 again."""
 
     def __init__(self, notices: deque[Notice]) -> None:
         self._notices = notices

@@ -49,8 +49,7 @@ STANDSTILL = 0.01
 class Canopen402Driver(LifeCycle):
     """An arm of CiA 402 drives; implements `drivers.base.Driver`.
 
-    Args:
-        settings: joints, the connection's keys (see `drivers.canopen402.settings.CanopenSettings`) and the gains.
+    The connection's keys are those of `drivers.canopen402.settings.CanopenSettings`.
 
     Raises:
         UsageError: the connection's keys are wrong.

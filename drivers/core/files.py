@@ -77,11 +77,7 @@ def given_kind(given: object) -> str:
 def check_input(path: Path, kind: InputKind, refusal: type[InputError], hint: str = "") -> int:
     """Whether a file may be opened by its name; its size [B].
 
-    Args:
-        path: of the file.
-        kind: what it should be.
-        refusal: error that is raised.
-        hint: what to do where there is no such file.
+    `hint` is what to do where there is no such file.
 
     Raises:
         InputError: `refusal`, where it is missing, no regular file (a folder, FIFO or device), or too large.

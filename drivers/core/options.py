@@ -194,9 +194,7 @@ def keywords_of(
 ) -> Callable[[Callable[[_Options], _Result]], Callable[_Arguments, _Result]]:
     """A function of one dataclass of options as a function of the dataclass's arguments, described in its docstring.
 
-    Args:
-        options: the dataclass.
-        elsewhere: arguments that people may expect, and what to call for each.
+    `elsewhere` are arguments that people may expect, and what to call for each.
     """
 
     def decorate(function: Callable[[_Options], _Result]) -> Callable[_Arguments, _Result]:

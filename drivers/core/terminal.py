@@ -57,11 +57,7 @@ codecs.register_error("dynid.escaped", _escaped)
 
 
 class VisibleStream:
-    """A text stream that writes `visible` text; all else is the stream's own.
-
-    Args:
-        stream: that is written to.
-    """
+    """A text stream that writes `visible` text; all else is the stream's own."""
 
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream

@@ -17,12 +17,6 @@ def stop_program(host: str, timeout: float, connect: Connect = connect_tcp, cloc
     """Ask a controller to end its program; whether it says so within `timeout` [s]. Never raises.
 
     Controllers from software 10 on have no dashboard; others obey only in remote control.
-
-    Args:
-        host: name or address of the controller.
-        timeout: [s].
-        connect: reaches the controller.
-        clock: the host's.
     """
     return _asked(b"stop", host, timeout, connect, clock).lower() == "stopped"
 

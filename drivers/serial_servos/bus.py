@@ -41,10 +41,6 @@ class ServoFeedback:
 class ServoBus:
     """The servos of a connection; safe to use from several threads.
 
-    Args:
-        settings: of the connection.
-        clock: the host's.
-
     Attributes:
         line: under it.
         fast: whether the servos answer in one packet; found out by `open`.
@@ -155,11 +151,7 @@ class ServoBus:
     def write(self, motor: ServoMotor, name: str, counts: int, *, configure: bool = False) -> None:
         """Write signed counts into a register, and wait for the servo to confirm it.
 
-        Args:
-            motor: the servo.
-            name: of the register.
-            counts: with their sign.
-            configure: whether it may be one of the EEPROM.
+        Registers of the EEPROM are written only where `configure`.
 
         Raises:
             DriverStateError: the register is of the EEPROM, and may not be written.

@@ -27,11 +27,6 @@ STOP_SENDINGS = 3
 class ServoControl:
     """Commands of the servos of a connection; one thread at a time.
 
-    Args:
-        bus: open.
-        settings: of the connection.
-        clock: the host's.
-
     Attributes:
         active: whether the servos were made to obey, and not yet stopped.
         led: whether the arm is released, to be led by hand.

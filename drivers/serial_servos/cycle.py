@@ -15,14 +15,7 @@ ALERT = 0x80
 
 
 class ServoCycle(PolledRows):
-    """Reads the feedback of all servos at a rate.
-
-    Args:
-        bus: open.
-        control: of the same servos.
-        settings: of the connection.
-        clock: the host's.
-    """
+    """Reads the feedback of all servos at a rate."""
 
     def __init__(self, bus: ServoBus, control: ServoControl, settings: ServoSettings, clock: Clock) -> None:
         super().__init__(f"servos {settings.url}", settings.keys.rate, control.sent, clock)

@@ -26,9 +26,7 @@ LONGEST_PATIENCE = 0.05
 class SerialServoDriver(PolledArm):
     """Serial bus servos on one line; implements `drivers.base.Driver`.
 
-    Args:
-        settings: joints and the connection's keys (see `drivers.serial_servos.settings.ServoKeys`).
-        protocol: "feetech" or "dynamixel".
+    The connection's keys are those of `drivers.serial_servos.settings.ServoKeys`.
 
     Raises:
         UsageError: the connection's keys are wrong, or its calibration cannot be used.

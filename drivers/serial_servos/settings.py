@@ -121,11 +121,7 @@ def parse_settings(
 ) -> ServoSettings:
     """Check a connection's keys.
 
-    Args:
-        connection: the keys beside `driver`.
-        joints: names of the arm's joints.
-        folder: what a relative `calibration` starts at; the current folder where None.
-        driver: "feetech" or "dynamixel".
+    A relative `calibration` starts at `folder`, the current folder where None.
 
     Raises:
         UsageError: names every key that is wrong, what was found and what is allowed; or the calibration cannot be

@@ -36,8 +36,7 @@ STILL_GONE_PERIOD = 60.0
 class SerialThermometerDriver(LifeCycle):
     """Temperatures of some joints; implements `drivers.base.Driver`, but moves nothing.
 
-    Args:
-        settings: joints and the connection's keys (see `drivers.serial_thermometer.settings.ThermometerSettings`).
+    The connection's keys are those of `drivers.serial_thermometer.settings.ThermometerSettings`.
 
     Raises:
         UsageError: the connection's keys are wrong.
@@ -222,11 +221,7 @@ class SerialThermometerDriver(LifeCycle):
 
 
 class RowAssembler:
-    """Gathers readings of single joints into rows; a row is complete when every joint has come, or one comes again.
-
-    Args:
-        joints: the columns.
-    """
+    """Gathers readings of single joints into rows; a row is complete when every joint has come, or one comes again."""
 
     def __init__(self, joints: Sequence[str]) -> None:
         self._column = {joint: number for number, joint in enumerate(joints)}

@@ -72,11 +72,6 @@ Arrival = Chunk | Lost | Restored
 class SerialPort:
     """A port that is read continuously from `open` to `close`.
 
-    Args:
-        url: device or pyserial URL.
-        baudrate: [bit/s].
-        clock: the host's.
-
     Attributes:
         dropped: bytes that were thrown away because `take` stayed away.
         attempts: to open a port that has gone, since it went.
@@ -201,9 +196,6 @@ class ThermometerReading:
 
 class LineParser:
     """Cuts bytes into lines, lines into temperatures; what is no temperature is counted.
-
-    Args:
-        settings: pattern, channels, unit and range.
 
     Attributes:
         rejected: why → how many lines, since the last `take_rejected`.

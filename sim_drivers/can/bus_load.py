@@ -166,10 +166,6 @@ class BusModel:
     Time is in any unit of the caller's, as long as it increases. A cyclic frame (`newest_wins`) has two places to
     wait in: when both are occupied, a newer value replaces the second, which is then lost.
 
-    Args:
-        bitrate: [bit/s].
-        length: of a frame [bit].
-
     Attributes:
         bits: carried so far.
         lost: frames that never were on the bus.

@@ -66,11 +66,7 @@ def format_frame(message: can.Message, stamp: int | None = None) -> bytes:
 class SlcanAdapter(Server):
     """An adapter that `start` plugs in and `stop` closes.
 
-    Args:
-        bus: behind the adapter; closed with it.
-        bitrate: of that bus [bit/s]; an adapter set to another gets nothing across.
-        port: its end of the serial line; a pseudo-terminal where None.
-        clock: the host's.
+    An adapter set to another bit rate than that of the bus behind it gets nothing across.
     """
 
     def __init__(

@@ -12,16 +12,11 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from drivers.can_motors.settings import CanMotor
 from drivers.core.arrays import FloatArray
-from sim_drivers.plant.servo import ServoArm, true_servos
+from sim_drivers.plant.clocked_arm import ClockedArm
+from sim_drivers.plant.servo import true_servos
 
 NOMINAL_VOLTAGE = 24.0
 """[V] of a supply that the truth does not name."""
-SAGGING = 0.5
-"""Share of its voltage that a sagging supply has left."""
-BEHIND_LIMIT = 0.05
-"""[rad] from a joint's position limit to its end stop."""
-LONGEST_ADVANCE = 0.25
-"""[s]: a stall of more is not made up for: the arm's time is halted meanwhile."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +36,7 @@ class Command:
     torque: float = 0.0
 
 
-class MotorPlant:
+class MotorPlant(ClockedArm):
     """An arm of motors in the time of a clock.
 
     Args:
@@ -49,20 +44,11 @@ class MotorPlant:
         motors: in the joints' order.
         position: (n,) at which it stands at first [rad].
         now: the clock's time [s].
-
-    Attributes:
-        arm: the bodies.
-        sagging: whether the supply's voltage is low.
-        stalls: times when the arm's time fell behind the clock.
     """
 
     def __init__(self, file: RobotFile, motors: Sequence[CanMotor], position: FloatArray, now: float) -> None:
+        super().__init__(file, position, now, NOMINAL_VOLTAGE)
         truth = true_servos(file.robot, file.where)
-        self.arm = ServoArm(file, position.copy())
-        self.sagging = False
-        self.stalls = 0
-        supply = file.robot.truth.supply
-        self._nominal = NOMINAL_VOLTAGE if supply is None else supply.nominal
         self._motors = motors
         self._delay = [servo.delay for servo in truth]
         self._truth = [(servo.stiffness, servo.gain_d) for servo in truth]
@@ -73,10 +59,8 @@ class MotorPlant:
         self._speed, self._pushing = np.zeros((2, len(position)))
         self._until = np.full(len(position), np.nan)
         self._kp, self._kd = np.zeros((2, len(position)))
-        self._time = self._now = now
+        self._now = now
         self._sensed: dict[int, dict[str, float]] = {}
-        low, high = np.array([joint.position for joint in file.robot.joints]).T
-        self._stops = low - BEHIND_LIMIT, high + BEHIND_LIMIT
         self.arm.effort = np.full(len(position), np.inf)  # of a servo's spring alone; a motor's limit is kept here
         self._drive(position)
 
@@ -116,33 +100,29 @@ class MotorPlant:
         """Simulate until a time [s]."""
         self._now = now
         self._sensed.clear()
-        if now - self._time > LONGEST_ADVANCE:
-            self._time = now - LONGEST_ADVANCE
-            self.stalls += 1
-        step = self.arm.step
-        while self._time + step <= now:
-            self._time += step
-            before, driving = self._goal.copy(), self._kp > 0.0
-            share = np.ones(len(before))  # of the step, in which the newest goal acts
-            for index, coming in enumerate(self._coming):
-                while coming and coming[0][0] <= self._time:
-                    since, command, self._kp[index], self._kd[index] = coming.popleft()
-                    self._goal[index] = command.goal + command.speed * (self._time - step - since)
-                    self._speed[index], self._until[index] = command.speed, command.stop
-                    self._pushing[index] = command.torque
-                    share[index] = min((self._time - since) / step, 1.0) if driving[index] else 1.0
-            self._move_goals(step)
-            acting = self._goal - 0.5 * step * self._speed
-            goal = before + share * (acting - before)
-            self._drive(goal)
-            self.arm.advance(goal)
-            self.arm.keep_within(*self._stops)
+        super().advance(now)
 
     def measured(self, index: int) -> dict[str, float]:
         """What a motor's own sensors hold: its position, velocity, torque, temperatures and supply."""
         if index not in self._sensed:
             self._sensed[index] = self._sense(index)
         return self._sensed[index]
+
+    def _goals(self, step: float) -> FloatArray:
+        before, driving = self._goal.copy(), self._kp > 0.0
+        share = np.ones(len(before))  # of the step, in which the newest goal acts
+        for index, coming in enumerate(self._coming):
+            while coming and coming[0][0] <= self._time:
+                since, command, self._kp[index], self._kd[index] = coming.popleft()
+                self._goal[index] = command.goal + command.speed * (self._time - step - since)
+                self._speed[index], self._until[index] = command.speed, command.stop
+                self._pushing[index] = command.torque
+                share[index] = min((self._time - since) / step, 1.0) if driving[index] else 1.0
+        self._move_goals(step)
+        acting = self._goal - 0.5 * step * self._speed
+        goal: FloatArray = before + share * (acting - before)
+        self._drive(goal)
+        return goal
 
     def _sense(self, index: int) -> dict[str, float]:
         motor, ratio = self._motors[index], self._motors[index].ratio
@@ -160,7 +140,7 @@ class MotorPlant:
             "torque": motor.direction * torque / ratio,
             "temperature": float(self.arm.heat.winding[index]),
             "drive_temperature": float(self.arm.heat.housing[index]),
-            "supply_voltage": self._nominal * self.arm.supply * (SAGGING if self.sagging else 1.0),
+            "supply_voltage": self._nominal * self.arm.supply * self.left,
         }
 
     def _move_goals(self, step: float) -> None:
@@ -181,4 +161,4 @@ class MotorPlant:
 
     def _strongest(self) -> FloatArray:
         """Torque (n,) at most [N·m of the joints]."""
-        return self._most * (SAGGING if self.sagging else 1.0)
+        return self._most * self.left

@@ -12,22 +12,16 @@ from drivers.can_motors import mit, moteus, odrive, robstride
 from drivers.can_motors.codec import CanFrame, from_counts, to_counts
 from drivers.can_motors.settings import CanMotor
 from sim_drivers.can_motors.arm import Command, MotorPlant
+from sim_drivers.plant.clocked_arm import POWER_UP
 
 MOVING = (moteus.GOAL, moteus.SPEED, moteus.STOP)
 """Registers in turns, or turns per second."""
 SERIAL = 0x385F_3245_3130
 """Serial number of the first ODrive."""
-POWER_UP = 0.4
-"""[s] that a motor needs after its power came back."""
 
 
 class SimulatedMotor(ABC):
     """State of a motor; the plant behind it is the server's.
-
-    Args:
-        motor: address, model and settings.
-        index: of its joint.
-        plant: the arm.
 
     Attributes:
         motor: as given.

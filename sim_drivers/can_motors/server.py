@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import can
-import numpy as np
 
 from daq.robot.loader import RobotFile
 from drivers.bus_budget import fd_frame_bits
@@ -22,24 +21,12 @@ from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.text import percent_text
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
-from sim_drivers.can.bus_server import BusServer, send_error_frame
+from sim_drivers.can.bus_server import BusServer, frame_of, message_of
 from sim_drivers.can_motors.arm import MotorPlant
 from sim_drivers.can_motors.motors import SIMULATED, SimulatedMotor
-from sim_drivers.faults import (
-    BlockJoint,
-    BusOff,
-    Die,
-    Drop,
-    Fault,
-    Freeze,
-    Garbage,
-    Heat,
-    OverTemperature,
-    PowerCycle,
-    Sag,
-    SameId,
-    Truncate,
-)
+from sim_drivers.faults import BlockJoint, Die, Fault, Heat, OverTemperature, PowerCycle, Sag, SameId
+from sim_drivers.plant.clocked_arm import start_position
+from sim_drivers.server import with_troubles
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -83,7 +70,7 @@ class CanMotorServer(BusServer):
     ) -> None:
         super().__init__("CAN motors", file.robot.joint_names, settings.keys, clock)
         self.settings = settings
-        start = np.array([0.5 * sum(joint.position) for joint in file.robot.joints]) if position is None else position
+        start = start_position(file, position)
         self.plant = MotorPlant(file, settings.motors, start, clock.now())
         kind = SIMULATED[settings.family]
         self.motors: list[SimulatedMotor] = [
@@ -101,22 +88,16 @@ class CanMotorServer(BusServer):
         self._model = BusModel(keys.bitrate, length)
         self._incoming: deque[tuple[Frame, float]] = deque()
         self._recent: deque[tuple[int, bytes]] = deque(maxlen=REMEMBERED)
-        self._drop = self._truncate = 0
-        self._frozen_until = self._sag_until = self._sent_until = -math.inf
+        self._sag_until = self._sent_until = -math.inf
         self._twice: set[int] = set()
         self._begun = clock.now()
-
-    def ready(self) -> dict[str, object]:
-        """Address for clients."""
-        keys = self.settings.keys
-        return {"interface": keys.interface, "channel": keys.channel, "bitrate": keys.bitrate}
 
     def live_line(self) -> str:
         """Its state in one line."""
         on = sum(motor.enabled for motor in self.motors)
         load = self._model.bits / self.settings.keys.bitrate / max(self._clock.now() - self._begun, 1e-9)
         line = f"{self.requests} requests, {self.answers} answers, {on} motors on, bus load {percent_text(load, 2)}"
-        return line + (f", {self.plant.stalls} stalls" if self.plant.stalls else "")
+        return with_troubles(line, stalls=self.plant.stalls)
 
     def _work(self) -> Mapping[str, Callable[[], None]]:
         return {"can-motors": self._run_on_bus}
@@ -127,29 +108,20 @@ class CanMotorServer(BusServer):
         while not self._stopping.is_set():
             end = self._model.peek()
             now = self._clock.now()
-            message = self._next_message(bus, IDLE if end is None else min(max(end - now, 0.0), IDLE))
+            message = self._received(bus, IDLE if end is None else min(max(end - now, 0.0), IDLE))
             while message is not None:
                 self._take(message, stamps, returned=returned)
-                message = self._next_message(bus, 0.0)
-            for fault in self._faults.requested():
+                message = self._received(bus, 0.0)
+            for fault in self._new_faults():
                 self._cause(bus, fault, self._clock.now())
             self._advance(bus, self._clock.now())
 
-    def _next_message(self, bus: can.BusABC, timeout: float) -> can.Message | None:
-        try:
-            return bus.recv(timeout)
-        except (can.CanOperationError, ValueError, IndexError, TypeError):  # something on the bus that is no frame
-            self._stopping.wait(IDLE)
-            return None
-
     def _take(self, message: can.Message, stamps: ArrivalClock, *, returned: bool) -> None:
-        content = bytes(message.dlc) if message.is_remote_frame else bytes(message.data)
-        if message.is_error_frame or message.dlc != len(content) or len(content) > (64 if self._fd else 8):
+        if (frame := frame_of(message, 64 if self._fd else 8)) is None:
             return
-        if returned and (message.arbitration_id, content) in self._recent:
-            self._recent.remove((message.arbitration_id, content))
+        if returned and (frame.id, frame.data) in self._recent:
+            self._recent.remove((frame.id, frame.data))
             return
-        frame = Frame(message.arbitration_id, content, message.is_extended_id, message.is_remote_frame)
         self._incoming.append((frame, stamps.arrived(message)))
         if len(self._incoming) == 1:
             self._submit_next()
@@ -168,7 +140,7 @@ class CanMotorServer(BusServer):
             if sent.own:
                 self._transmit(bus, sent.frame)
                 continue
-            if sent.time >= self._frozen_until:
+            if sent.time >= self._silent_until:
                 self._hear(sent)
             self._incoming.popleft()
             if self._incoming:
@@ -200,47 +172,22 @@ class CanMotorServer(BusServer):
         self._model.submit(Frame(plain, data, bool(identifier & EXTENDED) or plain > 0x7FF), ready, own=True)
 
     def _transmit(self, bus: can.BusABC, frame: Frame) -> None:
-        data = frame.data
-        if self._drop or self._clock.now() < self._frozen_until:
-            self._drop = max(0, self._drop - 1)
-            return
-        if self._truncate and data:
-            self._truncate -= 1
-            data = data[:-1]
-        self.answers += 1
-        self._recent.append((frame.id, data))
-        bus.send(
-            can.Message(
-                arbitration_id=frame.id,
-                is_extended_id=frame.extended,
-                data=data,
-                is_fd=self._fd,
-                bitrate_switch=self._fd,
-                check=False,
-            )
-        )
+        if (left := self._spoilt(frame)) is not None:
+            self.answers += 1
+            self._recent.append((left.id, left.data))
+            bus.send(message_of(left, fd=self._fd))
 
-    def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:  # noqa: C901, PLR0912 — one case a fault
+    def _spread(self, bus: can.BusABC, frame: Frame, now: float) -> None:
+        self._model.submit(frame, now, own=True)
+
+    def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:
         match fault:
-            case Drop(count):
-                self._drop += count
-            case Truncate(count):
-                self._truncate += count
-            case Freeze(duration):
-                self._frozen_until = now + duration
-            case BusOff(duration):
-                send_error_frame(bus)
-                self._frozen_until = now + duration
-            case Garbage(count):
-                for _ in range(count):
-                    self._model.submit(self._random_frame(), now, own=True)
             case Sag(duration):
                 self._sag_until, self.plant.sagging = now + duration, True
                 for motor in self.motors:
                     motor.protect(motor.under_voltage)
             case Heat(joint, celsius):
-                self.plant.arm.heat.winding[joint] += celsius
-                self.plant.arm.heat.housing[joint] += celsius
+                self.plant.heat(joint, celsius)
             case BlockJoint(joint):
                 self.plant.arm.block(joint)
             case Die(joint):
@@ -251,3 +198,5 @@ class CanMotorServer(BusServer):
                 self.motors[joint].restart(now)
             case OverTemperature(joint):
                 self.motors[joint].protect(self.motors[joint].over_temperature)
+            case _:
+                super()._cause(bus, fault, now)

@@ -53,11 +53,6 @@ FAULT_COMMAND, FAULT_REQUESTED = 1, 2
 class TableArm:
     """The controller.
 
-    Args:
-        arm: the plant.
-        joints: limits, one per joint.
-        settings: of the connection; the same table that the driver reads.
-
     Raises:
         UsageError: the table has a quantity that a simulated arm does not measure.
 

@@ -21,26 +21,13 @@ from drivers.can_signals.settings import parse_settings
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.text import percent_text
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
-from sim_drivers.can.bus_server import BusServer, send_error_frame, table_keys
+from sim_drivers.can.bus_server import BusServer, message_of, table_keys
 from sim_drivers.can_signals.arm import TableArm
-from sim_drivers.faults import (
-    BlockJoint,
-    BusOff,
-    ClockJump,
-    Drop,
-    Fault,
-    Freeze,
-    Garbage,
-    Heat,
-    Mute,
-    OverTemperature,
-    Stick,
-    Truncate,
-)
+from sim_drivers.faults import BlockJoint, ClockJump, Fault, Heat, Mute, OverTemperature, Stick
 from sim_drivers.plant.arm import SimulatedArm
 from sim_drivers.plant.plant import Plant
 from sim_drivers.served import SimOptions
-from sim_drivers.server import LONGEST_LAG
+from sim_drivers.server import LONGEST_LAG, with_troubles
 
 
 @dataclass(frozen=True)
@@ -71,12 +58,7 @@ class TableStatus:
 class ProprietaryCanServer(BusServer):
     """An arm on a bus; `start` opens it, `stop` closes it.
 
-    Args:
-        arm: the plant.
-        robot: whose joints and limits these are.
-        connection: the keys of a can_frames connection, without `driver`.
-        folder: of a relative `dbc`; the current folder where None.
-        clock: the host's.
+    A relative `dbc` of the connection starts at `folder`, the current one where None.
 
     Raises:
         UsageError: the keys are wrong, or the table has a quantity that a simulated arm does not measure.
@@ -96,8 +78,6 @@ class ProprietaryCanServer(BusServer):
         self.messages = self._arm.messages
         self._model = BusModel(self.settings.bitrate)
         self._own = self.settings.identifiers
-        self._drop = self._truncate = 0
-        self._frozen_until = -math.inf
         self._muted: dict[int, float] = {}
         self._begun = self._arm_time = self._due = 0.0
         self._status = TableStatus(arm.time)
@@ -108,21 +88,14 @@ class ProprietaryCanServer(BusServer):
 
     def ready(self) -> dict[str, object]:
         """Address for clients."""
-        settings = self.settings
-        return {
-            "interface": settings.interface,
-            "channel": settings.channel,
-            "bitrate": settings.bitrate,
-            "rate_hz": settings.rate,
-        }
+        return super().ready() | {"rate_hz": self.settings.rate}
 
     def live_line(self) -> str:
         """Its state in one line."""
         status = self._status
         state = "enabled" if status.enabled else "not enabled"
         line = f"{status.time:8.1f} s  {state}, {status.frames} frames, bus load {percent_text(status.load, 2)}"
-        troubles = {"withheld": status.withheld, "lost on the bus": status.lost, "stalls": status.stalls}
-        return line + "".join(f", {count} {word}" for word, count in troubles.items() if count)
+        return with_troubles(line, withheld=status.withheld, lost_on_the_bus=status.lost, stalls=status.stalls)
 
     def _work(self) -> Mapping[str, Callable[[], None]]:
         return {"table-arm": self._run_on_bus}
@@ -172,7 +145,7 @@ class ProprietaryCanServer(BusServer):
                 self._take(sent)
 
     def _period(self, bus: can.BusABC, now: float) -> None:
-        for fault in self._faults.requested():
+        for fault in self._new_faults():
             self._cause(bus, fault, now)
         self._advance_to(now)
         if self.settings.poll is None:
@@ -186,7 +159,7 @@ class ProprietaryCanServer(BusServer):
         )
 
     def _take(self, sent: Sent) -> None:
-        if sent.time < self._frozen_until:
+        if sent.time < self._silent_until:
             return
         frame = sent.frame
         identifier = frame.id | (EXTENDED if frame.extended else 0)
@@ -211,35 +184,20 @@ class ProprietaryCanServer(BusServer):
         self._status = replace(self._status, cycles=self._status.cycles + 1)
 
     def _transmit(self, bus: can.BusABC, frame: Frame) -> None:
-        data = frame.data
-        now = self._clock.now()
-        if now < max(self._frozen_until, self._muted.get(frame.id, -math.inf)) or self._drop:
-            self._drop = max(0, self._drop - 1)
+        muted = self._clock.now() < self._muted.get(frame.id, -math.inf)
+        if muted or (left := self._spoilt(frame)) is None:
             self._status = replace(self._status, withheld=self._status.withheld + 1)
             return
-        if self._truncate and data:
-            self._truncate -= 1
-            data = data[:-1]
-        message = can.Message(arbitration_id=frame.id, is_extended_id=frame.extended, data=data, check=False)
-        bus.send(message)
+        bus.send(message_of(left))
         self._status = replace(self._status, frames=self._status.frames + 1)
 
-    def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:  # noqa: C901 — a branch per kind of fault
+    def _spread(self, bus: can.BusABC, frame: Frame, now: float) -> None:
+        self._model.submit(frame, now, own=True)
+
+    def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:
         match fault:
-            case Drop(frames):
-                self._drop += frames
-            case Truncate(frames):
-                self._truncate += frames
-            case Freeze(duration):
-                self._frozen_until = now + duration
-            case BusOff(duration):
-                send_error_frame(bus)
-                self._frozen_until = now + duration
             case Mute(identifier, duration):
                 self._muted[identifier] = now + duration
-            case Garbage(frames):
-                for _ in range(frames):
-                    self._model.submit(self._random_frame(), now, own=True)
             case ClockJump(seconds):
                 self._arm.clock_ahead += seconds
             case OverTemperature(joint):
@@ -250,6 +208,8 @@ class ProprietaryCanServer(BusServer):
                 self._arm.arm.block(joint)
             case Stick(quantity, joint):
                 self._arm.arm.stick(joint, quantity)
+            case _:
+                super()._cause(bus, fault, now)
 
 
 DRIVER = "can_frames"

@@ -60,11 +60,8 @@ WARNING, TARGET_REACHED, MODE_BIT_12, FOLLOWING_ERROR_BIT = 0x80, 0x400, 0x1000,
 class Axis:
     """One drive's motor, brake and their control.
 
-    Args:
-        setup: of the drive.
-        feedback: at the start.
-        objects: of the drive's node; the values that this side publishes and obeys are connected to them.
-        emergency: called with every error code, 0 once the error is gone.
+    The values that it publishes and obeys are connected to the node's objects; `emergency` is called with every error
+    code, 0 once the error is gone.
 
     Attributes:
         feedback: the last measurement.

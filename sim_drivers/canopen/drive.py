@@ -54,11 +54,7 @@ _COMMANDS = {AbortOption.DISABLE_VOLTAGE: DISABLE_VOLTAGE, AbortOption.QUICK_STO
 class SimulatedDrive:
     """One node.
 
-    Args:
-        node: node id.
-        setup: of the drive.
-        feedback: at the start.
-        send: called with (identifier, data, newest wins) of every frame.
+    `send` is called with (identifier, data, newest wins) of every frame.
 
     Attributes:
         axis: its CiA 402 side.

@@ -25,11 +25,6 @@ class NodeErrorControl:
     A producer is watched from its first heartbeat on, a guarding master from its first request on; after a loss, from
     the next one on. A node that sends heartbeats does not answer guarding.
 
-    Args:
-        objects: of the node.
-        node: its id.
-        send: called with (identifier, data, newest wins) of every frame.
-
     Attributes:
         muted: whether it sends nothing; a fault on request.
     """

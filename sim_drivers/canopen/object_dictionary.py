@@ -121,9 +121,7 @@ def entries(node: int) -> dict[tuple[int, int], ObjectEntry]:
 class ObjectDictionary:
     """The values of one node.
 
-    Args:
-        node: node id, of the defaults that depend on it.
-        fixed: (index, subindex) → value that this node has instead of the default.
+    `fixed` are values, by (index, subindex), that this node has instead of the defaults of its id.
 
     Attributes:
         entries: by index and subindex.
@@ -227,11 +225,7 @@ LONGEST_DOWNLOAD = 4096
 
 
 class SdoServer:
-    """Answers one request after another; a client that aborts a transfer affects no other.
-
-    Args:
-        objects: to read and write.
-    """
+    """Answers one request after another; a client that aborts a transfer affects no other."""
 
     def __init__(self, objects: ObjectDictionary) -> None:
         self._objects = objects

@@ -20,16 +20,13 @@ from drivers.canopen402.settings import CanopenSettings
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.text import percent_text
 from sim_drivers.can.bus_load import Frame, exact_bits
-from sim_drivers.can.bus_server import BusServer, send_error_frame
+from sim_drivers.can.bus_server import BusServer, frame_of, message_of
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.axis import OVER_TEMPERATURE
 from sim_drivers.canopen.network import DrivenArm, DriveNetwork, NetworkCounts
 from sim_drivers.faults import (
     BlockJoint,
-    BusOff,
-    Drop,
     Fault,
-    Freeze,
     Garbage,
     HeartbeatStop,
     Heat,
@@ -39,6 +36,7 @@ from sim_drivers.faults import (
     Truncate,
     Unplug,
 )
+from sim_drivers.server import with_troubles
 
 LONGEST_WAIT = 0.005
 """Between two updates of the drives [s]; the arm moves without any frame, too."""
@@ -70,14 +68,8 @@ class CanopenStatus:
 class CanopenServer(BusServer):
     """Drives that are switched on by `start` and off by `stop`.
 
-    Args:
-        arm: the plant.
-        robot: its joints, limits and gains.
-        settings: of the canopen402 connection: the bus, and the drives on it.
-        swapped: two joints (from 0) whose drives have each other's node id.
-        length: of a frame on the bus [bit].
-        adapter: in front of the bus, if there is one; started and stopped with the drives.
-        clock: the host's.
+    Drives of two `swapped` joints (from 0) have each other's node id; an `adapter` in front of the bus starts and stops
+    with them.
 
     Attributes:
         network: the drives; not to be touched while they run.
@@ -100,8 +92,7 @@ class CanopenServer(BusServer):
         self.network = DriveNetwork(arm, robot, settings, self._clock.now(), swapped=swapped, length=length)
         self.adapter = adapter
         self._arm = arm
-        self._silent_until = self._deaf_until = 0.0
-        self._drop = self._truncate = self._faulted = 0
+        self._faulted = 0
         self._loads: deque[tuple[float, int]] = deque([(self._clock.now(), 0)])
 
     def status(self) -> CanopenStatus:
@@ -122,11 +113,8 @@ class CanopenServer(BusServer):
 
     def ready(self) -> dict[str, object]:
         """Address for clients."""
-        settings = self.settings
-        place: dict[str, object] = {"interface": settings.interface, "channel": settings.channel}
-        if self.adapter is not None:
-            place = {"interface": "slcan", "channel": self.adapter.path}
-        return place | {"bitrate": settings.bitrate, "nodes": self._nodes()}
+        adapter = {} if self.adapter is None else {"interface": "slcan", "channel": self.adapter.path}
+        return super().ready() | adapter | {"nodes": self._nodes()}
 
     def live_line(self) -> str:
         """Its state in one line."""
@@ -136,8 +124,7 @@ class CanopenServer(BusServer):
             f"{status.operational} drives operational, {status.enabled} enabled, {counts.syncs} SYNCs, "
             f"bus load {percent_text(status.load, 2)}"
         )
-        troubles = {"lost on the bus": counts.lost, "spoilt": status.faulted, "stalls": counts.stalls}
-        return line + "".join(f", {count} {word}" for word, count in troubles.items() if count)
+        return with_troubles(line, lost_on_the_bus=counts.lost, spoilt=status.faulted, stalls=counts.stalls)
 
     def _nodes(self) -> dict[str, int]:
         return {joint: drive.node for joint, drive in zip(self.joints, self.network.drives, strict=True)}
@@ -151,8 +138,8 @@ class CanopenServer(BusServer):
             now = self._clock.now()
             due = min(self.network.next_end() + GRANULARITY, now + LONGEST_WAIT)
             self._receive(bus, max(due - now, 0.0))
-            for fault in self._faults.requested():
-                self._cause(bus, fault)
+            for fault in self._new_faults():
+                self._cause(bus, fault, self._clock.now())
             now = self._clock.now()
             silent = now < self._silent_until
             for sent in self.network.advance(now):
@@ -163,65 +150,32 @@ class CanopenServer(BusServer):
 
     def _receive(self, bus: can.BusABC, timeout: float) -> None:
         """Receive all pending frames, waiting for the first."""
-        message = self._next_message(bus, timeout)
+        message = self._received(bus, timeout)
         while message is not None:
             self._take(message)
-            message = self._next_message(bus, 0.0)
-
-    def _next_message(self, bus: can.BusABC, timeout: float) -> can.Message | None:
-        try:
-            return bus.recv(timeout)
-        except (can.CanOperationError, ValueError, IndexError, TypeError):
-            # Something on the bus that is no frame; a bus that is gone shows when the drives send.
-            self._stopping.wait(LONGEST_WAIT)
-            return None
+            message = self._received(bus, 0.0)
 
     def _take(self, message: can.Message) -> None:
-        identifier = message.arbitration_id
-        remote = message.is_remote_frame
-        if identifier in self.network.own_identifiers and not message.is_extended_id and not remote:
+        frame = frame_of(message)
+        if frame is None or message.is_fd or self._clock.now() < self._deaf_until:
+            return
+        if frame.id in self.network.own_identifiers and not frame.extended and not frame.remote:
             return  # udp_multicast gives a sender its own frames back
-        if message.is_error_frame or message.is_fd or message.dlc > 8:
-            return
-        content = bytes(message.dlc) if remote else bytes(message.data)
-        if message.dlc != len(content):
-            return
-        if self._clock.now() < self._deaf_until:
-            return
-        frame = Frame(identifier, content, message.is_extended_id, remote)
         self.network.arrive(frame, self._stamps.arrived(message))
 
     def _transmit(self, bus: can.BusABC, frame: Frame) -> None:
-        content, length = frame.data, len(frame.data)
         if frame.id in SAMPLE_IDENTIFIERS and (self._drop or self._truncate):
             self._faulted += 1
-            if self._drop:
-                self._drop -= 1
+            if (left := self._spoilt(frame)) is None:
                 return
-            self._truncate -= 1
-            length = len(content) - 1
-            content = content[:length]
-        bus.send(
-            can.Message(
-                arbitration_id=frame.id,
-                is_extended_id=frame.extended,
-                is_remote_frame=frame.remote,
-                dlc=length,
-                data=content,
-                check=False,
-            )
-        )
+            frame = left
+        bus.send(message_of(frame))
 
-    def _cause(self, bus: can.BusABC, fault: Fault) -> None:  # noqa: C901, PLR0912 — a branch per kind of fault
-        now = self._clock.now()
+    def _spread(self, bus: can.BusABC, frame: Frame, now: float) -> None:
+        self._transmit(bus, frame)
+
+    def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:
         match fault:
-            case Drop(frames):
-                self._drop += frames
-            case Freeze(duration):
-                self._silent_until = now + duration
-            case BusOff(duration):
-                send_error_frame(bus)
-                self._silent_until = self._deaf_until = now + duration
             case Heat(joint, celsius):
                 self._arm.heat(joint, celsius)
             case BlockJoint(joint):
@@ -236,14 +190,11 @@ class CanopenServer(BusServer):
                 self.network.drives[joint].fault(OVER_TEMPERATURE)
             case Truncate(frames) if self.adapter is not None:
                 self.adapter.truncate(frames)
-            case Truncate(frames):
-                self._truncate += frames
             case Garbage(frames) if self.adapter is not None:
                 self.adapter.garbage(frames)
-            case Garbage(frames):
-                for _ in range(frames):
-                    self._transmit(bus, self._random_frame())
             case Unplug() if self.adapter is not None:
                 self.adapter.unplug()
             case Unplug():
                 self.messages.append("there is no adapter to unplug; only --wire slcan has one")
+            case _:
+                super()._cause(bus, fault, now)

@@ -14,7 +14,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from drivers.base import Driver
+from drivers.base import Driver, Identifying, Limiting
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DynidError
@@ -37,12 +37,16 @@ def life_cycle(bench: Bench) -> None:
     with bench.device():
         driver = bench.driver()
         try:
-            for action in (driver.streams, driver.start, lambda: driver.read(0.0)):
+            require(not driver.notices(), "it has a notice before it is open")
+            told: list[Callable[[], object]] = [driver.identify] if isinstance(driver, Identifying) else []
+            told += [driver.device_limits] if isinstance(driver, Limiting) else []
+            for action in (driver.streams, driver.start, lambda: driver.read(0.0), driver.take_control, *told):
                 refused(action, "before it is open")
             for _ in range(2):
                 driver.open()
                 refused(driver.open, "while it is open")
                 refused(lambda: driver.read(0.0), "before start")
+                refused(driver.take_control, "before start")
                 layouts = driver.streams()
                 require(bool(layouts), "it lists no stream once open")
                 for _ in range(2):

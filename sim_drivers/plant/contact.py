@@ -78,12 +78,7 @@ Event = Push | Wall | Grasp
 
 
 class Contacts:
-    """What touches an arm; requests may come from any thread.
-
-    Args:
-        robot_file: of the arm.
-        model: of it.
-    """
+    """What touches an arm; requests may come from any thread."""
 
     def __init__(self, robot_file: RobotFile, model: DynamicModel) -> None:
         self._model, self._tool = model, np.array(robot_file.robot.workspace.tool)

@@ -42,7 +42,7 @@ from sim_drivers.rtde.dashboard import DashboardSession, SecondarySession
 from sim_drivers.rtde.session import ClientConnection, RtdeSession, Session
 from sim_drivers.rtde.variables import JOINTS, parse_version
 from sim_drivers.served import SimOptions
-from sim_drivers.server import LONGEST_LAG, FaultyServer
+from sim_drivers.server import LONGEST_LAG, FaultyServer, with_troubles
 
 MAXIMUM_CONNECTIONS = 64
 SELECTABLE_DESCRIPTORS = 1024
@@ -184,8 +184,7 @@ class RtdeServer(FaultyServer):
         status = self._status
         state = "protective stop" if status.safety_mode != 1 else "program running" if status.playing else "idle"
         line = f"{self.host} {status.time:8.1f} s  {state}, {status.rtde_clients} clients, {status.packages} packages"
-        troubles = {"withheld": status.faulted, "overflowed": status.overflowed, "stalls": status.stalls}
-        return line + "".join(f", {count} {word}" for word, count in troubles.items() if count)
+        return with_troubles(line, withheld=status.faulted, overflowed=status.overflowed, stalls=status.stalls)
 
     def _listen(self, port: int | None, service: Service) -> int | None:
         if port is None:
@@ -220,7 +219,7 @@ class RtdeServer(FaultyServer):
                 self._count(stalls=1)
 
     def _period(self, *, behind: bool) -> None:
-        for fault in self._faults.requested():
+        for fault in self._new_faults():
             self._cause(fault)
         for connection in self._connections:
             if isinstance(connection.session, RtdeSession):

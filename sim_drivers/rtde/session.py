@@ -129,9 +129,7 @@ class ClientConnection:
 class RtdeSession:
     """Set-up of one client, and its data.
 
-    Args:
-        controller: whose variables are read and written.
-        owners: input variable → the session that writes it, shared by all sessions.
+    `owners`, input variable → the session that writes it, is shared by all sessions.
 
     Attributes:
         closing: whether to hang up.

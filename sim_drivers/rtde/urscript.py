@@ -53,9 +53,6 @@ _Run = Generator[None, None, None]
 class UrscriptProgram:
     """One program.
 
-    Args:
-        text: from `def NAME():` to its `end`.
-
     Raises:
         UsageError: it is no URScript, or uses a statement that is not simulated.
     """

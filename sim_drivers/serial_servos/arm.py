@@ -9,22 +9,17 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.serial_servos.registers import TURN
-from sim_drivers.plant.servo import ServoArm, true_servos
+from sim_drivers.plant.clocked_arm import ClockedArm
+from sim_drivers.plant.servo import true_servos
 from sim_drivers.serial_servos.motor import SimulatedServo
 
 STALL_CURRENT = 2.7
 """[A] of a servo at its torque limit where the truth names none: an STS3215 at 12 V, Feetech's data sheet."""
 NOMINAL_VOLTAGE = 12.0
 """[V] of a supply that the truth does not name."""
-SAGGING = 0.5
-"""Share of its voltage that a sagging supply has left."""
-BEHIND_LIMIT = 0.05
-"""[rad] from a joint's position limit to its end stop."""
-LONGEST_ADVANCE = 0.25
-"""[s]: a stall of more is not made up for: the arm's time is halted meanwhile."""
 
 
-class ServoPlant:
+class ServoPlant(ClockedArm):
     """An arm of servos in the time of a clock.
 
     Args:
@@ -33,20 +28,14 @@ class ServoPlant:
         position: (n,) at which it stands at first [rad].
         now: the clock's time [s].
         seed: of the jitter.
-
-    Attributes:
-        arm: the bodies.
-        sagging: whether the supply's voltage is low.
     """
 
     def __init__(
         self, file: RobotFile, servos: list[SimulatedServo], position: FloatArray, now: float, seed: int = 0
     ) -> None:
+        super().__init__(file, position, now, NOMINAL_VOLTAGE)
         truth = true_servos(file.robot, file.where)
-        self.arm = ServoArm(file, position.copy())
-        self.sagging = False
         self._servos = servos
-        self._nominal = file.robot.truth.supply.nominal if file.robot.truth.supply is not None else NOMINAL_VOLTAGE
         self._delay, self._jitter = ([getattr(servo, name) for servo in truth] for name in ("delay", "jitter"))
         self._profile = np.array([servo.acceleration for servo in truth])
         self._torque_limit = np.array([servo.torque_limit for servo in truth])
@@ -54,11 +43,8 @@ class ServoPlant:
         self._coming: list[deque[tuple[float, float]]] = [deque() for _ in servos]
         self._target, self._goal = position.copy(), position.copy()
         self._pace = np.zeros(len(position))
-        self._time = now
-        low, high = np.array([joint.position for joint in file.robot.joints]).T
-        self._stops = low - BEHIND_LIMIT, high + BEHIND_LIMIT
         self._random = np.random.default_rng([seed, 1])
-        self._limits()
+        self.changed()
         self.report()
 
     def told(self, index: int, now: float) -> None:
@@ -70,28 +56,21 @@ class ServoPlant:
 
     def changed(self) -> None:
         """Registers that limit the motion may have changed."""
-        self._limits()
 
-    def advance(self, now: float) -> bool:
-        """Simulate until a time [s]; whether a stall was too long to be made up for."""
-        stalled = now - self._time > LONGEST_ADVANCE
-        if stalled:
-            self._time = now - LONGEST_ADVANCE
-        step = self.arm.step
-        while self._time + step <= now:
-            self._time += step
-            self._advance_goals(step)
-            self.arm.effort = self._efforts * (SAGGING if self.sagging else 1.0)
-            self.arm.advance(self._goal)
-            self.arm.keep_within(*self._stops)
-        return stalled
+        def told(servo: SimulatedServo, name: str) -> float:
+            held = servo.get(name) * servo.table.registers[name].scale if servo.holds(name) else 0.0
+            return held if held > 0.0 else np.inf
+
+        self._accelerations = np.minimum([told(servo, "acceleration") for servo in self._servos], self._profile)
+        self._speeds = np.array([told(servo, "speed_limit") for servo in self._servos])
+        self._efforts = np.array([servo.effort for servo in self._servos])
 
     def report(self) -> None:
         """Let the registers show the arm as it is."""
         position, velocity = self.arm.position.tolist(), self.arm.velocity.tolist()
         share = self.arm.torque / self._torque_limit
         current = np.abs(share) * self._stall
-        volts = self._nominal * self.arm.supply * (SAGGING if self.sagging else 1.0)
+        volts = self._nominal * self.arm.supply * self.left
         for index, servo in enumerate(self._servos):
             scale, registers = servo.motor.scale, servo.table.registers
             turning = scale.direction * TURN / servo.table.steps / scale.step
@@ -109,7 +88,7 @@ class ServoPlant:
                     servo.put(name, round(float(value) / registers[name].scale))
             servo.put("status", servo.errors)
 
-    def _advance_goals(self, step: float) -> None:
+    def _goals(self, step: float) -> FloatArray:
         for index, coming in enumerate(self._coming):
             while coming and coming[0][0] <= self._time:
                 self._target[index] = coming.popleft()[1]
@@ -124,12 +103,5 @@ class ServoPlant:
         speed = np.minimum(np.minimum(speed, distance / step), self._speeds)
         self._pace = np.clip(np.sign(away) * speed, self._pace - most, self._pace + most)
         self._goal = self._goal + step * self._pace
-
-    def _limits(self) -> None:
-        def told(servo: SimulatedServo, name: str) -> float:
-            held = servo.get(name) * servo.table.registers[name].scale if servo.holds(name) else 0.0
-            return held if held > 0.0 else np.inf
-
-        self._accelerations = np.minimum([told(servo, "acceleration") for servo in self._servos], self._profile)
-        self._speeds = np.array([told(servo, "speed_limit") for servo in self._servos])
-        self._efforts = np.array([servo.effort for servo in self._servos])
+        self.arm.effort = self._efforts * self.left
+        return self._goal

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from drivers.serial_servos.registers import ServoTable
 from drivers.serial_servos.settings import ServoMotor
+from sim_drivers.plant.clocked_arm import POWER_UP
 
 MEMORY = 256
 """Bytes of a servo's memory."""
-POWER_UP = 0.4
-"""[s] that a servo needs after its power came back."""
 ALERT = 0x80
 """Bit of a Dynamixel servo's errors: its hardware error status says which."""
 ACCESS, RANGE = 7, 6

@@ -12,8 +12,6 @@ import random
 from collections import deque
 from collections.abc import Callable, Mapping
 
-import numpy as np
-
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
@@ -51,10 +49,11 @@ from sim_drivers.faults import (
     Unplug,
     WrongSum,
 )
+from sim_drivers.plant.clocked_arm import start_position
 from sim_drivers.pseudo_terminal import PollableLineEnd, PseudoTerminal
 from sim_drivers.serial_servos.arm import NOMINAL_VOLTAGE, ServoPlant
 from sim_drivers.serial_servos.motor import SimulatedServo
-from sim_drivers.server import FaultyServer
+from sim_drivers.server import FaultyServer, with_troubles
 
 REBOOT = 0x08
 """Instruction of the Dynamixel protocol."""
@@ -101,7 +100,7 @@ class SerialServoServer(FaultyServer):
         supply = file.robot.truth.supply
         volts = NOMINAL_VOLTAGE if supply is None else supply.nominal
         self.servos = [SimulatedServo(motor, volts) for motor in settings.motors]
-        start = np.array([0.5 * sum(joint.position) for joint in file.robot.joints]) if position is None else position
+        start = start_position(file, position)
         for servo, angle in zip(self.servos, start.tolist(), strict=True):  # held, as a program before left it
             servo.put("goal_position", servo.motor.scale.steps(angle))
             servo.put("torque_enable", 1)
@@ -109,10 +108,7 @@ class SerialServoServer(FaultyServer):
         self.requests = self.answers = 0
         self._protocol = PROTOCOLS[settings.motors[0].table.protocol]()
         self._indices = {servo.motor.id: index for index, servo in enumerate(self.servos)}
-        if line_end is None:
-            own = os.path.isabs(settings.url) and not settings.url.startswith("/dev/")
-            line_end = PseudoTerminal(settings.url if own else None)
-        self._line = line_end
+        self._line: PollableLineEnd = PseudoTerminal.at(settings.url) if line_end is None else line_end
         self._random = random.Random(seed)
         self._outgoing: deque[tuple[float, bytes]] = deque()
         self._free = self._frozen_until = self._sag_until = -math.inf
@@ -120,7 +116,6 @@ class SerialServoServer(FaultyServer):
         self._echo = False
         self._twice: set[int] = set()
         self._drop = self._garbage = self._truncate = self._wrong = 0
-        self._stalls = 0
         self._plugged = False
 
     @property
@@ -136,7 +131,7 @@ class SerialServoServer(FaultyServer):
         """Its state in one line."""
         torque = sum(bool(servo.get("torque_enable")) for servo in self.servos)
         line = f"{self.path}: {self.requests} requests, {self.answers} answers, torque on in {torque} servos"
-        return line + (f", {self._stalls} stalls" if self._stalls else "")
+        return with_troubles(line, stalls=self.plant.stalls)
 
     def _work(self) -> Mapping[str, Callable[[], None]]:
         return {"servos": self._serve}
@@ -165,16 +160,16 @@ class SerialServoServer(FaultyServer):
             requests, _ = self._protocol.requests(heard)
             if requests:
                 now = self._clock.now()
-                self._stalls += self.plant.advance(now)
+                self.plant.advance(now)
                 self.plant.report()
             for request in requests:
                 self._obey(request, now)
 
     def _pass_time(self, now: float) -> None:
         """Faults, the arm, its watchdogs, and answers whose time has come."""
-        for fault in self._faults.requested():
+        for fault in self._new_faults():
             self._apply(fault, now)
-        self._stalls += self.plant.advance(now)
+        self.plant.advance(now)
         for servo in self.servos:
             servo.watch(now)
         if self.plant.sagging and now >= self._sag_until:
@@ -338,8 +333,7 @@ class SerialServoServer(FaultyServer):
                 for servo in self.servos:
                     servo.errors |= 1 << VOLTAGE
             case Heat(joint, celsius):
-                self.plant.arm.heat.winding[joint] += celsius
-                self.plant.arm.heat.housing[joint] += celsius
+                self.plant.heat(joint, celsius)
             case BlockJoint(joint):
                 self.plant.arm.block(joint)
             case Die(joint):

@@ -7,7 +7,6 @@ times each.
 from __future__ import annotations
 
 import math
-import os
 import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -248,13 +247,8 @@ def serve_thermometer(
 ) -> ThermometerServer:
     """A thermometer, not yet started, on an arm: the joints that a robot file's connection names.
 
-    Args:
-        plant: the arm.
-        connection: the keys of the robot file's connection.
-        seed: of the garbage.
-        line_end: its end of the line; where None a pseudo-terminal, which appears where the connection's `url` says, if
-            that is the path of no device.
-        clock: the host's.
+    Without a `line_end` it is on a pseudo-terminal, which appears where the connection's `url` says, if that is the
+    path of no device.
 
     Raises:
         UsageError: as `simulated_thermometer`, so many lines do not fit through the baud rate, or something else is
@@ -264,9 +258,7 @@ def serve_thermometer(
     settings = parse_settings(connection, joints)
     columns = [joints.index(joint) for joint in _by_joint(settings, joints).values()]
     simulated = simulated_thermometer(connection, joints)
-    if line_end is None:
-        own = os.path.isabs(settings.url) and not settings.url.startswith("/dev/")
-        line_end = PseudoTerminal(settings.url if own else None)
+    line_end = PseudoTerminal.at(settings.url) if line_end is None else line_end
     return ThermometerServer(lambda: plant.thermal.housing[columns], simulated, seed, line_end, clock)
 
 

@@ -24,12 +24,7 @@ PERIOD = 0.02
 
 
 class BesideThermometer:
-    """An arm on its bus and a thermometer on the same arm, served together.
-
-    Args:
-        served: the arm.
-        thermometer: on its plant.
-    """
+    """An arm on its bus and a thermometer on the same arm, served together."""
 
     def __init__(self, served: Served, thermometer: ThermometerServer) -> None:
         self._served, self._thermometer = served, thermometer
@@ -73,13 +68,7 @@ class BesideThermometer:
 
 
 class ThermometerAlone(FaultyServer):
-    """A thermometer on an arm at rest; `heat JOINT CELSIUS` warms a joint up.
-
-    Args:
-        plant: the arm.
-        thermometer: on it.
-        clock: the host's.
-    """
+    """A thermometer on an arm at rest; `heat JOINT CELSIUS` warms a joint up."""
 
     def __init__(self, plant: Plant, thermometer: ThermometerServer, clock: Clock = SYSTEM_CLOCK) -> None:
         super().__init__("arm at rest", plant.robot.joint_names, clock, beside=(thermometer,))
@@ -116,7 +105,7 @@ class ThermometerAlone(FaultyServer):
         for count in itertools.count(1):  # on a grid, so that no lateness accumulates
             if self._stopping.wait(begun + count * PERIOD - self._clock.now()):
                 return
-            for fault in self._faults.requested():
+            for fault in self._new_faults():
                 if isinstance(fault, Heat):
                     self._plant.heat(fault.joint, fault.celsius)
             self._plant.advance(PERIOD)

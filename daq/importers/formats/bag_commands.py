@@ -86,14 +86,6 @@ def read_commands(
 ) -> BagCommands:
     """Read the commands of a topic.
 
-    Args:
-        files: the bag's folder or its storage files.
-        topic: of the commands.
-        wanted: quantities that the user named.
-        joints: the robot's.
-        by_order: take joints of other names in the messages' order.
-        where: the bag, for messages.
-
     Raises:
         ImportFileError: no such topic, one of another type, a message without the wanted values or with others' joints.
     """

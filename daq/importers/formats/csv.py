@@ -26,10 +26,8 @@ _EXAMPLE = "t,q1,q2,…,torque1,torque2,…"
 def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
     """Read a CSV file; columns are recognised by their header or chosen by number, units in brackets are honoured.
 
-    Args:
-        path: of the file; lines that begin with # are comments.
-        joints: the robot's joint names.
-        choices: `columns` maps headers without a meaning, or column numbers where there is no header.
+    Lines that begin with # are comments; `choices.columns` maps headers without a meaning, or column numbers where
+    there is no header.
 
     Raises:
         ImportFileError: not text, no header, no rows, a row of another length, something that is not a number; with

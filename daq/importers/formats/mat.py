@@ -31,11 +31,6 @@ DEEPEST = 5
 def read_mat(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
     """Read a .mat file of any version; a struct's fields appear as `struct.field`, those of structs in it too.
 
-    Args:
-        path: of the file.
-        joints: the robot's joint names.
-        choices: `columns` maps names without a meaning.
-
     Raises:
         ImportFileError: not a .mat file, or arrays that do not fit; with the variable.
     """
@@ -108,11 +103,6 @@ def read_hdf5(path: Path, joints: Sequence[str], choices: ImportChoices) -> Fore
     """Read datasets of an HDF5 file, those in groups as `group.dataset`, those of groups in it too.
 
     MATLAB v7.3 stores matrices transposed and marks them with the attribute MATLAB_class; they are transposed back.
-
-    Args:
-        path: of the file.
-        joints: the robot's joint names.
-        choices: `columns` maps names without a meaning.
 
     Raises:
         ImportFileError: not HDF5, a dynid recording, or arrays that do not fit; with the dataset.

@@ -27,11 +27,6 @@ MOST_ARRAYS = 10_000
 def read_npz(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
     """Read an .npz; a JSON text under `meta` may state `units`, `joints` or `joint_names` may name the columns.
 
-    Args:
-        path: of the file.
-        joints: the robot's joint names.
-        choices: `columns` maps keys without a meaning.
-
     Raises:
         ImportFileError: not an .npz, pickled objects, or arrays that do not fit; with the key.
     """

@@ -133,11 +133,7 @@ class ClockFit:
 
 
 class ClockLog:
-    """The clocks of a session's streams, and when to report on them.
-
-    Args:
-        clock: the host's.
-    """
+    """The clocks of a session's streams, and when to report on them."""
 
     def __init__(self, clock: Clock = SYSTEM_CLOCK) -> None:
         self._clock = clock

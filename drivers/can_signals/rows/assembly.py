@@ -46,11 +46,7 @@ class Order:
 
 
 class CycleOrder:
-    """Watches the frames of some layouts.
-
-    Args:
-        layouts: in the table's order.
-    """
+    """Watches the frames of some layouts."""
 
     def __init__(self, layouts: Sequence[FrameLayout]) -> None:
         self._layouts = tuple(layouts)

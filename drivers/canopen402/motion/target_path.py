@@ -112,13 +112,7 @@ class TargetPath:
 
 
 class SdoStop:
-    """Asks drives for their statusword, and switches off those that are still powered; waits for none.
-
-    Args:
-        sender: of the bus.
-        ids: node ids.
-        clock: the host's.
-    """
+    """Asks drives for their statusword, and switches off those that are still powered; waits for none."""
 
     def __init__(self, sender: Sender, ids: Sequence[int], clock: Clock = SYSTEM_CLOCK) -> None:
         self._sender, self._ids, self._clock = sender, tuple(ids), clock

@@ -26,11 +26,7 @@ _LENGTH = 8
 
 
 class CanopenNetwork(Network):
-    """canopen's network on a bus that others send on and receive from as well.
-
-    Args:
-        sender: of the bus.
-    """
+    """canopen's network on a bus that others send on and receive from as well."""
 
     def __init__(self, sender: Sender) -> None:
         super().__init__()

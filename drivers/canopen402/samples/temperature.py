@@ -39,13 +39,7 @@ class TemperatureReading:
 
 
 class TemperaturePoll:
-    """Asks drives for their temperature in a thread of its own.
-
-    Args:
-        drives: those that have one.
-        sources: where each keeps it.
-        clock: the host's.
-    """
+    """Asks drives for their temperature in a thread of its own."""
 
     def __init__(
         self, drives: Sequence[RemoteDrive], sources: Sequence[TemperatureSource], clock: Clock = SYSTEM_CLOCK

@@ -2,10 +2,7 @@ from __future__ import annotations
 
 import math
 import struct
-import tomllib
 from collections.abc import Callable, Iterator
-from importlib.metadata import EntryPoint
-from pathlib import Path
 from typing import Any
 
 import can
@@ -18,7 +15,6 @@ from drivers.base import Attributing, Driver, DriverSettings, Notice
 from drivers.can_signals.driver import SILENCE_LIMIT, STOP_INTERVAL, STOP_LIMIT, CanFramesDriver
 from drivers.can_signals.streams import RATE_TIME, RATE_TIMES
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
-from drivers.declaration import DRIVERS_GROUP, named
 from drivers.gains import DriveGain
 from drivers.standstill import REST_WINDOW
 from drivers.streams import Batch
@@ -88,13 +84,6 @@ def lost(blocks: list[Batch]) -> int:
 
 def said(notices: list[Notice], level: str) -> str:
     return "\n".join(notice.message for notice in notices if notice.level == level)
-
-
-def test_the_driver_is_registered() -> None:
-    # From the source: an installation in place keeps the entry points of the day it was made.
-    project = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())
-    value = project["project"]["entry-points"][DRIVERS_GROUP]["can_frames"]
-    assert named(EntryPoint("can_frames", value, DRIVERS_GROUP).load().driver) is CanFramesDriver
 
 
 def test_blocks_are_what_the_streams_promise(arm: Arm, make_driver: Make, read_for: Read) -> None:
@@ -496,26 +485,6 @@ def test_begin_and_end_frames_frame_the_connection(arm: Arm, make_driver: Make, 
     driver.close()
     clock.sleep(0.01)
     assert made.heard == [(1, b"\xaa"), (1, b"\xbb")]
-
-
-def test_states_are_kept(arm: Arm, make_driver: Make, read_for: Read) -> None:
-    driver = make_driver(connection(arm().channel))
-    for action in (driver.start, driver.streams, lambda: driver.read(0.0)):
-        with pytest.raises(DriverStateError):
-            action()
-    driver.stop()
-    driver.close()
-    driver.open()
-    with pytest.raises(DriverStateError):
-        driver.open()
-    driver.start()
-    driver.stop()
-    driver.start()
-    assert len(joined(read_for(driver, 0.1), "position")) == 0.1 * RATE
-    driver.close()
-    driver.close()
-    with pytest.raises(DriverStateError):
-        driver.start()
 
 
 def test_wrong_keys_are_refused_at_once() -> None:

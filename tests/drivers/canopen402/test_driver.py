@@ -1,10 +1,6 @@
 from __future__ import annotations
 
 import math
-import tomllib
-from collections.abc import Callable
-from importlib.metadata import EntryPoint
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,17 +11,9 @@ from drivers.base import Driver, DriverSettings
 from drivers.can.receiver import POLL
 from drivers.canopen402.driver import FIRST_ROW_LIMIT, SILENCE_LIMIT, Canopen402Driver
 from drivers.canopen402.monitor.drives import ALIGNMENT_PERIOD
-from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
-from drivers.declaration import DRIVERS_GROUP, named
+from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
 
 TEMPERATURE: dict[str, object] = {"index": 0x2031, "subindex": 1, "scale": 0.1, "offset": -1.0}
-
-
-def test_the_driver_is_registered() -> None:
-    # From the source: an installation in place keeps the entry points of the day it was made.
-    project = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())
-    value = project["project"]["entry-points"][DRIVERS_GROUP]["canopen402"]
-    assert named(EntryPoint("canopen402", value, DRIVERS_GROUP).load().driver) is Canopen402Driver
 
 
 def test_blocks_are_what_the_streams_promise() -> None:
@@ -227,37 +215,6 @@ def test_stop_and_start_again_on_one_clock() -> None:
         assert one.lost == 0  # the pause is no loss
         one.driver.close()
         one.driver.close()
-
-
-def test_calls_that_the_state_does_not_allow() -> None:
-    with bench(begin="closed") as one:
-        driver = one.driver
-        calls: dict[str, Callable[[], object]] = {
-            "open": driver.open,
-            "streams": driver.streams,
-            "identify": driver.identify,
-            "start": driver.start,
-            "read": lambda: driver.read(0.0),
-            "command": lambda: driver.command(np.zeros(3)),
-        }
-
-        def refused(*names: str) -> None:
-            for name in names:
-                with pytest.raises(DriverStateError, match="the driver must be"):
-                    calls[name]()
-
-        refused("streams", "identify", "start", "read", "command")
-        assert driver.notices() == []
-        driver.stop()
-        driver.close()
-        driver.open()
-        refused("open", "read", "command")
-        driver.start()
-        refused("open", "start")
-        driver.streams()
-        driver.close()
-        refused("streams", "identify", "start", "read", "command")
-        driver.open()  # and anew
 
 
 def test_wrong_keys_are_refused_before_anything_is_opened() -> None:

@@ -1,10 +1,7 @@
 from __future__ import annotations
 
 import itertools
-import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from importlib.metadata import EntryPoint
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +19,6 @@ from drivers.core.errors import (
     MotionRefusedError,
     UsageError,
 )
-from drivers.declaration import DRIVERS_GROUP, named
 from drivers.gains import DriveGain
 from drivers.rtde.driver import DASHBOARD_TIMEOUT, ArmControl, RtdeDriver
 from drivers.rtde.motion import STOP_LIMIT
@@ -77,13 +73,6 @@ def joined(blocks: list[Batch], quantity: str) -> np.ndarray:
 
 def times(blocks: list[Batch]) -> np.ndarray:
     return np.concatenate([block.time for block in blocks])
-
-
-def test_the_driver_is_registered() -> None:
-    # From the source: an installation in place keeps the entry points of the day it was made.
-    project = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())
-    value = project["project"]["entry-points"][DRIVERS_GROUP]["rtde"]
-    assert named(EntryPoint("rtde", value, DRIVERS_GROUP).load().driver) is RtdeDriver
 
 
 def test_it_tells_who_answers(controller: Make, make_driver: MakeDriver) -> None:
@@ -268,33 +257,6 @@ def test_after_a_loss_start_connects_again(clock: SimulatedClock, controller: Ma
     blocks = read_all(driver, 5)["joints"]
     assert times(blocks)[0] == 3.0
     assert sum(block.lost for block in blocks) == 0
-
-
-def test_calls_that_the_state_does_not_allow(controller: Make, make_driver: MakeDriver) -> None:
-    driver = make_driver(controller(lambda number: [*steady(1.0, 5), Never()]))
-    calls: dict[str, Callable[[], object]] = {
-        "open": driver.open,
-        "streams": driver.streams,
-        "start": driver.start,
-        "read": lambda: driver.read(0.0),
-        "command": lambda: driver.command(np.zeros(6)),
-    }
-
-    def refused(*names: str) -> None:
-        for name in names:
-            with pytest.raises(DriverStateError, match="the driver must be"):
-                calls[name]()
-
-    refused("streams", "start", "read", "command")
-    driver.stop()
-    driver.close()
-    driver.open()
-    refused("open", "read", "command")
-    driver.start()
-    refused("open", "start")
-    driver.streams()
-    driver.close()
-    refused("streams", "start", "read", "command")
 
 
 def test_an_arm_of_another_make_is_refused() -> None:

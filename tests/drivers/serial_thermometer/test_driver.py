@@ -5,10 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 import time
-import tomllib
 from collections.abc import Callable, Iterator
-from importlib.metadata import EntryPoint
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +15,6 @@ from simulated_clock import SimulatedClock
 from drivers.base import DriverSettings, Notice
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, DriverStateError, UsageError
-from drivers.declaration import DRIVERS_GROUP, named
 from drivers.gains import DriveGain
 from drivers.serial_thermometer.driver import STREAM, SerialThermometerDriver
 from drivers.serial_thermometer.port import CHUNK_BYTES, READ_TIMEOUT
@@ -100,39 +96,22 @@ def told(notices: list[Notice]) -> list[str]:
     return [f"{notice.level}: {notice.message}" for notice in notices]
 
 
-def test_the_driver_is_registered() -> None:
-    project = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text())
-    value = project["project"]["entry-points"][DRIVERS_GROUP]["serial_thermometer"]
-    assert named(EntryPoint("serial_thermometer", value, DRIVERS_GROUP).load().driver) is SerialThermometerDriver
-
-
-def test_states_follow_the_contract(clock: SimulatedClock, line: SerialLine) -> None:
+def test_it_moves_nothing_and_its_columns_are_in_the_joints_order(clock: SimulatedClock, line: SerialLine) -> None:
     driver = made(line.path, clock)
-    for call in (driver.streams, driver.start, lambda: driver.read(0.0)):
-        with pytest.raises(DriverStateError):
-            call()
-    driver.stop()
-    for _ in range(2):
-        clock.call_at(clock.now() + 0.5, lambda: line.say("\nT1=20 T2=30\n"))
-        driver.open()
-        with pytest.raises(DriverStateError):
-            driver.open()
-        (layout,) = driver.streams()
-        assert (layout.name, layout.rate, layout.essential) == (STREAM, 20.0, False)
-        assert layout.channels[0].columns == ("shoulder", "wrist")  # in the joints' order
-        assert layout.channels[0].unit == "degC"
-        driver.start()
-        with pytest.raises(DriverStateError, match="cannot move"):
-            driver.command(np.zeros(3))
-        before = clock.now()
-        assert driver.read(0.25) == ()
-        assert clock.now() == before + 0.25
-        driver.stop()
-        driver.stop()
-        driver.start()
-        driver.close()
-        driver.close()
-        assert not line.opened
+    clock.call_at(clock.now() + 0.5, lambda: line.say("\nT1=20 T2=30\n"))
+    driver.open()
+    (layout,) = driver.streams()
+    assert (layout.name, layout.rate, layout.essential) == (STREAM, 20.0, False)
+    assert layout.channels[0].columns == ("shoulder", "wrist")
+    assert layout.channels[0].unit == "degC"
+    driver.start()
+    with pytest.raises(DriverStateError, match="cannot move"):
+        driver.command(np.zeros(3))
+    before = clock.now()
+    assert driver.read(0.25) == ()
+    assert clock.now() == before + 0.25
+    driver.close()
+    assert not line.opened
 
 
 def test_lines_become_rows_stamped_at_their_ends(opened: Make, clock: SimulatedClock, line: SerialLine) -> None:

@@ -1,14 +1,13 @@
 """The driver: frame 0x100 + joint brings position, velocity and a counter; 0x200 + joint takes a target."""
 
 import struct
-from collections import deque
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 
 import numpy as np
 from pydantic import Field
 
-from drivers.base import DriverSettings, Notice, State, drained, require_state
+from drivers.base import DriverSettings, Notice, require_state
 from drivers.bus_budget import WORST, Budget, can_frames
 from drivers.can.bus import Sender, close_bus, open_bus
 from drivers.can.receiver import Receiver
@@ -17,6 +16,7 @@ from drivers.connection_settings import read_settings
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 from drivers.first_step import check_first_step, finite_position
+from drivers.life_cycle import LifeCycle
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 SAMPLE, TARGET, MODE = 0x100, 0x200, 0x300
@@ -31,18 +31,16 @@ class ToyBusSettings(CanSettings):
     rate: float = Field(100.0, ge=1.0, le=1000.0, description="[Hz], of the samples")
 
 
-class ToyBusDriver:
-    """Implements `drivers.base.Driver`."""
+class ToyBusDriver(LifeCycle):
+    """Implements `drivers.base.Driver`; how it is opened and closed, and what it then refuses, is any driver's."""
 
     def __init__(self, settings: DriverSettings) -> None:
+        super().__init__(settings)
         self._settings = read_settings(ToyBusSettings, settings.connection, "toy_bus")
-        self._joints, self._clock, self._notices = settings.joints, settings.clock, deque[Notice]()
-        self._state: State = "closed"
         self._opened = ExitStack()
         self._begin()
 
-    def open(self) -> None:
-        require_state(self._state, "closed", "open")
+    def _connect(self) -> None:
         bus = self._settings
         opened = open_bus(bus.interface, bus.channel, bus.bitrate, bus.options)
         self._opened.callback(close_bus, opened)
@@ -50,13 +48,13 @@ class ToyBusDriver:
         self._opened.callback(self._receiver.stop)
         self._receiver.start()
         if not self._receiver.take(2.0):
-            self.close()
             raise ConnectionFailedError("no frame within 2 s", where=str(bus.channel), hint="is the power on?")
-        self._state = "open"
+
+    def _disconnect(self) -> None:
+        self._opened.close()
 
     def streams(self) -> tuple[StreamLayout, ...]:
-        if self._state == "closed":
-            require_state(self._state, "open", "list its streams")
+        self._require_open("list its streams")
         channels = tuple(ChannelLayout(quantity, self._joints) for quantity in ("position", "velocity"))
         return (StreamLayout("joints", channels, self._settings.rate),)
 
@@ -74,18 +72,18 @@ class ToyBusDriver:
         return batches
 
     def notices(self) -> Sequence[Notice]:
-        return drained(self._notices) + (self._receiver.notices() if self._state != "closed" else [])
+        return [*super().notices(), *(self._receiver.notices() if self._state != "closed" else ())]
 
     def command_rate(self) -> float:
         return self._settings.rate
 
     def take_control(self) -> None:
-        require_state(self._state, "running", "move")
+        self._require_running()
         self._sender.send(MODE, FOLLOW)
         self._controls = True
 
     def command(self, position: FloatArray) -> None:
-        require_state(self._state, "running", "move")
+        self._require_running()
         target = finite_position(position, self._joints)
         if not self._moved:
             check_first_step(target, self._newest, self._joints)
@@ -101,11 +99,6 @@ class ToyBusDriver:
         self._controls = False
         if self._state == "running":
             self._state = "open"
-
-    def close(self) -> None:
-        self.stop()
-        self._opened.close()
-        self._state = "closed"
 
     def _begin(self) -> None:
         self._row: dict[int, tuple[float, float]] = {}
@@ -126,7 +119,7 @@ class ToyBusDriver:
             return []
         step = (number - self._last) % 0x10000 if self._last >= 0 else 1
         if step > 10.0 * self._settings.rate:  # such a gap would have been a silence
-            self._notices.append(Notice(float("nan"), "warning", "the drives count anew: were they switched off?"))
+            self._tell("warning", "the drives count anew: were they switched off?")
             step = 1
         self._last, self._index, self._heard = number, self._index + step, arrived
         row = np.array([self._row[joint] for joint in range(len(self._joints))])

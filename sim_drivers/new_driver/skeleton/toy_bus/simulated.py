@@ -39,11 +39,7 @@ class ToyBusDrives(BusServer):
         super().__init__(KIND, plant.robot.joint_names, settings, clock, faults=FAULTS)
         self._plant, self._settings, self._following = plant, settings, False
         self._targets = plant.position.copy()
-        self._drop, self._frozen_until, self._count = 0, -1.0, 0
-
-    def ready(self) -> Mapping[str, object]:
-        """Address for clients."""
-        return {"interface": self._settings.interface, "channel": self._settings.channel}
+        self._count = 0
 
     def live_line(self) -> str:
         """Its state in one line."""
@@ -58,12 +54,12 @@ class ToyBusDrives(BusServer):
             self._count += 1
             while (message := bus.recv(0.0)) is not None:
                 self._hear(message)
-            for fault in self._faults.requested():
-                self._cause(bus, fault)
+            for fault in self._new_faults():
+                self._cause(bus, fault, self._clock.now())
             self._plant.advance(period)
             if self._drop:
                 self._drop -= 1
-            elif self._clock.now() >= self._frozen_until:
+            elif self._clock.now() >= self._silent_until:
                 self._speak(bus)
 
     def _speak(self, bus: can.BusABC) -> None:
@@ -83,14 +79,3 @@ class ToyBusDrives(BusServer):
             self._targets[joint] = 1e-4 * struct.unpack("<i", message.data)[0]
             if joint == len(self._targets) - 1:
                 self._plant.set_target(np.array(self._targets))
-
-    def _cause(self, bus: can.BusABC, fault: object) -> None:
-        match fault:
-            case Drop(periods):
-                self._drop += periods
-            case Freeze(seconds):
-                self._frozen_until = self._clock.now() + seconds
-            case Garbage(frames):
-                for _ in range(frames):
-                    frame = self._random_frame()
-                    bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=False))
