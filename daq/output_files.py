@@ -397,11 +397,7 @@ def _write_new(path: Path, text: str) -> None:
 
 @contextmanager
 def _old_files_kept(paths: Sequence[Path]) -> Iterator[None]:
-    """Put files back where the context fails: the old ones, or none where there was none.
-
-    Raises:
-        OSError: an old one cannot be kept for that.
-    """
+    """Put files back where the context fails: the old ones, or none where there was none."""
     kept: dict[Path, Path | None] = {}
     try:
         for path in paths:

@@ -140,11 +140,7 @@ class FaultyServer(Server):
         self._requested.append(fault)
 
     def obey(self, line: str) -> None:
-        """Request a typed fault.
-
-        Raises:
-            UsageError: not a fault of this server.
-        """
+        """Request a typed fault."""
         self.cause(parse_fault(line, self._kind, self.joints, self._known_faults))
 
     def _new_faults(self) -> list[Fault]:

@@ -76,11 +76,7 @@ class Confirmation:
         """What the controller or its drives are known for, one line each."""
 
     def approach(self, position: FloatArray) -> Motion:
-        """The first way that passes the check.
-
-        Raises:
-            MotionRefusedError: none does.
-        """
+        """The first way that passes the check."""
         way, self.figures = checked_approach(position, self._start, self._limits, self._check)
         return way
 

@@ -48,11 +48,7 @@ class SessionOptions(Options):
     comment: str = option("", "Your words, kept in the recording.")
 
     def __post_init__(self) -> None:
-        """Check every option, and that they go together.
-
-        Raises:
-            UsageError: names the options.
-        """
+        """Check every option, and that they go together."""
         if self.trajectory is not None and self.duration is not None:
             raise UsageError("give either --trajectory or --duration")
         super().__post_init__()
@@ -71,11 +67,7 @@ class RecordOptions(SessionOptions):
     model: Path | None = option(None, "Model folder or result.json: its torques carry the arm that you lead.")
 
     def __post_init__(self) -> None:
-        """Check every option, and that there is one thing to do.
-
-        Raises:
-            UsageError: names the options.
-        """
+        """Check every option, and that there is one thing to do."""
         if self.hand_guided and self.trajectory is not None:
             raise UsageError("give either --trajectory or --hand-guided")
         if self.model is not None and not self.hand_guided:
@@ -152,11 +144,7 @@ def record_command(
 
 
 def _key(options: RecordOptions, clock: Clock) -> KeyAtTerminal:
-    """The key that a person holds while they lead the arm.
-
-    Raises:
-        UsageError: standard input is not a terminal.
-    """
+    """The key that a person holds while they lead the arm."""
     from daq.commands.confirmation import terminal
     from daq.commands.hand_guiding import KeyAtTerminal
 
@@ -167,11 +155,7 @@ def _key(options: RecordOptions, clock: Clock) -> KeyAtTerminal:
 
 
 def _guiding(plan: SessionPlan, hand: KeyAtTerminal, model: Path | None) -> Guiding:
-    """How the arm is led; the model that carries it is read.
-
-    Raises:
-        DynidError: the model cannot be used.
-    """
+    """How the arm is led; the model that carries it is read."""
     from daq.session.guiding import Guiding, load_compensation
 
     return Guiding(plan.robot_file.robot, hand, None if model is None else load_compensation(plan.robot_file, model))

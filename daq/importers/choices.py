@@ -18,11 +18,7 @@ Effort = Literal["torque", "current"]
 
 
 def _read_columns(pairs: list[str], flag: str) -> dict[str, str]:
-    """Our names of the file's columns, from NAME=COLUMN each.
-
-    Raises:
-        UsageError: a pair that is none, or a name that is given twice.
-    """
+    """Our names of the file's columns, from NAME=COLUMN each."""
     mapping: dict[str, str] = {}
     for pair in pairs:
         name, equals, column = (text.strip() for text in pair.partition("="))
@@ -86,11 +82,7 @@ class ImportChoices(Options):
     )
 
     def __post_init__(self) -> None:
-        """Check every option, and that the repairs exist.
-
-        Raises:
-            UsageError: names the option or the repair.
-        """
+        """Check every option, and that the repairs exist."""
         super().__post_init__()
         for name in sorted(self.repair):
             if name not in REPAIRS:

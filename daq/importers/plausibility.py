@@ -104,11 +104,7 @@ def _check_positions(
 
 
 def _check_commands(samples: ImportedSamples, where: str) -> None:
-    """Compare the changes of positions and commands.
-
-    Raises:
-        ImportFileError: one of them is in degrees, the other in radians.
-    """
+    """Compare the changes of positions and commands."""
     commanded = samples if samples.commands is None else samples.commands
     if TARGET not in commanded.quantities:
         return

@@ -71,11 +71,7 @@ class TimeScaled:
     scale: float
 
     def __post_init__(self) -> None:
-        """Refuse a scale that would speed the motion up.
-
-        Raises:
-            UsageError: the scale is not above 0 and at most 1.
-        """
+        """Refuse a scale that would speed the motion up."""
         if not 0.0 < self.scale <= 1.0:
             raise UsageError(f"a speed scale of {self.scale:g} is not above 0 and at most 1")
 

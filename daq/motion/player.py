@@ -234,11 +234,7 @@ class Player:
             self._done = self._done or self._elapsed >= self._path.duration - 1e-9
 
     def _require_to_keep_up(self, took: float) -> None:
-        """Note how long it took to send a position [s].
-
-        Raises:
-            SafetyStopError: it takes too long again and again.
-        """
+        """Note how long it took to send a position [s]."""
         slow = (1 + skip_limit(self._period)) * self._period if self._held else self._period
         weight = min(max(took, self._period) / KEPT_UP, 1.0) if self._held else 1.0 / UNHELD_KEPT_UP
         self._behind += (float(took > slow) - self._behind) * weight
@@ -251,11 +247,7 @@ class Player:
             )
 
     def _go_on_from_rest(self, tick: int, stalled: float) -> None:
-        """Let the path go on slowly from the position that was sent last, which the arm has held for `stalled` [s].
-
-        Raises:
-            SafetyStopError: the stall was longer than it may be, or no ramp keeps the acceleration limits.
-        """
+        """Let the path go on slowly from the position that was sent last, which the arm has held for `stalled` [s]."""
         if stalled > (STALL_LIMIT if self._held else UNHELD_STALL_LIMIT):
             longer = f"more than {STALL_LIMIT:g} s" if self._held else "longer than this arm bridges without commands"
             raise SafetyStopError(

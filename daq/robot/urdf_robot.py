@@ -215,11 +215,7 @@ def assumed_of_urdf(arm: UrdfArm) -> tuple[str, ...]:
 
 
 def _mimics(joints: list[ElementTree.Element], driven: set[str], where: str) -> tuple[Mimic, ...]:
-    """What each of the joints follows, through others that follow too.
-
-    Raises:
-        RobotFileError: it follows no joint that moves by itself.
-    """
+    """What each of the joints follows, through others that follow too."""
     stated = {}
     for joint in joints:
         mimic = joint.find("mimic")

@@ -257,11 +257,7 @@ def lead_by_hand(
 
 
 def _wait_for_key(cycle: Callable[[], None], course: Course, hand: Hand) -> None:
-    """Until the person has said yes and holds the key, or the session is interrupted.
-
-    Raises:
-        MotionRefusedError: they do not.
-    """
+    """Until the person has said yes and holds the key, or the session is interrupted."""
     hand.ask()
     while (answer := hand.answer()) is None and course.interrupted is None:
         cycle()
@@ -275,11 +271,7 @@ def _wait_for_key(cycle: Callable[[], None], course: Course, hand: Hand) -> None
 
 
 def _require_carried(course: Course, carrying: Compensation, robot: Robot) -> None:
-    """Compare what the drives give, of an arm that they hold, with what the model would.
-
-    Raises:
-        MotionRefusedError: the arm would move away when it is let go.
-    """
+    """Compare what the drives give, of an arm that they hold, with what the model would."""
     if course.torque is None or course.position is None:
         raise MotionRefusedError(
             "this connection delivers no torques: whether the model carries the arm cannot be seen"

@@ -175,11 +175,7 @@ def permitted_approach(driver: Driver, cycle: Callable[[], None], course: Course
 
 
 def _require_unmoved(course: Course, shown: FloatArray, when: str) -> FloatArray:
-    """Read where the arm is, which must be about where it was shown to be.
-
-    Raises:
-        MotionRefusedError: it is not.
-    """
+    """Read where the arm is, which must be about where it was shown to be."""
     here = shown if course.position is None else course.position
     if np.max(np.abs(here - shown)) > MOVED_MEANWHILE:
         raise MotionRefusedError(f"the arm moved {when}", hint="start again when it is at rest")

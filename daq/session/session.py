@@ -329,11 +329,7 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
 
 
 def _heed(course: Course, recorder: SampleKeeper) -> None:
-    """What a watch has noticed.
-
-    Raises:
-        SafetyStopError: a motion must not go on.
-    """
+    """What a watch has noticed."""
     if course.watch is None:
         return
     noticed = float("nan")

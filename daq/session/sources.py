@@ -48,11 +48,7 @@ class Sources:
         self._notices: deque[Notice] = deque()
 
     def open(self) -> None:
-        """Open all, the main one first; those that are open already are closed again where one fails.
-
-        Raises:
-            ConnectionFailedError, UsageError: of the source that failed; named by `where`.
-        """
+        """Open all, the main one first; those that are open already are closed again where one fails."""
         opened: list[_Source] = []
         try:
             for source in self._all:
@@ -66,11 +62,7 @@ class Sources:
             raise
 
     def streams(self) -> tuple[StreamLayout, ...]:
-        """The streams of all, under distinct names.
-
-        Raises:
-            DriverStateError: not open.
-        """
+        """The streams of all, under distinct names."""
         return tuple(
             replace(layout, name=source.streams[layout.name])
             for source in self._all
@@ -78,11 +70,7 @@ class Sources:
         )
 
     def start(self) -> None:
-        """Make the samples of all flow, the main one's last.
-
-        Raises:
-            ConnectionFailedError, ConnectionLostError, DriverStateError: of the source that failed; all are stopped.
-        """
+        """Make the samples of all flow, the main one's last."""
         self._failure = None
         for source in self._all:
             source.host_ahead = math.nan
@@ -94,11 +82,7 @@ class Sources:
             raise
 
     def read(self, timeout: float) -> Sequence[Batch]:
-        """Blocks of all that have arrived, waiting at most `timeout` [s] for the main one's.
-
-        Raises:
-            ConnectionLostError: of one of them; the main one's batches are returned before another's error.
-        """
+        """Blocks of all, waiting at most `timeout` [s] for the main one's, which come before another's error."""
         if self._failure is not None:
             raise self._failure
         batches = list(_renamed(self._main, _named(self._main, self._main.driver.read, timeout)))
@@ -146,19 +130,11 @@ class Sources:
         return self._main.driver.command_rate()
 
     def take_control(self) -> None:
-        """Take control of the main one's arm.
-
-        Raises:
-            DynidError: of the main one.
-        """
+        """Take control of the main one's arm."""
         self._main.driver.take_control()
 
     def command(self, position: FloatArray) -> None:
-        """Send a joint position to the main one.
-
-        Raises:
-            DriverStateError, ConnectionLostError: of the main one.
-        """
+        """Send a joint position to the main one."""
         self._main.driver.command(position)
 
     def stop(self) -> None:

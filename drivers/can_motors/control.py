@@ -107,11 +107,7 @@ class MotorControl:
                 self._bus.write(index, register, value)
 
     def _make_obey(self) -> None:
-        """Switch the motors on, and see that they obey.
-
-        Raises:
-            DriverStateError: one does not.
-        """
+        """Switch the motors on, and see that they obey."""
         for codec in self._bus.codecs:
             self._bus.send(codec.enable())
         end = self._clock.now() + ENABLING
@@ -247,11 +243,7 @@ class MotorControl:
                     self._bus.send(codec.release_frames(goals[index]))
 
     def _all_states(self) -> Feedback:
-        """A reading of all motors.
-
-        Raises:
-            ConnectionFailedError: one does not answer.
-        """
+        """A reading of all motors."""
         for _ in range(STOP_SENDINGS):
             feedback = self._bus.cycle()
             if len(feedback.states) == len(self._motors):

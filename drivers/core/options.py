@@ -172,11 +172,7 @@ class Options:
     """Base of a dataclass of options: its values are checked when it is made."""
 
     def __post_init__(self) -> None:
-        """Check every field by what it declares.
-
-        Raises:
-            UsageError: a value is not allowed.
-        """
+        """Check every field by what it declares."""
         for of in fields(cast("Any", self)):
             if (stated := declared(of)) is not None:
                 check_kind(flag_of(of).partition("/")[0], str(of.type), getattr(self, of.name))

@@ -211,11 +211,7 @@ class ServoControl:
             self._bus.write_all("bus_watchdog", armed)
 
     def _present(self) -> dict[int, int]:
-        """Steps of every servo, by id.
-
-        Raises:
-            ConnectionFailedError: one does not answer.
-        """
+        """Steps of every servo, by id."""
         return {motor.id: self._bus.read(motor, motor.table.feedback["position"]) for motor in self._motors}
 
     def _set(self, motor: ServoMotor, name: str, value: float | None) -> None:

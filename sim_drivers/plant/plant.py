@@ -374,11 +374,7 @@ class Plant:
 
 
 def _inertias(robot_file: RobotFile, arm: RigidArm, coupling: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Diagonal (K, n) of the inertia matrix of the motors, and its inverse (K, n, n), at random postures.
-
-    Raises:
-        RobotFileError: some joint moves no inertia at all.
-    """
+    """Diagonal (K, n) of the inertia matrix of the motors, and its inverse (K, n, n), at random postures."""
     low, high = (np.array(limit) for limit in zip(*(j.position for j in robot_file.robot.joints), strict=True))
     # A seed of its own: the choice of postures is no part of the plant's randomness.
     postures = np.random.default_rng(0).uniform(low, high, (POSTURES, len(low)))

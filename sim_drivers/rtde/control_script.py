@@ -247,11 +247,7 @@ class ScriptSession:
         """A program continues when its client disconnects."""
 
     def receive(self, chunk: bytes) -> bytes:
-        """Start every program that is complete with this chunk.
-
-        Raises:
-            ConnectionLostError: a program does not end.
-        """
+        """Start every program that is complete with this chunk."""
         self._pending += chunk.decode("utf-8", errors="replace")
         while (end := _END.search(self._pending)) is not None:
             body, self._pending = self._pending[: end.start()], self._pending[end.end() :]

@@ -37,11 +37,7 @@ class DashboardSession:
         """Nothing to close."""
 
     def receive(self, chunk: bytes) -> bytes:
-        """Answer every line that is complete.
-
-        Raises:
-            ConnectionLostError: a line does not end.
-        """
+        """Answer every line that is complete."""
         *lines, self._pending = (self._pending + chunk).split(b"\n")
         if len(self._pending) > LONGEST_LINE:
             raise ConnectionLostError("a dashboard command does not end")

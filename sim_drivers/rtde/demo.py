@@ -161,11 +161,7 @@ def run_demo(
 def _recorded(
     served: Callable[[], AbstractContextManager[Record]], trajectory: Path, out: Path, progress: Callable[[str], None]
 ) -> Recorded:
-    """A recording of a freshly served arm; again where this computer, which does all the work, was too busy for it.
-
-    Raises:
-        WorkError: the last attempt failed, too.
-    """
+    """A recording of a freshly served arm; again where this computer, which does all the work, was too busy for it."""
     for _ in range(ATTEMPTS - 1):
         try:
             with served() as record:

@@ -164,11 +164,7 @@ class RtdeSession:
             del self._owners[name]
 
     def receive(self, chunk: bytes) -> bytes:
-        """Process received data and return the answer.
-
-        Raises:
-            ConnectionLostError: the client does not follow RTDE, or not version 2.
-        """
+        """Process received data and return the answer."""
         answer = b""
         for package in self._splitter.feed(chunk):
             answer += self._answer(package.kind, package.payload)

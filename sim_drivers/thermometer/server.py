@@ -135,11 +135,7 @@ class ThermometerServer(FaultyServer):
             self._plug_in()
 
     def obey(self, line: str) -> None:
-        """Cause a typed fault at once.
-
-        Raises:
-            UsageError: not a fault of a thermometer.
-        """
+        """Cause a typed fault at once."""
         try:
             super().obey(line)
         except UsageError as error:

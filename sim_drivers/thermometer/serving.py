@@ -55,11 +55,7 @@ class BesideThermometer:
         return f"{self._served.live_line()}; {_live_line(self._thermometer)}"
 
     def obey(self, line: str) -> None:
-        """Cause a fault; the thermometer's begin with the word `thermometer`.
-
-        Raises:
-            UsageError: not a fault.
-        """
+        """Cause a fault; the thermometer's begin with the word `thermometer`."""
         first, _, rest = line.strip().partition(" ")
         if first == WORD:
             self._thermometer.obey(rest)
@@ -83,11 +79,7 @@ class ThermometerAlone(FaultyServer):
         return _live_line(self._thermometer)
 
     def obey(self, line: str) -> None:
-        """Request a fault; the word `thermometer` may precede it.
-
-        Raises:
-            UsageError: not a fault.
-        """
+        """Request a fault; the word `thermometer` may precede it."""
         super().obey(line.strip().removeprefix(f"{WORD} "))
 
     def cause(self, fault: Fault) -> None:

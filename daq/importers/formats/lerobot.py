@@ -199,11 +199,7 @@ def _motor(name: str) -> tuple[str, str | None]:
 def _scales(
     path: Path, features: Sequence[_Feature], robot: RobotFile, choices: ImportChoices
 ) -> dict[str, tuple[float, float, str]]:
-    """Motor → factor, offset and unit of what its numbers mean; empty where they are taken as they are.
-
-    Raises:
-        ImportFileError: the unit of LeRobot's motors is not stated, or the calibration does not fit.
-    """
+    """Motor → factor, offset and unit of what its numbers mean; empty where they are taken as they are."""
     motors = dict.fromkeys(_motor(name)[0] for feature in features for name in feature.names)
     of_motors = any(_motor(name)[1] is not None for feature in features for name in feature.names)
     if choices.calibration is None and not choices.degrees:
