@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from typing import Annotated, Literal, TypeVar, get_args, get_origin
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Annotated, Literal, Protocol, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Strict, StringConstraints, ValidationError
 from pydantic.fields import FieldInfo
@@ -40,6 +40,26 @@ Settings = TypeVar("Settings", bound=ConnectionSettings)
 def refused(message: str, hint: str = "") -> PydanticCustomError:
     """What a validator raises about a value that has the right type; without `hint`, the field says what is allowed."""
     return PydanticCustomError("refused", "{message}", {"message": message, "hint": hint})
+
+
+class Identified(Protocol):
+    """The keys of a device that has an id on its bus."""
+
+    @property
+    def id(self) -> int: ...  # noqa: D102
+
+
+def require_motor_per_joint(motors: Mapping[str, Identified], joints: Sequence[str], device: str) -> None:
+    """Refuse a mapping of joint → keys of its motor that leaves a joint out, or has others or an id twice."""
+    if strange := [name for name in motors if name not in joints]:
+        raise refused(f"{strange[0]!r} is no joint", f"joints: {', '.join(joints)}")
+    if missing := [name for name in joints if name not in motors]:
+        raise refused(f"joint(s) {', '.join(missing)} have no motor")
+    used: dict[int, str] = {}
+    for name, motor in motors.items():
+        if motor.id in used:
+            raise refused(f"{used[motor.id]} and {name} have the same id {motor.id}", f"one id a {device}")
+        used[motor.id] = name
 
 
 def read_settings(

@@ -22,6 +22,22 @@ SILENT_PERIODS = 20
 """Without a row for so many periods, at least `SILENCE_LIMIT`, the connection counts as lost."""
 
 
+HOLD_LEAD = 0.05
+"""[rad] that a goal may be ahead of a joint which is held: more would press on what blocks it."""
+STOP_LIMIT = 2.0
+"""How long [s] an arm may take to come to rest."""
+STOP_SENDINGS = 3
+"""So often a stop is sent: nobody confirms it."""
+
+
+def not_at_rest(silent: Sequence[str], *, limp: bool) -> str:
+    """What is wrong with a stop after which an arm did not show that it is at rest, or motors were silent, in words."""
+    state = "limp" if limp else "held"
+    if silent:
+        return f"{', '.join(silent)} did not answer when the arm was {state}: where it is, is unknown"
+    return f"the arm did not show within {STOP_LIMIT:g} s that it stands still, {state}"
+
+
 class MotorsControl(Protocol):
     """Commands of an arm's motors.
 
@@ -77,6 +93,7 @@ class PolledArm(LifeCycle):
         self._cycle: PolledRows | None = None
         self._command_lock = self._clock.lock()
         self._commanded = False
+        self._identities: tuple[object, ...] = ()
         self._control: MotorsControl
 
     @abstractmethod
@@ -144,6 +161,11 @@ class PolledArm(LifeCycle):
     def command_rate(self) -> float:
         """Rate of the commands [Hz]: that of the readings; 0 where the connection only reads."""
         return 0.0 if self._read_only else self._rate
+
+    def identify(self) -> Sequence[object]:
+        """What every motor said of itself when the connection was opened."""
+        self._require_open("identify")
+        return self._identities
 
     def holds(self) -> bool:
         """Yes: a motor keeps its last goal."""

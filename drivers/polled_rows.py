@@ -53,6 +53,7 @@ class PolledRows(ABC):
         self._thread = clock.thread(self._run, name)
         self._rows: deque[tuple[float, float, Mapping[str, Sequence[float]]]] = deque(maxlen=BUFFERED)
         self._silent: Counter[str] = Counter()
+        self._faults: dict[int, int] = {}
         self._lost = self._late = self._awaited = 0
         self._answering = 0.0
         self._noted = -np.inf
@@ -154,6 +155,16 @@ class PolledRows(ABC):
         if received - self._noted > NOTED_AGAIN:
             self._noted = received
             self._tell("warning", f"no answer of {', '.join(missing)}{besides}")
+
+    def _report_fault(self, name: str, words: Sequence[str], *, moving: bool) -> None:
+        """Tell which fault a device reports; without words, that it reports none any more."""
+        if not words:
+            self._tell("info", f"{name} reports no fault any more")
+            return
+        said = f"{name} reports {', '.join(words)}"
+        self._tell(
+            "error" if moving else "warning", said, "let it cool down; look at its supply, its load and what it touches"
+        )
 
     def _tell(self, level: Level, message: str, hint: str = "") -> None:
         self.notices.append(Notice(self._clock.now(), level, message, hint))

@@ -173,6 +173,8 @@ def confirms_sending(interface: str, options: Mapping[str, object]) -> bool:
 class Sender:
     """Sends frames from any thread, one at a time.
 
+    Sending raises ConnectionLostError where the adapter is gone, or does not take a frame.
+
     Args:
         bus: open.
         clock: the host's.
@@ -195,19 +197,11 @@ class Sender:
         self._limit = SEND_LIMIT if type(bus).__name__ in {"SocketcanBus", "slcanBus"} else None
 
     def send(self, identifier: int, data: bytes) -> float:
-        """Send a frame, see `EXTENDED` and `REMOTE`; when that was [s, the host's monotonic clock, before sending].
-
-        Raises:
-            ConnectionLostError: the adapter is gone, or does not take it.
-        """
+        """Send a frame, see `EXTENDED` and `REMOTE`; when that was [s, the host's monotonic clock, before sending]."""
         return self.send_all(((identifier, data),))
 
     def send_all(self, frames: Sequence[tuple[int, bytes]]) -> float:
-        """Send frames without another thread's in between; when the first was sent.
-
-        Raises:
-            ConnectionLostError: the adapter is gone, or does not take them.
-        """
+        """Send frames without another thread's in between; when the first was sent."""
         messages = [
             can.Message(
                 arbitration_id=identifier & ~(EXTENDED | REMOTE),
@@ -241,11 +235,7 @@ class Sender:
         return True
 
     def send_periodically(self, identifier: int, data: bytes, period: float) -> can.CyclicSendTaskABC:
-        """Let the kernel send a frame every `period` [s] until the task is stopped (see `sends_in_kernel`).
-
-        Raises:
-            ConnectionLostError: the adapter is gone, or does not take it.
-        """
+        """Let the kernel send a frame every `period` [s] until the task is stopped (see `sends_in_kernel`)."""
         message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
         try:
             return self._bus.send_periodic(message, period)

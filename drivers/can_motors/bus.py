@@ -80,6 +80,8 @@ class Feedback:
 class MotorBus:
     """The motors of a connection; safe to use from several threads.
 
+    Whatever sends or awaits frames raises ConnectionLostError where the adapter is gone, or carries nothing.
+
     Attributes:
         codecs: one a motor; they may be replaced while nothing is exchanged.
     """
@@ -136,11 +138,7 @@ class MotorBus:
         return self._receiver.notices() if self._receiver is not None else []
 
     def send(self, frames: Sequence[CanFrame]) -> float:
-        """Send frames, of which nothing is awaited; when.
-
-        Raises:
-            ConnectionLostError: the adapter is gone, or does not take them.
-        """
+        """Send frames, of which nothing is awaited; when."""
         sender, _ = self._opened()
         return sender.send_all(frames)
 
@@ -148,9 +146,6 @@ class MotorBus:
         """Read all motors, and command them, if so: by their answers, else just before.
 
         Either way a reading is of the time before its command acts, and one exchange a cycle does for both.
-
-        Raises:
-            ConnectionLostError: the adapter is gone, or carries nothing.
         """
         read_only = self._settings.keys.read_only
         frames: list[CanFrame] = []
@@ -179,9 +174,6 @@ class MotorBus:
             frames: to send.
             patience: longest wait [s].
             of: index of the only motor that is waited for, also for what it tells slowly; all where None.
-
-        Raises:
-            ConnectionLostError: the adapter is gone, or carries nothing.
         """
         sender, receiver = self._opened()
         with self._lock:
@@ -221,11 +213,7 @@ class MotorBus:
         return Feedback(states, strange, 0.5 * (sent + received), received, overdue)
 
     def doubled(self) -> list[int]:
-        """Indices of motors whose ids others have, too; an answer to an earlier question does not come three times.
-
-        Raises:
-            ConnectionLostError: the adapter is gone.
-        """
+        """Indices of motors whose ids others have, too; an answer to an earlier question does not come three times."""
         sender, receiver = self._opened()
         calls = [codec.roll_call(read_only=self._settings.keys.read_only) for codec in self.codecs]
         calling = list(dict.fromkeys(frame for frames in calls for frame in frames))
@@ -247,7 +235,6 @@ class MotorBus:
 
         Raises:
             ConnectionFailedError: it does not answer.
-            ConnectionLostError: the adapter is gone.
         """
         read_only = self._settings.keys.read_only
         codec = self.codecs[index]
@@ -262,7 +249,6 @@ class MotorBus:
 
         Raises:
             ConnectionFailedError: it does not answer.
-            ConnectionLostError: the adapter is gone.
         """
         sender, receiver = self._opened()
         codec, number = self.codecs[index], self.codecs[index].registers[register]
@@ -282,7 +268,6 @@ class MotorBus:
 
         Raises:
             ConnectionFailedError: it does not answer, or holds something else afterwards.
-            ConnectionLostError: the adapter is gone.
         """
         self.send((self.codecs[index].write(register, value),))
         held = self.read(index, register)

@@ -15,14 +15,9 @@ from drivers.can_motors.settings import CanMotor, CanMotorSettings
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.polled_arm import HOLD_LEAD, STOP_LIMIT, STOP_SENDINGS, not_at_rest
 from drivers.standstill import StandstillWatch
 
-HOLD_LEAD = 0.05
-"""[rad] that a goal may be ahead of a joint which is held: more would press on what blocks it."""
-STOP_LIMIT = 2.0
-"""How long [s] an arm may take to come to rest."""
-STOP_SENDINGS = 3
-"""So often a stop is sent: nobody confirms it."""
 OLD_TORQUE = 0.1
 """[s] after which a torque is not sent again: who commanded it does so no more."""
 ENABLING = 0.5
@@ -31,6 +26,8 @@ ENABLING = 0.5
 
 class MotorControl:
     """Commands of the motors of a connection; one thread at a time.
+
+    Whatever exchanges frames raises ConnectionLostError where the adapter is gone.
 
     Attributes:
         active: whether the motors were made to obey, and not yet stopped.
@@ -60,7 +57,6 @@ class MotorControl:
         Raises:
             DriverStateError: a motor is in fault, or does not obey.
             ConnectionFailedError: a motor does not answer, or does not keep what is written.
-            ConnectionLostError: the adapter is gone.
         """
         self._prepare(self._bus.codecs)
         states = self._all_states().states
@@ -143,11 +139,7 @@ class MotorControl:
         self.fresh()
 
     def cycle(self, patience: float = PATIENCE) -> Feedback:
-        """Send the goal, and read the motors as they are before they obey it, waiting so long [s] at most.
-
-        Raises:
-            ConnectionLostError: the adapter is gone.
-        """
+        """Send the goal, and read the motors as they are before they obey it, waiting so long [s] at most."""
         if self.led:
             feedback = self._bus.cycle(self._torque_frames(), patience)
             if len(feedback.states) == len(self._motors):
@@ -164,7 +156,6 @@ class MotorControl:
         led, self.active, self.obeying, self.led = self.led, False, False, False
         limp = self._settings.keys.on_stop == "limp"
         self._held = self._held or not limp
-        state = "limp" if limp else "held"
         try:
             if led and not limp:
                 self._bus.send([frame for codec in self._bus.codecs for frame in codec.enable()])
@@ -177,9 +168,7 @@ class MotorControl:
             return f"the motors could not be told to stop ({error.message}): {self.left_alone()}"
         if heard is None:
             return ""
-        if silent := [motor.name for index, motor in enumerate(self._motors) if index not in heard]:
-            return f"{', '.join(silent)} did not answer when the arm was {state}: where it is, is unknown"
-        return f"the arm did not show within {STOP_LIMIT:g} s that it stands still, {state}"
+        return not_at_rest([motor.name for k, motor in enumerate(self._motors) if k not in heard], limp=limp)
 
     def part(self) -> None:
         """Switch off an arm that goes limp with this program anyway: a time-out would leave its motors in fault."""

@@ -40,7 +40,6 @@ class MotorCycle(PolledRows):
         self._bus, self._control, self._settings = bus, control, settings
         self._motors = settings.motors
         self._quantities = [name.quantity for name in feedback_channels(settings) if name.quantity != GOAL_AGE]
-        self._faults: dict[int, int] = {}
         self._strange = self._overdue = 0
         self._doubled: dict[str, Level] = {}
         self._begun = clock.now()
@@ -115,18 +114,11 @@ class MotorCycle(PolledRows):
         return row
 
     def _note_fault(self, index: int, fault: int) -> None:
-        motor, before = self._motors[index], self._faults.get(index, 0)
-        if fault == before:
-            return
-        self._faults[index] = fault
-        if fault:
-            self._tell(
-                "error" if self._control.active else "warning",
-                f"{motor.name} reports {', '.join(motor.address.family.fault_words(fault))}",
-                "let it cool down; look at its supply, its load and what it touches",
-            )
-        else:
-            self._tell("info", f"{motor.name} reports no fault any more")
+        motor = self._motors[index]
+        if fault != self._faults.get(index, 0):
+            self._faults[index] = fault
+            words = motor.address.family.fault_words(fault)
+            self._report_fault(motor.name, words, moving=self._control.active)
 
     def _note_twice(self, index: int) -> None:
         name = self._motors[index].name

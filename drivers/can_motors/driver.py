@@ -70,7 +70,6 @@ class CanMotorDriver(PolledArm):
         super().__init__(settings, self._settings.where, keys.rate, names, "motor", read_only=keys.read_only)
         self._bus = MotorBus(self._settings, self._clock)
         self._control: MotorControl = MotorControl(self._bus, self._settings, self._clock)
-        self._identities: tuple[MotorIdentity, ...] = ()
 
     def _connect(self) -> None:
         self._bus.open()
@@ -99,11 +98,6 @@ class CanMotorDriver(PolledArm):
     def notices(self) -> Sequence[Notice]:
         """Faults of motors, missing answers, errors of the bus, since the last call."""
         return [*super().notices(), *self._bus.notices()]
-
-    def identify(self) -> Sequence[MotorIdentity]:
-        """What every motor says of itself."""
-        self._require_open("identify")
-        return self._identities
 
     def device_limits(self) -> DeviceLimits:
         """Torque limits that the motors keep for this program."""

@@ -16,7 +16,7 @@ from drivers.can_motors.moteus import MoteusCodec
 from drivers.can_motors.odrive import OdriveCodec
 from drivers.can_motors.robstride import RobstrideCodec
 from drivers.can_motors.tables import motor_family
-from drivers.connection_settings import ConnectionSettings, read_settings, refused
+from drivers.connection_settings import ConnectionSettings, read_settings, refused, require_motor_per_joint
 from drivers.core.arrays import FloatArray
 
 CODECS: Mapping[str, type[MotorCodec]] = {
@@ -77,18 +77,10 @@ class CanMotorKeys(CanSettings):
     @classmethod
     def _a_motor_per_joint(cls, motors: dict[str, MotorKeys], info: ValidationInfo) -> dict[str, MotorKeys]:
         context = info.context or {}
-        joints: Sequence[str] = context["joints"]
-        if strange := [name for name in motors if name not in joints]:
-            raise refused(f"{strange[0]!r} is no joint", f"joints: {', '.join(joints)}")
-        if missing := [name for name in joints if name not in motors]:
-            raise refused(f"joint(s) {', '.join(missing)} have no motor")
-        used: dict[int, str] = {}
+        require_motor_per_joint(motors, context["joints"], "motor")
         for name, motor in motors.items():
             if motor.id > MOST_ID[context["family"]]:
                 raise refused(f"{name} has id {motor.id}", f"allowed: at most {MOST_ID[context['family']]}")
-            if motor.id in used:
-                raise refused(f"{used[motor.id]} and {name} have the same id {motor.id}", "one id a motor")
-            used[motor.id] = name
         if context["family"] == "damiao":
             _require_own_answers(motors)
         return motors

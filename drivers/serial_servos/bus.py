@@ -41,6 +41,8 @@ class ServoFeedback:
 class ServoBus:
     """The servos of a connection; safe to use from several threads.
 
+    Whatever exchanges bytes raises ConnectionLostError where the port is gone.
+
     Attributes:
         line: under it.
         fast: whether the servos answer in one packet; found out by `open`.
@@ -70,7 +72,6 @@ class ServoBus:
 
         Raises:
             ConnectionFailedError: no such port.
-            ConnectionLostError: the port is gone.
             UsageError: a URL or a baud rate that cannot be.
         """
         self.line.open()
@@ -135,7 +136,6 @@ class ServoBus:
 
         Raises:
             ConnectionFailedError: the servo does not answer, or refuses.
-            ConnectionLostError: the port is gone.
         """
         entry = motor.table.registers[name]
         return entry.decoded(self.read_bytes(motor, entry.address, entry.size))
@@ -156,7 +156,6 @@ class ServoBus:
         Raises:
             DriverStateError: the register is of the EEPROM, and may not be written.
             ConnectionFailedError: the servo does not answer, or holds something else afterwards.
-            ConnectionLostError: the port is gone.
         """
         entry = motor.table.registers[name]
         if entry.eeprom and not configure:
@@ -174,11 +173,7 @@ class ServoBus:
             )
 
     def write_all(self, name: str, counts: Mapping[int, int]) -> None:
-        """Write signed counts, by id, into a register of the RAM with one request; no servo answers.
-
-        Raises:
-            ConnectionLostError: the port is gone.
-        """
+        """Write signed counts, by id, into a register of the RAM with one request; no servo answers."""
         entries: dict[tuple[int, int], dict[int, bytes]] = {}
         for motor in self._motors:
             if motor.id in counts:
@@ -191,11 +186,7 @@ class ServoBus:
                 self.line.send(self.line.protocol.sync_write(address, rows))
 
     def feedback(self) -> ServoFeedback:
-        """Read the feedback of all servos.
-
-        Raises:
-            ConnectionLostError: the port is gone.
-        """
+        """Read the feedback of all servos."""
         address, size = self.block
         protocol, count = self.line.protocol, len(self._ids)
         with self._lock:

@@ -9,6 +9,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.polled_arm import HOLD_LEAD, STOP_LIMIT, STOP_SENDINGS, not_at_rest
 from drivers.serial_servos.bus import ServoBus, called
 from drivers.serial_servos.registers import Register
 from drivers.serial_servos.settings import ServoMotor, ServoSettings
@@ -16,16 +17,12 @@ from drivers.standstill import StandstillWatch
 
 POSITION_MODE = {"feetech": 0, "dynamixel": 3}
 """Operating mode in which a servo follows commanded positions within a turn."""
-HOLD_LEAD = 0.05
-"""[rad] that a goal may be ahead of a joint which is held: more would press on what blocks it."""
-STOP_LIMIT = 2.0
-"""How long [s] an arm may take to come to rest."""
-STOP_SENDINGS = 3
-"""So often a stop is written: nobody confirms what is written to all servos."""
 
 
 class ServoControl:
     """Commands of the servos of a connection; one thread at a time.
+
+    Whatever exchanges bytes raises ConnectionLostError where the port is gone.
 
     Attributes:
         active: whether the servos were made to obey, and not yet stopped.
@@ -48,7 +45,6 @@ class ServoControl:
         Raises:
             DriverStateError: a servo is in fault, in another mode, or out of the range of its goals.
             ConnectionFailedError: a servo does not answer, or does not keep what is written.
-            ConnectionLostError: the port is gone.
         """
         keys = self._settings.keys
         for motor in self._motors:
@@ -93,7 +89,6 @@ class ServoControl:
         Raises:
             DriverStateError: they are to give torques.
             ConnectionFailedError: a servo does not answer, or does not keep what is written.
-            ConnectionLostError: the port is gone.
         """
         if torque is not None:
             self.push(torque)
@@ -114,7 +109,6 @@ class ServoControl:
 
         Raises:
             DriverStateError: a position that the servo cannot be told.
-            ConnectionLostError: the port is gone.
         """
         counts = {}
         for motor, position in zip(self._motors, target.tolist(), strict=True):
@@ -135,7 +129,6 @@ class ServoControl:
         Raises:
             DriverStateError: its torque is off though no command switched it off.
             ConnectionFailedError: it does not answer.
-            ConnectionLostError: the port is gone.
         """
         motor = self._motors[self._turn % len(self._motors)]
         self._turn += 1
@@ -156,7 +149,6 @@ class ServoControl:
         """Let the arm hold or go limp, as the connection says; what is wrong, in words, or nothing."""
         led, self.active, self.led = self.led, False, False
         limp = self._settings.keys.on_stop == "limp"
-        state = "limp" if limp else "held"
         try:
             if led and not limp:
                 self.take()
@@ -187,9 +179,7 @@ class ServoControl:
             return f"the servos could not be told to stop ({error.message}): {left}"
         if watch.at_rest:
             return ""
-        if silent := [called(motor) for motor in self._motors if motor.id not in heard]:
-            return f"{', '.join(silent)} did not answer when the arm was {state}: where it is, is unknown"
-        return f"the arm did not show within {STOP_LIMIT:g} s that it stands still, {state}"
+        return not_at_rest([called(motor) for motor in self._motors if motor.id not in heard], limp=limp)
 
     def _hold(self) -> None:
         """Goals near where the joints are, of the servos that answer."""

@@ -21,7 +21,6 @@ class ServoCycle(PolledRows):
         super().__init__(f"servos {settings.url}", settings.keys.rate, control.sent, clock)
         self._bus, self._control = bus, control
         self._motors = settings.motors
-        self._faults: dict[int, int] = {}
         self._garbled = 0
 
     def losses(self) -> str:
@@ -31,9 +30,10 @@ class ServoCycle(PolledRows):
 
     def _read(self) -> None:
         feedback = self._bus.feedback()
-        for motor, packet in feedback.answers.items():
-            self.answered[motor] = feedback.received
-            self._note_fault(motor, packet.code)
+        for motor in self._motors:
+            if (packet := feedback.answers.get(motor.id)) is not None:
+                self.answered[motor.id] = feedback.received
+                self._note_fault(motor, packet.code)
         missing = [motor for motor in self._motors if motor.id not in feedback.answers]
         watched = self._control.active and not self._control.led
         if watched and self._bus.gathered and (off := [m for m in self._motors if self._is_off(m, feedback)]):
@@ -76,27 +76,21 @@ class ServoCycle(PolledRows):
         garbled = f", {feedback.strange} bytes belonged to no answer" if feedback.strange else ""
         self._lose([called(motor) for motor in missing], feedback.received, garbled)
 
-    def _note_fault(self, motor: int, code: int) -> None:
-        table = next(one for one in self._motors if one.id == motor)
-        before = self._faults.get(motor, 0)
-        if table.table.protocol == "dynamixel":
-            code = self._hardware_error(table, before) if code & ALERT else 0
+    def _note_fault(self, motor: ServoMotor, code: int) -> None:
+        before = self._faults.get(motor.id, 0)
+        if motor.table.protocol == "dynamixel":
+            code = self._hardware_error(motor, before) if code & ALERT else 0
         if code == before:
             return
-        self._faults[motor] = code
-        if words := table.table.error_words(code & ~before):
-            self._tell(
-                "error" if self._control.active else "warning",
-                f"{called(table)} reports {', '.join(words)}",
-                "let it cool down; look at its supply, its load and what it touches",
-            )
-        elif not code:
-            self._tell("info", f"{called(table)} reports no fault any more")
+        self._faults[motor.id] = code
+        words = motor.table.error_words(code & ~before)
+        if words or not code:
+            self._report_fault(called(motor), words, moving=self._control.active)
 
-    def _hardware_error(self, motor: ServoMotor, known: int) -> int:
+    def _hardware_error(self, motor: ServoMotor, before: int) -> int:
         """Bits of a Dynamixel servo's hardware error, asked for once."""
-        if known:
-            return known
+        if before:
+            return before
         try:
             entry = motor.table.registers["status"]
             return entry.decoded(self._bus.read_bytes(motor, entry.address, entry.size, hurried=True))

@@ -60,18 +60,14 @@ class SerialServoDriver(PolledArm):
     def _channels(self) -> tuple[ChannelLayout, ...]:
         return feedback_channels(self._settings)
 
-    def identify(self) -> Sequence[ServoIdentity]:
-        """What every servo says of itself."""
-        self._require_open("identify")
-        return self._identities
-
     def device_limits(self) -> DeviceLimits:
         """The position limits that the servos keep."""
+        self._require_open("tell limits")
         bounds = [
             sorted((motor.scale.position(told.min_position), motor.scale.position(told.max_position)))
             if told.min_position < told.max_position
             else [math.nan, math.nan]
-            for motor, told in zip(self._settings.motors, self.identify(), strict=True)
+            for motor, told in zip(self._settings.motors, self._identities, strict=True)
         ]
         nothing = np.full(len(bounds), np.nan)
         lowest, highest = np.array(bounds).T

@@ -50,6 +50,8 @@ class Heard:
 class ServoLine:
     """A serial port on which servos answer; not for more than one thread at a time.
 
+    Whatever exchanges bytes raises ConnectionLostError where the port is gone.
+
     Args:
         url: device or pyserial URL.
         baudrate: [bit/s].
@@ -87,11 +89,7 @@ class ServoLine:
                 port.close()
 
     def send(self, request: bytes) -> None:
-        """Send what nobody answers.
-
-        Raises:
-            ConnectionLostError: the port is gone.
-        """
+        """Send what nobody answers."""
         self._write(request)
         if self.echo:
             self._read(len(request), self._clock.now() + self._wire_time(len(request)) + self.patience)
@@ -106,9 +104,6 @@ class ServoLine:
             answer_bytes: of all answers together.
             packets: number of answers.
             motor: the only servo that is waited for, without hurry; None for any.
-
-        Raises:
-            ConnectionLostError: the port is gone.
         """
         self._write(request)
         sent = received = self._clock.now()
@@ -136,11 +131,7 @@ class ServoLine:
         return Heard(answers, strange + len(buffer), sent, received)
 
     def notice_echo(self, request: bytes, answer_bytes: int) -> Heard:
-        """Send a request that one servo answers, and see whether the adapter returns it before the answer.
-
-        Raises:
-            ConnectionLostError: the port is gone.
-        """
+        """Send a request that one servo answers, and see whether the adapter returns it before the answer."""
         self._write(request)
         sent = self._clock.now()
         end = sent + self._wire_time(2 * len(request) + answer_bytes) + UNHURRIED

@@ -9,7 +9,7 @@ from typing import Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from drivers.connection_settings import ConnectionSettings, Text, read_settings, refused
+from drivers.connection_settings import ConnectionSettings, Text, read_settings, refused, require_motor_per_joint
 from drivers.core.errors import UsageError
 from drivers.serial_servos.joint_map import JointScale, MotorCalibration, read_calibration, scale_of
 from drivers.serial_servos.registers import TURN, ServoTable, known_models, servo_table
@@ -57,16 +57,7 @@ class ServoKeys(ConnectionSettings):
     @field_validator("motors")
     @classmethod
     def _a_motor_per_joint(cls, motors: dict[str, ServoMotorKeys], info: ValidationInfo) -> dict[str, ServoMotorKeys]:
-        joints: Sequence[str] = (info.context or {})["joints"]
-        if strange := [name for name in motors if name not in joints]:
-            raise refused(f"{strange[0]!r} is no joint", f"joints: {', '.join(joints)}")
-        if missing := [name for name in joints if name not in motors]:
-            raise refused(f"joint(s) {', '.join(missing)} have no motor")
-        used: dict[int, str] = {}
-        for name, motor in motors.items():
-            if motor.id in used:
-                raise refused(f"{used[motor.id]} and {name} have the same id {motor.id}", "one id a servo")
-            used[motor.id] = name
+        require_motor_per_joint(motors, (info.context or {})["joints"], "servo")
         return motors
 
     @model_validator(mode="after")
