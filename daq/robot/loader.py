@@ -16,10 +16,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from daq.robot.loops import BASE as BASE
 from daq.robot.references import sliding_in, urdf_in
 from daq.robot.schema import Robot
+from daq.robot.urdf_check import urdf_file_text
 from daq.robot.urdf_robot import assumed_of_urdf, read_urdf_arm, robot_text_of_urdf, urdf_prismatic_joints
 from daq.robot.validation import validated_robot
 from drivers.core.errors import RobotFileError
-from drivers.core.files import ROBOT_FILE, URDF_FILE, given_kind, read_text
+from drivers.core.files import ROBOT_FILE, given_kind, read_text
 from drivers.core.text import did_you_mean
 from drivers.core.validation import read_mapping
 
@@ -133,8 +134,9 @@ def read_robot_text(path: Path) -> str:
     Raises:
         RobotFileError: no such file, not a regular one, too large, or no UTF-8 text.
     """
-    kind = URDF_FILE if path.suffix.lower() in URDF_SUFFIXES else ROBOT_FILE
-    return read_text(path, kind, RobotFileError, hint=_known_robots(str(path)))
+    if path.suffix.lower() in URDF_SUFFIXES:
+        return urdf_file_text(path, hint=_known_robots(str(path)))
+    return read_text(path, ROBOT_FILE, RobotFileError, hint=_known_robots(str(path)))
 
 
 def _known_robots(given: str) -> str:
@@ -200,7 +202,7 @@ def _read_urdf(urdf: str, folder: Path | None, where: str) -> str:
             )
         path = folder / path
     try:
-        return read_text(path.expanduser(), URDF_FILE, RobotFileError)
+        return urdf_file_text(path.expanduser())
     except (RobotFileError, RuntimeError) as error:  # ~ of no user
         raise RobotFileError(
             f"cannot read the URDF {path}: {error.message if isinstance(error, RobotFileError) else error}",

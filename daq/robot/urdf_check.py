@@ -1,12 +1,14 @@
-"""What is wrong with a URDF's numbers and size, said before a kinematics library reads it."""
+"""A URDF's text, and what is wrong with its numbers and size, said before a kinematics library reads it."""
 
 from __future__ import annotations
 
 import re
 import xml.etree.ElementTree as ElementTree
 from functools import lru_cache
+from pathlib import Path
 
 from drivers.core.errors import RobotFileError
+from drivers.core.files import URDF_FILE, read_text
 from drivers.core.ranges import INERTIA, LENGTH, MASS, NUMBER, Range
 from drivers.core.terminal import unfit_name
 
@@ -18,6 +20,26 @@ LEAST_AXIS = 1e-6
 MOVING = ("revolute", "continuous", "prismatic", "planar")
 ANGLE = Range(-1e4, 1e4, "rad")
 """Angles of an `rpy`: some exporters add turns."""
+
+
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_PREFIXED = re.compile(r"[<\s/]([A-Za-z_][\w.-]*):[A-Za-z_]")
+
+
+def urdf_file_text(path: Path, hint: str = "") -> str:
+    """The text of a URDF, as XML that every parser takes.
+
+    ROS takes files with blank lines before the XML declaration, and with tags and attributes of other programs
+    (`drake:acceleration`) whose namespace nobody declared: the first go, the second are declared.
+
+    Raises:
+        RobotFileError: as `read_text`.
+    """
+    text = read_text(path, URDF_FILE, RobotFileError, hint).lstrip()
+    used = dict.fromkeys(_PREFIXED.findall(_COMMENT.sub("", text)))
+    missing = [prefix for prefix in used if f"xmlns:{prefix}" not in text and prefix not in ("xml", "xmlns")]
+    declared = "".join(f' xmlns:{prefix}="urn:{prefix}"' for prefix in missing)
+    return re.sub(r"<robot\b", f"<robot{declared}", text, count=1) if declared else text
 
 
 def checked_urdf(xml: str, where: str) -> ElementTree.Element:
@@ -38,12 +60,11 @@ def checked_urdf(xml: str, where: str) -> ElementTree.Element:
 
 _XACRO = re.compile(r"<\w+:(?:macro|include|property|arg|if|unless)\b|=\s*[\"'][^\"'<>]*\$[({]")
 """Tags of xacro, and attributes that it fills in: `${mass}`, `$(arg name)`."""
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
-"""Converted files keep the comments of their xacro."""
 
 
 @lru_cache(maxsize=16)
 def _is_xacro(xml: str) -> bool:
+    """Comments aside: converted files keep those of their xacro."""
     return _XACRO.search(_COMMENT.sub("", xml)) is not None
 
 
@@ -102,7 +123,7 @@ def _check_joint(joint: ElementTree.Element) -> None:
     for tag in ("limit", "mimic", "dynamics"):
         element = joint.find(tag)
         for name in () if element is None else element.keys():
-            if name != "joint":
+            if name != "joint" and not name.startswith("{"):  # another program's
                 _numbers(element, name, _UNBOUNDED if tag == "limit" else NUMBER, count=1)
 
 

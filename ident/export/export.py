@@ -7,8 +7,9 @@ from os import PathLike
 from pathlib import Path
 
 from daq.output_files import check_outputs, replace_files
-from drivers.core.errors import ModelError, RobotFileError
-from drivers.core.files import URDF_FILE, path_of, read_text
+from daq.robot.urdf_check import urdf_file_text
+from drivers.core.errors import ModelError
+from drivers.core.files import path_of
 from ident.export import mujoco_reading, pinocchio_reading
 from ident.export.arm import ExportedArm
 from ident.export.left_out import left_out_of_mjcf, left_out_of_ros2_inertial, left_out_of_urdf
@@ -70,7 +71,7 @@ def export_urdf(
     check_outputs([target], [Path(into)] if into is not None else [], overwrite=overwrite)
     own = arm.robot_file.urdf_text
     if into is not None:
-        text = edited_urdf(arm, _read(Path(into)), str(into))
+        text = edited_urdf(arm, urdf_file_text(Path(into)), str(into))
     elif own is not None:
         text = edited_urdf(arm, own, f"{arm.model.name}: {arm.robot_file.robot.model.urdf}")
     else:
@@ -125,7 +126,3 @@ def _written(
         checks = [*checks, *simulation_checks(reading)]
     replace_files({target: text})
     return Export(target, kind, left_out, tuple(readings), tuple(checks))
-
-
-def _read(path: Path) -> str:
-    return read_text(path, URDF_FILE, RobotFileError)

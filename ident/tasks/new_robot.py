@@ -13,10 +13,10 @@ from pathlib import Path
 from daq.output_files import check_outputs, replace_files
 from daq.robot.loader import URDF_SUFFIXES, RobotFile, parse_robot
 from daq.robot.new_robot import ArmGuess, new_robot_of_joints, new_robot_of_urdf, unknown_positions
+from daq.robot.urdf_check import urdf_file_text
 from daq.robot.urdf_robot import UrdfArm, read_urdf_arm
 from daq.robot.validation import TODO
-from drivers.core.errors import RobotFileError, UsageError
-from drivers.core.files import URDF_FILE, read_text
+from drivers.core.errors import UsageError
 from drivers.core.ranges import JOINTS
 from drivers.core.text import did_you_mean
 
@@ -92,7 +92,7 @@ def new_robot_file(
 def _of_urdf(urdf: Path, path: Path, *, absolute: bool) -> NewRobot:
     from ident.checks.urdf_guess import guess_of_urdf
 
-    xml = read_text(urdf, URDF_FILE, RobotFileError)
+    xml = urdf_file_text(urdf)
     arm = read_urdf_arm(xml, urdf.name, where=str(urdf), one_arm=True)
     place = urdf.resolve() if absolute else Path(os.path.relpath(urdf.resolve(), path.resolve().parent))
     unknown = unknown_positions(arm)

@@ -231,3 +231,13 @@ def test_a_robot_knows_the_files_that_it_comes_from(urdf: Path) -> None:
         robot_text_of_urdf(read_urdf_arm(URDF, urdf.name, where="arm"), urdf.name, where="arm") + other
     )
     assert {path.name for path in load_robot(folder / "arm.yaml").files} == {"arm.yaml", "arm.urdf", "frames.dbc"}
+
+
+def test_what_ros_takes_is_read_though_it_is_no_sound_xml(urdf: Path, tmp_path: Path) -> None:
+    path, text = tmp_path / "arm.urdf", urdf.read_text(encoding="utf-8")
+    foreign = text.replace("<limit ", '<limit drake:acceleration="much" ').replace(
+        "</robot>", '<drake:joint name="none"/></robot>'
+    )
+    path.write_text("\n \n" + foreign, encoding="utf-8")
+    assert foreign != text
+    assert load_robot(path).robot.joints == load_robot(urdf).robot.joints
