@@ -62,98 +62,32 @@ def allowed_units(quantity: str, *, prismatic: bool) -> str:
 
 
 ALIASES: Mapping[str, tuple[str, ...]] = {
-    "time": ("t", "time", "timestamp", "timestamps", "stamp", "__time"),
-    "position": (
-        "q",
-        "pos",
-        "position",
-        "positions",
-        "angle",
-        "angles",
-        "jointpos",
-        "joint_position",
-        "joint_positions",
-        "actual_q",
-    ),
-    "velocity": (
-        "qd",
-        "dq",
-        "qdot",
-        "vel",
-        "velocity",
-        "velocities",
-        "speed",
-        "speeds",
-        "joint_velocity",
-        "joint_velocities",
-        "actual_qd",
-    ),
-    "torque": ("torque", "torques", "trq", "tau", "joint_torque", "joint_torques", "tau_j"),
-    "current": (
-        "i",
-        "cur",
-        "curr",
-        "current",
-        "currents",
-        "motor_current",
-        "joint_current",
-        "joint_currents",
-        "actual_current",
-    ),
-    "effort": ("effort", "efforts"),
-    "temperature": (
-        "temp",
-        "temperature",
-        "temperatures",
-        "joint_temperature",
-        "joint_temperatures",
-        "motor_temperature",
-    ),
-    "target_time": ("target_time", "target_times", "command_time", "command_times", "cmd_time"),
-    "target_position": (
-        "target_position",
-        "target_positions",
-        "target_q",
-        "q_target",
-        "q_des",
-        "q_cmd",
-        "command",
-        "commands",
-        "commanded_position",
-        "commanded_positions",
-        "position_command",
-        "position_commands",
-        "goal_position",
-        "goal_positions",
-        "desired_position",
-        "desired_positions",
-    ),
-    "target_velocity": (
-        "target_velocity",
-        "target_velocities",
-        "target_qd",
-        "qd_target",
-        "qd_des",
-        "qd_cmd",
-        "commanded_velocity",
-        "commanded_velocities",
-        "velocity_command",
-        "velocity_commands",
-        "goal_velocity",
-        "goal_velocities",
-    ),
-    "target_torque": (
-        "target_torque",
-        "target_torques",
-        "commanded_torque",
-        "commanded_torques",
-        "torque_command",
-        "torque_commands",
-        "tau_cmd",
-        "tau_ff",
-    ),
-    "gain_p": ("gain_p",),
-    "gain_d": ("gain_d",),
+    quantity: tuple(names.split())
+    for quantity, names in {
+        "time": "t time timestamp timestamps stamp __time",
+        "position": "q pos position positions angle angles jointpos joint_position joint_positions actual_q",
+        "velocity": "qd dq qdot vel velocity velocities speed speeds joint_velocity joint_velocities actual_qd",
+        "torque": "torque torques trq tau joint_torque joint_torques tau_j",
+        "current": "i cur curr current currents motor_current joint_current joint_currents actual_current",
+        "effort": "effort efforts",
+        "temperature": "temp temperature temperatures joint_temperature joint_temperatures motor_temperature",
+        "target_time": "target_time target_times command_time command_times cmd_time",
+        "target_position": (
+            "target_position target_positions target_q q_target q_des q_cmd command commands commanded_position "
+            "commanded_positions position_command position_commands goal_position goal_positions desired_position "
+            "desired_positions"
+        ),
+        "target_velocity": (
+            "target_velocity target_velocities target_qd qd_target qd_des qd_cmd commanded_velocity "
+            "commanded_velocities velocity_command velocity_commands goal_velocity goal_velocities"
+        ),
+        "target_torque": (
+            "target_torque target_torques commanded_torque commanded_torques torque_command torque_commands "
+            "tau_cmd tau_ff"
+        ),
+        "gain_p": "gain_p",
+        "gain_d": "gain_d",
+    }.items()
 }
 """Quantity → what files call it; the case is ignored but for single letters."""
 

@@ -12,7 +12,7 @@ from drivers.core.errors import ConnectionFailedError, DriverStateError
 from drivers.serial_servos.dynamixel import DynamixelProtocol
 from drivers.serial_servos.feetech import FeetechProtocol
 from drivers.serial_servos.line import Heard, ServoLine
-from drivers.serial_servos.packets import PING, Packet, ServoProtocol
+from drivers.serial_servos.packets import Packet, ServoProtocol
 from drivers.serial_servos.registers import Register
 from drivers.serial_servos.settings import ServoMotor, ServoSettings
 
@@ -123,13 +123,6 @@ class ServoBus:
         if len({*places.values()}) == 1:
             return protocol.sync_read(places[self._ids[0]], size, self._ids, fast=self.fast)
         return protocol.bulk_read(places, size, fast=self.fast)
-
-    def ping(self, motor: int) -> bool:
-        """Whether a servo answers to its id."""
-        protocol = self.line.protocol
-        with self._lock:
-            heard = self.line.exchange(protocol.request(motor, PING), protocol.answer_size(3), 1, motor)
-        return any(answer.motor == motor for answer in heard.answers)
 
     def read(self, motor: ServoMotor, name: str) -> int:
         """The counts of a register, with their sign.

@@ -31,25 +31,10 @@ SUPPLY_VOLTAGE = 48.0
 TOOL_IDLE = 255
 """tool_mode."""
 _UNKNOWN = (
-    "actual_TCP_pose",
-    "actual_TCP_speed",
-    "actual_TCP_force",
-    "actual_TCP_acceleration",
-    "target_TCP_pose",
-    "target_TCP_speed",
-    "target_TCP_acceleration",
-    "tcp_force_scalar",
-    "elbow_position",
-    "elbow_velocity",
-    "actual_tool_accelerometer",
-    "tool_temperature",
-    "actual_momentum",
-    "ft_raw_wrench",
-    "wrench_calc_from_currents",
-    "actual_current_as_torque",
-    "actual_current_window",
-    "target_gravity",
-    "target_base_wrench",
+    "actual_TCP_pose actual_TCP_speed actual_TCP_force actual_TCP_acceleration target_TCP_pose target_TCP_speed "
+    "target_TCP_acceleration tcp_force_scalar elbow_position elbow_velocity actual_tool_accelerometer "
+    "tool_temperature actual_momentum ft_raw_wrench wrench_calc_from_currents actual_current_as_torque "
+    "actual_current_window target_gravity target_base_wrench"
 )
 """The plant has no Cartesian motion, tool or force sensor: not a number, rather than a number that was not measured."""
 ROBOT_MODE_RUNNING = 7
@@ -291,7 +276,7 @@ class Controller:
 
     def _set_constants(self) -> None:
         kinds = output_variables(self.version)
-        for name in _UNKNOWN:
+        for name in _UNKNOWN.split():
             if name in kinds:
                 self.values[name] = (math.nan,) * SIZES[kinds[name]] if SIZES[kinds[name]] > 1 else math.nan
         self.values |= {
