@@ -12,7 +12,7 @@ from drivers.core.text import json_text
 from ident.benchmark.dataset import Dataset
 from ident.benchmark.entry import DEFAULTS
 from ident.benchmark.judge import ServoScore, TorqueScore
-from ident.report.html_file import page_templates
+from ident.report.html_file import rendered
 from ident.result.tables import Cell, Column, Table, table_of_rows
 from ident.tasks.arguments import SavedResult
 
@@ -137,7 +137,7 @@ class Benchmark(SavedResult):
         )
 
     def _page(self) -> str:
-        return page_templates().get_template("benchmark_page.html.j2").render(benchmark=self)
+        return rendered("benchmark_page", benchmark=self)
 
 
 def _difference(ours: Entry, other: Entry) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from drivers.core.text import in_percent
 from ident.fleet.job import JobOutcome, finished
 from ident.fleet.plan import Job, merges, read_fleet
 from ident.fleet.workers import outcomes
-from ident.report.html_file import page_templates
+from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.result.tables import Cell, Table, table_of_rows
 from ident.tasks.history import History
@@ -96,7 +96,7 @@ class Fleet:
         ]
         content: dict[str, Any] = {"fleet": self, "tiles": tiles, "report": REPORT_FILE}
         refresh = int(REFRESH) if running else 0
-        return page_templates().get_template("fleet_page.html.j2").render(**content, refresh=refresh)
+        return rendered("fleet_page", **content, refresh=refresh)
 
     def write(self, *, running: bool = False) -> None:
         """Write `fleet.json` and `report.html` into the folder."""

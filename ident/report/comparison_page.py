@@ -9,10 +9,10 @@ import numpy as np
 
 from ident.assessment.validation import LOW_SPEED
 from ident.experiments.method_comparison import JointGroup
-from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain
+from ident.report.figures.figures import MEASURED, PREDICTED, Figure, category_axis, plain
 from ident.report.figures.panels import ROW, Panel, panel_figure
 from ident.report.figures.traces import points_trace
-from ident.report.html_file import page_templates
+from ident.report.html_file import rendered
 from ident.result.tables import Table
 
 Errors = tuple[str, Sequence[float]]
@@ -39,19 +39,16 @@ def comparison_page(
         unit: of the errors.
         failures: methods without a model, and why.
     """
-    return (
-        page_templates()
-        .get_template("comparison_page.html.j2")
-        .render(
-            robot=robot,
-            recordings=recordings,
-            groups=groups,
-            tables=[table for table in tables if len(table)],
-            figure=comparison_figure(errors, unit),
-            failures=failures,
-            low_speed=LOW_SPEED,
-            speed_unit="rad/s" if unit == "N·m" else "m/s" if unit == "N" else "rad/s or m/s",
-        )
+    return rendered(
+        "comparison_page",
+        robot=robot,
+        recordings=recordings,
+        groups=groups,
+        tables=[table for table in tables if len(table)],
+        figure=comparison_figure(errors, unit),
+        failures=failures,
+        low_speed=LOW_SPEED,
+        speed_unit="rad/s" if unit == "N·m" else "m/s" if unit == "N" else "rad/s or m/s",
     )
 
 
@@ -69,15 +66,7 @@ def comparison_figure(errors: Sequence[Errors], unit: str) -> Figure:
             _points("mean" if several else "RMSE", means, unit, {"color": PREDICTED, "symbol": "diamond", "size": 9}),
         ],
         x={"title": {"text": unit}, "rangemode": "tozero"},
-        y={
-            "type": "category",
-            "categoryorder": "array",
-            "categoryarray": [label for label, _ in means],
-            "range": [len(means) - 0.4, -0.6],
-            "dtick": 1,
-            "tickfont": {"size": 10},
-            "automargin": True,
-        },
+        y=category_axis([label for label, _ in means]),
         height=2 * ROW * len(means) + 16,
     )
     caption = "Each circle is one held-out recording. Models that differ less than their circles scatter may still "

@@ -13,9 +13,9 @@ from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_data import JointExperiment, friction_torque
 from ident.model.dynamic_model import DynamicModel
 from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
-from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.panels import Panel, in_rows, panel_figure
 from ident.report.figures.traces import curve_trace, packed, points_trace
-from ident.report.html_file import page_templates
+from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.result.friction_experiment import FrictionExperimentResult
 from ident.views.friction_tables import COEFFICIENTS, COVERED, friction_table
@@ -40,18 +40,15 @@ def friction_page(experiment: FrictionExperiment) -> str:
     heated = [joint for joint in joints if joint.stored.temperature_range is not None]
     loaded = [joint for joint in joints if joint.stored.load_range.greatest > 0.0]
     table = friction_table(result)
-    return (
-        page_templates()
-        .get_template("friction_page.html.j2")
-        .render(
-            result=result,
-            coefficients=table.pick(*COEFFICIENTS),
-            covered=table.pick(*COVERED),
-            tiles=_tiles(result),
-            speed=_figure("speed-plot", model, joints, _speed_panel, SPEED_CAPTION),
-            temperature=_figure("temperature-plot", model, heated, _temperature_panel, TEMPERATURE_CAPTION),
-            load=_figure("load-plot", model, loaded, _load_panel, LOAD_CAPTION),
-        )
+    return rendered(
+        "friction_page",
+        result=result,
+        coefficients=table.pick(*COEFFICIENTS),
+        covered=table.pick(*COVERED),
+        tiles=_tiles(result),
+        speed=_figure("speed-plot", model, joints, _speed_panel, SPEED_CAPTION),
+        temperature=_figure("temperature-plot", model, heated, _temperature_panel, TEMPERATURE_CAPTION),
+        load=_figure("load-plot", model, loaded, _load_panel, LOAD_CAPTION),
     )
 
 
@@ -91,8 +88,7 @@ def _figure(
     if not joints:
         return None
     panels = [panel(model, joint, index == 0) for index, joint in enumerate(joints)]
-    rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
-    return panel_figure(anchor, rows, caption)
+    return panel_figure(anchor, in_rows(panels, COLUMNS), caption)
 
 
 def _sample(joint: JointExperiment) -> FloatArray:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from drivers.core.text import percent_text
 from drivers.core.units import common_unit
 from ident.experiments.gravity.experiment import GravityExperiment
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, shortened
-from ident.report.figures.panels import Panel, panel_figure
-from ident.report.html_file import page_templates
+from ident.report.figures.panels import Panel, in_rows, panel_figure
+from ident.report.figures.traces import points_trace
+from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.result.gravity import GravityJoint, GravityResult
 from ident.views.number_text import number
@@ -26,11 +25,7 @@ COLUMNS = 2
 def gravity_page(experiment: GravityExperiment) -> str:
     """The page: verdict, errors beside gravity and friction, poses, parameters."""
     result = experiment.result
-    return (
-        page_templates()
-        .get_template("gravity_page.html.j2")
-        .render(result=result, tiles=_tiles(result), poses=poses_figure(result))
-    )
+    return rendered("gravity_page", result=result, tiles=_tiles(result), poses=poses_figure(result))
 
 
 def _tiles(result: GravityResult) -> list[Tile]:
@@ -53,26 +48,24 @@ def poses_figure(result: GravityResult) -> Figure | None:
     panels = [_panel(result, row, joint, row == 0) for row, joint in enumerate(result.of_joints) if joint.poses]
     if not panels:
         return None
-    rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
-    return panel_figure("poses-plot", rows, CAPTION)
+    return panel_figure("poses-plot", in_rows(panels, COLUMNS), CAPTION)
 
 
 def _panel(result: GravityResult, row: int, joint: GravityJoint, first: bool) -> Panel:
     shown = [place for place, pose in enumerate(result.poses) if pose.measured[row] is not None]
-    traces: list[dict[str, Any]] = [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": label,
-            "legendgroup": label,
-            "showlegend": first,
-            "marker": {"color": colour, "symbol": symbol, "size": size, "line": {"width": 1.5, "color": colour}},
-            "x": [place + 1 for place in shown],
-            "y": [getattr(result.poses[place], signal)[row] for place in shown],
-        }
-        for label, signal, colour, symbol, size in (
-            ("measured", "measured", MEASURED, "circle", 6),
-            ("predicted", "predicted", PREDICTED, "circle-open", 11),
+    traces = [
+        points_trace(
+            [place + 1 for place in shown],
+            [getattr(result.poses[place], signal)[row] for place in shown],
+            {"color": colour, "symbol": symbol, "size": size, "line": {"width": 1.5, "color": colour}},
+            name=signal,
+            legendgroup=signal,
+            showlegend=first,
+            hoverinfo="all",
+        )
+        for signal, colour, symbol, size in (
+            ("measured", MEASURED, "circle", 6),
+            ("predicted", PREDICTED, "circle-open", 11),
         )
     ]
     heading = f"<b>{plain(shortened(joint.joint, 36))}</b>"

@@ -7,8 +7,9 @@ from typing import Any
 from ident.history.arm import ArmHistory, ParameterHistory
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain
-from ident.report.figures.panels import Panel, panel_figure
-from ident.report.html_file import page_templates
+from ident.report.figures.panels import Panel, in_rows, panel_figure
+from ident.report.figures.traces import curve_trace, points_trace
+from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.views.history_tables import date_text, notes, sentences, span_text, step_table, trend_table
 
@@ -28,61 +29,37 @@ def history_page(history: ArmHistory) -> str:
         Tile("Findings", str(len(history.findings)), "changes and steps"),
         Tile("Latest result", date_text(history.end)),
     ]
-    return (
-        page_templates()
-        .get_template("history_page.html.j2")
-        .render(
-            history=history,
-            tiles=tiles,
-            sentences=sentences(history),
-            notes=notes(history),
-            trends=trend_table(history),
-            steps=step_table(history),
-            series=series_figure(history),
-        )
+    return rendered(
+        "history_page",
+        history=history,
+        tiles=tiles,
+        sentences=sentences(history),
+        notes=notes(history),
+        trends=trend_table(history),
+        steps=step_table(history),
+        series=series_figure(history),
     )
 
 
 def series_figure(history: ArmHistory) -> Figure:
     """Values and trends of the parameters over time, at most `MOST_PANELS`."""
     panels = [_panel(parameter, place == 0) for place, parameter in enumerate(history.parameters[:MOST_PANELS])]
-    rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
-    return panel_figure("series-plot", rows, CAPTION)
+    return panel_figure("series-plot", in_rows(panels, COLUMNS), CAPTION)
 
 
 def _panel(parameter: ParameterHistory, first: bool) -> Panel:
     trend, series = parameter.trend, parameter.series
     times = [1000.0 * time for time in series.time]
     values = series.value if trend is None else trend.corrected
-    traces: list[dict[str, Any]] = [
-        {
-            "type": "scatter",
-            "mode": "markers",
-            "name": "result",
-            "legendgroup": "result",
-            "showlegend": first,
-            "marker": {"color": MEASURED, "size": 5},
-            "x": times,
-            "y": values.tolist(),
-            "error_y": {
-                "type": "data", "array": (WITHIN_95_PERCENT * series.std).tolist(), "thickness": 1, "width": 0,
-                "color": MEASURED,
-            },
-        }
-    ]  # fmt: skip
+    bars = {"type": "data", "array": (WITHIN_95_PERCENT * series.std).tolist(), "thickness": 1, "width": 0}
+    common: dict[str, Any] = {"showlegend": first, "hoverinfo": "all"}
+    marker, line = {"color": MEASURED, "size": 5}, {"color": PREDICTED, "width": 2}
+    error = {**bars, "color": MEASURED}
+    traces = [
+        points_trace(times, values.tolist(), marker, name="result", legendgroup="result", error_y=error, **common)
+    ]
     if trend is not None:
-        traces.append(
-            {
-                "type": "scatter",
-                "mode": "lines",
-                "name": "trend",
-                "legendgroup": "trend",
-                "showlegend": first,
-                "line": {"color": PREDICTED, "width": 2},
-                "x": times,
-                "y": trend.line.tolist(),
-            }
-        )
+        traces.append(curve_trace(times, trend.line.tolist(), line, name="trend", legendgroup="trend", **common))
     at = "" if trend is None or trend.mean_temperature is None else f", at {trend.mean_temperature:.1f} °C"
     steps = () if trend is None else trend.steps
     return Panel(

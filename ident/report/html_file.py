@@ -9,7 +9,7 @@ from contextlib import suppress
 from functools import cache
 from importlib.resources import files
 from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from markupsafe import Markup
 
@@ -116,6 +116,11 @@ def plotly_library(bundle: str) -> Markup:
     """
     packed = files("ident.report").joinpath("assets", f"plotly-{bundle}.min.js.gz").read_bytes()
     return Markup(gzip.decompress(packed).decode())
+
+
+def rendered(template: str, *packages: str, **context: Any) -> str:
+    """A page, from its template of these packages or of the report."""
+    return page_templates(*packages).get_template(f"{template}.html.j2").render(context)
 
 
 @cache

@@ -13,7 +13,7 @@ from ident.experiments.schema import GainsResult, LoadParameter, PayloadResult, 
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure
 from ident.report.figures.panels import IntervalSeries, interval_panel, panel_figure
-from ident.report.html_file import page_templates
+from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.views.load_tables import gains_tables, payload_tables
 from ident.views.number_text import DASH, number, with_error
@@ -25,20 +25,17 @@ COMPARED = {"color": PREDICTED, "symbol": "diamond-open", "size": 9, "line": {"w
 def payload_page(result: PayloadResult) -> str:
     """The page of a load: the tests in words, its parameters, the body, what it changes."""
     tables = payload_tables(result)
-    return (
-        page_templates()
-        .get_template("payload_page.html.j2")
-        .render(
-            result=result,
-            tiles=_payload_tiles(result),
-            load=_load_figure(result),
-            load_table=tables[0],
-            known_table=None if result.load_with_known is None else tables[1],
-            body_table=None if result.consistent_load is None else tables[-2],
-            changes_table=tables[-1],
-            body_sentences=() if result.consistent_load is None else consistent_load_sentences(result.consistent_load),
-            changes=_changes_figure(result.base_parameters),
-        )
+    return rendered(
+        "payload_page",
+        result=result,
+        tiles=_payload_tiles(result),
+        load=_load_figure(result),
+        load_table=tables[0],
+        known_table=None if result.load_with_known is None else tables[1],
+        body_table=None if result.consistent_load is None else tables[-2],
+        changes_table=tables[-1],
+        body_sentences=() if result.consistent_load is None else consistent_load_sentences(result.consistent_load),
+        changes=_changes_figure(result.base_parameters),
     )
 
 
@@ -116,18 +113,15 @@ def gains_page(result: GainsResult | SlowGainsResult) -> str:
     """The page of drive gains: beside those of the robot file, with their intervals, and the text for it."""
     slow = isinstance(result, SlowGainsResult)
     gains, *parameters = gains_tables(result)
-    return (
-        page_templates()
-        .get_template("gains_page.html.j2")
-        .render(
-            result=result,
-            slow=slow,
-            tiles=_gain_tiles(result),
-            gains=gains,
-            muted=[not isfinite(gain.gain) for gain in result.gains],
-            figure=_gains_figure(result.gains, result.unit),
-            parameters=parameters[0] if parameters else None,
-        )
+    return rendered(
+        "gains_page",
+        result=result,
+        slow=slow,
+        tiles=_gain_tiles(result),
+        gains=gains,
+        muted=[not isfinite(gain.gain) for gain in result.gains],
+        figure=_gains_figure(result.gains, result.unit),
+        parameters=parameters[0] if parameters else None,
     )
 
 

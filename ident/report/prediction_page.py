@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from daq.output_files import replace_files
 from daq.robot.schema import JointLimits, Robot
 from drivers.core.arrays import FloatArray
 from ident.identify.predict import PARTS, RecordingPrediction, SegmentPrediction
@@ -29,7 +27,7 @@ from ident.report.figures.figures import (
 )
 from ident.report.figures.panels import TIME_AXIS
 from ident.report.figures.traces import broken_line, curve_trace, points_per_trace
-from ident.report.html_file import page_templates
+from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.result.tables import Table
 
@@ -41,42 +39,32 @@ Line = tuple[str, str, list[FloatArray]]
 """Label, colour, and a signal (N, n) for each segment."""
 
 
-def write_prediction_page(
-    path: Path, robot: Robot, recording: str, summary: Table, predicted: RecordingPrediction
-) -> None:
-    """Write the page.
-
-    Raises:
-        UsageError, DiskError: it cannot be written.
-    """
+def prediction_page(robot: Robot, recording: str, summary: Table, predicted: RecordingPrediction) -> str:
+    """The page: torques, residual, and the parts of the prediction."""
     joints, segments = robot.joints, predicted.segments
     samples = sum(len(segment.time) for segment in segments)
-    text = (
-        page_templates()
-        .get_template("prediction_page.html.j2")
-        .render(
-            robot=robot.name,
-            recording=recording,
-            tiles=[
-                Tile("Samples", f"{samples:,}".replace(",", "\u202f"), f"{segments[0].rate:.6g} Hz"),
-                Tile("Segments", str(len(segments)), "gap-free"),
-            ],
-            summary=summary,
-            steps=predicted.steps,
-            plots={
-                "torque": prediction_figure(joints, predicted),
-                "residual": _residual_figure(joints, predicted),
-                "parts": joints_figure(
-                    "parts-plot",
-                    joints,
-                    _stamps(segments),
-                    [(part, PART_COLOURS[part], [segment.parts[part] for segment in segments]) for part in PARTS],
-                    "The parts of the predicted torque; together they are its whole.",
-                ),
-            },
-        )
+    return rendered(
+        "prediction_page",
+        robot=robot.name,
+        recording=recording,
+        tiles=[
+            Tile("Samples", f"{samples:,}".replace(",", "\u202f"), f"{segments[0].rate:.6g} Hz"),
+            Tile("Segments", str(len(segments)), "gap-free"),
+        ],
+        summary=summary,
+        steps=predicted.steps,
+        plots={
+            "torque": prediction_figure(joints, predicted),
+            "residual": _residual_figure(joints, predicted),
+            "parts": joints_figure(
+                "parts-plot",
+                joints,
+                _stamps(segments),
+                [(part, PART_COLOURS[part], [segment.parts[part] for segment in segments]) for part in PARTS],
+                "The parts of the predicted torque; together they are its whole.",
+            ),
+        },
     )
-    replace_files({path: text})
 
 
 def prediction_figure(joints: Sequence[JointLimits], predicted: RecordingPrediction) -> Figure:

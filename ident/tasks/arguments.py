@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, write_folder
+from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder, check_outputs, replace_files, write_folder
 from daq.recording.reader import read_recording
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.errors import UsageError
 from drivers.core.files import given_kind, path_of
+from drivers.core.text import json_text
 from ident.model import base_parameters as numeric
 from ident.model.dynamic_model import build_model
 from ident.model.symbols import symbolic_expressions
@@ -140,15 +141,45 @@ def base_parameters(robot: str | Path | RobotFile) -> Table:
     return table_of_rows(f"Base parameters of {model.name}", headings, rows)
 
 
+def write_text(path: str | PathLike[str], text: Callable[[], str], *, overwrite: bool) -> None:
+    """Write a file; its text is made once it is known that it can stand there.
+
+    Raises:
+        UsageError: it exists already, or cannot be written.
+    """
+    check_outputs([path_of(path)], overwrite=overwrite)
+    replace_files({path_of(path): text()})
+
+
+class PagedResult(ABC):
+    """A result that is shown on a page."""
+
+    @abstractmethod
+    def _page(self) -> str:
+        """The text of the page."""
+
+    def page(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
+        """Write a page (HTML) with all tables and figures.
+
+        Args:
+            path: of the file.
+            overwrite: replace a file that exists.
+
+        Raises:
+            UsageError: it exists already, or cannot be written.
+        """
+        write_text(path, self._page, overwrite=overwrite)
+
+
 class SavedResult(ABC):
     """A result with a JSON object and a page."""
 
     FILE: ClassVar[str] = RESULT_FILE
     """Name of the JSON file."""
 
-    @abstractmethod
     def to_json(self) -> str:
-        """The text of the JSON file."""
+        """The text of the JSON file, which the command prints with `--json`."""
+        return json_text(self.result.model_dump())  # type: ignore[attr-defined]
 
     @abstractmethod
     def _page(self) -> str:

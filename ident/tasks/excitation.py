@@ -12,7 +12,6 @@ import numpy.typing as npt
 from daq.motion.trajectories import Motion, PointToPoint
 from daq.motion.trajectory_file import PointsTrajectory, SamplesTrajectory, dump_trajectory, parse_trajectory
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
-from daq.output_files import check_outputs, replace_files
 from daq.robot.assumptions import assumed_limits
 from daq.robot.loader import RobotFile, fingerprint, load_robot
 from drivers.core.arrays import FloatArray
@@ -26,7 +25,7 @@ from ident.excite.design import Design, design
 from ident.excite.forecast import ExcitationFigures, excitation_figures
 from ident.excite.gravity_poses import GravityMotion, gravity_motion
 from ident.excite.motion_check import ArmMotionCheck
-from ident.excite.page.page import write_page
+from ident.excite.page.page import excitation_page
 from ident.excite.prior import PriorKnowledge, find_prior
 from ident.excite.search.search import SearchChoices, SearchResult
 from ident.excite.servo_motion import ServoExcitation, servo_excitation
@@ -35,13 +34,14 @@ from ident.excite.velocity_sweep import JointSweep, velocity_sweep
 from ident.result.models.model import result_path
 from ident.result.tables import Table, table_of_rows
 from ident.servo.result import read_servo_result
+from ident.tasks.arguments import PagedResult, write_text
 from ident.tasks.options import ExciteOptions, GravityMotionOptions, ServoMotionOptions, SweepOptions
 
 CSV_RATE = 50.0
 """[Hz] of rows of a motion as a table: what serial servos are commanded at."""
 
 
-class ExcitationTrajectory:
+class ExcitationTrajectory(PagedResult):
     """A motion that excites an arm: designed by `design_excitation`, or read by `load_trajectory`.
 
     Attributes:
@@ -129,8 +129,7 @@ class ExcitationTrajectory:
         Raises:
             UsageError, DiskError: it exists already, or cannot be written.
         """
-        check_outputs([path_of(path)], overwrite=overwrite)
-        replace_files({path_of(path): self.text})
+        write_text(path, lambda: self.text, overwrite=overwrite)
 
     def save_csv(self, path: str | PathLike[str], *, rate: float = CSV_RATE, overwrite: bool = False) -> None:
         """Write the motion as a table of positions, for a player of your own: `time` [s] and a column per joint.
@@ -143,26 +142,18 @@ class ExcitationTrajectory:
         Raises:
             UsageError, DiskError: it exists already, or cannot be written.
         """
-        check_outputs([path_of(path)], overwrite=overwrite)
+        write_text(path, lambda: self._csv(rate), overwrite=overwrite)
+
+    def _csv(self, rate: float) -> str:
         time = np.arange(int(np.ceil(self.duration * rate)) + 1) / rate
         position, _, _ = self.evaluate(np.minimum(time, self.duration))
         rows = np.column_stack([time, position])
         lines = [",".join(["time", *self.joint_names]), *(",".join(f"{value:.6f}" for value in row) for row in rows)]
-        replace_files({path_of(path): "\n".join(lines) + "\n"})
+        return "\n".join(lines) + "\n"
 
-    def page(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write a page (HTML): figures, plots, the arm in motion.
-
-        Args:
-            path: of the file.
-            overwrite: replace a file that exists.
-
-        Raises:
-            UsageError, DiskError: it exists already, or cannot be written.
-        """
-        check_outputs([path_of(path)], overwrite=overwrite)
+    def _page(self) -> str:
         notes = [] if self.design is None else design_notes(self.design)
-        write_page(path_of(path), self.robot_file, self.motion, self.prior, self.figures, notes)
+        return excitation_page(self.robot_file, self.motion, self.prior, self.figures, notes)
 
     def __repr__(self) -> str:
         return f"<dynid.ExcitationTrajectory of {self.robot_file.robot.name}, {self.duration:.4g} s>"

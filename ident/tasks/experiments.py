@@ -17,7 +17,6 @@ from daq.robot.loader import RobotFile, load_robot
 from drivers.core.errors import UsageError
 from drivers.core.options import keywords_of
 from drivers.core.reading_process import Progress
-from drivers.core.text import json_text
 from ident.experiments.friction.experiment import FrictionExperiment, analyse_friction
 from ident.experiments.gravity.experiment import GravityExperiment, analyse_gravity, revalidated
 from ident.report.friction_page import friction_page
@@ -63,10 +62,6 @@ class IdentifiedFriction(SavedResult):
     def warnings(self) -> tuple[str, ...]:
         """What the recordings do not tell."""
         return tuple(self.result.warnings)
-
-    def to_json(self) -> str:
-        """Output of `dynid friction --json`."""
-        return json_text(self.result.model_dump())
 
     def _page(self) -> str:
         return friction_page(self.experiment)

@@ -12,7 +12,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from daq.output_files import check_outputs, replace_files
 from drivers.core.errors import UsageError
 from drivers.core.files import path_of
 from drivers.core.text import did_you_mean
@@ -23,12 +22,12 @@ from ident.report.history_page import history_page
 from ident.result.models.model import result_path
 from ident.result.result_file import read_content
 from ident.result.tables import Table
-from ident.tasks.arguments import SavedResult
+from ident.tasks.arguments import PagedResult, SavedResult, write_text
 from ident.views.history_tables import notes, sentences, step_table, trend_table
 
 
 @dataclass(frozen=True)
-class ArmTrends:
+class ArmTrends(PagedResult):
     """What became of an arm's parameters over its results.
 
     Attributes:
@@ -72,7 +71,9 @@ class ArmTrends:
         Raises:
             UsageError, DiskError: it exists already, or cannot be written.
         """
-        check_outputs([path_of(path)], overwrite=overwrite)
+        write_text(path, self._csv, overwrite=overwrite)
+
+    def _csv(self) -> str:
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(
@@ -86,20 +87,10 @@ class ArmTrends:
                     (time, entry.source, entry.kind, value.name, value.joint, value.kind, value.value, value.std,
                      value.unit, heat, value.basis)
                 )  # fmt: skip
-        replace_files({path_of(path): text.getvalue()})
+        return text.getvalue()
 
-    def page(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write a page (HTML): what changed, every series with its trend.
-
-        Args:
-            path: of the file.
-            overwrite: replace a file that exists.
-
-        Raises:
-            UsageError, DiskError: it exists already, or cannot be written.
-        """
-        check_outputs([path_of(path)], overwrite=overwrite)
-        replace_files({path_of(path): history_page(self.history)})
+    def _page(self) -> str:
+        return history_page(self.history)
 
     def __str__(self) -> str:
         return "\n".join([*self.sentences, "", str(self.trends)])

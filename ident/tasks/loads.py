@@ -13,7 +13,6 @@ from daq.robot.loader import RobotFile, load_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from drivers.core.options import keywords_of
-from drivers.core.text import json_text
 from ident.experiments.gains.drive_gains import DriveGains, identify_gains
 from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains
 from ident.experiments.load.payload import Payload, identify_payload
@@ -109,10 +108,6 @@ class IdentifiedPayload(SavedResult):
         """Warnings of the checks."""
         return self.estimate.warnings
 
-    def to_json(self) -> str:
-        """Output of `dynid payload --json`."""
-        return json_text(self.result.model_dump())
-
     def _page(self) -> str:
         return payload_page(self.result)
 
@@ -168,10 +163,6 @@ class IdentifiedGains(SavedResult):
     def warnings(self) -> tuple[str, ...]:
         """Warnings of the checks."""
         return self.estimate.warnings
-
-    def to_json(self) -> str:
-        """Output of `dynid gains --json`."""
-        return json_text(self.result.model_dump())
 
     def _page(self) -> str:
         return gains_page(self.result)

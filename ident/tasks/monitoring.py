@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from daq.output_files import check_outputs
 from daq.recording.reader import read_recording
 from daq.recording.recording import Recording
 from drivers.core.arrays import FloatArray
@@ -32,10 +30,10 @@ from ident.monitor.labelled_contacts import (
 from ident.monitor.load_estimate import ToolLoad, changed_load
 from ident.monitor.monitor import Contact, Monitor, WatchedBatch, earned_thresholds, joint_samples, sample_period
 from ident.monitor.thresholds import SAME_RATE, Thresholds
-from ident.report.monitor_page import write_monitor_page
+from ident.report.monitor_page import monitor_page
 from ident.result.models.model import Model
 from ident.result.tables import Table, table_of_rows
-from ident.tasks.arguments import recording_of, recordings_of
+from ident.tasks.arguments import PagedResult, recording_of, recordings_of
 from ident.tasks.options import DetectionOptions, MonitorOptions
 from ident.tasks.prediction import model_of
 
@@ -59,7 +57,7 @@ class Detector:
 
 
 @dataclass(frozen=True, eq=False)
-class MonitoredRun:
+class MonitoredRun(PagedResult):
     """A recording under the eyes of a model; N samples of n joints, those near gaps left out.
 
     Attributes:
@@ -144,25 +142,10 @@ class MonitoredRun:
         headings += [("found without a false alarm", "%"), ("its median delay", "ms")]
         return table_of_rows("Against the labelled contacts", headings, rows)
 
-    def page(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write a page (HTML): external torque with its thresholds, contacts, what would be noticed.
-
-        Args:
-            path: of the file.
-            overwrite: replace a file that exists.
-
-        Raises:
-            UsageError: it exists already, or cannot be written.
-        """
-        check_outputs([path_of(path)], overwrite=overwrite)
-        write_monitor_page(
-            path_of(path),
-            self.model.stored.robot_file.robot,
-            self.label,
-            [table for table in (self.summary, self.comparison, self.sensitivity) if table is not None],
-            self.explanation,
-            (self.time, self.external, self.threshold),
-        )
+    def _page(self) -> str:
+        tables = [table for table in (self.summary, self.comparison, self.sensitivity) if table is not None]
+        series = (self.time, self.external, self.threshold)
+        return monitor_page(self.model.stored.robot_file.robot, self.label, tables, self.explanation, series)
 
     @property
     def explanation(self) -> list[str]:

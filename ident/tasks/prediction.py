@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from daq.output_files import check_outputs
 from daq.plotting import Backend
 from daq.recording.recording import JOINTS_STREAM, Channel, Event, Recording, Stream
 from daq.recording.writer import write_recording
@@ -24,14 +23,14 @@ from drivers.core.software import software_versions
 from drivers.core.units import common_unit
 from drivers.streams import UNITS
 from ident.identify.predict import PARTS, RecordingPrediction, predict_recording
-from ident.report.prediction_page import prediction_figure, write_prediction_page
+from ident.report.prediction_page import prediction_figure, prediction_page
 from ident.result.delivered import Parameters
 from ident.result.models.gravity_model import refuse_gravity_alone
 from ident.result.models.load_model import load_model
 from ident.result.models.model import Model
 from ident.result.result_file import stored_model
 from ident.result.tables import Table, table_of_rows
-from ident.tasks.arguments import recording_of
+from ident.tasks.arguments import PagedResult, recording_of
 from ident.tasks.identification import IdentificationResult
 from ident.tasks.options import PredictOptions
 
@@ -53,7 +52,7 @@ DESCRIPTIONS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
+class Prediction(PagedResult):
     """The torques that a model predicts for a recording: N samples of n joints, gap-free segments one after another.
 
     The motion is low-passed and the measured torque shifted by the delay as at the identification; ends of segments,
@@ -179,18 +178,8 @@ class Prediction:
         """
         write_recording(path_of(path), self.recording, overwrite=overwrite)
 
-    def page(self, path: str | PathLike[str], *, overwrite: bool = False) -> None:
-        """Write a page (HTML): predicted and measured torque, its parts, the residual with its 95 % band.
-
-        Args:
-            path: of the file.
-            overwrite: replace a file that exists.
-
-        Raises:
-            UsageError: it exists already, or cannot be written.
-        """
-        check_outputs([path_of(path)], overwrite=overwrite)
-        write_prediction_page(path_of(path), self.robot_file.robot, self.label, self.summary, self.segments)
+    def _page(self) -> str:
+        return prediction_page(self.robot_file.robot, self.label, self.summary, self.segments)
 
     def plot(self, *, backend: Backend = "plotly") -> Any:
         """Measured and predicted torque of each joint over time, as a figure.

@@ -10,7 +10,7 @@ from drivers.core.text import json_text
 from ident.checks.page.plots import intervals_figure, shown_unit, signals_figure, spectra_figure
 from ident.checks.recording_check import RecordingInfo, info_object
 from ident.regression.options import SIGNIFICANT_RSD
-from ident.report.html_file import page_templates
+from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.views.number_text import DASH, number, percent, whole
 
@@ -35,22 +35,20 @@ def render_page(info: RecordingInfo, file: str) -> str:
     recording = info.recording
     joints = recording.streams[JOINTS_STREAM].channels["position"].columns if info.excitation is not None else ()
     gaps = [(name, gap) for name, quality in info.streams.items() for gap in quality.gaps]
-    return (
-        page_templates("ident.checks.page")
-        .get_template("recording_page.html.j2")
-        .render(
-            file=file,
-            info=info,
-            recording=recording,
-            shown_unit=shown_unit,
-            tiles=_tiles(info),
-            joints=joints,
-            gaps=gaps[:MOST_GAPS],
-            gap_count=len(gaps),
-            signals=signals_figure(recording),
-            intervals=intervals_figure(recording, info.streams),
-            spectra=None if info.motion is None else spectra_figure(info.motion),
-        )
+    return rendered(
+        "recording_page",
+        "ident.checks.page",
+        file=file,
+        info=info,
+        recording=recording,
+        shown_unit=shown_unit,
+        tiles=_tiles(info),
+        joints=joints,
+        gaps=gaps[:MOST_GAPS],
+        gap_count=len(gaps),
+        signals=signals_figure(recording),
+        intervals=intervals_figure(recording, info.streams),
+        spectra=None if info.motion is None else spectra_figure(info.motion),
     )
 
 

@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from daq.motion.trajectories import Motion
-from daq.output_files import replace_files
 from daq.robot.loader import RobotFile
 from daq.robot.obstacles import obstacles_of
 from daq.robot.workspace import Box, HalfSpace
@@ -40,7 +38,7 @@ from ident.regression.options import SIGNIFICANT_RSD
 from ident.report.figures.figures import ACCENT, KIND_STYLES, MEASURED, PREDICTED, RESIDUAL, Figure, base_layout, plain
 from ident.report.figures.panels import ROOM, WIDE_ROOM, legend_rows
 from ident.report.figures.traces import packed
-from ident.report.html_file import page_templates
+from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.views import number_text
 from ident.views.number_text import number, percent
@@ -285,58 +283,32 @@ def _slider(times: FloatArray) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def write_page(
-    path: Path,
-    robot_file: RobotFile,
-    motion: Motion,
-    prior: PriorKnowledge,
-    figures: ExcitationFigures,
-    notes: Sequence[tuple[str, str]],
-) -> None:
-    """Write the page.
-
-    Args:
-        path: of the file.
-        robot_file: the arm.
-        motion: what is played.
-        prior: parameters for the torques.
-        figures: of the motion.
-        notes: options and outcome of the design, as pairs of a name and a text.
-
-    Raises:
-        UsageError, DiskError: it cannot be written.
-    """
-    replace_files({path: render_page(robot_file, motion, prior, figures, notes)})
-
-
-def render_page(
+def excitation_page(
     robot_file: RobotFile,
     motion: Motion,
     prior: PriorKnowledge,
     figures: ExcitationFigures,
     notes: Sequence[tuple[str, str]],
 ) -> str:
-    """The page as text."""
+    """The page of what is played: `notes` are options and outcome of its design, pairs of a name and a text."""
     shown = shown_part(robot_file, motion, prior)
     unchecked = "; ".join(unchecked_pairs(robot_file, build_model(robot_file))) or "neighbours only"
-    return (
-        page_templates("ident.excite.page")
-        .get_template("excitation_page.html.j2")
-        .render(
-            robot=robot_file.robot.name,
-            tiles=_tiles(figures),
-            figures=figures,
-            unit=partial(common_unit, sliding=robot_file.robot.sliding),
-            notes=[*notes, ("Parameters and noise", figures.prior), ("Links that are not kept apart", unchecked)],
-            kinds={kind: words for kind, (words, _, _) in KIND_STYLES.items()},
-            threshold=SIGNIFICANT_RSD,
-            plots={
-                "arm": arm_figure(robot_file, motion, shown),
-                "joints": joints_figure(robot_file.robot.joints, shown),
-                "tool": tool_figure(robot_file, shown),
-                "clearances": clearance_figure(robot_file, shown),
-            },
-        )
+    return rendered(
+        "excitation_page",
+        "ident.excite.page",
+        robot=robot_file.robot.name,
+        tiles=_tiles(figures),
+        figures=figures,
+        unit=partial(common_unit, sliding=robot_file.robot.sliding),
+        notes=[*notes, ("Parameters and noise", figures.prior), ("Links that are not kept apart", unchecked)],
+        kinds={kind: words for kind, (words, _, _) in KIND_STYLES.items()},
+        threshold=SIGNIFICANT_RSD,
+        plots={
+            "arm": arm_figure(robot_file, motion, shown),
+            "joints": joints_figure(robot_file.robot.joints, shown),
+            "tool": tool_figure(robot_file, shown),
+            "clearances": clearance_figure(robot_file, shown),
+        },
     )
 
 

@@ -171,13 +171,12 @@ def kind_markers(
             )
             if error is not None:
                 data[-1]["error_x"] = {**error, "color": colour}
-    axis = {
-        "type": "category",
-        "categoryorder": "array",
-        "categoryarray": names,
-        "range": [len(names) - 0.4, -0.6],
-        "dtick": 1,
-        "tickfont": {"size": 10},
-        "automargin": True,
-    }
-    return data, axis
+    return data, category_axis(names)
+
+
+def category_axis(names: Sequence[str]) -> dict[str, Any]:
+    """A vertical axis with a row per name, the first one at the top."""
+    return {
+        "type": "category", "categoryorder": "array", "categoryarray": names, "range": [len(names) - 0.4, -0.6],
+        "dtick": 1, "tickfont": {"size": 10}, "automargin": True,
+    }  # fmt: skip

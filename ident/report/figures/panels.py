@@ -16,6 +16,7 @@ from ident.report.figures.figures import (
     axis_name,
     axis_ref,
     base_layout,
+    category_axis,
     narrow_layout,
     note,
     plain,
@@ -107,6 +108,11 @@ def panel_figure(
         caption,
         {**narrow, **below, "margin": {**narrow["margin"], "t": narrow_top}},
     )
+
+
+def in_rows(panels: Sequence[Panel], columns: int) -> list[Sequence[Panel]]:
+    """Panels in rows of so many; the last row may be shorter."""
+    return [panels[start : start + columns] for start in range(0, len(panels), columns)]
 
 
 def legend_rows(entries: Sequence[str], room: int) -> int:
@@ -206,30 +212,13 @@ class IntervalSeries:
 def interval_panel(
     name: str, heading: str, rows: Sequence[str], series: Sequence[IntervalSeries], unit: str, **axis: Any
 ) -> Panel:
-    """The panel.
-
-    Args:
-        name: what it shows, for files of its data.
-        heading: above it.
-        rows: names, from top to bottom.
-        series: their values.
-        unit: of the values.
-        axis: further keys of the axis of the values.
-    """
+    """The panel of `rows` from top to bottom, each with its values in `unit`; `axis` has further keys of their axis."""
     return Panel(
         name,
         heading,
         [_trace(entry, rows, unit) for entry in series],
         x=axis,
-        y={
-            "type": "category",
-            "categoryorder": "array",
-            "categoryarray": [plain(row) for row in rows],
-            "range": [len(rows) - 0.4, -0.6],
-            "dtick": 1,
-            "tickfont": {"size": 10},
-            "automargin": True,
-        },
+        y=category_axis([plain(row) for row in rows]),
         vertical=[(0.0, {"color": RESIDUAL, "width": 1})],
         height=ROW * len(rows) + 16,
     )

@@ -13,7 +13,7 @@ from drivers.core.units import joint_unit
 from ident.assessment.validation import Fit
 from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
-from ident.report.figures.panels import TIME_AXIS, Panel, panel_figure
+from ident.report.figures.panels import TIME_AXIS, Panel, in_rows, panel_figure
 from ident.report.figures.traces import broken_line, curve_trace, lay_out, points_per_trace, points_trace
 from ident.result.schema import Result
 from ident.views.number_text import number, percent, whole
@@ -72,8 +72,7 @@ def small_torque_figure(
         )
         for joint in order
     ]
-    rows = [panels[start : start + SMALL_COLUMNS] for start in range(0, len(panels), SMALL_COLUMNS)]
-    return panel_figure(anchor, rows, "", linked=True, hovermode="x unified")
+    return panel_figure(anchor, in_rows(panels, SMALL_COLUMNS), "", linked=True, hovermode="x unified")
 
 
 def _judged(series: Sequence[TorqueSeries]) -> list[TorqueSeries]:

@@ -118,20 +118,16 @@ def packed(values: npt.ArrayLike) -> dict[str, str]:
     return {"dtype": "f4", "bdata": base64.b64encode(raw).decode("ascii")}
 
 
-Values = npt.ArrayLike | Sequence[object]
+Values = np.ndarray | Sequence[object]
 
 
 def curve_trace(x: Values, y: Values, line: Mapping[str, Any], hover: str = "", **further: Any) -> dict[str, Any]:
-    """A line of a figure.
+    """A line of a figure through x and y (M,), which are packed where they are arrays; styles in Plotly's keys.
 
-    Args:
-        x: (M,) values, packed where they are an array.
-        y: (M,).
-        line: its style, in Plotly's keys.
-        hover: template of the text at the pointer; nothing is shown where empty.
-        further: other keys of Plotly's trace.
+    `hover` is the template of the text at the pointer, `further` are other keys of the trace; with a `marker` among
+    them the line has points.
     """
-    return _scatter("lines", x, y, hover) | {"line": line, **further}
+    return _scatter("lines+markers" if "marker" in further else "lines", x, y, hover) | {"line": line, **further}
 
 
 def points_trace(x: Values, y: Values, marker: Mapping[str, Any], hover: str = "", **further: Any) -> dict[str, Any]:
@@ -140,5 +136,5 @@ def points_trace(x: Values, y: Values, marker: Mapping[str, Any], hover: str = "
 
 
 def _scatter(mode: str, x: Values, y: Values, hover: str) -> dict[str, Any]:
-    values = {axis: packed(data) if isinstance(data, np.ndarray) else data for axis, data in (("x", x), ("y", y))}
+    values = {axis: packed(data) if isinstance(data, np.ndarray) else list(data) for axis, data in (("x", x), ("y", y))}
     return {"type": "scatter", "mode": mode, **values, **({"hovertemplate": hover} if hover else {"hoverinfo": "skip"})}

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import cycle
-from typing import Any
 
 from ident.estimators.estimator import EstimationLoop
 from ident.report.figures.figures import LOG_AXIS, SERIES_COLOURS, Figure, plain
-from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.panels import Panel, in_rows, panel_figure
+from ident.report.figures.traces import curve_trace
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import Convergence
 
@@ -44,9 +44,8 @@ def _figure(convergence: Convergence) -> Figure | None:
     panels = [_panel(loops, colours, legend=name == first) for name, loops in by_name.items()]
     if not panels:
         return None
-    rows = [panels[start : start + 2] for start in range(0, len(panels), 2)]
     caption = "Each loop over its iterations, innermost first; a loop has converged where its values no longer change."
-    return panel_figure("convergence-plot", rows, caption, showlegend=bool(first))
+    return panel_figure("convergence-plot", in_rows(panels, 2), caption, showlegend=bool(first))
 
 
 def _panel(loops: list[EstimationLoop], colours: Mapping[str, str], *, legend: bool) -> Panel:
@@ -54,19 +53,17 @@ def _panel(loops: list[EstimationLoop], colours: Mapping[str, str], *, legend: b
     name, unit = loops[0].name, loops[0].unit
     values = [value for loop in loops for value in loop.values if value is not None]
     changes = all(value > 0 for value in values) and max(values, default=1.0) > 30.0 * min(values, default=1.0)
-    traces: list[dict[str, Any]] = [
-        {
-            "type": "scatter",
-            "mode": "lines+markers",
-            "name": loop.joint or name,
-            "x": list(range(1, len(loop.values) + 1)),
-            "y": loop.values,
-            "line": {"color": colours.get(loop.joint, SERIES_COLOURS[0]), "width": 1},
-            "marker": {"size": 5, "color": colours.get(loop.joint, SERIES_COLOURS[0])},
-            "legendgroup": loop.joint or name,
-            "showlegend": legend and bool(loop.joint),
-            "hovertemplate": f"{plain(loop.joint)} iteration %{{x}}: %{{y:.3g}}<extra></extra>",
-        }
+    traces = [
+        curve_trace(
+            range(1, len(loop.values) + 1),
+            loop.values,
+            {"color": colours.get(loop.joint, SERIES_COLOURS[0]), "width": 1},
+            f"{plain(loop.joint)} iteration %{{x}}: %{{y:.3g}}<extra></extra>",
+            name=loop.joint or name,
+            marker={"size": 5, "color": colours.get(loop.joint, SERIES_COLOURS[0])},
+            legendgroup=loop.joint or name,
+            showlegend=legend and bool(loop.joint),
+        )
         for loop in loops
     ]
     few = max(len(loop.values) for loop in loops) <= FEW

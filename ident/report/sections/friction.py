@@ -13,7 +13,7 @@ from drivers.core.units import joint_unit
 from ident.friction.table import TERMS, Operands, Term
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, shortened
-from ident.report.figures.panels import Panel, panel_figure
+from ident.report.figures.panels import Panel, in_rows, panel_figure
 from ident.report.figures.traces import curve_trace, points_trace
 from ident.report.section import ReportData, ReportSection
 from ident.result.friction import JointFrictionResult
@@ -60,7 +60,6 @@ def _figure(data: ReportData) -> Figure | None:
         return None
     points = min(SCATTER_POINTS, PAGE_SCATTER_POINTS // len(joints))
     panels = [_panel(data, joint, points) for joint in joints]
-    rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
     samples = max(sum(int(series.counted[joint].sum()) for series in data.fit) for joint in joints)
     sampled = f" (a random {whole(points)} of up to {whole(samples)} samples per joint)" if samples > points else ""
     caption = (
@@ -69,7 +68,7 @@ def _figure(data: ReportData) -> Figure | None:
         "Stribeck term where the model has them; terms of load and temperature are not in it. Band: 95 % interval of "
         "the line from the parameters' covariance. Where points bend away from the line, the model lacks a term."
     )
-    return panel_figure("friction-plot", rows, caption)
+    return panel_figure("friction-plot", in_rows(panels, COLUMNS), caption)
 
 
 def small_friction_figure(anchor: str, data: ReportData) -> Figure | None:
@@ -82,8 +81,7 @@ def small_friction_figure(anchor: str, data: ReportData) -> Figure | None:
         panel = _panel(data, joint, SMALL_POINTS)
         heading = f"{panel.heading} [{panel.y['title']['text']}]"  # in place of a title of the axis
         panels.append(replace(panel, heading=heading, y={}, height=SMALL_PANEL))
-    rows = [panels[start : start + COLUMNS] for start in range(0, len(panels), COLUMNS)]
-    return panel_figure(anchor, rows, "")
+    return panel_figure(anchor, in_rows(panels, COLUMNS), "")
 
 
 def _drawn_joints(data: ReportData) -> list[int]:

@@ -57,17 +57,9 @@ def _figure(result: Result) -> Figure | None:
     if not values:
         return None
     height = TOP + BOTTOM + PANEL
-    data = [
-        {
-            "type": "scatter",
-            "mode": "lines+markers",
-            "x": list(range(1, len(values) + 1)),
-            "y": values,
-            "line": {"color": ACCENT, "width": 1},
-            "marker": {"size": 6, "color": ACCENT},
-            "hovertemplate": "no. %{x}: %{y:.3g}<extra></extra>",
-        }
-    ]
+    line, marker = {"color": ACCENT, "width": 1}, {"size": 6, "color": ACCENT}
+    hover = "no. %{x}: %{y:.3g}<extra></extra>"
+    data = [curve_trace(range(1, len(values) + 1), values, line, hover, marker=marker)]
     layout = base_layout(
         height,
         showlegend=False,

@@ -11,7 +11,8 @@ from ident.assessment.validation import Fit
 from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.report.figures.figures import KIND_STYLES, Figure, plain
-from ident.report.figures.panels import IntervalSeries, Panel, interval_panel, panel_figure
+from ident.report.figures.panels import IntervalSeries, Panel, in_rows, interval_panel, panel_figure
+from ident.report.figures.traces import points_trace
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.consistent_model import ConsistentModel
 from ident.result.result_file import stored_model
@@ -102,8 +103,7 @@ def small_parameter_figure(anchor: str, data: ReportData) -> Figure | None:
     if not groups:
         return None
     panels = [_small_panel(kind, unit, entries) for (kind, unit), entries in groups.items()]
-    rows = [panels[start : start + SMALL_COLUMNS] for start in range(0, len(panels), SMALL_COLUMNS)]
-    return panel_figure(anchor, rows, "", showlegend=False)
+    return panel_figure(anchor, in_rows(panels, SMALL_COLUMNS), "", showlegend=False)
 
 
 def _small_panel(kind: str, unit: str, entries: Sequence[BaseParameterResult]) -> Panel:
@@ -111,16 +111,14 @@ def _small_panel(kind: str, unit: str, entries: Sequence[BaseParameterResult]) -
     half = [
         WITHIN_95_PERCENT * (entry.std or 0.0) if entry.std is None or isfinite(entry.std) else 0.0 for entry in entries
     ]
-    trace = {
-        "type": "scatter",
-        "mode": "markers",
-        "name": words,
-        "x": [plain(entry.name) for entry in entries],
-        "y": [entry.value for entry in entries],
-        "error_y": {"type": "data", "array": half, "thickness": 1.2, "width": 2, "color": colour},
-        "marker": {"color": colour, "symbol": symbol, "size": 4},
-        "hovertemplate": f"%{{x}}: %{{y:.4g}} ± %{{error_y.array:.2g}} {unit}<extra></extra>",
-    }
+    trace = points_trace(
+        [plain(entry.name) for entry in entries],
+        [entry.value for entry in entries],
+        {"color": colour, "symbol": symbol, "size": 4},
+        f"%{{x}}: %{{y:.4g}} ± %{{error_y.array:.2g}} {unit}<extra></extra>",
+        name=words,
+        error_y={"type": "data", "array": half, "thickness": 1.2, "width": 2, "color": colour},
+    )
     return Panel(
         f"{words} [{unit}]",
         f"<b>{words}</b> [{unit}]",

@@ -25,14 +25,14 @@ from ident.checks.page.page import PAGE_FILE as INFO_PAGE
 from ident.checks.page.page import write_page as write_info_page
 from ident.checks.recording_check import recording_info
 from ident.excite.forecast import excitation_figures
-from ident.excite.page.page import write_page as write_excitation_page
+from ident.excite.page import page as design_page
 from ident.excite.prior import find_prior
 from ident.history.database import add_entries
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
 from ident.report import ReportData, TruthTable, write_result_folder
-from ident.report.monitor_page import write_monitor_page
+from ident.report import monitor_page as watched_page
 from ident.result.tables import table_of_rows
 from ident.tasks.history import History
 from ident.tasks.identification import identify
@@ -78,9 +78,8 @@ def excitation_page(folder: Path) -> Path:
     motion = RestToRest(random_fourier_motion(build_model(robot_file), 8.0, seed=1, candidates=2), 2, 1.0)
     prior = find_prior(robot_file)
     path = folder / "excitation.html"
-    write_excitation_page(
-        path, robot_file, motion, prior, excitation_figures(robot_file, motion, prior), [("Kind", "fourier")]
-    )
+    figures = excitation_figures(robot_file, motion, prior)
+    path.write_text(design_page.excitation_page(robot_file, motion, prior, figures, [("Kind", "fourier")]))
     return path
 
 
@@ -119,7 +118,8 @@ def monitor_page(folder: Path) -> Path:
     external, threshold = np.sin(time[:, None] + joints), np.full((2000, 6), 1.5)
     table = table_of_rows("Contacts", [("time", "s"), ("joint", "")], [(1.0, "elbow_joint"), (2.0, "wrist_1_joint")])
     page = folder / "contacts.html"
-    write_monitor_page(page, load_robot(ARM).robot, "run.h5", [table], ["direct observer"], (time, external, threshold))
+    series = (time, external, threshold)
+    page.write_text(watched_page.monitor_page(load_robot(ARM).robot, "run.h5", [table], ["direct observer"], series))
     return page
 
 

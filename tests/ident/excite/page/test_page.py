@@ -14,11 +14,12 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.errors import UsageError
 from ident.excite.constraints.collision_geometry import arm_geometry
 from ident.excite.forecast import excitation_figures
-from ident.excite.page.page import FRAMES, arm_figure, capsule_mesh, render_page, write_page
+from ident.excite.page.page import FRAMES, arm_figure, capsule_mesh, excitation_page
 from ident.excite.page.plots import shown_part
 from ident.excite.prior import PriorKnowledge, find_prior
 from ident.model.dynamic_model import build_model
 from ident.model.pinocchio_model import pinocchio_model
+from ident.tasks.excitation import ExcitationTrajectory
 from sim_drivers.synthetic.measurement import random_fourier_motion
 
 NOTES = [("Kind", "fourier"), ("Criterion", "condition: 4.2")]
@@ -33,7 +34,7 @@ def motion_of(robot_file: RobotFile, periods: int = 2) -> RestToRest:
 def text_of(robot_file: RobotFile, prior: PriorKnowledge | None = None, periods: int = 2) -> str:
     prior = find_prior(robot_file) if prior is None else prior
     motion = motion_of(robot_file, periods)
-    return render_page(robot_file, motion, prior, excitation_figures(robot_file, motion, prior), NOTES)
+    return excitation_page(robot_file, motion, prior, excitation_figures(robot_file, motion, prior), NOTES)
 
 
 @pytest.fixture(scope="module")
@@ -187,7 +188,7 @@ def test_what_is_not_excited_is_said(three_joint):
     sine[1] = cosine[1] = 0.0
     motion = replace(motion, motion=replace(inner, sine=sine, cosine=cosine))
     prior = find_prior(three_joint)
-    page = Page(render_page(three_joint, motion, prior, excitation_figures(three_joint, motion, prior), NOTES))
+    page = Page(excitation_page(three_joint, motion, prior, excitation_figures(three_joint, motion, prior), NOTES))
     assert re.search(r"does not excite [^.]*Fs2", page.words)
 
 
@@ -201,9 +202,8 @@ def test_names_stay_text(three_joint):
 
 
 def test_a_folder_that_does_not_exist_is_told(three_joint, tmp_path):
-    motion, prior = motion_of(three_joint), find_prior(three_joint)
-    figures = excitation_figures(three_joint, motion, prior)
-    with pytest.raises(UsageError, match="cannot be written"):
-        write_page(tmp_path / "none" / "page.html", three_joint, motion, prior, figures, NOTES)
-    write_page(tmp_path / "page.html", three_joint, motion, prior, figures, NOTES)
+    trajectory = ExcitationTrajectory(three_joint, "", motion_of(three_joint), find_prior(three_joint))
+    with pytest.raises(UsageError, match="folder"):
+        trajectory.page(tmp_path / "none" / "page.html")
+    trajectory.page(tmp_path / "page.html")
     assert (tmp_path / "page.html").stat().st_size > 1e6
