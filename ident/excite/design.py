@@ -30,11 +30,10 @@ from ident.excite.criteria import (
     plain_condition,
 )
 from ident.excite.families.fourier import FourierFamily, FourierQuinticFamily
-from ident.excite.families.moving_joints import middle_of_range
+from ident.excite.families.moving_joints import Family, MovingJoints, middle_of_range
 from ident.excite.families.points import PointsFamily
 from ident.excite.families.sines import SinesFamily
 from ident.excite.motion_check import ArmMotionCheck
-from ident.excite.path import Family
 from ident.excite.prior import PriorKnowledge
 from ident.excite.search.acceptance import accepted, shrunk_to_fit
 from ident.excite.search.poses import NoFeasiblePoseError
@@ -68,8 +67,6 @@ class Design:
     Attributes:
         choices: its options.
         motion: as played, from rest to rest.
-        family: of motions, which writes it to a trajectory file.
-        variables: (size,) its variables.
         cost: exp of the criterion along one repetition at full speed: a condition number where it is one.
         condition: column-normalised condition number of the base regressor there.
         use: (m,) utilisation of every limit along the played motion, on the dense grid; at most 1.
@@ -79,8 +76,6 @@ class Design:
 
     choices: DesignChoices
     motion: Motion
-    family: Family
-    variables: FloatArray
     cost: float
     condition: float
     use: FloatArray
@@ -140,8 +135,6 @@ def design(
     return Design(
         choices=choices,
         motion=checked.motion,
-        family=checked.family,
-        variables=checked.variables,
         cost=float(np.exp(problem.cost(checked.variables))),
         condition=problem.condition(checked.variables),
         use=checked.use,
@@ -176,7 +169,7 @@ def build_family(model: DynamicModel, choices: DesignChoices) -> Family:
     """The family of motions of a design."""
     moving = _moving(model, choices.joints)
     rest = np.array([middle_of_range(*limits.position) for limits in model.limits])
-    common = (model.limits, moving, rest, choices.period)
+    common = (MovingJoints(model.limits, moving, rest), choices.period)
     if choices.kind == "fourier":
         return FourierFamily(*common, choices.harmonics, choices.periods, choices.ramp)
     if choices.kind == "fourier-quintic":

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.motion.trajectories import Motion, PointToPoint
-from daq.motion.trajectory_file import PointsTrajectory, SamplesTrajectory, dump_trajectory, parse_trajectory
+from daq.motion.trajectory_file import SamplesTrajectory, dump_trajectory, parse_trajectory
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
 from daq.robot.assumptions import assumed_limits
 from daq.robot.loader import RobotFile, fingerprint, load_robot
@@ -26,6 +26,7 @@ from ident.excite.forecast import ExcitationFigures, excitation_figures
 from ident.excite.gravity_poses import GravityMotion, gravity_motion
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.page.page import excitation_page
+from ident.excite.path import trajectory_of
 from ident.excite.prior import PriorKnowledge, find_prior
 from ident.excite.search.search import SearchChoices, SearchResult
 from ident.excite.servo_motion import ServoExcitation, servo_excitation
@@ -246,7 +247,7 @@ def trajectory_text(robot_file: RobotFile, designed: Design, figures: Excitation
     """
     comment = f"designed by dynid excite: {design_summary(designed, figures)}"
     robot = robot_file.robot
-    trajectory = designed.family.trajectory(designed.variables, robot.name, comment)
+    trajectory = trajectory_of(designed.motion, robot.name, comment)
     text = dump_trajectory(trajectory.model_copy(update={"designed_for": fingerprint(robot, robot_file.urdf_text)}))
     try:
         parse_trajectory(text, robot, where="the designed trajectory", folder=None)
@@ -384,13 +385,6 @@ def design_sweep(options: SweepOptions) -> tuple[ExcitationTrajectory, tuple[Joi
 
 def _points_text(robot_file: RobotFile, motion: PointToPoint, comment: str) -> tuple[str, Motion]:
     """The trajectory file's text of a motion, and the motion as read back from it."""
-    trajectory = PointsTrajectory(
-        robot=robot_file.robot.name,
-        comment=comment,
-        kind="points",
-        points=tuple(map(tuple, motion.points.tolist())),
-        durations=tuple(motion.durations.tolist()),
-        dwell=motion.dwell,
-    )
+    trajectory = trajectory_of(motion, robot_file.robot.name, comment)
     text = dump_trajectory(trajectory)
     return text, parse_trajectory(text, robot_file.robot, where="the designed motion", folder=None).motion

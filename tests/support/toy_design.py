@@ -13,6 +13,7 @@ from daq.motion.trajectories import FourierSeries
 from daq.robot.schema import JointLimits
 from drivers.core.errors import UsageError
 from ident.excite.constraints.soft_maximum import soft_maximum
+from ident.excite.families.moving_joints import MovingJoints
 from ident.excite.path import JointPath
 from ident.excite.search.problem import DesignProblem
 
@@ -24,11 +25,11 @@ class Still:
     """Two joints that rest at x."""
 
     size = 2
-    limits = tuple(
-        JointLimits(name=name, position=(-10.0, 10.0), velocity=1.0, acceleration=1.0) for name in ("j1", "j2")
+    joints = MovingJoints(
+        tuple(JointLimits(name=name, position=(-10.0, 10.0), velocity=1.0, acceleration=1.0) for name in ("j1", "j2")),
+        (0, 1),
+        np.zeros(2),
     )
-    moving = (0, 1)
-    rest = np.zeros(2)
 
     def grid(self, count):
         return np.linspace(0.0, 1.0, count)

@@ -2,32 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from typing import ClassVar
 
 import numpy as np
 
 from daq.motion.fourier_quintic import FourierQuintic
 from daq.motion.trajectories import FourierSeries, Motion, RestToRest
-from daq.motion.trajectory_file import FourierQuinticTrajectory, FourierTrajectory, Trajectory
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from ident.excite.families.moving_joints import (
-    JointFamily,
-    check_count,
-    check_positive,
-    check_ramp,
-    midrange,
-    unwrapped,
-)
+from ident.excite.families.moving_joints import Family, check_count, check_positive, check_ramp, midrange, unwrapped
 from ident.excite.path import JointPath
 
 _SCALE_POINTS = 40
 """Points in the shortest wave on which a coefficient's scale and a random motion's limit utilisation are evaluated."""
 _TOLERANCE = 1e-9
 
-Series = Callable[[float, FloatArray, FloatArray, FloatArray], Motion]
+Series = type[FourierSeries] | type[FourierQuintic]
 
 
 @lru_cache(maxsize=8)
@@ -44,12 +36,14 @@ def _basis(series: Series, period: float, harmonics: int, time: bytes) -> FloatA
 
 
 @dataclass(frozen=True, eq=False)
-class _Series(JointFamily):
+class _Series(Family):
     """Common base of both; x holds offset, sines and cosines of each joint that moves, one joint after another.
 
     The offset counts from the middle of the joint's range in halves of it. A single sine or cosine of 1 would use all
     of the tightest limit.
     """
+
+    SERIES: ClassVar[Series]
 
     period: float
     harmonics: int
@@ -59,11 +53,6 @@ class _Series(JointFamily):
         check_positive("period", self.period)
         check_count("harmonics", self.harmonics, 1)
         check_count("periods", self.periods, 1)
-        super().__post_init__()
-
-    @property
-    def _series(self) -> Series:
-        raise NotImplementedError
 
     @property
     def size(self) -> int:
@@ -80,7 +69,7 @@ class _Series(JointFamily):
         return self.joints.path(time, *moved)
 
     def pull_back(self, variables: FloatArray, time: FloatArray, gradient: FloatArray) -> FloatArray:
-        """Implement the protocol; the motion is linear in x, so that x itself does not matter."""
+        """Implement `Family`; the motion is linear in x, so that x itself does not matter."""
         of_moving = gradient[..., self.joints.rows, :]
         by_coefficient = (of_moving @ self._at(time).transpose(0, 2, 1)).sum(axis=-3)
         return np.asarray((by_coefficient * self._scale).reshape(*gradient.shape[:-3], self.size))
@@ -101,14 +90,14 @@ class _Series(JointFamily):
         return midrange(self._coefficients(variables) @ self._own_basis[0])
 
     def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
-        """Implement the protocol."""
+        """Implement `Family`."""
         moved = share * variables.reshape(self.joints.count, -1)
         offset = self._coefficients(variables)[:, 0]
         moved[:, 0] = (pose + share * (offset - self.middle(variables)) - self.joints.middle) / self.joints.half
         return np.asarray(moved.ravel())
 
     def _at(self, time: FloatArray) -> FloatArray:
-        return _basis(self._series, self.period, self.harmonics, np.ascontiguousarray(time, dtype=np.float64).tobytes())
+        return _basis(self.SERIES, self.period, self.harmonics, np.ascontiguousarray(time, dtype=np.float64).tobytes())
 
     @cached_property
     def _own_basis(self) -> FloatArray:
@@ -130,7 +119,7 @@ class _Series(JointFamily):
     def _split(self, variables: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Offsets (n,), sines (n, H) and cosines (n, H) of all joints."""
         coefficients = self._coefficients(variables)
-        offset = self.joints.whole(coefficients[:, 0], self.rest)
+        offset = self.joints.whole(coefficients[:, 0], self.joints.rest)
         sine = self.joints.whole(coefficients[:, 1 : 1 + self.harmonics], 0.0)
         return offset, sine, self.joints.whole(coefficients[:, 1 + self.harmonics :], 0.0)
 
@@ -171,31 +160,13 @@ class FourierFamily(_Series):
     ramp: float
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         check_ramp(self.ramp)
 
-    @property
-    def _series(self) -> Series:
-        return FourierSeries
+    SERIES = FourierSeries
 
     def motion(self, variables: FloatArray) -> Motion:
         """The motion as played, from rest to rest."""
         return RestToRest(FourierSeries(self.period, *self._split(variables)), self.periods, self.ramp)
-
-    def trajectory(self, variables: FloatArray, robot: str, comment: str) -> Trajectory:
-        """The same as the content of a trajectory file."""
-        offset, sine, cosine = self._split(variables)
-        return FourierTrajectory(
-            robot=robot,
-            comment=comment,
-            kind="fourier",
-            period=self.period,
-            offset=offset.tolist(),
-            sine=sine.tolist(),
-            cosine=cosine.tolist(),
-            periods=self.periods,
-            ramp=self.ramp,
-        )
 
     def encode(self, motion: Motion) -> FloatArray:
         """The x of an earlier Fourier series; harmonics that it lacks are 0, its repetitions and ramp do not matter.
@@ -237,27 +208,11 @@ class FourierQuinticFamily(_Series):
         UsageError: no joint moves, or a number is not positive.
     """
 
-    @property
-    def _series(self) -> Series:
-        return FourierQuintic
+    SERIES = FourierQuintic
 
     def motion(self, variables: FloatArray) -> Motion:
         """The motion as played, from rest to rest."""
         return FourierQuintic(self.period, *self._split(variables), self.periods)
-
-    def trajectory(self, variables: FloatArray, robot: str, comment: str) -> Trajectory:
-        """The same as the content of a trajectory file."""
-        offset, sine, cosine = self._split(variables)
-        return FourierQuinticTrajectory(
-            robot=robot,
-            comment=comment,
-            kind="fourier-quintic",
-            period=self.period,
-            offset=offset.tolist(),
-            sine=sine.tolist(),
-            cosine=cosine.tolist(),
-            periods=self.periods,
-        )
 
     def encode(self, motion: Motion) -> FloatArray:
         """The x of an earlier motion of this form; harmonics that it lacks are 0, its repetitions do not matter.

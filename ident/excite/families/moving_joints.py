@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Self
@@ -155,36 +156,67 @@ class MovingJoints:
 
 
 @dataclass(frozen=True, eq=False)
-class JointFamily:
-    """Common base of the families: the joints of their motions, and what holds where there is no ramp.
+class Family(ABC):
+    """Motions of one form, given by a vector x of `size` decision variables.
+
+    The variables are scaled to the order of 1 at high limit utilisation.
 
     Attributes:
-        limits: of all n joints.
-        moving: indices of the joints that move, ascending.
-        rest: (n,) rest positions of the others [rad or m].
-
-    Raises:
-        UsageError: no joint moves.
+        joints: those that move, and the others.
     """
 
-    limits: tuple[JointLimits, ...]
-    moving: tuple[int, ...]
-    rest: FloatArray
+    joints: MovingJoints
 
-    def __post_init__(self) -> None:
-        _ = self.joints  # refuses impossible ones
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of decision variables."""
 
-    @cached_property
-    def joints(self) -> MovingJoints:
-        """The joints that move, and the others."""
-        return MovingJoints(self.limits, self.moving, self.rest)
+    @abstractmethod
+    def grid(self, count: int) -> FloatArray:
+        """About `count` times (N,) [s] that cover everything that is played, for designing (not for the last check)."""
+
+    @abstractmethod
+    def path(self, variables: FloatArray, time: FloatArray) -> JointPath:
+        """The motion of x at times (N,) [s]."""
+
+    @abstractmethod
+    def pull_back(self, variables: FloatArray, time: FloatArray, gradient: FloatArray) -> FloatArray:
+        """∂/∂x (..., size) of scalars, from their derivatives (..., 3, n, N) by position, velocity and acceleration."""
+
+    @abstractmethod
+    def random(self, generator: np.random.Generator) -> FloatArray:
+        """A random x that keeps the position, velocity and acceleration limits on the grid."""
+
+    @abstractmethod
+    def middle(self, variables: FloatArray) -> FloatArray:
+        """Middle (m,) of the range of each moving joint's motion [rad or m]."""
+
+    @abstractmethod
+    def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
+        """The x of the same motion about another middle (m,) [rad or m], `share` times as large; 0 rests there."""
+
+    @abstractmethod
+    def motion(self, variables: FloatArray) -> Motion:
+        """The motion as played, from rest to rest."""
+
+    @abstractmethod
+    def encode(self, motion: Motion) -> FloatArray:
+        """The x of a motion that was designed or written earlier.
+
+        Raises:
+            UsageError: it is not of this form; names the difference.
+        """
 
     def begun_near_middle(self, variables: FloatArray) -> FloatArray:
-        """Unchanged: the path has a fixed beginning."""
+        """The x of the same closed path, begun where it comes nearest to the middle of all joints' ranges.
+
+        An arm is slow on its approach. Unchanged where the path has a fixed beginning.
+        """
         return variables
 
     def with_longer_ramp(self, factor: float) -> Self:
-        """Unchanged: there is no ramp."""
+        """The same motions with a ramp that is `factor` times longer; unchanged where there is none."""
         return self
 
 

@@ -8,13 +8,12 @@ from functools import cached_property
 import numpy as np
 
 from daq.motion.trajectories import QUINTIC_ACCELERATION, QUINTIC_VELOCITY, Motion, PointToPoint
-from daq.motion.trajectory_file import PointsTrajectory, Trajectory
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from ident.excite.families.moving_joints import (
     LARGEST_SHARE,
     LEAST_SHARE,
-    JointFamily,
+    Family,
     check_count,
     check_positive,
     from_share,
@@ -41,7 +40,7 @@ class _Moves:
 
 
 @dataclass(frozen=True, eq=False)
-class PointsFamily(JointFamily):
+class PointsFamily(Family):
     """Fifth-order moves between points (SR400 .4.3), at rest in each, all in a given time.
 
     x holds the points (P, joints that move): each coordinate lies at sin(x) of half the joint's range (of a turn where
@@ -72,7 +71,6 @@ class PointsFamily(JointFamily):
             raise UsageError(
                 f"{self.points - 1} rests of {self.dwell:g} s leave no time to move in {self.duration:g} s"
             )
-        super().__post_init__()
 
     @property
     def size(self) -> int:
@@ -94,7 +92,7 @@ class PointsFamily(JointFamily):
         return self.joints.path(time, *PointToPoint(points, self.durations(points), self.dwell).evaluate(time))
 
     def pull_back(self, variables: FloatArray, time: FloatArray, gradient: FloatArray) -> FloatArray:
-        """Implement the protocol; the durations are differentiated too."""
+        """Implement `Family`; the durations are differentiated too."""
         points = self._points(variables)
         ways = np.diff(points, axis=0)
         need, need_by_way = self._needs(ways)
@@ -152,18 +150,6 @@ class PointsFamily(JointFamily):
         """The motion as played, from rest to rest."""
         return PointToPoint(*self._whole(variables), self.dwell)
 
-    def trajectory(self, variables: FloatArray, robot: str, comment: str) -> Trajectory:
-        """The same as the content of a trajectory file."""
-        points, durations = self._whole(variables)
-        return PointsTrajectory(
-            robot=robot,
-            comment=comment,
-            kind="points",
-            points=points.tolist(),
-            durations=durations.tolist(),
-            dwell=self.dwell,
-        )
-
     def encode(self, motion: Motion) -> FloatArray:
         """The x of an earlier motion's points; its durations and rests do not matter, for they follow from the points.
 
@@ -182,7 +168,7 @@ class PointsFamily(JointFamily):
         outside = np.argwhere(np.abs(points - self.joints.middle) > self._half * (1.0 + 1e-9))
         if len(outside):
             point, joint = outside[0]
-            limits = self.limits[self.moving[joint]]
+            limits = self.joints.limits[self.joints.moving[joint]]
             raise UsageError(
                 f"point {point} of the earlier motion has joint {limits.name} at "
                 f"{points[point, joint]:.5g} {limits.unit('rad')}, out of its range"
@@ -194,7 +180,7 @@ class PointsFamily(JointFamily):
         return midrange(self._points(variables).T)
 
     def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
-        """Implement the protocol; the durations follow. Points are kept within the joints' ranges."""
+        """Implement `Family`; the durations follow. Points are kept within the joints' ranges."""
         points = self._points(variables)
         return self._variables(pose + share * (points - midrange(points.T)))
 
@@ -205,7 +191,7 @@ class PointsFamily(JointFamily):
     @cached_property
     def _half(self) -> FloatArray:
         """Half of the whole ranges (m,); of a turn where one has no end."""
-        ranges = [self.limits[joint].position for joint in self.moving]
+        ranges = [self.joints.limits[joint].position for joint in self.joints.moving]
         widths = np.array([high - low for low, high in ranges])
         return np.where(np.isfinite(widths), 0.5 * widths, self.joints.half)
 
@@ -219,7 +205,7 @@ class PointsFamily(JointFamily):
     def _whole(self, variables: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points (P, n) of all joints and durations (P − 1,)."""
         points = self._points(variables)
-        return self.joints.whole(points.T, self.rest).T, self.durations(points)
+        return self.joints.whole(points.T, self.joints.rest).T, self.durations(points)
 
     def _needs(self, ways: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Times (P − 1,) that moves of ways (P − 1, m) need [s], and their derivatives (P − 1, m) by the ways."""

@@ -8,11 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from daq.motion.trajectories import Motion, RestToRest, SumOfSines
-from daq.motion.trajectory_file import SinesTrajectory, Trajectory
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from ident.excite.families.moving_joints import (
-    JointFamily,
+    Family,
     check_count,
     check_positive,
     check_ramp,
@@ -28,7 +27,7 @@ _TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class SinesFamily(JointFamily):
+class SinesFamily(Family):
     """Sums of sines (UP6 eq. 8, with an offset), whose frequencies are free within a band.
 
     x holds the offsets, then the amplitudes, then the frequencies, each (joints that move, sines). An offset counts
@@ -59,7 +58,6 @@ class SinesFamily(JointFamily):
         low, high = self._band
         if not 0.0 < low < high < np.inf:
             raise UsageError(f"{low:g} to {high:g} rad/s is no band of frequencies")
-        super().__post_init__()
 
     @property
     def size(self) -> int:
@@ -76,7 +74,7 @@ class SinesFamily(JointFamily):
         return self.joints.path(time, *SumOfSines(self.duration, *self._values(variables)).evaluate(time))
 
     def pull_back(self, variables: FloatArray, time: FloatArray, gradient: FloatArray) -> FloatArray:
-        """Implement the protocol."""
+        """Implement `Family`."""
         _, amplitude, frequency = self._values(variables)
         w = frequency[:, :, None]
         sin, cos = np.sin(w * time), np.cos(w * time)
@@ -112,7 +110,7 @@ class SinesFamily(JointFamily):
         return midrange(SumOfSines(self.duration, *self._values(variables)).evaluate(time)[0])
 
     def about(self, variables: FloatArray, pose: FloatArray, share: float) -> FloatArray:
-        """Implement the protocol; the frequencies are unchanged."""
+        """Implement `Family`; the frequencies are unchanged."""
         offset, amplitude, frequency = self._split(variables)
         middle = self.middle(variables)
         away = share * (self.joints.middle + self.joints.half * offset - middle)
@@ -122,20 +120,6 @@ class SinesFamily(JointFamily):
     def motion(self, variables: FloatArray) -> Motion:
         """The motion as played, from rest to rest."""
         return RestToRest(SumOfSines(self.duration, *self._whole(variables)), 1, self.ramp)
-
-    def trajectory(self, variables: FloatArray, robot: str, comment: str) -> Trajectory:
-        """The same as the content of a trajectory file."""
-        offset, amplitude, frequency = self._whole(variables)
-        return SinesTrajectory(
-            robot=robot,
-            comment=comment,
-            kind="sines",
-            duration=self.duration,
-            offset=offset.tolist(),
-            amplitude=amplitude.tolist(),
-            frequency=frequency.tolist(),
-            ramp=self.ramp,
-        )
 
     def encode(self, motion: Motion) -> FloatArray:
         """The x of an earlier sum of sines; sines that it lacks get amplitude 0, its ramp does not matter.
@@ -217,7 +201,7 @@ class SinesFamily(JointFamily):
         offset, amplitude, frequency = self._values(variables)
         # A joint at rest has sines of amplitude 0; their frequency is one of the band.
         return (
-            self.joints.whole(offset, self.rest),
+            self.joints.whole(offset, self.joints.rest),
             self.joints.whole(amplitude, 0.0),
             self.joints.whole(frequency, self._band[0]),
         )

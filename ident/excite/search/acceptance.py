@@ -11,7 +11,8 @@ from daq.motion.limits import check_limits
 from daq.motion.trajectories import Motion
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from ident.excite.path import Family, JointPath, repeated_for
+from ident.excite.families.moving_joints import Family
+from ident.excite.path import JointPath, repeated_for
 from ident.excite.search.problem import DesignProblem
 
 DENSER = 10
@@ -79,7 +80,7 @@ def accepted(problem: DesignProblem, variables: FloatArray, *, final: bool = Fal
 def _within_joint_limits(family: Family, motion: Motion) -> bool:
     """Check the joints' limits at the exact extremes, as a trajectory file is checked."""
     try:
-        check_limits(motion, family.limits, where="")
+        check_limits(motion, family.joints.limits, where="")
     except UsageError:
         return False
     return True

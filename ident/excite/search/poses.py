@@ -43,12 +43,6 @@ class CandidatePose:
     use: FloatArray
 
 
-def moving_joints(problem: DesignProblem) -> MovingJoints:
-    """The joints that move in a problem, and the others."""
-    family = problem.family
-    return MovingJoints(family.limits, family.moving, family.rest)
-
-
 def pose_path(joints: MovingJoints, position: FloatArray) -> JointPath:
     """A pose (moving joints,) at rest, and moving both ways very slowly."""
     still = np.zeros((joints.count, 3))
@@ -70,7 +64,7 @@ def feasible_pose(
     Raises:
         NoFeasiblePoseError: there is none; names the limit that excludes all candidates, if one does.
     """
-    joints = moving_joints(problem)
+    joints = problem.family.joints
     generator = np.random.default_rng([*seed, 1])
     tried = _Tried(problem, tick)
     begin = first

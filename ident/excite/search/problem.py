@@ -10,7 +10,8 @@ import numpy as np
 from daq.motion.trajectories import Motion
 from drivers.core.arrays import FloatArray
 from ident.excite.criteria import Criterion, RegressorCriterion
-from ident.excite.path import Constraint, Family, JointPath
+from ident.excite.families.moving_joints import Family
+from ident.excite.path import Constraint, JointPath
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
 

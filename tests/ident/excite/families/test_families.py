@@ -16,19 +16,22 @@ from daq.robot.loader import load_robot
 from daq.robot.schema import JointLimits
 from drivers.core.errors import UsageError
 from ident.excite.families.fourier import FourierFamily, FourierQuinticFamily
+from ident.excite.families.moving_joints import MovingJoints
 from ident.excite.families.points import PointsFamily
 from ident.excite.families.sines import SinesFamily
+from ident.excite.path import trajectory_of
 
 ROBOT = load_robot("ur5e").robot
 LIMITS = ROBOT.joints
 MOVING = (0, 1, 2, 4, 5)
 REST = np.array([0.0, -1.0, 0.5, 0.7, -0.3, 0.0])
+JOINTS = MovingJoints(LIMITS, MOVING, REST)
 FAMILIES = {
-    "fourier": FourierFamily(LIMITS, MOVING, REST, 8.0, 4, 2, 1.5),
-    "fourier-quintic": FourierQuinticFamily(LIMITS, MOVING, REST, 8.0, 4, 2),
-    "sines": SinesFamily(LIMITS, MOVING, REST, 9.0, 3, 1.5),
-    "points": PointsFamily(LIMITS, MOVING, REST, 12.0, 7),
-    "points-dwell": PointsFamily(LIMITS, MOVING, REST, 12.0, 7, 0.3),
+    "fourier": FourierFamily(JOINTS, 8.0, 4, 2, 1.5),
+    "fourier-quintic": FourierQuinticFamily(JOINTS, 8.0, 4, 2),
+    "sines": SinesFamily(JOINTS, 9.0, 3, 1.5),
+    "points": PointsFamily(JOINTS, 12.0, 7),
+    "points-dwell": PointsFamily(JOINTS, 12.0, 7, 0.3),
 }
 UNLIMITED = tuple(
     SimpleNamespace(name=f"j{number}", position=position, velocity=velocity, acceleration=acceleration)
@@ -125,7 +128,7 @@ def test_random_members_keep_the_limits_and_use_them(family):
 
 def test_the_file_holds_the_same_motion(family):
     variables = random_of(family, 5)
-    text = dump_trajectory(family.trajectory(variables, "ur5e", "a comment"))
+    text = dump_trajectory(trajectory_of(family.motion(variables), "ur5e", "a comment"))
     motion = family.motion(variables)
     if not isinstance(motion, RestToRest):  # ramps may pass limits that full pace keeps; the design lengthens them
         check_limits(motion, LIMITS, "here")
@@ -157,10 +160,10 @@ def test_a_longer_ramp_leaves_the_variables_their_meaning(family):
 @pytest.mark.parametrize(
     "build",
     [
-        lambda limits: FourierFamily(limits, (0, 1, 2), np.zeros(3), 5.0, 3, 1, 1.0),
-        lambda limits: FourierQuinticFamily(limits, (0, 1, 2), np.zeros(3), 5.0, 3, 1),
-        lambda limits: SinesFamily(limits, (0, 1, 2), np.zeros(3), 5.0, 3, 1.0),
-        lambda limits: PointsFamily(limits, (0, 1, 2), np.zeros(3), 5.0, 6),
+        lambda limits: FourierFamily(MovingJoints(limits, (0, 1, 2), np.zeros(3)), 5.0, 3, 1, 1.0),
+        lambda limits: FourierQuinticFamily(MovingJoints(limits, (0, 1, 2), np.zeros(3)), 5.0, 3, 1),
+        lambda limits: SinesFamily(MovingJoints(limits, (0, 1, 2), np.zeros(3)), 5.0, 3, 1.0),
+        lambda limits: PointsFamily(MovingJoints(limits, (0, 1, 2), np.zeros(3)), 5.0, 6),
     ],
 )
 def test_infinite_limits_leave_finite_motions(build):
@@ -265,7 +268,7 @@ def test_one_unit_of_a_coefficient_uses_a_limit_fully():
         JointLimits(name=name, position=(-2.0, 2.0), velocity=v, acceleration=a)
         for name, v, a in (("slow", 0.1, 10.0), ("weak", 3.0, 0.1), ("short", 75.0, 1000.0))
     )
-    family = FourierFamily(limits, (0, 1, 2), np.zeros(3), 6.0, 2, 1, 1.0)
+    family = FourierFamily(MovingJoints(limits, (0, 1, 2), np.zeros(3)), 6.0, 2, 1, 1.0)
     for number in range(1, 5):
         variables = np.zeros((3, 5))
         variables[:, number] = 1.0

@@ -10,7 +10,7 @@ from daq.robot.loader import load_robot
 from ident.excite.choices import DesignChoices
 from ident.excite.design import build_problem
 from ident.excite.prior import find_prior
-from ident.excite.search.poses import NoFeasiblePoseError, feasible_pose, moving_joints, pose_path
+from ident.excite.search.poses import NoFeasiblePoseError, feasible_pose, pose_path
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +21,7 @@ def problem():
 
 def test_a_pose_is_led_out_of_a_collision(problem):
     folded = np.array([-0.5, 3.1])
-    joints = moving_joints(problem)
+    joints = problem.family.joints
     assert problem.use_along(pose_path(joints, folded)).max() > 1.0
     pose = feasible_pose(problem, folded, [0])
     assert pose.use.max() <= problem.allowed
@@ -34,7 +34,7 @@ def test_the_same_seed_gives_the_same_pose(problem):
 
 
 def test_an_arm_that_begins_to_move_has_its_coulomb_friction(problem):
-    joints = moving_joints(problem)
+    joints = problem.family.joints
     path = pose_path(joints, np.zeros(2))
     assert np.all(path.velocity[joints.rows] == pytest.approx(np.array([[0.0, 1e-6, -1e-6]] * 2)))
     assert not path.velocity[[0, 3, 4, 5]].any()
