@@ -80,12 +80,6 @@ def recording_info(
 ) -> RecordingInfo:
     """Analyse a recording's clocks, signals and motion.
 
-    Args:
-        recording: as read.
-        robot_file: of its arm.
-        wanted_rsd_percent: relative standard deviation [%] for which the time needed is estimated.
-        progress: called with the name of each step before it begins.
-
     Raises:
         DataError: the stamps of the joints are not in seconds.
     """

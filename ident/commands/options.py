@@ -75,12 +75,6 @@ def limits_option(
 def refuse_options_but(taken: Collection[str], options: IdentifyOptions, mode: str, *, limited: bool) -> None:
     """Refuse options of identify that do nothing in one of its modes.
 
-    Args:
-        taken: fields that do.
-        options: as given.
-        mode: such as "--method servo".
-        limited: whether acceptance limits are given, which no such mode has.
-
     Raises:
         UsageError: names them all.
     """

@@ -96,15 +96,6 @@ def design(
 
     With several processes the caller's main module must be importable without side effects (`if __name__ == …`).
 
-    Args:
-        robot_file: the arm.
-        prior: prior parameters and noise.
-        choices: the user's.
-        search_choices: how long and how to search.
-        earlier: a motion to start from.
-        progress: called after each better motion, and a few times per second.
-        clock: the host's.
-
     Raises:
         UsageError: an option is not possible, or no pose keeps all limits; names the limit.
         IdentificationError: a search process crashed, with a number of starts.

@@ -58,10 +58,6 @@ def recording_rate(robot: Robot) -> float:
 def find_prior(robot_file: RobotFile, result: Path | None = None) -> PriorKnowledge:
     """Prior of an arm: from an earlier identification, else from the file's truth, else assumed.
 
-    Args:
-        robot_file: the arm.
-        result: of an identification of it: a model folder or its result.json.
-
     Raises:
         ResultFileError: that file cannot be read or lacks what is needed.
         UsageError: it belongs to an arm with other base parameters.

@@ -21,12 +21,6 @@ ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THRE
 def outcomes(jobs: Sequence[Job], out: str, workers: int, scheduler: str) -> Iterator[JobOutcome]:
     """Run jobs, and give each outcome as it comes; a job whose worker dies fails, the others go on.
 
-    Args:
-        jobs: that are to be done.
-        out: folder of the fleet, which every worker sees.
-        workers: processes at once on this computer.
-        scheduler: address of a Dask scheduler (tcp://host:8786); empty for this computer.
-
     Raises:
         UsageError: Dask is not installed.
         ConnectionFailedError: the scheduler does not answer.

@@ -71,12 +71,7 @@ class ArmHistory:
 
 
 def arm_history(arm: str, entries: Sequence[HistoryEntry]) -> ArmHistory:
-    """Trends of an arm's parameters.
-
-    Args:
-        arm: its name.
-        entries: its results, in the order of their times; at least one.
-    """
+    """Trends of an arm's parameters."""
     latest = {entry.data: entry for entry in sorted(entries, key=lambda entry: entry.created)}
     used = [entry for entry in entries if latest[entry.data] is entry]
     grouped: dict[tuple[str, str, str], list[tuple[float, KeptValue]]] = {}

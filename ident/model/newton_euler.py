@@ -1,8 +1,4 @@
-"""The Newton-Euler recursion over all samples of a chunk: motion of every link, and of every axis below it.
-
-With the links' parameters known, `LinkTorques` goes back down with their forces and moments, for which no axes need be
-carried: several times cheaper than the regressor.
-"""
+"""The Newton-Euler recursion over all samples of a chunk: motion of every link, and of every axis below it."""
 
 from __future__ import annotations
 
@@ -204,75 +200,6 @@ class Recursion:
             target[i] += joint.axis[i] * acceleration
             if not joint.prismatic:
                 omega[i] += relative[i]
-
-
-class LinkTorques(Recursion):
-    """Torques at the joints of a tree that its links need; scratch inside, so one thread at a time."""
-
-    def __init__(self, joints: tuple[Joint, ...], gravity: FloatArray, inertial: FloatArray, chunk: int) -> None:
-        """Take the links' standard parameters (10·n,), for at most `chunk` samples at once."""
-        super().__init__(joints, tuple(() for _ in joints), gravity, chunk)
-        self._bodies = [_Body(inertial[10 * link : 10 * link + 10]) for link in range(len(joints))]
-        self._wrenches = np.empty((len(joints), 3, 2, chunk))
-        self._lowered = np.empty((3, 2, chunk))
-
-    def torque(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
-        """(n, m) torques [N·m or N] of joint motions (n, m)."""
-        self.run(position, velocity, acceleration)
-        count = position.shape[1]
-        torque = np.empty(position.shape)
-        wrenches = self._wrenches[..., :count]
-        for wrench, body, frame in zip(wrenches, self._bodies, self.frames, strict=True):
-            body.write_wrench(frame, count, wrench)
-        for index in reversed(range(len(self._joints))):
-            joint, (force, moment) = self._joints[index], wrenches[index].swapaxes(0, 1)
-            torque[index] = joint.axis @ (force if joint.prismatic else moment)
-            if joint.parent != BASE_INDEX:
-                self._lower(index, joint, position[index], wrenches[index], wrenches[joint.parent])
-        return torque
-
-    def _lower(self, index: int, joint: Joint, position: FloatArray, wrench: FloatArray, parent: FloatArray) -> None:
-        """Add a link's force and moment (3, 2, m) to those of its parent, about the parent's origin."""
-        count = wrench.shape[-1]
-        rotation, lowered = self._rotation(index, count), self._lowered[..., :count]
-        for axis in range(3):
-            column = (rotation[0][axis], rotation[1][axis], rotation[2][axis])
-            combine(column, wrench, count, lowered[axis], self._term)
-        parent += lowered
-        # offset × force is force × offset taken away
-        self._vector[:, :count] = 0.0
-        turned = self._vector[:, None, :count]
-        _add_cross(lowered[:, :1], self._offset(joint, position), count, turned, self._term[:1, :count])
-        parent[:, 1] -= turned[:, 0]
-
-
-class _Body:
-    """A link's mass, first moments (3,) and inertia (3, 3) about its frame's origin, as matrices of what acts on it."""
-
-    def __init__(self, parameters: FloatArray) -> None:
-        xx, xy, xz, yy, yz, zz = parameters[:6]
-        self._inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        self._moments = parameters[6:9]
-        self._crossed = cross_matrix(self._moments)
-        self._mass = float(parameters[9])
-        self._any = bool(np.any(parameters))
-
-    def write_wrench(self, frame: FrameMotion, count: int, out: FloatArray) -> None:
-        """Force and moment (3, 2, count) about the frame's origin that a motion needs."""
-        if not self._any:
-            out[:] = 0.0
-            return
-        w, alpha, a = (
-            vector[:, :count] for vector in (frame.angular_velocity, frame.angular_acceleration, frame.linear)
-        )
-        along = self._moments @ w
-        out[:, 0] = self._mass * a - self._crossed @ alpha + w * along
-        out[:, 0] -= self._moments[:, None] * np.einsum("it,it->t", w, w)
-        spin = self._inertia @ w
-        out[:, 1] = self._inertia @ alpha + self._crossed @ a
-        for i in range(3):
-            first, second = (i + 1) % 3, (i + 2) % 3
-            out[i, 1] += w[first] * spin[second] - w[second] * spin[first]
 
 
 def _add_cross(vectors: FloatArray, offset: Direction, count: int, out: FloatArray, scratch: FloatArray) -> None:

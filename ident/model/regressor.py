@@ -34,14 +34,11 @@ from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.kinematics.joints import ancestors
 from ident.model.kinematics.transmission import TreeMotion
-from ident.model.newton_euler import AxisMotion, Direction, FrameMotion, LinkTorques, Recursion, combine, scaled
+from ident.model.newton_euler import AxisMotion, Direction, FrameMotion, Recursion, combine, scaled
 from ident.model.parameters import LINK_SIZE
 
 SAMPLES_AT_ONCE = 4096
 """Samples evaluated at once: enough to hide the interpreter, few enough for the cache."""
-
-PINOCCHIO_BELOW = 500
-"""Fewer samples than this are evaluated one by one by Pinocchio."""
 
 _INERTIA_COUNT = 6  # XX XY XZ YY YZ ZZ
 _MASS_INDEX = 9
@@ -342,11 +339,16 @@ class LoadTorqueKernel:
 
     def torque(self, position: FloatArray) -> FloatArray:
         """Load torque (n, N) [N·m or N] at positions (n, N)."""
-        still, torque = np.zeros_like(position), np.empty_like(position)
-        for chunk, packed in evaluate_in_chunks(self._kernel, position, still, still):
-            for motor, rows in enumerate(self._kernel.joint_rows):
-                torque[motor, chunk] = self._values[list(rows.columns)] @ packed[rows.rows]
-        return torque
+        still = np.zeros_like(position)
+        return _weighted(self._kernel, self._values, evaluate_in_chunks(self._kernel, position, still, still))
+
+
+def _weighted(kernel: RegressorKernel, values: FloatArray, chunks: Iterator[tuple[slice, FloatArray]]) -> FloatArray:
+    """Torques (n, N) of the motors: the kernel's columns times their values (p,)."""
+    torques = [
+        np.array([values[list(rows.columns)] @ packed[rows.rows] for rows in kernel.joint_rows]) for _, packed in chunks
+    ]
+    return np.concatenate(torques, axis=1)
 
 
 def regressor(
@@ -357,20 +359,9 @@ def regressor(
     columns: Sequence[int] | None = None,
     temperature: FloatArray | None = None,
 ) -> FloatArray:
-    """Regressor (n, p, N) for (n, N) joint motions and temperatures [K], p the chosen columns (all where None).
-
-    Fewer than `PINOCCHIO_BELOW` samples go through Pinocchio one by one, more through the kernel; the two agree to
-    1e-10 of the regressor's scale.
-    """
-    count = position.shape[1]
-    if count < PINOCCHIO_BELOW:
-        from ident.model.pinocchio_model import pinocchio_regressor
-
-        load = LoadTorqueKernel(model, max(1, count)).torque(position) if model.needs_load_torque else None
-        conditions = FrictionConditions(load, temperature, position=position)
-        full = pinocchio_regressor(model, position, velocity, acceleration, conditions)
-        return full if columns is None else full[:, list(columns)]
-    return dense_regressor(RegressorKernel(model, columns), position, velocity, acceleration, temperature)
+    """Regressor (n, p, N) for (n, N) joint motions and temperatures [K], p the chosen columns (all where None)."""
+    kernel = RegressorKernel(model, columns, min(max(1, position.shape[1]), SAMPLES_AT_ONCE))
+    return dense_regressor(kernel, position, velocity, acceleration, temperature)
 
 
 def dense_regressor(
@@ -414,7 +405,9 @@ def model_torque(
     inertial = standard[: LINK_SIZE * len(model.joints)]
     links = compiled_torques(model.joints, model.gravity, inertial)
     if links is None:
-        links = LinkTorques(model.joints, model.gravity, inertial, at_once).torque
+        kernel = RegressorKernel(model, columns, at_once)
+        chunks = evaluate_in_chunks(kernel, position, velocity, acceleration, temperature, presliding)
+        return _weighted(kernel, standard[list(kernel.columns)], chunks)
     torque = np.empty(position.shape)
     for start in range(0, count, SAMPLES_AT_ONCE):
         chunk = slice(start, start + SAMPLES_AT_ONCE)

@@ -28,17 +28,7 @@ def comparison_page(
     unit: str,
     failures: Sequence[str],
 ) -> str:
-    """The page.
-
-    Args:
-        robot: its name.
-        recordings: what was held out.
-        groups: of joints.
-        tables: errors, largest errors, differences; the first column of each names the model.
-        errors: what is plotted.
-        unit: of the errors.
-        failures: methods without a model, and why.
-    """
+    """The page: tables, the errors in `unit` as a figure, and which methods gave no model."""
     return rendered(
         "comparison_page",
         robot=robot,

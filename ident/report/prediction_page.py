@@ -109,15 +109,7 @@ def _stamps(segments: Sequence[SegmentPrediction]) -> list[FloatArray]:
 def joints_figure(
     anchor: str, joints: Sequence[JointLimits], stamps: Sequence[FloatArray], lines: Sequence[Line], caption: str
 ) -> Figure:
-    """One panel a joint over one time axis; a line without a label belongs to the one before.
-
-    Args:
-        anchor: its id within the page.
-        joints: of the panels.
-        stamps: (N,) of each segment [s].
-        lines: (N, n) of each segment.
-        caption: what is shown.
-    """
+    """One panel a joint over one time axis; a line without a label belongs to the one before."""
     start = float(stamps[0][0])
     times = [time - start for time in stamps]
     height = TOP + BOTTOM + PANEL * len(joints) + GAP * (len(joints) - 1)

@@ -90,17 +90,7 @@ def consistent_model(
     validation: Fit | None = None,
     runs: Sequence[HeldOutErrors] = (),
 ) -> ConsistentModel:
-    """The consistent model with what it costs.
-
-    Args:
-        model: the arm.
-        base: base parameters of the experiment.
-        robot_file: whose prior was used.
-        consistent: its parameters.
-        fit: its error on the identification data, where there are any.
-        validation: on held-out data.
-        runs: held-out recordings, on the longest of which the simulated arm's motion error is taken.
-    """
+    """The consistent model with what it costs."""
     prior = robot_file.robot.prior
     simulated = [run.simulation for run in runs if run.simulation is not None]
     simulation = max(simulated, key=lambda motion: motion.duration, default=None)

@@ -129,11 +129,6 @@ class EstimateResult(Stored):
     def restored(self, values: Mapping[str, float | None], base: BaseParameters, model: DynamicModel) -> Estimate:
         """The estimate by the indices of base parameters.
 
-        Args:
-            values: of the base parameters by name; None where one was not estimated.
-            base: of the experiment.
-            model: that they belong to.
-
         Raises:
             ResultFileError: its parts do not belong together.
         """

@@ -180,15 +180,7 @@ def friction_fields(
     value: Callable[[str], float | None],
     std: Callable[[str], float | None],
 ) -> dict[str, Any]:
-    """Fields of a joint's friction but those of the temperature.
-
-    Args:
-        terms: of the arm.
-        motor: of the joint.
-        kinds: of its columns.
-        value: of the coefficient of a kind; None where it was not estimated.
-        std: σ of it, or of the estimated shape of a name.
-    """
+    """Fields of a joint's friction but those of the temperature."""
     fields: dict[str, Any] = {"further": []}
     for term in TERMS:
         if term.needs == "temperature":

@@ -66,14 +66,6 @@ def read_result(path: Path) -> Result:
 def checked(form: type[Kind], content: Mapping[str, Any], path: Path, kind: str, command: str, newest: int) -> Kind:
     """A result of a file's object.
 
-    Args:
-        form: of the object.
-        content: the object, by `read_content`.
-        path: of the file.
-        kind: what its key `kind` must say.
-        command: that writes such files.
-        newest: schema that this dynid reads.
-
     Raises:
         ResultFileError: another kind of file, a newer schema, a missing key.
     """

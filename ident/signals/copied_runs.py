@@ -124,15 +124,7 @@ def _same_motion(first: FloatArray, second: FloatArray) -> bool:
 def _left_of_noise(
     time: FloatArray, torque: FloatArray, source_time: FloatArray, source: FloatArray, step: float
 ) -> float:
-    """What the best estimate of a run from another one leaves, over its noise; the median of the joints.
-
-    Args:
-        time: (N,) [s], shifted to the other run's.
-        torque: (N, n).
-        source_time: (M,) of the other run.
-        source: (M, n).
-        step: the longer one of both [s].
-    """
+    """What the best estimate of a run from another one leaves, over its noise; the median of the joints."""
     from scipy.interpolate import CubicSpline
 
     rising = np.concatenate([[True], np.diff(np.maximum.accumulate(source_time)) > 0.0])
@@ -202,12 +194,6 @@ def _only_noise_added(of: FloatArray, on: FloatArray, noise: FloatArray, other: 
     """Whether (N, n) is (N, n), which has next to no noise, times a factor and with white noise.
 
     What is left of a shift and of interpolation is in proportion to the derivatives.
-
-    Args:
-        of: with noise.
-        on: without.
-        noise: variance (n,) of the first one's.
-        other: of the second one's.
     """
     used = np.std(of, axis=0) > 0.0
     if not used.any() or np.any((other >= NO_NOISE * noise)[used]):

@@ -48,12 +48,6 @@ def choose_smoother(
 ) -> tuple[Smoother, Cutoffs, Step | None]:
     """Step 'low-pass' or 'smoothing': the smoother of the positions, and the cut-offs with its own.
 
-    Args:
-        segments: at one rate.
-        joint_names: (n,).
-        cutoffs: chosen for a low-pass.
-        choices: the user's.
-
     Raises:
         UsageError: cut-offs that do not fit the joints or the rate.
     """

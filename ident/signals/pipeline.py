@@ -121,15 +121,7 @@ def _with_target(
     smoother: Smoother,
     decimation: int,
 ) -> tuple[Segment, ...]:
-    """The segments with the motion of the targets, filtered like the positions, where they were recorded without a gap.
-
-    Args:
-        segments: the last.
-        aligned: signals before decimation, which the segments are parts of.
-        signals: as recorded.
-        smoother: of the positions.
-        decimation: of the positions.
-    """
+    """The segments with the targets' motion, filtered like the positions, where it was recorded without a gap."""
     if signals.target is None:
         return segments
     chebyshev = unit_gain(chebyshev_decimation(decimation)) if decimation > 1 else None

@@ -53,12 +53,6 @@ def moving_segments(
 ) -> tuple[tuple[Segment, ...], float, Step]:
     """Step 'motion windows': segments with their smooth motion, those without any motion left out.
 
-    Args:
-        segments: times and torques.
-        motions: of each.
-        choices: rest velocity, and whether samples at rest are kept.
-        unit: of the rest velocity.
-
     Returns:
         The segments, the rest velocity [rad/s or m/s], and the step.
 

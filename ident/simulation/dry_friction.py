@@ -79,12 +79,6 @@ def dry_friction(matrix: FloatArray, free: FloatArray, limit: FloatArray, guess:
 def quick_dry_friction(matrix: FloatArray, free: FloatArray, limit: FloatArray, guess: FloatArray) -> FloatArray:
     """The same as `dry_friction`, in a tenth of the time where there is a compiled library.
 
-    Args:
-        matrix: as there; all of float64.
-        free: as there.
-        limit: as there.
-        guess: as there.
-
     Raises:
         ArithmeticError: W is not positive semidefinite.
     """

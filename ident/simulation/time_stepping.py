@@ -114,14 +114,6 @@ def integrate(
 ) -> SteppedMotion:
     """The motion from a state (n,) over `duration` [s] in equal steps, torque constant over each.
 
-    Args:
-        arm: with its parameters.
-        position: at the start [rad or m].
-        velocity: at the start [rad/s or m/s].
-        drive: asked for the torque at the beginning of every step.
-        duration: [s].
-        steps: number of steps.
-
     Raises:
         ModelError: the inertia matrix is not positive definite, a loop does not close, or the motion diverges; says
             when and why.

@@ -70,11 +70,6 @@ class Tracking:
 def tracked(inverse: InverseDynamics, segment: Segment, longest: float = np.inf) -> Tracking:
     """Simulate a recorded segment, its first `longest` seconds at most.
 
-    Args:
-        inverse: the model.
-        segment: its motion, and the torques of all motors.
-        longest: [s].
-
     Raises:
         ModelError: the model cannot be simulated, or the motion diverges.
     """

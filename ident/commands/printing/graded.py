@@ -12,15 +12,7 @@ from ident.tasks.arguments import GradedResult
 
 
 def print_identified(model: GradedResult, folder: Path, use: str, *, verbose: bool, as_json: bool) -> None:
-    """The verdict and the errors; with `verbose` every parameter; or the JSON object alone.
-
-    Args:
-        model: to be printed.
-        folder: to which it was saved.
-        use: what to do next.
-        verbose: print the parameters, too.
-        as_json: print what `result.json` holds.
-    """
+    """The verdict and the errors; with `verbose` every parameter; or the JSON object alone."""
     if as_json:
         print((folder / model.FILE).read_text(encoding="utf-8"), end="")
         return

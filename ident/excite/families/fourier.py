@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ _SCALE_POINTS = 40
 """Points in the shortest wave on which a coefficient's scale and a random motion's limit utilisation are evaluated."""
 _TOLERANCE = 1e-9
 
-Series = type[FourierSeries] | type[FourierQuintic]
+Series = type[Any]
 
 
 @lru_cache(maxsize=8)
@@ -97,7 +97,8 @@ class _Series(Family):
         return np.asarray(moved.ravel())
 
     def _at(self, time: FloatArray) -> FloatArray:
-        return _basis(self.SERIES, self.period, self.harmonics, np.ascontiguousarray(time, dtype=np.float64).tobytes())
+        stamps = np.ascontiguousarray(time, dtype=np.float64).tobytes()
+        return _basis(self.SERIES, self.period, self.harmonics, stamps)  # type: ignore[arg-type]  # a class has a hash
 
     @cached_property
     def _own_basis(self) -> FloatArray:
@@ -160,6 +161,7 @@ class FourierFamily(_Series):
     ramp: float
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_ramp(self.ramp)
 
     SERIES = FourierSeries

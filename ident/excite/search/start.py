@@ -47,13 +47,6 @@ def leap(
 ) -> None:
     """Offer better and better motions, from a feasible one (size,) and random ones on.
 
-    Args:
-        problem: to solve.
-        feasible: a frog to begin with.
-        seed: of the random numbers.
-        offer: called with each motion that keeps the limits on the grid and costs less than those before.
-        tick: called before every evaluation; what it raises ends the search.
-
     Raises:
         KeyboardInterrupt: Ctrl-C; what was offered remains.
     """

@@ -49,13 +49,6 @@ def analyse_friction(
 ) -> FrictionExperiment:
     """Identify the friction of each joint that moves alone, gravity and inertia separately in each period.
 
-    Args:
-        recordings: of one arm, with whatever on the tool.
-        friction: terms as `--friction` has them, or "auto".
-        robot_file: in place of the first recording's.
-        delay: of the torque behind the position [s]; searched where None.
-        progress: called before each step.
-
     Raises:
         UsageError: no recording, or no such terms.
         DataError: different arms, loops or coupled motors, no joint that moves alone.

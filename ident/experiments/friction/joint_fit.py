@@ -74,13 +74,6 @@ def fit_joint(
 ) -> JointExperiment:
     """Friction of the joint of these periods.
 
-    Args:
-        model: of the arm.
-        name: of the joint.
-        periods: of it, one or more.
-        friction: text of `--friction`.
-        section: `friction` of the robot file, whose stated shapes are kept.
-
     Raises:
         IdentificationError: the periods do not determine even plain friction.
     """

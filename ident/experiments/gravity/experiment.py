@@ -71,13 +71,6 @@ def analyse_gravity(
 ) -> GravityExperiment:
     """Identify the gravity of an arm from poses passed slowly in both directions.
 
-    Args:
-        recordings: of one arm.
-        held_out: that validate, besides the poses left out one by one.
-        robot_file: in place of the recordings' own.
-        commanded: joints that the played motions move.
-        progress: called with the name of each step.
-
     Raises:
         DataError: no pose is passed in both directions, or the torques are not those of such an arm.
         IdentificationError: too few poses.

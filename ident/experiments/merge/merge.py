@@ -114,10 +114,6 @@ def identifiable_columns(informations: Sequence[Information], preferred: Sequenc
 def merge(informations: Sequence[Information], active: Sequence[int]) -> MergedEstimate:
     """Least squares over the values of all experiments; parameters that are not active are 0.
 
-    Args:
-        informations: one per experiment, weighted by their roots.
-        active: indices of the parameters to estimate.
-
     Raises:
         IdentificationError: the values do not determine the parameters.
     """

@@ -40,9 +40,6 @@ class MergeInput:
 def merge_inputs(results: Sequence[tuple[str, Result]]) -> tuple[list[MergeInput], BaseParameters]:
     """The results ready to be merged, and the base parameters that they can show together.
 
-    Args:
-        results: each with its name in messages.
-
     Raises:
         UsageError: fewer than two, different arms, or data that would count twice.
         ResultFileError: a result without a covariance, or inconsistent results.

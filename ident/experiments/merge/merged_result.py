@@ -53,12 +53,6 @@ def merge_results(
 ) -> tuple[Result, Revalidation | None]:
     """One model from several.
 
-    Args:
-        results: each with its name in messages.
-        held_out: a recording to validate with.
-        essential: rule that ends the elimination of parameters from the essential model.
-        threshold: of significance [%].
-
     Returns:
         The merged result, and the held-out torques where there are any.
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
 
@@ -33,6 +34,10 @@ Kind = Literal[
 ]
 """What a node computes; decay is exp(−x), power |x| to a constant, inverse 1/x and inverse_negated 1/(−x) of what is
 positive, not a number of anything else."""
+
+
+ExpressionArray = npt.NDArray[np.object_]
+"""Vectors (3,) and matrices (3, 3) of expressions, which NumPy adds and multiplies entry by entry."""
 
 
 @dataclass(frozen=True)
@@ -88,6 +93,11 @@ class Graph:
         """A number."""
         magnitude = abs(float(value))
         return Expression(self, self._number("constant", (), magnitude), value < 0.0)
+
+    def constants(self, values: npt.ArrayLike) -> ExpressionArray:
+        """An array of numbers, of the same shape."""
+        numbers = np.asarray(values, dtype=np.float64)
+        return np.array([self.constant(value) for value in numbers.flat], dtype=object).reshape(numbers.shape)
 
     def symbol(self, name: str) -> Expression:
         """An input."""

@@ -8,18 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.export.c_code.expressions import Expression, Graph, cosine, sine
-from ident.export.c_code.vectors import (
-    Matrix,
-    Vector,
-    add,
-    apply,
-    constant_matrix,
-    constant_vector,
-    dot,
-    scale,
-    transpose,
-)
+from ident.export.c_code.expressions import Expression, ExpressionArray, Graph, cosine, sine
 from ident.linear_algebra.vectors import axis_rotation
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX, Joint
@@ -42,7 +31,7 @@ class Shortcut:
         velocity, acceleration: of both joints together.
     """
 
-    steps: tuple[Matrix, ...]
+    steps: tuple[ExpressionArray, ...]
     velocity: Expression
     acceleration: Expression
 
@@ -64,24 +53,24 @@ class JointFrame:
     """
 
     joint: Joint
-    translation: Vector
+    translation: ExpressionArray
     angle: Expression
     velocity: Expression
     acceleration: Expression
-    constant: Matrix
-    turn: Matrix
+    constant: ExpressionArray
+    turn: ExpressionArray
     planar: tuple[int, Expression, Expression] | None
     shortcut: Shortcut | None = None
 
-    def to_joint(self, vector: Vector) -> Vector:
+    def to_joint(self, vector: ExpressionArray) -> ExpressionArray:
         """A vector of the parent's frame in the joint's."""
-        return apply(transpose(self.turn), apply(transpose(self.constant), vector))
+        return np.asarray(self.turn.T @ (self.constant.T @ vector))
 
-    def to_parent(self, vector: Vector) -> Vector:
+    def to_parent(self, vector: ExpressionArray) -> ExpressionArray:
         """A vector of the joint's frame in the parent's."""
-        return apply(self.constant, apply(self.turn, vector))
+        return np.asarray(self.constant @ (self.turn @ vector))
 
-    def tensor_to_parent(self, tensor: Matrix) -> Matrix:
+    def tensor_to_parent(self, tensor: ExpressionArray) -> ExpressionArray:
         """A symmetric tensor of the joint's frame in the parent's axes."""
         turned = _turned(self.turn, tensor) if self.planar is None else _turned_in_plane(*self.planar, tensor)
         return _turned(self.constant, turned)
@@ -122,11 +111,11 @@ def combination(graph: Graph, factors: FloatArray, signals: Sequence[Expression]
 def _joint_frame(
     graph: Graph, joint: Joint, start: float, position: Expression, velocity: Expression, acceleration: Expression
 ) -> JointFrame:
-    translation, identity = constant_vector(graph, joint.translation), constant_matrix(graph, np.eye(3))
+    translation, identity = graph.constants(joint.translation), graph.constants(np.eye(3))
     if joint.prismatic:
-        along = scale(_exact(joint.rotation @ joint.axis), position + start)
-        still, constant = graph.constant(0.0), constant_matrix(graph, _exact(joint.rotation))
-        return JointFrame(joint, add(translation, along), still, velocity, acceleration, constant, identity, None)
+        along = graph.constants(_exact(joint.rotation @ joint.axis)) * (position + start)
+        still, constant = graph.constant(0.0), graph.constants(_exact(joint.rotation))
+        return JointFrame(joint, translation + along, still, velocity, acceleration, constant, identity, None)
     # The constant part of the angle goes into the constant rotation: sin(q + π/2) is then cos q.
     joint = replace(joint, rotation=_exact(joint.rotation @ axis_rotation(joint.axis, start)))
     aligned = [index for index in range(3) if abs(abs(joint.axis[index]) - 1.0) < EXACT_ENTRY_TOLERANCE]
@@ -134,7 +123,7 @@ def _joint_frame(
         turn = _skew_rotation(sine(position), cosine(position), joint)
         return JointFrame(joint, translation, position, velocity, acceleration, identity, turn, None)
     planar = _planar(joint, aligned[0], position)
-    turn, constant = _plane_rotation(graph, *planar), constant_matrix(graph, joint.rotation)
+    turn, constant = _plane_rotation(graph, *planar), graph.constants(joint.rotation)
     return JointFrame(joint, translation, position, velocity, acceleration, constant, turn, planar)
 
 
@@ -153,53 +142,44 @@ def _shortcut(graph: Graph, parent: JointFrame, frame: JointFrame) -> Shortcut |
         return None
     turn = _plane_rotation(graph, *_planar(parent.joint, parent.planar[0], angle))
     return Shortcut(
-        steps=(transpose(parent.constant), transpose(turn), transpose(frame.constant)),
+        steps=(parent.constant.T, turn.T, frame.constant.T),
         velocity=parent.velocity + frame.velocity,
         acceleration=parent.acceleration + frame.acceleration,
     )
 
 
-def _skew_rotation(s: Expression, c: Expression, joint: Joint) -> Matrix:
+def _skew_rotation(s: Expression, c: Expression, joint: Joint) -> ExpressionArray:
     """Rotation from the joint's frame to the parent's, its constant part included."""
-    steady, of_sine, of_cosine = (rotation_coefficient.T for rotation_coefficient in rotation_coefficients(joint))
-    rows = [
-        [s * float(of_sine[i, j]) + c * float(of_cosine[i, j]) + float(steady[i, j]) for j in range(3)]
-        for i in range(3)
-    ]
-    return _matrix(rows)
+    steady, of_sine, of_cosine = (s.graph.constants(matrix.T) for matrix in rotation_coefficients(joint))
+    return np.asarray(of_sine * s + of_cosine * c + steady)
 
 
-def _plane_rotation(graph: Graph, axis: int, s: Expression, c: Expression) -> Matrix:
-    rows = [[graph.constant(float(i == j)) for j in range(3)] for i in range(3)]
+def _plane_rotation(graph: Graph, axis: int, s: Expression, c: Expression) -> ExpressionArray:
+    matrix = graph.constants(np.eye(3))
     first, second = (axis + 1) % 3, (axis + 2) % 3
-    rows[first][first] = rows[second][second] = c
-    rows[first][second], rows[second][first] = -s, s
-    return _matrix(rows)
+    matrix[first, first] = matrix[second, second] = c
+    matrix[first, second], matrix[second, first] = -s, s
+    return matrix
 
 
-def _turned(rotation: Matrix, tensor: Matrix) -> Matrix:
+def _turned(rotation: ExpressionArray, tensor: ExpressionArray) -> ExpressionArray:
     """R·T·Rᵀ of a symmetric T."""
-    columns = [apply(tensor, row) for row in rotation]
-    return _matrix([[dot(rotation[max(i, j)], columns[min(i, j)]) for j in range(3)] for i in range(3)])
+    columns = [tensor @ row for row in rotation]
+    return np.array([[rotation[max(i, j)] @ columns[min(i, j)] for j in range(3)] for i in range(3)], dtype=object)
 
 
-def _turned_in_plane(axis: int, s: Expression, c: Expression, tensor: Matrix) -> Matrix:
+def _turned_in_plane(axis: int, s: Expression, c: Expression, tensor: ExpressionArray) -> ExpressionArray:
     """R·T·Rᵀ of a symmetric T for a rotation about a coordinate axis, with the fewest products."""
     first, second = (axis + 1) % 3, (axis + 2) % 3
-    across = tensor[first][second]
-    swing = s * (tensor[first][first] - tensor[second][second]) + c * (across * 2.0)
-    rows = [list(row) for row in tensor]
-    rows[first][first] = tensor[first][first] - s * swing
-    rows[second][second] = tensor[second][second] + s * swing
-    rows[first][second] = rows[second][first] = c * swing - across
-    rows[axis][first] = rows[first][axis] = c * tensor[axis][first] - s * tensor[axis][second]
-    rows[axis][second] = rows[second][axis] = s * tensor[axis][first] + c * tensor[axis][second]
-    return _matrix(rows)
-
-
-def _matrix(rows: list[list[Expression]]) -> Matrix:
-    x, y, z = ((row[0], row[1], row[2]) for row in rows)
-    return x, y, z
+    across = tensor[first, second]
+    swing = s * (tensor[first, first] - tensor[second, second]) + c * (across * 2.0)
+    turned = tensor.copy()
+    turned[first, first] = tensor[first, first] - s * swing
+    turned[second, second] = tensor[second, second] + s * swing
+    turned[first, second] = turned[second, first] = c * swing - across
+    turned[axis, first] = turned[first, axis] = c * tensor[axis, first] - s * tensor[axis, second]
+    turned[axis, second] = turned[second, axis] = s * tensor[axis, first] + c * tensor[axis, second]
+    return turned
 
 
 def _exact(values: FloatArray) -> FloatArray:

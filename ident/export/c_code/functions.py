@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
-from ident.export.c_code.expressions import Expression, Graph, solved
+from ident.export.c_code.expressions import Expression, ExpressionArray, Graph, solved
 from ident.export.c_code.frames import JointFrame, combination, joint_frames
 from ident.export.c_code.joint_terms import (
     friction,
@@ -23,7 +23,6 @@ from ident.export.c_code.joint_terms import (
     presliding_torque,
 )
 from ident.export.c_code.recursion import LinkMotion, link_motions, link_wrench, tree_inertia, tree_torques, unit_wrench
-from ident.export.c_code.vectors import Vector, add, constant_vector, cross, dot, scale
 from ident.model.base_parameters import random_states
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.kinematics.joints import BASE_INDEX
@@ -31,7 +30,7 @@ from ident.model.kinematics.transmission import LinearTransmission
 from ident.model.parameters import INERTIAL
 from ident.model.presliding import presliding_motions
 
-Axes = dict[int, tuple[Vector, Vector]]
+Axes = dict[int, tuple[ExpressionArray, ExpressionArray]]
 """(w, v) by the number of the joint in the tree."""
 
 SIZE = len(INERTIAL)
@@ -46,39 +45,31 @@ POSTURES = 100
 
 def link_axes(graph: Graph, frames: Sequence[JointFrame]) -> list[Axes]:
     """Axes of the joints that each link hangs on, in its frame."""
-    none = constant_vector(graph, (0.0, 0.0, 0.0))
+    none = graph.constants(np.zeros(3))
     axes: list[Axes] = []
     for index, frame in enumerate(frames):
         own: Axes = {}
         if frame.joint.parent != BASE_INDEX:
             for joint, (angular, linear) in axes[frame.joint.parent].items():
-                moved = add(linear, cross(angular, frame.translation))
+                moved = linear + np.cross(angular, frame.translation)
                 own[joint] = frame.to_joint(angular), frame.to_joint(moved)
-        axis = constant_vector(graph, frame.joint.axis)
+        axis = graph.constants(frame.joint.axis)
         own[index] = (none, axis) if frame.joint.prismatic else (axis, none)
         axes.append(own)
     return axes
 
 
 def inertial_column(graph: Graph, motion: LinkMotion, axes: Axes, kind: int, follow: FloatArray) -> list[Expression]:
-    """Torques (n,) at the joints with a motor for a unit of a link's parameter number `kind` of ten.
-
-    Args:
-        graph: of all expressions.
-        motion: of the link.
-        axes: in the link's frame.
-        kind: as in `INERTIAL`.
-        follow: (joints, n) G = ∂q_tree/∂q_active.
-    """
+    """Torques (n,) at the joints with a motor for a unit of a link's parameter number `kind` of ten."""
     wrench = unit_wrench(motion, kind)
-    none = constant_vector(graph, (0.0, 0.0, 0.0))
+    none = graph.constants(np.zeros(3))
     column = []
     for motor in range(follow.shape[1]):
         angular, linear = none, none
         for joint, (w, v) in axes.items():
-            share = graph.constant(float(follow[joint, motor]))
-            angular, linear = add(angular, scale(w, share)), add(linear, scale(v, share))
-        column.append(dot(linear, wrench.force) + dot(angular, wrench.moment))
+            share = float(follow[joint, motor])
+            angular, linear = angular + w * share, linear + v * share
+        column.append(linear @ wrench.force + angular @ wrench.moment)
     return column
 
 
@@ -87,12 +78,6 @@ def payload_torque(graph: Graph, motion: LinkMotion, axes: Axes, follow: FloatAr
 
     The symbols are `payload0` to `payload9`: mass, centre of mass x y z in the link's frame, inertia xx xy xz yy yz zz
     about the centre of mass.
-
-    Args:
-        graph: of all expressions.
-        motion: of the link that carries it.
-        axes: of the joints, in the link's frame.
-        follow: (joints, n) G = ∂q_tree/∂q_active.
     """
     mass, x, y, z, xx, xy, xz, yy, yz, zz = (graph.symbol(f"payload{number}") for number in range(10))
     standard = (

@@ -84,12 +84,6 @@ def _error(fit: Fit | None) -> str:
 def exported_arm(result: Result, kind: str, stored: StoredModel, dynamics: InverseDynamics) -> ExportedArm:
     """The arm of a result's consistent parameters.
 
-    Args:
-        result: that holds them.
-        kind: parameters of the model that is to be exported.
-        stored: the result's robot file and model.
-        dynamics: of the model.
-
     Raises:
         UsageError: the model's parameters are not those of bodies.
         ResultFileError: parts of the result do not belong together.

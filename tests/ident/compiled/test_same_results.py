@@ -12,11 +12,9 @@ from daq.robot.loader import load_robot
 from drivers.core.errors import ModelError
 from ident.compiled.library import kernels
 from ident.model.base_parameters import base_parameters, random_states
-from ident.model.compiled_rows import compiled_torques
 from ident.model.dynamic_model import build_model
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
-from ident.model.newton_euler import LinkTorques
-from ident.model.regressor import RegressorKernel
+from ident.model.regressor import RegressorKernel, model_torque
 from ident.simulation import time_stepping
 from ident.simulation.forward_arm import ForwardArm
 
@@ -54,12 +52,13 @@ def test_the_rows_are_numpys(models) -> None:
         assert all(np.array_equal(a, b.linear[:, :count]) for a, b in zip(frames, kernel.frames, strict=True)), name
 
 
-def test_the_torques_of_links_are_numpys(models) -> None:
+def test_the_torques_are_numpys(models, monkeypatch) -> None:
     for name, model in models.items():
-        joints, inertial = model.joints, random_parameters(model)[: 10 * len(model.joints)]
-        motion = np.random.default_rng(3).normal(size=(3, len(joints), 21))
-        numpy = LinkTorques(joints, model.gravity, inertial, 21).torque(*motion)
-        compiled = compiled_torques(joints, model.gravity, inertial)(*motion)
+        values, motion = random_parameters(model), random_states(model, 21, 3)
+        compiled = model_torque(model, None, values, *motion)
+        with monkeypatch.context() as patch:
+            patch.setattr("ident.model.regressor.compiled_torques", lambda *_: None)
+            numpy = model_torque(model, None, values, *motion)
         assert np.abs(compiled - numpy).max() <= 1e-12 * np.abs(numpy).max(), name
 
 

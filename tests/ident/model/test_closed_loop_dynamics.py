@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from loop_arms import four_bar_arm, spatial_arm, spherical_arm
+from pinocchio_reference import pinocchio_regressor
 from regressor_differences import check_gradient
 
 from daq.robot.loader import RobotFile, parse_robot
@@ -18,7 +19,7 @@ from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.dynamics.energy import EnergyKernel, energy_base_parameters
 from ident.model.kinematics.linkages.closed_loops import ClosedLoops
 from ident.model.kinematics.loops import loop_ends
-from ident.model.pinocchio_model import pinocchio_model, pinocchio_regressor
+from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import model_torque, regressor
 from ident.model.true_parameters import truth_vector
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from friction_arm import TERMS, arm_file
+from pinocchio_reference import pinocchio_regressor
 
 from drivers.core.errors import DataError, ModelError
 from ident.friction.table import SHAPED, root_coefficients, temperature_coefficients
@@ -16,7 +17,6 @@ from ident.model.dynamic_model import build_model
 from ident.model.dynamics.energy import EnergyKernel
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.joint_columns import column_signal, column_slope, joint_column
-from ident.model.pinocchio_model import pinocchio_regressor
 from ident.model.regressor import LoadTorqueKernel, RegressorKernel, evaluate_in_chunks, model_torque, regressor
 from ident.model.true_parameters import true_model, truth_vector
 

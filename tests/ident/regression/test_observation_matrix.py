@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from pinocchio_reference import pinocchio_regressor
 from scipy.signal import sosfiltfilt
 
 from ident.linear_algebra.triangular import GRAM_CONDITION_LIMIT
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_regressor
 from ident.model.regressor import RegressorKernel, regressor
 from ident.model.true_parameters import truth_vector
 from ident.regression.observation_matrix import estimate_condition, filtered_samples, reduce_segments, stack_reductions

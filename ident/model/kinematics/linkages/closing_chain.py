@@ -173,14 +173,7 @@ class ChainState:
 def closing_chain(
     name: str, joints: tuple[Joint, ...], ends: tuple[tuple[int, Placement], tuple[int, Placement]], *, spherical: bool
 ) -> ClosingChain:
-    """The chain between two closing frames.
-
-    Args:
-        name: name of the loop in messages.
-        joints: the tree.
-        ends: index of the joint behind which each closing frame lies, and the frame's placement in that joint's.
-        spherical: whether the opened joint is spherical, not revolute.
-    """
+    """The chain between two closing frames."""
     (first, first_end), (second, second_end) = ends
     back, out = _to_base(joints, first), _to_base(joints, second)
     while back and out and back[-1] == out[-1]:

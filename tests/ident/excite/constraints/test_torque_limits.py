@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from path_derivatives import assert_derivatives, assert_upper_bound, random_path
+from pinocchio_reference import pinocchio_regressor
 
 from daq.robot.schema import JointLimits
 from ident.excite.constraints import torque_limits
@@ -14,7 +15,6 @@ from ident.excite.constraints.torque_limits import JointMotionLimits, TorqueLimi
 from ident.excite.path import JointPath
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_regressor
 from ident.model.true_parameters import truth_vector
 
 

@@ -206,11 +206,11 @@ def test_other_kinds_are_refused(family):
 def test_other_joints_are_refused(family):
     motion = family.motion(random_of(family))
     with pytest.raises(UsageError, match="is one of 6 joints, the robot has 5"):
-        replace(family, limits=LIMITS[:5], moving=(0, 1), rest=REST[:5]).encode(motion)
+        replace(family, joints=MovingJoints(LIMITS[:5], (0, 1), REST[:5])).encode(motion)
     with pytest.raises(UsageError, match=f"joint {LIMITS[4].name} is to stay"):
-        replace(family, moving=(0, 1, 2, 5)).encode(motion)
+        replace(family, joints=MovingJoints(LIMITS, (0, 1, 2, 5), REST)).encode(motion)
     with pytest.raises(UsageError, match=f"joint {LIMITS[3].name} is to stay"):
-        replace(family, rest=REST + 0.1).encode(motion)
+        replace(family, joints=MovingJoints(LIMITS, MOVING, REST + 0.1)).encode(motion)
 
 
 def test_other_lengths_are_refused():
@@ -227,11 +227,10 @@ def test_other_lengths_are_refused():
     points = FAMILIES["points"]
     narrow = tuple(limit.model_copy(update={"position": (-0.1, 0.1)}) for limit in LIMITS)
     with pytest.raises(UsageError, match="out of its range"):
-        replace(points, limits=narrow).encode(points.motion(random_of(points)))
+        replace(points, joints=MovingJoints(narrow, MOVING, REST)).encode(points.motion(random_of(points)))
 
 
 IMPOSSIBLE = [
-    *((kind, {"moving": ()}) for kind in FAMILIES),
     *((kind, {"period": bad}) for kind in ("fourier", "fourier-quintic") for bad in (0.0, -1.0, np.nan, np.inf)),
     *((kind, {"harmonics": 0}) for kind in ("fourier", "fourier-quintic")),
     *((kind, {"periods": 0}) for kind in ("fourier", "fourier-quintic")),
@@ -249,6 +248,8 @@ def test_impossible_families_are_refused():
     for kind, changed in IMPOSSIBLE:
         with pytest.raises(UsageError):
             pytest.fail(f"{kind} takes {changed}: {replace(FAMILIES[kind], **changed)}")
+    with pytest.raises(UsageError, match="no joint moves"):
+        MovingJoints(LIMITS, (), REST)
 
 
 def test_moves_share_the_time_so_that_all_use_their_limits_alike():

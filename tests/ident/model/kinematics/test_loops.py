@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pinocchio_reference import pinocchio_regressor
 from regressor_differences import check_gradient
 
 from daq.robot.loader import RobotFile, load_robot, parse_robot
@@ -19,7 +20,7 @@ from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.kinematics.loops import loop_ends, main_chain, place_tree
 from ident.model.kinematics.transmission import LinearTransmission
-from ident.model.pinocchio_model import pinocchio_model, pinocchio_regressor
+from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import model_torque, regressor
 
 FOUR_BAR = """\
