@@ -21,7 +21,8 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from sim_drivers.can.bus_load import Frame
 from sim_drivers.canopen.motion import EXTRAPOLATED_CYCLES, AxisReference, CyclicPosition, SyncClock
-from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
+from sim_drivers.plant.arm import SimulatedArm
+from sim_drivers.plant.sensors import Measurement
 
 MEASURED = (
     "position",
@@ -208,7 +209,7 @@ class TableArm:
             axis.aim(target, moment, self._clock.cycle)
         self._goal, self._commanded_at = goal, self._time
 
-    def _value(self, signal: Signal, measured: MeasurementLike) -> float:
+    def _value(self, signal: Signal, measured: Measurement) -> float:
         low, high = signal.limits
         if signal.quantity in WHOLE_ARM:
             ahead = self.clock_ahead

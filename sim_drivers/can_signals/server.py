@@ -30,7 +30,7 @@ from sim_drivers.served import SimOptions
 from sim_drivers.server import LONGEST_LAG, with_troubles
 
 
-@dataclass(frozen=True)
+@dataclass
 class TableStatus:
     """Counters of the arm.
 
@@ -84,7 +84,7 @@ class ProprietaryCanServer(BusServer):
 
     def status(self) -> TableStatus:
         """Counters of the arm."""
-        return self._status
+        return replace(self._status)
 
     def ready(self) -> dict[str, object]:
         """Address for clients."""
@@ -123,7 +123,7 @@ class ProprietaryCanServer(BusServer):
                 now = self._clock.now()
                 if now - self._due > LONGEST_LAG:
                     self._due = self._arm_time = now
-                    self._status = replace(self._status, stalls=self._status.stalls + 1)
+                    self._status.stalls += 1
                 self._run_until(bus, now)
         finally:
             receiver.stop()
@@ -150,13 +150,9 @@ class ProprietaryCanServer(BusServer):
         self._advance_to(now)
         if self.settings.poll is None:
             self._speak(now)
-        self._status = replace(
-            self._status,
-            time=self._arm.arm.time,
-            enabled=self._arm.enabled,
-            lost=self._model.lost,
-            load=self._model.bits / self.settings.bitrate / max(now - self._begun, 1e-9),
-        )
+        status = self._status
+        status.time, status.enabled, status.lost = self._arm.arm.time, self._arm.enabled, self._model.lost
+        status.load = self._model.bits / self.settings.bitrate / max(now - self._begun, 1e-9)
 
     def _take(self, sent: Sent) -> None:
         if sent.time < self._silent_until:
@@ -181,15 +177,15 @@ class ProprietaryCanServer(BusServer):
             identifier = frame.id | (EXTENDED if frame.extended else 0)
             # The layouts of a multiplexed frame share an identifier but do not follow each other.
             self._model.submit(frame, now, own=True, newest_wins=identifier not in multiplexed)
-        self._status = replace(self._status, cycles=self._status.cycles + 1)
+        self._status.cycles += 1
 
     def _transmit(self, bus: can.BusABC, frame: Frame) -> None:
         muted = self._clock.now() < self._muted.get(frame.id, -math.inf)
         if muted or (left := self._spoilt(frame)) is None:
-            self._status = replace(self._status, withheld=self._status.withheld + 1)
+            self._status.withheld += 1
             return
         bus.send(message_of(left))
-        self._status = replace(self._status, frames=self._status.frames + 1)
+        self._status.frames += 1
 
     def _spread(self, bus: can.BusABC, frame: Frame, now: float) -> None:
         self._model.submit(frame, now, own=True)

@@ -9,7 +9,6 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -17,14 +16,13 @@ from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.canopen402.protocol.objects import EMCY, HEARTBEAT, NMT, SDO_ANSWER, SDO_REQUEST, SYNC
 from drivers.canopen402.settings import CanopenSettings
-from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
 from sim_drivers.canopen.drive import SimulatedDrive
 from sim_drivers.canopen.error_control import HIGHEST_NODE
 from sim_drivers.canopen.motion import SyncClock
 from sim_drivers.canopen.setup import DriveFeedback, DriveSetup
-from sim_drivers.plant.arm import MeasurementLike
+from sim_drivers.plant.arm import DrivenArm
 from sim_drivers.server import LONGEST_LAG
 
 LOOP_PERIOD = 1e-3
@@ -38,38 +36,6 @@ LONGEST_QUEUE = 100_000
 """Most queued frames of the master."""
 PEAK_FACTOR = 3.0
 """Torque limit of a joint over the rated torque of its drive, where the robot file does not state it: an assumption."""
-
-
-class DrivenArm(Protocol):
-    """Interface of a plant for the drives (`sim_drivers.plant.plant.Plant` is one); arrays are (n,)."""
-
-    @property
-    def position(self) -> FloatArray:
-        """True position of the motors [rad]."""
-
-    @property
-    def velocity(self) -> FloatArray:
-        """True velocity of the motors [rad/s]."""
-
-    def set_target(
-        self, position: FloatArray, velocity: FloatArray | None = None, acceleration: FloatArray | None = None
-    ) -> None:
-        """Reference of the joint controllers from now on."""
-
-    def limit_torque(self, limit: FloatArray) -> None:
-        """Let the motors give no more than this [N·m] from now on."""
-
-    def advance(self, duration: float) -> None:
-        """Advance virtual time [s]."""
-
-    def measure(self) -> MeasurementLike:
-        """The sensors' present values."""
-
-    def heat(self, joint: int, celsius: float) -> None:
-        """Raise a joint's temperature."""
-
-    def block(self, joint: int) -> None:
-        """Jam a joint."""
 
 
 def drive_setups(robot: Robot, settings: CanopenSettings) -> tuple[DriveSetup, ...]:

@@ -23,7 +23,7 @@ from sim_drivers.can.bus_load import Frame, exact_bits
 from sim_drivers.can.bus_server import BusServer, frame_of, message_of
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.axis import OVER_TEMPERATURE
-from sim_drivers.canopen.network import DrivenArm, DriveNetwork, NetworkCounts
+from sim_drivers.canopen.network import DriveNetwork, NetworkCounts
 from sim_drivers.faults import (
     BlockJoint,
     Fault,
@@ -36,6 +36,7 @@ from sim_drivers.faults import (
     Truncate,
     Unplug,
 )
+from sim_drivers.plant.arm import DrivenArm
 from sim_drivers.server import with_troubles
 
 LONGEST_WAIT = 0.005

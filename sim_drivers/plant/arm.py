@@ -5,31 +5,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from drivers.core.arrays import FloatArray
-
-
-class MeasurementLike(Protocol):
-    """Sensor values of a simulated arm, each (n,) in SI units and °C."""
-
-    @property
-    def position(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def velocity(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def current(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def torque(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def temperature(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def target_position(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def target_velocity(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def target_acceleration(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def target_current(self) -> FloatArray: ...  # noqa: D102
-    @property
-    def target_torque(self) -> FloatArray: ...  # noqa: D102
+from sim_drivers.plant.sensors import Measurement
 
 
 class SimulatedArm(Protocol):
@@ -50,7 +26,7 @@ class SimulatedArm(Protocol):
     def advance(self, duration: float) -> None:
         """Advance virtual time [s]."""
 
-    def measure(self) -> MeasurementLike:
+    def measure(self) -> Measurement:
         """The sensors' present values."""
 
     def heat(self, joint: int, celsius: float) -> None:
@@ -61,3 +37,18 @@ class SimulatedArm(Protocol):
 
     def stick(self, joint: int, quantity: str) -> None:
         """Let a joint's sensor hang."""
+
+
+class DrivenArm(SimulatedArm, Protocol):
+    """Interface of a plant for drives, which control its motors one by one; arrays are (n,)."""
+
+    @property
+    def position(self) -> FloatArray:
+        """True position of the motors [rad]."""
+
+    @property
+    def velocity(self) -> FloatArray:
+        """True velocity of the motors [rad/s]."""
+
+    def limit_torque(self, limit: FloatArray) -> None:
+        """Let the motors give no more than this [N·m] from now on."""

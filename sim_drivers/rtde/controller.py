@@ -17,8 +17,9 @@ import numpy as np
 from daq.robot.schema import JointLimits
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
+from sim_drivers.plant.arm import SimulatedArm
 from sim_drivers.plant.control import Reference
+from sim_drivers.plant.sensors import Measurement
 from sim_drivers.rtde.joint_motion import JointMotion, ServoJ, VelocityRamp
 from sim_drivers.rtde.variables import JOINTS, SIZES, ControllerVersion, Value, input_variables, output_variables, zero
 
@@ -290,7 +291,7 @@ class Controller:
             "tool_mode": TOOL_IDLE,
         }
 
-    def _publish(self, measured: MeasurementLike) -> None:
+    def _publish(self, measured: Measurement) -> None:
         self.measured = measured
         stopped = self.safety_mode == PROTECTIVE_STOP
         playing = self.script is not None

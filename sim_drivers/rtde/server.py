@@ -63,7 +63,7 @@ Service = Literal["rtde", "dashboard", "script", "secondary"]
 """The protocol of a port."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class ServerStatus:
     """Counters of the server.
 
@@ -165,7 +165,7 @@ class RtdeServer(FaultyServer):
 
     def status(self) -> ServerStatus:
         """Counters of the server."""
-        return self._status
+        return replace(self._status)
 
     def ready(self) -> dict[str, object]:
         """Address for clients."""
@@ -216,7 +216,7 @@ class RtdeServer(FaultyServer):
             count += 1
             if self._clock.now() - (begun + count * period) > LONGEST_LAG:
                 begun, count = self._clock.now(), 0
-                self._count(stalls=1)
+                self._status.stalls += 1
 
     def _period(self, *, behind: bool) -> None:
         for fault in self._new_faults():
@@ -243,15 +243,10 @@ class RtdeServer(FaultyServer):
                     sent += 1
         self._forget_closed()
         status = self._status
-        self._status = replace(
-            status,
-            time=self.controller.arm.time,
-            rtde_clients=clients,
-            packages=status.packages + sent,
-            faulted=status.faulted + withheld,
-            safety_mode=self.controller.safety_mode,
-            playing=self.controller.script is not None,
-        )
+        status.time, status.rtde_clients = self.controller.arm.time, clients
+        status.packages += sent
+        status.faulted += withheld
+        status.safety_mode, status.playing = self.controller.safety_mode, self.controller.script is not None
 
     def _cause(self, fault: Fault) -> None:  # noqa: C901, PLR0912 — a branch per kind of fault
         match fault:
@@ -315,7 +310,7 @@ class RtdeServer(FaultyServer):
     def _take_on(self, sock: socket.socket, service: Service) -> None:
         if len(self._connections) >= MAXIMUM_CONNECTIONS or sock.fileno() >= SELECTABLE_DESCRIPTORS:
             sock.close()
-            self._count(refused=1)
+            self._status.refused += 1
             return
         connection = ClientConnection(sock, self._sessions[service](), self._buffer_limit)
         self._connections.append(connection)
@@ -329,7 +324,7 @@ class RtdeServer(FaultyServer):
             answer = connection.session.receive(chunk)
         except ConnectionLostError as error:
             self.controller.messages.append(f"a client was dropped: {error.message}")
-            self._count(broken=1)
+            self._status.broken += 1
             connection.close()
             return
         connection.send(answer)
@@ -339,18 +334,8 @@ class RtdeServer(FaultyServer):
     def _forget_closed(self) -> None:
         if all(connection.open for connection in self._connections):
             return
-        self._count(overflowed=sum(connection.overflowed for connection in self._connections))
+        self._status.overflowed += sum(connection.overflowed for connection in self._connections)
         self._connections = [connection for connection in self._connections if connection.open]
-
-    def _count(self, *, overflowed: int = 0, broken: int = 0, refused: int = 0, stalls: int = 0) -> None:
-        status = self._status
-        self._status = replace(
-            status,
-            overflowed=status.overflowed + overflowed,
-            broken=status.broken + broken,
-            refused=status.refused + refused,
-            stalls=status.stalls + stalls,
-        )
 
     def _close(self) -> None:
         for connection in self._connections:

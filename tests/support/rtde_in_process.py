@@ -16,7 +16,8 @@ from drivers.rtde import protocol as wire
 from drivers.rtde.motion import Control, ControlFactory, MotionProcess, obey
 from drivers.rtde.protocol import Connect
 from drivers.rtde.servo_program import ServoProgram
-from sim_drivers.plant.arm import MeasurementLike, SimulatedArm
+from sim_drivers.plant.arm import SimulatedArm
+from sim_drivers.plant.sensors import Measurement
 from sim_drivers.rtde.server import Ports, RtdeServer, Service
 
 HOST = "arm"
@@ -69,7 +70,7 @@ class RememberedArm:
     def time(self) -> float:
         return self._arm.time
 
-    def measure(self) -> MeasurementLike:
+    def measure(self) -> Measurement:
         measured = self._arm.measure()
         self.times.append(self._arm.time)
         self._measured.append({quantity: getattr(measured, quantity).copy() for quantity in QUANTITIES})
