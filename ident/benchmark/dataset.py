@@ -115,16 +115,11 @@ def _overlap(first: Use, second: Use) -> bool:
 
 @dataclass(frozen=True)
 class LoadedData:
-    """A data set's recordings.
+    """A data set's recordings."""
 
-    Attributes:
-        dataset: where they are from.
-        robot: of the arm.
-        train, test: parts of recordings.
-    """
-
-    dataset: Dataset
-    robot: RobotFile
+    dataset: Dataset  # where they are from
+    robot: RobotFile  # of the arm
+    # train, test: parts of recordings
     train: tuple[Recording, ...]
     test: tuple[Recording, ...]
 

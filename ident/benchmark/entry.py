@@ -32,17 +32,11 @@ GROUP = "dynid.bench_methods"
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """What a method learns from.
+    """What a method learns from."""
 
-    Attributes:
-        robot: of the arm: joints, limits, kinematics, gravity; `robot.urdf_text` is its URDF where it has one.
-        recordings: the training parts, raw.
-        motions: states and torques of the same parts; empty for servo arms.
-    """
-
-    robot: RobotFile
-    recordings: tuple[Recording, ...]
-    motions: tuple[BenchmarkMotion, ...] = ()
+    robot: RobotFile  # of the arm: joints, limits, kinematics, gravity; `robot.urdf_text` is its URDF where it has one
+    recordings: tuple[Recording, ...]  # the training parts, raw
+    motions: tuple[BenchmarkMotion, ...] = ()  # states and torques of the same parts; empty for servo arms
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,17 +28,11 @@ DIVERGED = 10.0
 
 @dataclass(frozen=True)
 class ForwardError:
-    """Errors of simulated positions, under the measured torques and from measured states.
+    """Errors of simulated positions, under the measured torques and from measured states."""
 
-    Attributes:
-        ratio: median over the windows of the error over that of constant velocity; below 1 the model is of use.
-        diverged: share of the windows beyond `DIVERGED`, or without an inertia matrix that can be inverted.
-        windows: their number.
-    """
-
-    ratio: float
-    diverged: float
-    windows: int
+    ratio: float  # median over the windows of the error over that of constant velocity; below 1 the model is of use
+    diverged: float  # share of the windows beyond `DIVERGED`, or without an inertia matrix that can be inverted
+    windows: int  # their number
 
 
 def forward_error(predictor: TorquePredictor, motions: list[BenchmarkMotion]) -> ForwardError | None:

@@ -32,69 +32,42 @@ SETTLING = 1.0
 
 @dataclass(frozen=True)
 class JointError:
-    """Root mean square errors of one joint's torque [N·m or N]; nan where there is no such sample.
+    """Root mean square errors of one joint's torque [N·m or N]; nan where there is no such sample."""
 
-    Attributes:
-        joint: its name.
-        torque: root mean square of the torque itself, in the band.
-        band: of torques low-passed at the data set's band.
-        raw: of the samples as recorded.
-        rest: in the band, below `REST`.
-        low_speed: between `REST` and `LOW_SPEED`.
-        high_speed: from there on.
-    """
-
-    joint: str
-    torque: float
-    band: float
-    raw: float
-    rest: float
-    low_speed: float
-    high_speed: float
+    joint: str  # its name
+    torque: float  # root mean square of the torque itself, in the band
+    band: float  # of torques low-passed at the data set's band
+    raw: float  # of the samples as recorded
+    rest: float  # in the band, below `REST`
+    low_speed: float  # between `REST` and `LOW_SPEED`
+    high_speed: float  # from there on
 
 
 @dataclass(frozen=True)
 class TorqueScore:
-    """What torques on held-out data are worth.
+    """What torques on held-out data are worth."""
 
-    Attributes:
-        relative_error: ‖τ − τ̂‖ / ‖τ‖ in the band, over all joints, while the arm moves [%].
-        raw_relative_error: the same of the samples as recorded [%].
-        blocks: `relative_error`² over each block of held-out time, errors and torques: (2, blocks) sums [(N·m)²].
-        joints: in the robot's order.
-        forward: simulation under the measured torques; None where nothing moves.
-        links: links of the model; 0 where it has no bodies.
-        consistent_links: those whose mass density can exist (positive definite pseudo-inertia).
-        positive_inertia: share of random poses at which the inertia matrix is positive definite [%].
-        samples: that count.
-    """
-
-    relative_error: float
-    raw_relative_error: float
+    relative_error: float  # ‖τ − τ̂‖ / ‖τ‖ in the band, over all joints, while the arm moves [%]
+    raw_relative_error: float  # the same of the samples as recorded [%]
+    # `relative_error`² over each block of held-out time, errors and torques: (2, blocks) sums [(N·m)²]
     blocks: tuple[tuple[float, ...], tuple[float, ...]]
-    joints: tuple[JointError, ...]
-    forward: ForwardError | None
-    links: int
-    consistent_links: int
-    positive_inertia: float
-    samples: int
+    joints: tuple[JointError, ...]  # in the robot's order
+    forward: ForwardError | None  # simulation under the measured torques; None where nothing moves
+    links: int  # links of the model; 0 where it has no bodies
+    consistent_links: int  # those whose mass density can exist (positive definite pseudo-inertia)
+    positive_inertia: float  # share of random poses at which the inertia matrix is positive definite [%]
+    samples: int  # that count
 
 
 @dataclass(frozen=True)
 class ServoScore:
-    """What positions rolled out on held-out commands are worth.
+    """What positions rolled out on held-out commands are worth."""
 
-    Attributes:
-        rollout_error: mean absolute error of the judged joints [mrad or mm], first second left out.
-        blocks: its sums and numbers of samples over each recording: (2, recordings).
-        joints: name → error [mrad or mm].
-        samples: that count.
-    """
-
-    rollout_error: float
+    rollout_error: float  # mean absolute error of the judged joints [mrad or mm], first second left out
+    # its sums and numbers of samples over each recording: (2, recordings)
     blocks: tuple[tuple[float, ...], tuple[float, ...]]
-    joints: dict[str, float]
-    samples: int
+    joints: dict[str, float]  # name → error [mrad or mm]
+    samples: int  # that count
 
 
 def judge_torques(predictor: TorquePredictor, motions: list[BenchmarkMotion], robot: RobotFile) -> TorqueScore:

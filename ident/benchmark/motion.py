@@ -26,21 +26,15 @@ LARGEST_GAP = 0.1
 
 @dataclass(frozen=True, eq=False)
 class BenchmarkMotion:
-    """A gap-free motion on a uniform grid.
+    """A gap-free motion on a uniform grid."""
 
-    Attributes:
-        rate: [Hz].
-        band: cut-off of the torques that are compared [Hz].
-        q, dq, ddq: (N, n) positions, low-passed, and their derivatives [rad, rad/s, rad/s²; m for sliding joints].
-        torque: (N, n) of the joints, as recorded, interpolated linearly [N·m or N].
-    """
-
-    rate: float
-    band: float
+    rate: float  # [Hz]
+    band: float  # cut-off of the torques that are compared [Hz]
+    # q, dq, ddq: (N, n) positions, low-passed, and their derivatives [rad, rad/s, rad/s²; m for sliding joints]
     q: FloatArray
     dq: FloatArray
     ddq: FloatArray
-    torque: FloatArray
+    torque: FloatArray  # (N, n) of the joints, as recorded, interpolated linearly [N·m or N]
 
     @property
     def inner(self) -> slice:

@@ -22,25 +22,18 @@ BENCHMARK_FILE = "benchmark.json"
 
 @dataclass(frozen=True)
 class Entry:
-    """One method on one data set.
+    """One method on one data set."""
 
-    Attributes:
-        dataset, method: their names.
-        score: None where there is none.
-        parameters: of two halves of the training data: how many have intervals, and how many of the differences'
-            95 % intervals have zero in them; None where the method has none.
-        seconds: CPU time of the training [s].
-        memory: largest of the process, with all that it imports and the judge [MB].
-        failure: why there is no score; empty where there is one.
-    """
-
+    # dataset, method: their names
     dataset: str
     method: str
-    score: TorqueScore | ServoScore | None = None
+    score: TorqueScore | ServoScore | None = None  # None where there is none
+    # of two halves of the training data: how many have intervals, and how many of the differences' 95 % intervals have
+    # zero in them; None where the method has none
     parameters: tuple[int, int] | None = None
-    seconds: float = float("nan")
-    memory: float = float("nan")
-    failure: str = ""
+    seconds: float = float("nan")  # CPU time of the training [s]
+    memory: float = float("nan")  # largest of the process, with all that it imports and the judge [MB]
+    failure: str = ""  # why there is no score; empty where there is one
 
     @property
     def error(self) -> float:
@@ -60,21 +53,14 @@ class Skipped:
 
 @dataclass(frozen=True)
 class Benchmark(SavedResult):
-    """All figures of one call.
-
-    Attributes:
-        datasets: that were judged on.
-        entries: by data set, in the order of the methods.
-        skipped: data sets whose files are missing.
-        versions: of what ran.
-    """
+    """All figures of one call."""
 
     FILE = BENCHMARK_FILE
 
-    datasets: tuple[Dataset, ...]
-    entries: tuple[Entry, ...]
-    skipped: tuple[Skipped, ...]
-    versions: dict[str, str]
+    datasets: tuple[Dataset, ...]  # that were judged on
+    entries: tuple[Entry, ...]  # by data set, in the order of the methods
+    skipped: tuple[Skipped, ...]  # data sets whose files are missing
+    versions: dict[str, str]  # of what ran
 
     def of(self, dataset: str) -> list[Entry]:
         """Entries with a score on a data set, the best first."""

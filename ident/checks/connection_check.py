@@ -33,44 +33,27 @@ GAIN_AGREEMENT = 0.2
 
 @dataclasses.dataclass(frozen=True)
 class CheckedStream:
-    """A stream and its first sample.
+    """A stream and its first sample."""
 
-    Attributes:
-        name: of the stream.
-        nominal_hz: rate that the driver names; 0 where it names none.
-        rate_hz: as received within `LISTEN`, by the host's clock; None where too few samples arrived.
-        first: quantity → column → value of the first sample.
-        units: quantity → unit.
-    """
-
-    name: str
-    nominal_hz: float
-    rate_hz: float | None
-    first: Mapping[str, Mapping[str, float]]
-    units: Mapping[str, str]
+    name: str  # of the stream
+    nominal_hz: float  # rate that the driver names; 0 where it names none
+    rate_hz: float | None  # as received within `LISTEN`, by the host's clock; None where too few samples arrived
+    first: Mapping[str, Mapping[str, float]]  # quantity → column → value of the first sample
+    units: Mapping[str, str]  # quantity → unit
 
 
 @dataclasses.dataclass(frozen=True)
 class CheckedConnection:
-    """Outcome of the check of a connection.
+    """Outcome of the check of a connection."""
 
-    Attributes:
-        name: of the connection.
-        driver: name of its driver.
-        identities: of each device, as far as the driver can read them.
-        streams: checked.
-        limits: quantity → limits of the joints that the controller or its drives tell of their own.
-        notices: of the driver, level first.
-        warnings: inconsistencies with the robot file, in words.
-    """
-
-    name: str
-    driver: str
-    identities: tuple[Mapping[str, Any], ...]
-    streams: tuple[CheckedStream, ...]
+    name: str  # of the connection
+    driver: str  # name of its driver
+    identities: tuple[Mapping[str, Any], ...]  # of each device, as far as the driver can read them
+    streams: tuple[CheckedStream, ...]  # checked
+    # quantity → limits of the joints that the controller or its drives tell of their own
     limits: Mapping[str, Mapping[str, float]]
-    notices: tuple[str, ...]
-    warnings: tuple[str, ...]
+    notices: tuple[str, ...]  # of the driver, level first
+    warnings: tuple[str, ...]  # inconsistencies with the robot file, in words
 
 
 def check_connections(

@@ -65,23 +65,14 @@ POSES = 300
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong, or doubtful.
+    """One thing that is wrong, or doubtful."""
 
-    Attributes:
-        severity: "error" where nothing that uses the value can be right, else "note".
-        check: name of the check.
-        links: names of the links or joints.
-        what: what was found.
-        why: why it matters.
-        remedy: what to do.
-    """
-
-    severity: Literal["error", "note"]
-    check: str
-    links: tuple[str, ...]
-    what: str
-    why: str
-    remedy: str
+    severity: Literal["error", "note"]  # "error" where nothing that uses the value can be right, else "note"
+    check: str  # name of the check
+    links: tuple[str, ...]  # names of the links or joints
+    what: str  # what was found
+    why: str  # why it matters
+    remedy: str  # what to do
 
     def __str__(self) -> str:
         return f"{self.severity}: {', '.join(self.links)}: {self.what}; {self.why}: {self.remedy} [{self.check}]"
@@ -89,25 +80,15 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class LintedBody:
-    """A link as its description has it, in its own frame.
+    """A link as its description has it, in its own frame."""
 
-    Attributes:
-        name: of the link.
-        parent: index of the link that carries it; -1 for the base.
-        mass: [kg]; 0 where none is stated.
-        com: (3,) centre of mass [m].
-        inertia: (3, 3) about it [kg·m²].
-        box: corners (2, 3) of what its shapes take [m]; None where they are not known.
-        reach: distance [m] to the farthest joint that it carries.
-    """
-
-    name: str
-    parent: int
-    mass: float
-    com: FloatArray
-    inertia: FloatArray
-    box: FloatArray | None
-    reach: float
+    name: str  # of the link
+    parent: int  # index of the link that carries it; -1 for the base
+    mass: float  # [kg]; 0 where none is stated
+    com: FloatArray  # (3,) centre of mass [m]
+    inertia: FloatArray  # (3, 3) about it [kg·m²]
+    box: FloatArray | None  # corners (2, 3) of what its shapes take [m]; None where they are not known
+    reach: float  # distance [m] to the farthest joint that it carries
 
     @property
     def size(self) -> float:
@@ -117,17 +98,11 @@ class LintedBody:
 
 @dataclass(frozen=True)
 class LintReport:
-    """What `dynid lint` found.
+    """What `dynid lint` found."""
 
-    Attributes:
-        name: of the robot.
-        links: how many links that move were looked at.
-        findings: errors first.
-    """
-
-    name: str
-    links: int
-    findings: tuple[Finding, ...]
+    name: str  # of the robot
+    links: int  # how many links that move were looked at
+    findings: tuple[Finding, ...]  # errors first
 
     @property
     def untrusted(self) -> tuple[str, ...]:

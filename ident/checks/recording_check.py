@@ -40,31 +40,18 @@ UR10 and Panda determine 0.30 to 0.31, 5 s of a simulated arm's 0.38 or more."""
 
 @dataclass(frozen=True)
 class RecordingInfo:
-    """Everything that `dynid info` shows.
+    """Everything that `dynid info` shows."""
 
-    Attributes:
-        recording: as read.
-        robot: of the robot file.
-        streams: name → evenness of its clock.
-        columns: (stream, quantity) → figures of its columns.
-        excitation: how well the motion excites the arm; None where nothing could be analysed.
-        delay: torque behind position; None where there is no torque or no motion.
-        sufficiency: error bars expected from the motion; None where nothing could be analysed.
-        times: how long it must last for a wanted RSD; None where none was requested.
-        verdict: the best possible suitability of a model from it, with all checks.
-        motion: prepared as `dynid identify` would; None where nothing could be analysed.
-    """
-
-    recording: Recording
-    robot: Robot
-    streams: Mapping[str, StreamQuality]
-    columns: Mapping[tuple[str, str], tuple[ColumnQuality, ...]]
-    excitation: ExcitationReached | None
-    delay: DelaySearch | None
-    sufficiency: Sufficiency | None
-    times: TimesNeeded | None
-    verdict: Verdict
-    motion: RecordedMotion | None = None
+    recording: Recording  # as read
+    robot: Robot  # of the robot file
+    streams: Mapping[str, StreamQuality]  # name → evenness of its clock
+    columns: Mapping[tuple[str, str], tuple[ColumnQuality, ...]]  # (stream, quantity) → figures of its columns
+    excitation: ExcitationReached | None  # how well the motion excites the arm; None where nothing could be analysed
+    delay: DelaySearch | None  # torque behind position; None where there is no torque or no motion
+    sufficiency: Sufficiency | None  # error bars expected from the motion; None where nothing could be analysed
+    times: TimesNeeded | None  # how long it must last for a wanted RSD; None where none was requested
+    verdict: Verdict  # the best possible suitability of a model from it, with all checks
+    motion: RecordedMotion | None = None  # prepared as `dynid identify` would; None where nothing could be analysed
 
     @property
     def motion_units(self) -> tuple[str, str]:

@@ -31,21 +31,14 @@ LONGEST_LINK = 10.0
 
 @dataclass(frozen=True)
 class RobotCheck:
-    """Results of `dynid check` for a readable robot file.
+    """Results of `dynid check` for a readable robot file."""
 
-    Attributes:
-        problems: errors about everything for which the file cannot be used.
-        warnings: doubts, in words.
-        assumed: assumptions in place of what the file does not state, in words.
-        poses: of the tool at position zero and at the file's named poses; empty where the kinematics cannot be used.
-        budgets: bus load of each connection whose bus can be too full, by the connection's name.
-    """
-
-    problems: tuple[InputError, ...]
-    warnings: tuple[str, ...]
-    assumed: tuple[str, ...]
+    problems: tuple[InputError, ...]  # errors about everything for which the file cannot be used
+    warnings: tuple[str, ...]  # doubts, in words
+    assumed: tuple[str, ...]  # assumptions in place of what the file does not state, in words
+    # of the tool at position zero and at the file's named poses; empty where the kinematics cannot be used
     poses: tuple[ToolPose, ...]
-    budgets: dict[str, Budget]
+    budgets: dict[str, Budget]  # bus load of each connection whose bus can be too full, by the connection's name
 
 
 def check_robot(robot_file: RobotFile) -> RobotCheck:

@@ -19,23 +19,14 @@ SHOWN_AS_ZERO = 1e-12
 
 @dataclass(frozen=True)
 class ToolPose:
-    """The tool's place in the base frame at one position of the joints; UR's pendant shows the rotation vector.
+    """The tool's place in the base frame at one position of the joints; UR's pendant shows the rotation vector."""
 
-    Attributes:
-        name: of the pose.
-        joints: (n,) positions [rad or m].
-        position: (3,) of the tool point [m].
-        rotation_vector: (3,) of the tool's axes [rad].
-        rpy: (3,) the same as roll, pitch, yaw [rad] about the base frame's x, y, z, in this order.
-        beyond: names of the joints that are outside their limits there.
-    """
-
-    name: str
-    joints: tuple[float, ...]
-    position: tuple[float, ...]
-    rotation_vector: tuple[float, ...]
-    rpy: tuple[float, ...]
-    beyond: tuple[str, ...]
+    name: str  # of the pose
+    joints: tuple[float, ...]  # (n,) positions [rad or m]
+    position: tuple[float, ...]  # (3,) of the tool point [m]
+    rotation_vector: tuple[float, ...]  # (3,) of the tool's axes [rad]
+    rpy: tuple[float, ...]  # (3,) the same as roll, pitch, yaw [rad] about the base frame's x, y, z, in this order
+    beyond: tuple[str, ...]  # names of the joints that are outside their limits there
 
 
 def tool_poses(robot_file: RobotFile, model: DynamicModel) -> tuple[ToolPose, ...]:

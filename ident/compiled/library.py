@@ -38,17 +38,11 @@ ABANDONED = 3600.0
 
 @dataclass(frozen=True)
 class Kernels:
-    """The library, or why there is none.
+    """The library, or why there is none."""
 
-    Attributes:
-        quick: for calls of microseconds, which keep the interpreter's lock; None without a library.
-        long: for calls that let other threads run; None without a library.
-        said: where it lies, or why there is none, for `dynid --version --verbose`.
-    """
-
-    quick: Any
-    long: Any
-    said: str
+    quick: Any  # for calls of microseconds, which keep the interpreter's lock; None without a library
+    long: Any  # for calls that let other threads run; None without a library
+    said: str  # where it lies, or why there is none, for `dynid --version --verbose`
 
 
 def address(array: np.ndarray[Any, Any]) -> int:

@@ -62,25 +62,15 @@ _MEASURES: dict[str, Measure] = {
 
 @dataclass(frozen=True)
 class Design:
-    """A designed excitation.
+    """A designed excitation."""
 
-    Attributes:
-        choices: its options.
-        motion: as played, from rest to rest.
-        cost: exp of the criterion along one repetition at full speed: a condition number where it is one.
-        condition: column-normalised condition number of the base regressor there.
-        use: (m,) utilisation of every limit along the played motion, on the dense grid; at most 1.
-        limits: (m,) their names.
-        search: its outcome.
-    """
-
-    choices: DesignChoices
-    motion: Motion
-    cost: float
-    condition: float
-    use: FloatArray
-    limits: tuple[str, ...]
-    search: SearchResult
+    choices: DesignChoices  # its options
+    motion: Motion  # as played, from rest to rest
+    cost: float  # exp of the criterion along one repetition at full speed: a condition number where it is one
+    condition: float  # column-normalised condition number of the base regressor there
+    use: FloatArray  # (m,) utilisation of every limit along the played motion, on the dense grid; at most 1
+    limits: tuple[str, ...]  # (m,) their names
+    search: SearchResult  # its outcome
 
 
 def design(

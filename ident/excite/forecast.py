@@ -38,97 +38,58 @@ TORQUE_GRID_RATE = 1000.0
 
 @dataclass(frozen=True)
 class ParameterForecast:
-    """Expected precision of one base parameter.
+    """Expected precision of one base parameter."""
 
-    Attributes:
-        name: as in the result.
-        expression: the combination of standard parameters.
-        kind: inertial, friction, ….
-        unit: of value and std.
-        value: prior; None where nothing is known.
-        std: predicted standard deviation; inf where the motion does not excite it.
-        rsd_percent: the same, of the value [%]; inf where the value is 0, None where it is not known.
-    """
-
-    name: str
-    expression: str
-    kind: str
-    unit: str
-    value: float | None
-    std: float
-    rsd_percent: float | None
+    name: str  # as in the result
+    expression: str  # the combination of standard parameters
+    kind: str  # inertial, friction, …
+    unit: str  # of value and std
+    value: float | None  # prior; None where nothing is known
+    std: float  # predicted standard deviation; inf where the motion does not excite it
+    rsd_percent: float | None  # the same, of the value [%]; inf where the value is 0, None where it is not known
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Expected precision of an identification with a motion.
+    """Expected precision of an identification with a motion."""
 
-    Attributes:
-        condition: condition number of the base regressor.
-        scaled_condition: the same, column-normalised.
-        log_det: natural logarithm of the determinant of the information matrix Σ_j Φ_jᵀΦ_j/σ_j² (all excited columns).
-        unexcited: names of the base parameters that the motion does not excite.
-        parameters: one entry per base parameter.
-    """
-
-    condition: float
-    scaled_condition: float
+    condition: float  # condition number of the base regressor
+    scaled_condition: float  # the same, column-normalised
+    # natural logarithm of the determinant of the information matrix Σ_j Φ_jᵀΦ_j/σ_j² (all excited columns)
     log_det: float
-    unexcited: tuple[str, ...]
-    parameters: tuple[ParameterForecast, ...]
+    unexcited: tuple[str, ...]  # names of the base parameters that the motion does not excite
+    parameters: tuple[ParameterForecast, ...]  # one entry per base parameter
 
 
 @dataclass(frozen=True)
 class JointUse:
-    """Limit utilisation of one joint; 1 is the limit.
+    """Limit utilisation of one joint; 1 is the limit."""
 
-    Attributes:
-        joint: its name.
-        lowest, highest: position [rad or m].
-        position_use: largest distance from the middle of the range, of half the range.
-        velocity: largest magnitude [rad/s or m/s].
-        velocity_use: of its limit.
-        acceleration: largest magnitude [rad/s² or m/s²].
-        acceleration_use: of its limit.
-        torque: largest magnitude that the prior parameters need [N·m or N]; None where there are none.
-        torque_use: of its limit; None where either is unknown.
-    """
-
-    joint: str
+    joint: str  # its name
+    # lowest, highest: position [rad or m]
     lowest: float
     highest: float
-    position_use: float
-    velocity: float
-    velocity_use: float
-    acceleration: float
-    acceleration_use: float
-    torque: float | None
-    torque_use: float | None
+    position_use: float  # largest distance from the middle of the range, of half the range
+    velocity: float  # largest magnitude [rad/s or m/s]
+    velocity_use: float  # of its limit
+    acceleration: float  # largest magnitude [rad/s² or m/s²]
+    acceleration_use: float  # of its limit
+    torque: float | None  # largest magnitude that the prior parameters need [N·m or N]; None where there are none
+    torque_use: float | None  # of its limit; None where either is unknown
 
 
 @dataclass(frozen=True)
 class ExcitationFigures:
-    """Duration, forecast and limit utilisation of a designed motion.
+    """Duration, forecast and limit utilisation of a designed motion."""
 
-    Attributes:
-        duration: of what is played [s].
-        rate: at which it is recorded [Hz].
-        forecast: expected precision with its recording.
-        joints: limit utilisation of each joint.
-        worst_use: largest limit utilisation of any joint.
-        worst_limit: the name of that limit.
-        worst_time: when [s].
-        prior: origin of parameters and noise.
-    """
-
-    duration: float
-    rate: float
-    forecast: Forecast
-    joints: tuple[JointUse, ...]
-    worst_use: float
-    worst_limit: str
-    worst_time: float
-    prior: str
+    duration: float  # of what is played [s]
+    rate: float  # at which it is recorded [Hz]
+    forecast: Forecast  # expected precision with its recording
+    joints: tuple[JointUse, ...]  # limit utilisation of each joint
+    worst_use: float  # largest limit utilisation of any joint
+    worst_limit: str  # the name of that limit
+    worst_time: float  # when [s]
+    prior: str  # origin of parameters and noise
 
 
 def excitation_figures(robot_file: RobotFile, motion: Motion, prior: PriorKnowledge) -> ExcitationFigures:

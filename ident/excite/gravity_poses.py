@@ -59,29 +59,18 @@ _RIDGE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class GravityMotion:
-    """The motion, and what it is expected to tell.
+    """The motion, and what it is expected to tell."""
 
-    Attributes:
-        motion: from the first pose to the first pose.
-        poses: (K, n) in the order of the motion; the first is visited again at the end [rad or m].
-        half_stroke: (n,) distance from a pose to the ends of its passes [rad or m].
-        pass_time: [s] of one pass.
-        sigma: (n,) expected σ of each joint's gravity torque, root mean square over poses of the arm [N·m or N].
-        undetermined: parameters that none of the poses tells.
-        silent: names of the joints that gravity does not act on.
-        dropped: number of chosen poses that no free way leads to.
-        figures: of the check that every motion passes before it is played.
-    """
-
-    motion: PointToPoint
-    poses: FloatArray
-    half_stroke: FloatArray
-    pass_time: float
+    motion: PointToPoint  # from the first pose to the first pose
+    poses: FloatArray  # (K, n) in the order of the motion; the first is visited again at the end [rad or m]
+    half_stroke: FloatArray  # (n,) distance from a pose to the ends of its passes [rad or m]
+    pass_time: float  # [s] of one pass
+    # (n,) expected σ of each joint's gravity torque, root mean square over poses of the arm [N·m or N]
     sigma: FloatArray
-    undetermined: tuple[str, ...]
-    silent: tuple[str, ...]
-    dropped: int
-    figures: MotionFigures
+    undetermined: tuple[str, ...]  # parameters that none of the poses tells
+    silent: tuple[str, ...]  # names of the joints that gravity does not act on
+    dropped: int  # number of chosen poses that no free way leads to
+    figures: MotionFigures  # of the check that every motion passes before it is played
 
 
 def gravity_motion(

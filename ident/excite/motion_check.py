@@ -37,21 +37,13 @@ TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class _Watched:
-    """A distance over time.
+    """A distance over time."""
 
-    Attributes:
-        what: an obstacle, a limit of the workspace, or another link.
-        kind: which of them.
-        links: (N,) names of the links that come nearest.
-        distance: (N,) [m].
-        kept: at least this much [m].
-    """
-
-    what: str
-    kind: Literal["obstacle", "limit", "link"]
-    links: Sequence[str]
-    distance: FloatArray
-    kept: float
+    what: str  # an obstacle, a limit of the workspace, or another link
+    kind: Literal["obstacle", "limit", "link"]  # which of them
+    links: Sequence[str]  # (N,) names of the links that come nearest
+    distance: FloatArray  # (N,) [m]
+    kept: float  # at least this much [m]
 
     def breach(self, sample: int, time: float) -> str:
         """The violation at a sample, the first of those that come too near."""

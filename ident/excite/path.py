@@ -21,19 +21,12 @@ from drivers.core.arrays import FloatArray
 
 @dataclass(frozen=True)
 class JointPath:
-    """A joint motion on a grid of times.
+    """A joint motion on a grid of times."""
 
-    Attributes:
-        time: (N,) [s].
-        position: (n, N) [rad or m].
-        velocity: (n, N) [rad/s or m/s].
-        acceleration: (n, N) [rad/s² or m/s²].
-    """
-
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
+    time: FloatArray  # (N,) [s]
+    position: FloatArray  # (n, N) [rad or m]
+    velocity: FloatArray  # (n, N) [rad/s or m/s]
+    acceleration: FloatArray  # (n, N) [rad/s² or m/s²]
 
 
 def repeated_for(motion: Motion, seconds: float) -> Motion:

@@ -30,19 +30,13 @@ ASSUMED_NOISE = 1.0
 
 @dataclass(frozen=True)
 class PriorKnowledge:
-    """Knowledge before a recording.
+    """Knowledge before a recording."""
 
-    Attributes:
-        parameters: (b,) base parameters; None where nothing is known.
-        noise: (n,) standard deviation of each joint's torque noise [N·m or N].
-        source: origin of both, in words.
-        rate: independent noise values per second [Hz]. Its density noise²/(rate/2) is
-            what matters in the band in which the model is fitted.
-    """
-
-    parameters: FloatArray | None
-    noise: FloatArray
-    source: str
+    parameters: FloatArray | None  # (b,) base parameters; None where nothing is known
+    noise: FloatArray  # (n,) standard deviation of each joint's torque noise [N·m or N]
+    source: str  # origin of both, in words
+    # independent noise values per second [Hz]. Its density noise²/(rate/2) is what matters in the band in which the
+    # model is fitted.
     rate: float
 
 

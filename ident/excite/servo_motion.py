@@ -46,41 +46,26 @@ SIGMAS = 1.96
 
 @dataclass(frozen=True)
 class ServoForecast:
-    """What a motion does to a parameter; half-widths of 95 % intervals, of logarithms where it is positive [%].
+    """What a motion does to a parameter; half-widths of 95 % intervals, of logarithms where it is positive [%]."""
 
-    Attributes:
-        joint, parameter: names.
-        now: before the motion; None without a model.
-        then: after it, as expected.
-        wanted: that is enough.
-    """
-
+    # joint, parameter: names
     joint: str
     parameter: str
-    now: float
-    then: float
-    wanted: float
+    now: float  # before the motion; None without a model
+    then: float  # after it, as expected
+    wanted: float  # that is enough
 
 
 @dataclass(frozen=True, eq=False)
 class ServoExcitation:
-    """The motion, and what it is expected to tell.
+    """The motion, and what it is expected to tell."""
 
-    Attributes:
-        motion: None where the model is good enough already.
-        position: (K, n) every `PERIOD` [rad or m].
-        segments: pieces in their order.
-        forecast: of the parameters that were wide; empty without a model.
-        enough: whether all are expected to be as narrow as wanted.
-        figures: of the check that every motion passes before it is played.
-    """
-
-    motion: SampledMotion | None
-    position: FloatArray
-    segments: tuple[ServoSegment, ...]
-    forecast: tuple[ServoForecast, ...]
-    enough: bool
-    figures: MotionFigures | None
+    motion: SampledMotion | None  # None where the model is good enough already
+    position: FloatArray  # (K, n) every `PERIOD` [rad or m]
+    segments: tuple[ServoSegment, ...]  # pieces in their order
+    forecast: tuple[ServoForecast, ...]  # of the parameters that were wide; empty without a model
+    enough: bool  # whether all are expected to be as narrow as wanted
+    figures: MotionFigures | None  # of the check that every motion passes before it is played
 
 
 def servo_excitation(

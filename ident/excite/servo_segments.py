@@ -41,35 +41,23 @@ CHIRP = (0.3, 4.0)
 
 @dataclass(frozen=True)
 class Room:
-    """What a motion may use, (n,) each.
+    """What a motion may use, (n,) each."""
 
-    Attributes:
-        low, high: positions [rad or m].
-        velocity: [rad/s or m/s].
-        acceleration: [rad/s² or m/s²].
-    """
-
+    # low, high: positions [rad or m]
     low: FloatArray
     high: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
+    velocity: FloatArray  # [rad/s or m/s]
+    acceleration: FloatArray  # [rad/s² or m/s²]
 
 
 @dataclass(frozen=True, eq=False)
 class ServoSegment:
-    """A piece of motion.
+    """A piece of motion."""
 
-    Attributes:
-        kind: one of `KINDS`.
-        amplitude: share of the largest.
-        pose: number of the pose that it begins and ends in.
-        position: (K, n) every `PERIOD` [rad or m].
-    """
-
-    kind: str
-    amplitude: float
-    pose: int
-    position: FloatArray
+    kind: str  # one of `KINDS`
+    amplitude: float  # share of the largest
+    pose: int  # number of the pose that it begins and ends in
+    position: FloatArray  # (K, n) every `PERIOD` [rad or m]
 
 
 def segment(kind: str, share: float, pose: int, centre: FloatArray, room: Room, seed: int) -> ServoSegment:

@@ -29,49 +29,30 @@ REPEATED = 1.2
 
 @dataclass(frozen=True)
 class Sufficiency:
-    """Expected error bars of a recorded motion.
+    """Expected error bars of a recorded motion."""
 
-    Attributes:
-        seconds: duration of the motion used [s].
-        source: origin of parameters and noise, in words.
-        repetitions: how often the motion was repeated, on average; 1 where it was not, or where there is no torque.
-        forecast: condition, log det, predicted error bars.
-    """
-
-    seconds: float
-    source: str
-    repetitions: float
-    forecast: Forecast
+    seconds: float  # duration of the motion used [s]
+    source: str  # origin of parameters and noise, in words
+    repetitions: float  # how often the motion was repeated, on average; 1 where it was not, or where there is no torque
+    forecast: Forecast  # condition, log det, predicted error bars
 
 
 @dataclass(frozen=True)
 class TimeNeeded:
-    """How long a motion must last for one parameter.
+    """How long a motion must last for one parameter."""
 
-    Attributes:
-        name: of the base parameter.
-        rsd_percent: predicted for this recording [%].
-        seconds: of the same motion until it is reached [s]; the standard deviation falls with the root of the time.
-    """
-
-    name: str
-    rsd_percent: float
-    seconds: float
+    name: str  # of the base parameter
+    rsd_percent: float  # predicted for this recording [%]
+    seconds: float  # of the same motion until it is reached [s]; the standard deviation falls with the root of the time
 
 
 @dataclass(frozen=True)
 class TimesNeeded:
-    """How long a motion must last for a wanted relative standard deviation.
+    """How long a motion must last for a wanted relative standard deviation."""
 
-    Attributes:
-        wanted_rsd_percent: [%].
-        parameters: the significant ones (RSD below 15 % by now), the slowest first.
-        sentence: the conclusion.
-    """
-
-    wanted_rsd_percent: float
-    parameters: tuple[TimeNeeded, ...]
-    sentence: str
+    wanted_rsd_percent: float  # [%]
+    parameters: tuple[TimeNeeded, ...]  # the significant ones (RSD below 15 % by now), the slowest first
+    sentence: str  # the conclusion
 
 
 def motion_sufficiency(motion: RecordedMotion, choices: PreprocessChoices | None = None) -> Sufficiency | None:

@@ -28,35 +28,23 @@ LIMIT_SHARE = 0.9
 
 @dataclass(frozen=True)
 class JointSweep:
-    """What one joint does.
+    """What one joint does."""
 
-    Attributes:
-        joint: its name.
-        low, high: ends of the stroke [rad or m].
-        speeds: peak speeds [rad/s or m/s], rising.
-        refusal: why it does not move; empty where it does.
-    """
-
-    joint: str
+    joint: str  # its name
+    # low, high: ends of the stroke [rad or m]
     low: float
     high: float
-    speeds: tuple[float, ...]
-    refusal: str = ""
+    speeds: tuple[float, ...]  # peak speeds [rad/s or m/s], rising
+    refusal: str = ""  # why it does not move; empty where it does
 
 
 @dataclass(frozen=True, eq=False)
 class VelocitySweep:
-    """The motion of all joints.
+    """The motion of all joints."""
 
-    Attributes:
-        motion: from the pose back to it.
-        joints: what each joint does, in order.
-        figures: of the check that every motion passes before it is played.
-    """
-
-    motion: PointToPoint
-    joints: tuple[JointSweep, ...]
-    figures: MotionFigures
+    motion: PointToPoint  # from the pose back to it
+    joints: tuple[JointSweep, ...]  # what each joint does, in order
+    figures: MotionFigures  # of the check that every motion passes before it is played
 
 
 def velocity_sweep(robot_file: RobotFile, check: MotionCheck, choices: SweepChoices) -> VelocitySweep:

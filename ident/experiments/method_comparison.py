@@ -19,51 +19,34 @@ WRISTED = 5
 
 @dataclass(frozen=True)
 class JointGroup:
-    """Joints whose largest errors are taken together.
+    """Joints whose largest errors are taken together."""
 
-    Attributes:
-        name: of the group.
-        joints: their numbers, from 0.
-        members: their names.
-    """
-
-    name: str
-    joints: tuple[int, ...]
-    members: tuple[str, ...]
+    name: str  # of the group
+    joints: tuple[int, ...]  # their numbers, from 0
+    members: tuple[str, ...]  # their names
 
 
 @dataclass(frozen=True)
 class RunErrors:
-    """Errors of one model's torques on one held-out recording; nan where there is no such sample.
+    """Errors of one model's torques on one held-out recording; nan where there is no such sample."""
 
-    Attributes:
-        relative_error: ‖τ − τ̂‖ / ‖τ‖, a ratio.
-        rmse: root mean square over all joints [N·m].
-        low_speed_rmse, high_speed_rmse: the same below and above `LOW_SPEED` [N·m].
-        low_speed_max, high_speed_max: largest error in each group of joints [N·m].
-    """
-
-    relative_error: float
-    rmse: float
+    relative_error: float  # ‖τ − τ̂‖ / ‖τ‖, a ratio
+    rmse: float  # root mean square over all joints [N·m]
+    # low_speed_rmse, high_speed_rmse: the same below and above `LOW_SPEED` [N·m]
     low_speed_rmse: float
     high_speed_rmse: float
+    # low_speed_max, high_speed_max: largest error in each group of joints [N·m]
     low_speed_max: tuple[float, ...]
     high_speed_max: tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class PairedDifference:
-    """Mean difference of two models' errors on the same recordings.
+    """Mean difference of two models' errors on the same recordings."""
 
-    Attributes:
-        mean: second minus first.
-        half_width: of its 95 % interval (Student's t); inf with fewer than two recordings.
-        runs: number of recordings.
-    """
-
-    mean: float
-    half_width: float
-    runs: int
+    mean: float  # second minus first
+    half_width: float  # of its 95 % interval (Student's t); inf with fewer than two recordings
+    runs: int  # number of recordings
 
     @property
     def significant(self) -> bool:

@@ -50,36 +50,25 @@ class Run:
 
 @dataclass(frozen=True)
 class RunPair:
-    """The free and the loaded run.
+    """The free and the loaded run."""
 
-    Attributes:
-        robot_file: the arm.
-        model, base, kernel: its model, base parameters and their regressor.
-        runs: free, then loaded.
-        active: base columns that the two runs together excite.
-        delay: of the torque behind the position, the same for both runs.
-    """
-
-    robot_file: RobotFile
+    robot_file: RobotFile  # the arm
+    # model, base, kernel: its model, base parameters and their regressor
     model: DynamicModel
     base: BaseParameters
     kernel: RegressorKernel
-    runs: tuple[Run, Run]
-    active: tuple[int, ...]
-    delay: DelaySearch
+    runs: tuple[Run, Run]  # free, then loaded
+    active: tuple[int, ...]  # base columns that the two runs together excite
+    delay: DelaySearch  # of the torque behind the position, the same for both runs
 
 
 @dataclass(frozen=True)
 class BlockGrams:
-    """[W_j y_j]ᵀ[W_j y_j] of every block.
+    """[W_j y_j]ᵀ[W_j y_j] of every block."""
 
-    Attributes:
-        grams: for each run and joint (B, w + 1, w + 1), w its structurally non-zero base columns, y_j last.
-        length: samples per block.
-    """
-
+    # for each run and joint (B, w + 1, w + 1), w its structurally non-zero base columns, y_j last
     grams: tuple[tuple[FloatArray, ...], tuple[FloatArray, ...]]
-    length: int
+    length: int  # samples per block
 
     @property
     def count(self) -> int:

@@ -20,37 +20,23 @@ from ident.model.parameters import LINK_SIZE
 
 @dataclass(frozen=True)
 class JointTerms:
-    """What acts along joints or motors beside the links; arrays (a,).
+    """What acts along joints or motors beside the links; arrays (a,)."""
 
-    Attributes:
-        inertia: of the motor or of what turns with the joint [kg·m²].
-        viscous: [N·m·s/rad], positive where it brakes.
-        coulomb: [N·m], positive where it brakes.
-        offset: constant torque [N·m].
-    """
-
-    inertia: FloatArray
-    viscous: FloatArray
-    coulomb: FloatArray
-    offset: FloatArray
+    inertia: FloatArray  # of the motor or of what turns with the joint [kg·m²]
+    viscous: FloatArray  # [N·m·s/rad], positive where it brakes
+    coulomb: FloatArray  # [N·m], positive where it brakes
+    offset: FloatArray  # constant torque [N·m]
 
 
 @dataclass(frozen=True)
 class ExportedArm:
-    """An arm with the standard parameters of bodies that can exist.
+    """An arm with the standard parameters of bodies that can exist."""
 
-    Attributes:
-        robot_file: its limits, shapes and URDF.
-        model: its tree and transmission.
-        values: (p,) standard parameters in the order of `model.parameters`.
-        dynamics: torques of the same parameters, which every file that is read again is compared with.
-        further_friction: friction of the identified model that none of the formats has, in sentences.
-    """
-
-    robot_file: RobotFile
-    model: DynamicModel
-    values: FloatArray
-    dynamics: InverseDynamics
+    robot_file: RobotFile  # its limits, shapes and URDF
+    model: DynamicModel  # its tree and transmission
+    values: FloatArray  # (p,) standard parameters in the order of `model.parameters`
+    dynamics: InverseDynamics  # torques of the same parameters, which every file that is read again is compared with
+    # friction of the identified model that none of the formats has, in sentences
     further_friction: tuple[str, ...] = ()
 
     @cached_property

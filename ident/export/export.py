@@ -24,21 +24,13 @@ from ident.verdict.check import Check
 
 @dataclass(frozen=True)
 class Export:
-    """A file that was written.
+    """A file that was written."""
 
-    Attributes:
-        path: of the file.
-        format: "URDF", "MJCF" or "ROS 2 inertial parameters".
-        left_out: what the format cannot hold of this arm, in sentences.
-        readings: what reading it again showed, by reader.
-        checks: that concern the purpose simulation; empty where all went well.
-    """
-
-    path: Path
-    format: str
-    left_out: tuple[str, ...]
-    readings: tuple[ReadBack, ...]
-    checks: tuple[Check, ...]
+    path: Path  # of the file
+    format: str  # "URDF", "MJCF" or "ROS 2 inertial parameters"
+    left_out: tuple[str, ...]  # what the format cannot hold of this arm, in sentences
+    readings: tuple[ReadBack, ...]  # what reading it again showed, by reader
+    checks: tuple[Check, ...]  # that concern the purpose simulation; empty where all went well
 
     @property
     def lines(self) -> list[str]:

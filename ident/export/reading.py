@@ -44,18 +44,13 @@ ENERGY_GAIN = 0.05
 
 @dataclass(frozen=True)
 class Simulation:
-    """5 s of an arm that was read from a file.
+    """5 s of an arm that was read from a file."""
 
-    Attributes:
-        motion: "unpowered": let go within its limits, offsets compensated; or "tracking".
-        finite: whether it came to its end with finite positions and velocities.
-        energy_gain: of the unpowered arm, the rise of its energy over the start, over the largest kinetic energy.
-        tracking_error: largest distance from the motion over its amplitude; None of the unpowered arm.
-    """
-
-    motion: str
-    finite: bool
+    motion: str  # "unpowered": let go within its limits, offsets compensated; or "tracking"
+    finite: bool  # whether it came to its end with finite positions and velocities
+    # of the unpowered arm, the rise of its energy over the start, over the largest kinetic energy
     energy_gain: float | None = None
+    # largest distance from the motion over its amplitude; None of the unpowered arm
     tracking_error: float | None = None
 
     @property
@@ -73,21 +68,13 @@ class Simulation:
 
 @dataclass(frozen=True)
 class ReadBack:
-    """A file read again by one reader.
+    """A file read again by one reader."""
 
-    Attributes:
-        reader: name and version.
-        torque_error: largest difference from the model's torque at `states` random states, over the largest torque.
-        states: how many.
-        simulations: of 5 s each.
-        remark: what the reader's model is, where it is not the whole arm.
-    """
-
-    reader: str
-    torque_error: float
-    states: int
-    simulations: tuple[Simulation, ...] = ()
-    remark: str = ""
+    reader: str  # name and version
+    torque_error: float  # largest difference from the model's torque at `states` random states, over the largest torque
+    states: int  # how many
+    simulations: tuple[Simulation, ...] = ()  # of 5 s each
+    remark: str = ""  # what the reader's model is, where it is not the whole arm
 
     @property
     def lines(self) -> list[str]:

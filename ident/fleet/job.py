@@ -32,33 +32,22 @@ BLOCK = 4 * 2**20
 
 @dataclass(frozen=True)
 class JobOutcome:
-    """What became of a job.
+    """What became of a job."""
 
-    Attributes:
-        name, arm, method: of the job.
-        recordings: their paths.
-        key: of the job.
-        failure: why there is no result; empty where there is one.
-        grade: of the model for torque prediction, or for its purpose.
-        headline: the verdict in a sentence.
-        error: held-out error of the delivered model over all samples, a ratio; None where it has none.
-        worst_joint: by that error; empty where there is none.
-        seconds: CPU time [s].
-        peak_memory: of the worker so far [MB]; nan where the system does not tell.
-    """
-
+    # name, arm, method: of the job
     name: str
     arm: str
     method: str
-    recordings: tuple[str, ...]
-    key: str
-    failure: str = ""
-    grade: str = ""
-    headline: str = ""
+    recordings: tuple[str, ...]  # their paths
+    key: str  # of the job
+    failure: str = ""  # why there is no result; empty where there is one
+    grade: str = ""  # of the model for torque prediction, or for its purpose
+    headline: str = ""  # the verdict in a sentence
+    # held-out error of the delivered model over all samples, a ratio; None where it has none
     error: float | None = None
-    worst_joint: str = ""
-    seconds: float = 0.0
-    peak_memory: float = 0.0
+    worst_joint: str = ""  # by that error; empty where there is none
+    seconds: float = 0.0  # CPU time [s]
+    peak_memory: float = 0.0  # of the worker so far [MB]; nan where the system does not tell
 
 
 def run_job(job: Job, out: str) -> JobOutcome:

@@ -66,28 +66,18 @@ class FleetFile(BaseModel):
 
 @dataclass(frozen=True)
 class Job:
-    """One identification.
+    """One identification."""
 
-    Attributes:
-        name: arm, recording and method, its folder below the fleet's.
-        arm: its name.
-        recordings, validation: paths or URLs.
-        robot: path or built-in name; None for the recordings' own.
-        method: as identify takes it.
-        options: further options of identify, as pairs.
-        part: from and until [s], of the one recording; None for all of it.
-        merged: names of the jobs whose results are merged; None where it identifies.
-    """
-
-    name: str
-    arm: str
+    name: str  # arm, recording and method, its folder below the fleet's
+    arm: str  # its name
+    # recordings, validation: paths or URLs
     recordings: tuple[str, ...]
     validation: tuple[str, ...]
-    robot: str | None
-    method: str
-    options: tuple[tuple[str, Any], ...]
-    part: tuple[float, float] | None = None
-    merged: tuple[str, ...] | None = None
+    robot: str | None  # path or built-in name; None for the recordings' own
+    method: str  # as identify takes it
+    options: tuple[tuple[str, Any], ...]  # further options of identify, as pairs
+    part: tuple[float, float] | None = None  # from and until [s], of the one recording; None for all of it
+    merged: tuple[str, ...] | None = None  # names of the jobs whose results are merged; None where it identifies
 
     def key(self) -> str:
         """What its result depends on, as hexadecimal digits: files by path, size and time, options, dynid's version."""

@@ -18,47 +18,30 @@ TREND_LEVEL, STEP_LEVEL = 0.025, 0.025
 
 @dataclass(frozen=True)
 class ParameterHistory:
-    """One parameter over the results.
+    """One parameter over the results."""
 
-    Attributes:
-        name: of the parameter; those of gravity and servo models begin with their kind.
-        joint: that it belongs to.
-        kind: in words.
-        unit: of its values.
-        series: what the results say.
-        trend: of the series; None where results are too few, or temperature and time cannot be distinguished.
-        significant: whether its change is a finding.
-        not_comparable: results that are left out, for their value has another basis.
-    """
-
-    name: str
-    joint: str
-    kind: str
-    unit: str
-    series: Series
+    name: str  # of the parameter; those of gravity and servo models begin with their kind
+    joint: str  # that it belongs to
+    kind: str  # in words
+    unit: str  # of its values
+    series: Series  # what the results say
+    # of the series; None where results are too few, or temperature and time cannot be distinguished
     trend: Trend | None
-    significant: bool
-    not_comparable: int
+    significant: bool  # whether its change is a finding
+    not_comparable: int  # results that are left out, for their value has another basis
 
 
 @dataclass(frozen=True)
 class ArmHistory:
-    """All parameters of an arm.
+    """All parameters of an arm."""
 
-    Attributes:
-        arm: its name in the history.
-        results: that are compared.
-        repeated: results that are left out, for later ones were identified from the same recordings.
-        start, end: times of the first and the last one [s since 1970].
-        parameters: findings first, by falling significance.
-    """
-
-    arm: str
-    results: int
-    repeated: int
+    arm: str  # its name in the history
+    results: int  # that are compared
+    repeated: int  # results that are left out, for later ones were identified from the same recordings
+    # start, end: times of the first and the last one [s since 1970]
     start: float
     end: float
-    parameters: tuple[ParameterHistory, ...]
+    parameters: tuple[ParameterHistory, ...]  # findings first, by falling significance
 
     @property
     def findings(self) -> tuple[ParameterHistory, ...]:

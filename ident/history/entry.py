@@ -30,54 +30,34 @@ CLOCKS_APART = timedelta(hours=1)
 
 @dataclass(frozen=True)
 class KeptValue:
-    """A parameter of a result.
+    """A parameter of a result."""
 
-    Attributes:
-        name: of the parameter.
-        joint: that it belongs to.
-        kind: in words, as "Coulomb friction".
-        unit: of value and σ.
-        basis: what else the value depends on: other friction terms, drive gains, grouped parameters. Values of
-            different bases are not compared.
-        value: of the parameter.
-        std: its σ, > 0.
-        temperature: of the joint [°C]; None where it is not known, or the model has its own terms for it.
-    """
-
-    name: str
-    joint: str
-    kind: str
-    unit: str
+    name: str  # of the parameter
+    joint: str  # that it belongs to
+    kind: str  # in words, as "Coulomb friction"
+    unit: str  # of value and σ
+    # what else the value depends on: other friction terms, drive gains, grouped parameters. Values of different bases
+    # are not compared.
     basis: str
-    value: float
-    std: float
-    temperature: float | None
+    value: float  # of the parameter
+    std: float  # its σ, > 0
+    temperature: float | None  # of the joint [°C]; None where it is not known, or the model has its own terms for it
 
 
 @dataclass(frozen=True)
 class HistoryEntry:
-    """What is kept of one result.
+    """What is kept of one result."""
 
-    Attributes:
-        digest: SHA-256 of its content; one result, one digest.
-        data: SHA-256 of its kind and of the recordings that it was identified from.
-        robot, serial: which arm; the serial number is empty where the recordings do not say it.
-        kind: result, gravity or servo.
-        time: mean start of the recordings [s since 1970, UTC].
-        created: when it was identified, ISO 8601.
-        source: its file, as it was given.
-        values: its parameters that have a σ.
-    """
-
-    digest: str
-    data: str
+    digest: str  # SHA-256 of its content; one result, one digest
+    data: str  # SHA-256 of its kind and of the recordings that it was identified from
+    # robot, serial: which arm; the serial number is empty where the recordings do not say it
     robot: str
     serial: str
-    kind: str
-    time: float
-    created: str
-    source: str
-    values: tuple[KeptValue, ...]
+    kind: str  # result, gravity or servo
+    time: float  # mean start of the recordings [s since 1970, UTC]
+    created: str  # when it was identified, ISO 8601
+    source: str  # its file, as it was given
+    values: tuple[KeptValue, ...]  # its parameters that have a σ
 
     @property
     def arm(self) -> str:

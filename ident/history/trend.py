@@ -46,19 +46,12 @@ SCATTER_GRID = 40
 
 @dataclass(frozen=True)
 class Series:
-    """Values of one parameter.
+    """Values of one parameter."""
 
-    Attributes:
-        time: (N,) rising [s].
-        value: (N,) in the parameter's unit.
-        std: (N,) σ stated by the identifications, > 0.
-        temperature: (N,) of the joint [°C]; NaN where it is not known.
-    """
-
-    time: FloatArray
-    value: FloatArray
-    std: FloatArray
-    temperature: FloatArray
+    time: FloatArray  # (N,) rising [s]
+    value: FloatArray  # (N,) in the parameter's unit
+    std: FloatArray  # (N,) σ stated by the identifications, > 0
+    temperature: FloatArray  # (N,) of the joint [°C]; NaN where it is not known
 
     def __len__(self) -> int:
         return len(self.time)
@@ -66,51 +59,31 @@ class Series:
 
 @dataclass(frozen=True)
 class TrendStep:
-    """A step of a parameter beside its trend.
+    """A step of a parameter beside its trend."""
 
-    Attributes:
-        before, after: times of the results between which it lies [s].
-        size: in the parameter's unit.
-        half: half of its 95 % interval.
-        p_value: probability of so large a step at any place where there is none (Bonferroni over the places).
-    """
-
+    # before, after: times of the results between which it lies [s]
     before: float
     after: float
-    size: float
-    half: float
-    p_value: float
+    size: float  # in the parameter's unit
+    half: float  # half of its 95 % interval
+    p_value: float  # probability of so large a step at any place where there is none (Bonferroni over the places)
 
 
 @dataclass(frozen=True)
 class Trend:
-    """What a parameter did between the first and the last result; ± is the 95 % interval.
+    """What a parameter did between the first and the last result; ± is the 95 % interval."""
 
-    Attributes:
-        start: value at the first result, at the mean temperature.
-        change: from the first to the last result at the same temperature, steps included.
-        change_half: half of its interval.
-        p_value: of no change.
-        per_kelvin: by the joint's temperature, at its mean; None where that is not known or does not vary.
-        per_kelvin_half: half of its interval.
-        mean_temperature: to which values are corrected [°C]; None likewise.
-        scatter: σ between results, beside that of their identification.
-        steps: in time.
-        corrected: (N,) values at the mean temperature.
-        line: (N,) the estimate at the results' times, at the mean temperature.
-    """
-
-    start: float
-    change: float
-    change_half: float
-    p_value: float
-    per_kelvin: float | None
-    per_kelvin_half: float | None
-    mean_temperature: float | None
-    scatter: float
-    steps: tuple[TrendStep, ...]
-    corrected: FloatArray
-    line: FloatArray
+    start: float  # value at the first result, at the mean temperature
+    change: float  # from the first to the last result at the same temperature, steps included
+    change_half: float  # half of its interval
+    p_value: float  # of no change
+    per_kelvin: float | None  # by the joint's temperature, at its mean; None where that is not known or does not vary
+    per_kelvin_half: float | None  # half of its interval
+    mean_temperature: float | None  # to which values are corrected [°C]; None likewise
+    scatter: float  # σ between results, beside that of their identification
+    steps: tuple[TrendStep, ...]  # in time
+    corrected: FloatArray  # (N,) values at the mean temperature
+    line: FloatArray  # (N,) the estimate at the results' times, at the mean temperature
 
 
 def estimate_trend(series: Series, step_level: float) -> Trend | None:
@@ -241,18 +214,13 @@ def _next_step(noise: _Noise, fixed: FloatArray, places: Sequence[int], scatter:
 
 @dataclass(frozen=True)
 class _Fit:
-    """Coefficients, averaged over what is not known of the noise.
+    """Coefficients, averaged over what is not known of the noise."""
 
-    Attributes:
-        mean, covariance: (p,), (p, p) of the coefficients.
-        freedom: degrees of it.
-        scatter: mean of τ.
-    """
-
+    # mean, covariance: (p,), (p, p) of the coefficients
     mean: FloatArray
     covariance: FloatArray
-    freedom: int
-    scatter: float
+    freedom: int  # degrees of it
+    scatter: float  # mean of τ
 
     @property
     def size(self) -> int:

@@ -46,18 +46,12 @@ SINGULAR = 1e-10
 
 @dataclass(frozen=True)
 class RowSpace:
-    """Row space of a system (m, p) whose columns were divided by their lengths, so that no unit is left in it.
+    """Row space of a system (m, p) whose columns were divided by their lengths, so that no unit is left in it."""
 
-    Attributes:
-        lengths: (p,) of the columns.
-        singular: (r,) singular values that are not rounding.
-        rows: (r, p) orthonormal rows.
-        shares: (p,) of each unknown that lies in the row space, 0 to 1; 1 exactly where the system determines it.
-    """
-
-    lengths: FloatArray
-    singular: FloatArray
-    rows: FloatArray
+    lengths: FloatArray  # (p,) of the columns
+    singular: FloatArray  # (r,) singular values that are not rounding
+    rows: FloatArray  # (r, p) orthonormal rows
+    # (p,) of each unknown that lies in the row space, 0 to 1; 1 exactly where the system determines it
     shares: FloatArray
 
 

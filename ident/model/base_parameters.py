@@ -45,31 +45,20 @@ _KEEP_LAST = ("YY", "MZ", "M")
 
 @dataclass(frozen=True)
 class BaseParameters:
-    """The identifiable combinations of an arm's standard parameters.
+    """The identifiable combinations of an arm's standard parameters."""
 
-    Attributes:
-        names: of the kept standard parameter of each combination, an `R` inserted where others are regrouped on it
-            (`ZZR1`), as SR400 Table 1 writes them.
-        expressions: each combination in full, `ZZ2 + 0.166·M3 + …`.
-        kinds: of the kept parameters.
-        joints: number in the tree of the joint of each, from 0.
-        columns: standard columns kept; the base regressor is Y[:, columns].
-        projection: (b, p); base parameters = projection @ standard parameters.
-        no_effect: names of the standard parameters that never act on the torque.
-        margin: smallest singular value that counts divided by the largest that does not (inf where none is left).
-        smallest: smallest singular value that counts, relative to the largest.
-        motions: (joint, factor) of the joints with a motor that each acts along with; empty for inertial ones.
-    """
-
+    # of the kept standard parameter of each combination, an `R` inserted where others are regrouped on it (`ZZR1`), as
+    # SR400 Table 1 writes them
     names: tuple[str, ...]
-    expressions: tuple[str, ...]
-    kinds: tuple[str, ...]
-    joints: tuple[int, ...]
-    columns: tuple[int, ...]
-    projection: FloatArray
-    no_effect: tuple[str, ...]
-    margin: float
-    smallest: float
+    expressions: tuple[str, ...]  # each combination in full, `ZZ2 + 0.166·M3 + …`
+    kinds: tuple[str, ...]  # of the kept parameters
+    joints: tuple[int, ...]  # number in the tree of the joint of each, from 0
+    columns: tuple[int, ...]  # standard columns kept; the base regressor is Y[:, columns]
+    projection: FloatArray  # (b, p); base parameters = projection @ standard parameters
+    no_effect: tuple[str, ...]  # names of the standard parameters that never act on the torque
+    margin: float  # smallest singular value that counts divided by the largest that does not (inf where none is left)
+    smallest: float  # smallest singular value that counts, relative to the largest
+    # (joint, factor) of the joints with a motor that each acts along with; empty for inertial ones
     motions: tuple[tuple[tuple[int, float], ...], ...]
 
     @property

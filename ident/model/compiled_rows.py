@@ -47,18 +47,13 @@ TreeTorques = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class LinkRows:
-    """Where the packed rows of one link's inertial parameters are.
+    """Where the packed rows of one link's inertial parameters are."""
 
-    Attributes:
-        kinds: which of the ten parameters are selected, in the rows' order.
-        joints: of the tree, those that the link hangs on, the base's first, the link's own last; empty where nothing is
-            selected.
-        targets: for each motor that moves the link, the first of its `len(kinds)` packed rows, and the combination
-            (index in `joints`, factor) of axes that makes up the motor's.
-    """
-
-    kinds: tuple[int, ...]
+    kinds: tuple[int, ...]  # which of the ten parameters are selected, in the rows' order
+    # of the tree, those that the link hangs on, the base's first, the link's own last; empty where nothing is selected
     joints: tuple[int, ...]
+    # for each motor that moves the link, the first of its `len(kinds)` packed rows, and the combination (index in
+    # `joints`, factor) of axes that makes up the motor's
     targets: tuple[tuple[int, tuple[tuple[int, Share], ...]], ...]
 
 

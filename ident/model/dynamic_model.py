@@ -35,32 +35,22 @@ from ident.model.parameters import INERTIAL, JOINT_SYMBOLS, MOTOR_SYMBOLS, PAIR_
 
 @dataclass(frozen=True)
 class DynamicModel:
-    """An arm whose torque is linear in its standard parameters.
+    """An arm whose torque is linear in its standard parameters."""
 
-    Attributes:
-        name: of the robot.
-        joints: the tree.
-        limits: of each joint with a motor.
-        gravity: (3,) [m/s²] in the base frame.
-        motor_inertia, viscous, coulomb, offset: whether each motor has that column.
-        transmission: between the tree's joints, those with a motor, and the motors.
-        smoothing: ε [rad/s] of tanh(q̇/ε) in the Coulomb column (ROCR6 eq. 4); 0 for sign(q̇) (SR400 eq. 7).
-        terms: friction beside viscous, Coulomb and offset, and shapes.
-        presliding: (name of a Coulomb parameter, pre-sliding travel [rad or m]) of each motion that has one: along a
-            motion in time its dry friction follows Dahl's state (`ident.model.presliding`), else sign(q̇).
-    """
-
-    name: str
-    joints: tuple[Joint, ...]
-    limits: tuple[JointLimits, ...]
-    gravity: FloatArray
+    name: str  # of the robot
+    joints: tuple[Joint, ...]  # the tree
+    limits: tuple[JointLimits, ...]  # of each joint with a motor
+    gravity: FloatArray  # (3,) [m/s²] in the base frame
+    # motor_inertia, viscous, coulomb, offset: whether each motor has that column
     motor_inertia: tuple[bool, ...]
     viscous: tuple[bool, ...]
     coulomb: tuple[bool, ...]
     offset: tuple[bool, ...]
-    transmission: Transmission
-    smoothing: float = 0.0
-    terms: FrictionTerms = NO_TERMS
+    transmission: Transmission  # between the tree's joints, those with a motor, and the motors
+    smoothing: float = 0.0  # ε [rad/s] of tanh(q̇/ε) in the Coulomb column (ROCR6 eq. 4); 0 for sign(q̇) (SR400 eq. 7)
+    terms: FrictionTerms = NO_TERMS  # friction beside viscous, Coulomb and offset, and shapes
+    # (name of a Coulomb parameter, pre-sliding travel [rad or m]) of each motion that has one: along a motion in time
+    # its dry friction follows Dahl's state (`ident.model.presliding`), else sign(q̇)
     presliding: tuple[tuple[str, float], ...] = ()
 
     @property

@@ -28,19 +28,13 @@ NO_CONDITIONS = FrictionConditions()
 
 @dataclass(frozen=True)
 class JointColumn:
-    """One column beside the links'.
+    """One column beside the links'."""
 
-    Attributes:
-        quantity: its signal: acceleration, velocity, its sign, 1, or a further friction term.
-        motion: (joint, factor) of the active joints whose motion it follows; Σ factor · q̇.
-        rows: (motor, factor) of the rows that it acts on.
-        shape: of the signal: exponent of |q̇| or of the load torque, Stribeck velocity [rad/s or m/s], or number of
-            periods per turn.
-    """
-
-    quantity: str
-    motion: tuple[tuple[int, float], ...]
-    rows: tuple[tuple[int, float], ...]
+    quantity: str  # its signal: acceleration, velocity, its sign, 1, or a further friction term
+    motion: tuple[tuple[int, float], ...]  # (joint, factor) of the active joints whose motion it follows; Σ factor · q̇
+    rows: tuple[tuple[int, float], ...]  # (motor, factor) of the rows that it acts on
+    # of the signal: exponent of |q̇| or of the load torque, Stribeck velocity [rad/s or m/s], or number of periods per
+    # turn
     shape: float = 1.0
 
 
@@ -58,19 +52,12 @@ def joint_column(model: DynamicModel, parameter: StandardParameter) -> JointColu
 
 @dataclass(frozen=True)
 class AlikeColumns:
-    """Friction columns of one kind and shape, each of a motor on its own joint: their signals are one array.
+    """Friction columns of one kind and shape, each of a motor on its own joint: their signals are one array."""
 
-    Attributes:
-        column: the first of them.
-        motions: of each.
-        joints: (k,) whose motion each follows, and the row that it acts on.
-        values: (k, 1) of their parameters.
-    """
-
-    column: JointColumn
-    motions: tuple[tuple[tuple[int, float], ...], ...]
-    joints: IndexArray
-    values: FloatArray
+    column: JointColumn  # the first of them
+    motions: tuple[tuple[tuple[int, float], ...], ...]  # of each
+    joints: IndexArray  # (k,) whose motion each follows, and the row that it acts on
+    values: FloatArray  # (k, 1) of their parameters
 
     def torques(self, model: DynamicModel, velocity: FloatArray, conditions: FrictionConditions) -> FloatArray:
         """What they add (k, m) to the motors' torques, for joint velocities (n, m)."""

@@ -39,16 +39,11 @@ INDEPENDENT = 1e-7
 
 @dataclass(frozen=True)
 class KnownLoad:
-    """Known parameters of the load, in the tool frame.
+    """Known parameters of the load, in the tool frame."""
 
-    Attributes:
-        mass: [kg].
-        com: (3,) centre of mass [m]; None where it is unknown.
-        inertia: (6,) xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]; None where it is unknown.
-    """
-
-    mass: float
-    com: tuple[float, ...] | None = None
+    mass: float  # [kg]
+    com: tuple[float, ...] | None = None  # (3,) centre of mass [m]; None where it is unknown
+    # (6,) xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]; None where it is unknown
     inertia: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
@@ -89,25 +84,15 @@ class KnownLoad:
 
 @dataclass(frozen=True)
 class LoadColumns:
-    """Identifiable combinations of load parameters, and their effect on the base parameters.
+    """Identifiable combinations of load parameters, and their effect on the base parameters."""
 
-    Attributes:
-        names: `M_L`, or `XXR_L` where others are regrouped on it.
-        expressions: in full, `XX_L - YY_L`.
-        units: of each.
-        kept: which of the ten parameters each is named after.
-        projection: (k, 10) combinations = projection @ standard load parameters in the tool frame.
-        effect: (b, k) change of the base parameters = effect @ combinations.
-        no_effect: names of the parameters that never act on the torque.
-    """
-
-    names: tuple[str, ...]
-    expressions: tuple[str, ...]
-    units: tuple[str, ...]
-    kept: tuple[int, ...]
-    projection: FloatArray
-    effect: FloatArray
-    no_effect: tuple[str, ...]
+    names: tuple[str, ...]  # `M_L`, or `XXR_L` where others are regrouped on it
+    expressions: tuple[str, ...]  # in full, `XX_L - YY_L`
+    units: tuple[str, ...]  # of each
+    kept: tuple[int, ...]  # which of the ten parameters each is named after
+    projection: FloatArray  # (k, 10) combinations = projection @ standard load parameters in the tool frame
+    effect: FloatArray  # (b, k) change of the base parameters = effect @ combinations
+    no_effect: tuple[str, ...]  # names of the parameters that never act on the torque
 
 
 def load_effect(model: DynamicModel, base: BaseParameters, robot: Robot) -> FloatArray:

@@ -37,19 +37,12 @@ MOTOR_SYMBOLS = {"Fv": "Fvm", "Fs": "Fsm"}
 
 @dataclass(frozen=True)
 class StandardParameter:
-    """One column of the standard regressor.
+    """One column of the standard regressor."""
 
-    Attributes:
-        name: as in the papers (`XX2`, `Fv1`); numbered from 1 in the order of the tree's joints.
-        kind: one of `KINDS`.
-        joint: number of its joint in the tree, from 0.
-        symbol: the name without the number.
-    """
-
-    name: str
-    kind: str
-    joint: int
-    symbol: str
+    name: str  # as in the papers (`XX2`, `Fv1`); numbered from 1 in the order of the tree's joints
+    kind: str  # one of `KINDS`
+    joint: int  # number of its joint in the tree, from 0
+    symbol: str  # the name without the number
 
 
 def link_parameters(mass: float, com: Sequence[float], inertia: Sequence[float]) -> FloatArray:

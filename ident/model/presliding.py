@@ -67,14 +67,10 @@ def presliding_motions(model: DynamicModel) -> dict[Motion, float]:
 
 @dataclass(frozen=True)
 class DryFriction:
-    """Columns of an arm's dry friction with their values.
+    """Columns of an arm's dry friction with their values."""
 
-    Attributes:
-        model: the arm.
-        columns: (column, value) of each motion that rubs, by the name of its Coulomb parameter.
-    """
-
-    model: DynamicModel
+    model: DynamicModel  # the arm
+    # (column, value) of each motion that rubs, by the name of its Coulomb parameter
     columns: dict[str, tuple[tuple[JointColumn, float], ...]]
 
     def motors(self, name: str) -> list[int]:

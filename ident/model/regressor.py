@@ -66,15 +66,10 @@ _MOMENT_TERMS: tuple[tuple[tuple[Any, ...], ...], ...] = (
 
 @dataclass(frozen=True)
 class JointRows:
-    """Where one motor's packed rows are.
+    """Where one motor's packed rows are."""
 
-    Attributes:
-        rows: slice of the packed array's first axis.
-        columns: for each of these rows, the column of the kernel's selection that it belongs to.
-    """
-
-    rows: slice
-    columns: tuple[int, ...]
+    rows: slice  # slice of the packed array's first axis
+    columns: tuple[int, ...]  # for each of these rows, the column of the kernel's selection that it belongs to
 
 
 @dataclass(frozen=True)

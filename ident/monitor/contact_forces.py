@@ -21,19 +21,14 @@ WELL_CONDITIONED = 1e6
 
 @dataclass(frozen=True)
 class SmallestForce:
-    """The smallest force on the far end of a link that is noticed, lasting `CONTACT`, in 95 % of the cases.
+    """The smallest force on the far end of a link that is noticed, lasting `CONTACT`, in 95 % of the cases."""
 
-    Attributes:
-        link: by the joint that moves it.
-        moving, resting: (3,) [N] along x, y and z of the base frame, either sign, all joints in motion, or all near
-            rest or a reversal; inf where no joint feels it. The median of the poses.
-        worst: (3,) the largest of the poses, in motion.
-    """
-
-    link: str
+    link: str  # by the joint that moves it
+    # moving, resting: (3,) [N] along x, y and z of the base frame, either sign, all joints in motion, or all near rest
+    # or a reversal; inf where no joint feels it. The median of the poses.
     moving: FloatArray
     resting: FloatArray
-    worst: FloatArray
+    worst: FloatArray  # (3,) the largest of the poses, in motion
 
 
 def smallest_forces(
@@ -82,17 +77,11 @@ def expected_delay(thresholds: Thresholds, lag: float) -> float:
 
 @dataclass(frozen=True)
 class Wrench:
-    """Force and moment that act on the tool, in the base frame.
+    """Force and moment that act on the tool, in the base frame."""
 
-    Attributes:
-        force: (3,) [N].
-        moment: (3,) about the tool point [N·m].
-        covariance: (6, 6) of both.
-    """
-
-    force: FloatArray
-    moment: FloatArray
-    covariance: FloatArray
+    force: FloatArray  # (3,) [N]
+    moment: FloatArray  # (3,) about the tool point [N·m]
+    covariance: FloatArray  # (6, 6) of both
 
 
 def tool_wrench(jacobian: FloatArray, torque: FloatArray, spread: FloatArray) -> Wrench | None:

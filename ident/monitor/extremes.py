@@ -30,23 +30,14 @@ SHAPE_STD = 0.1
 
 @dataclass(frozen=True)
 class ReturnLevel:
-    """A level and how well it is known.
+    """A level and how well it is known."""
 
-    Attributes:
-        level: that is passed at the rate asked for, on average over what the data leave open of the tail.
-        interval: of the level of the true tail, 90 %.
-        hours: observed [h].
-        extrapolation: time between two passes over the time observed.
-        peaks: that the tail was fitted to.
-        shape: ξ of the tail; 0 is exponential, more is heavier.
-    """
-
-    level: float
-    interval: tuple[float, float]
-    hours: float
-    extrapolation: float
-    peaks: int
-    shape: float
+    level: float  # that is passed at the rate asked for, on average over what the data leave open of the tail
+    interval: tuple[float, float]  # of the level of the true tail, 90 %
+    hours: float  # observed [h]
+    extrapolation: float  # time between two passes over the time observed
+    peaks: int  # that the tail was fitted to
+    shape: float  # ξ of the tail; 0 is exponential, more is heavier
 
 
 def require_time(seconds: float, block: float, per_hour: float) -> None:

@@ -36,42 +36,27 @@ NUDGE = 1e-4
 
 @dataclass(frozen=True)
 class JointSamples:
-    """Samples of n joints.
+    """Samples of n joints."""
 
-    Attributes:
-        time: (N,) the source's clock [s].
-        position: (N, n) [rad or m].
-        torque: (N, n) of the drives, at the joints [N·m or N].
-        celsius: (N, n) [°C]; None where no temperature is measured.
-    """
-
-    time: FloatArray
-    position: FloatArray
-    torque: FloatArray
-    celsius: FloatArray | None = None
+    time: FloatArray  # (N,) the source's clock [s]
+    position: FloatArray  # (N, n) [rad or m]
+    torque: FloatArray  # (N, n) of the drives, at the joints [N·m or N]
+    celsius: FloatArray | None = None  # (N, n) [°C]; None where no temperature is measured
 
 
 @dataclass(frozen=True)
 class Intervals:
-    """Sample periods, each around the sample that it is named after.
+    """Sample periods, each around the sample that it is named after."""
 
-    Attributes:
-        time: (N,) of that sample [s].
-        position, velocity, acceleration: (N, n) [rad, rad/s, rad/s² or m…]; differences of recorded positions.
-        measured: (N, n) torque of the drives, shifted by the model's delay [N·m or N].
-        external: (N, n) mean external torque, unfiltered [N·m or N].
-        celsius: (N, n) [°C]; None where no temperature is measured.
-        restarted: (N,) whether a gap lies before it.
-    """
-
-    time: FloatArray
+    time: FloatArray  # (N,) of that sample [s]
+    # position, velocity, acceleration: (N, n) [rad, rad/s, rad/s² or m…]; differences of recorded positions
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
-    measured: FloatArray
-    external: FloatArray
-    celsius: FloatArray | None
-    restarted: BoolArray
+    measured: FloatArray  # (N, n) torque of the drives, shifted by the model's delay [N·m or N]
+    external: FloatArray  # (N, n) mean external torque, unfiltered [N·m or N]
+    celsius: FloatArray | None  # (N, n) [°C]; None where no temperature is measured
+    restarted: BoolArray  # (N,) whether a gap lies before it
 
     def __len__(self) -> int:
         return len(self.time)

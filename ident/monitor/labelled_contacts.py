@@ -35,19 +35,12 @@ class LabelledContact:
 
 @dataclass(frozen=True)
 class OperatingPoint:
-    """What a detector does at one threshold.
+    """What a detector does at one threshold."""
 
-    Attributes:
-        threshold: in the detector's unit.
-        found: share of the contacts in which it was passed.
-        false_per_hour: alarms outside of contacts [1/h].
-        delay: median time from a contact's start to its alarm [s]; nan where none was found.
-    """
-
-    threshold: float
-    found: float
-    false_per_hour: float
-    delay: float
+    threshold: float  # in the detector's unit
+    found: float  # share of the contacts in which it was passed
+    false_per_hour: float  # alarms outside of contacts [1/h]
+    delay: float  # median time from a contact's start to its alarm [s]; nan where none was found
 
 
 def read_contacts(path: Path, first: float) -> tuple[LabelledContact, ...]:

@@ -35,19 +35,13 @@ FEWEST_SECONDS = 0.5
 
 @dataclass(frozen=True)
 class ToolLoad:
-    """A load on the tool.
+    """A load on the tool."""
 
-    Attributes:
-        mass: [kg].
-        margin: of it, 95 % [kg].
-        centre: (3,) from the tool point, axes of the last joint's frame [m]; None where the mass is not significant.
-        seconds: in motion that it comes from [s].
-    """
-
-    mass: float
-    margin: float
+    mass: float  # [kg]
+    margin: float  # of it, 95 % [kg]
+    # (3,) from the tool point, axes of the last joint's frame [m]; None where the mass is not significant
     centre: FloatArray | None
-    seconds: float
+    seconds: float  # in motion that it comes from [s]
 
 
 def changed_load(load: ToolLoad | None) -> str:

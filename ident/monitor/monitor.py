@@ -35,46 +35,27 @@ INERTIA_POSES = 20
 
 @dataclass(frozen=True)
 class Contact:
-    """A contact that was noticed.
+    """A contact that was noticed."""
 
-    Attributes:
-        time: of the sample that passed its threshold [s, the source's clock].
-        end: of the last that did [s]; nan while it lasts.
-        joint: that passed it farthest.
-        torque: largest external torque of this joint [N·m or N].
-        threshold: at that moment [N·m or N].
-        ratio: largest of torque over threshold.
-        unit: of torque and threshold.
-    """
-
-    time: float
-    end: float
-    joint: str
-    torque: float
-    threshold: float
-    ratio: float
-    unit: str
+    time: float  # of the sample that passed its threshold [s, the source's clock]
+    end: float  # of the last that did [s]; nan while it lasts
+    joint: str  # that passed it farthest
+    torque: float  # largest external torque of this joint [N·m or N]
+    threshold: float  # at that moment [N·m or N]
+    ratio: float  # largest of torque over threshold
+    unit: str  # of torque and threshold
 
 
 @dataclass(frozen=True)
 class WatchedBatch:
-    """What a batch of samples gave; N of n joints.
+    """What a batch of samples gave; N of n joints."""
 
-    Attributes:
-        intervals: motion, measured torque and unfiltered external torque.
-        external: (N, n) external torque [N·m or N].
-        threshold: (N, n) beyond which |external| is an alarm [N·m or N].
-        spread: (N, n) its σ without contact [N·m or N].
-        way: (N, n) of motion.
-        alarm: (N,) whether an alarm is on.
-    """
-
-    intervals: Intervals
-    external: FloatArray
-    threshold: FloatArray
-    spread: FloatArray
-    way: IndexArray
-    alarm: BoolArray
+    intervals: Intervals  # motion, measured torque and unfiltered external torque
+    external: FloatArray  # (N, n) external torque [N·m or N]
+    threshold: FloatArray  # (N, n) beyond which |external| is an alarm [N·m or N]
+    spread: FloatArray  # (N, n) its σ without contact [N·m or N]
+    way: IndexArray  # (N, n) of motion
+    alarm: BoolArray  # (N,) whether an alarm is on
 
     @property
     def ratio(self) -> FloatArray:

@@ -51,17 +51,11 @@ WAYS = ("near rest and reversals", "slow", "fast")
 
 @dataclass(frozen=True)
 class MotionWays:
-    """What separates the ways of motion.
+    """What separates the ways of motion."""
 
-    Attributes:
-        low: (n,) speed below which a joint is near rest [rad/s or m/s].
-        fast: (n,) speed from which on it is fast [rad/s or m/s].
-        hold: samples for which it counts as near rest after it was.
-    """
-
-    low: FloatArray
-    fast: FloatArray
-    hold: int
+    low: FloatArray  # (n,) speed below which a joint is near rest [rad/s or m/s]
+    fast: FloatArray  # (n,) speed from which on it is fast [rad/s or m/s]
+    hold: int  # samples for which it counts as near rest after it was
 
     def of(self, velocity: FloatArray, since: FloatArray) -> tuple[IndexArray, FloatArray]:
         """The way (N, n) of velocities (N, n), and how many samples ago (n,) each joint was near rest.

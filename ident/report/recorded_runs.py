@@ -13,36 +13,22 @@ from ident.identify.identification import Identification
 
 @dataclass(frozen=True)
 class MotionSegment:
-    """Filtered motion of one gap-free segment.
+    """Filtered motion of one gap-free segment."""
 
-    Attributes:
-        time: (M,) [s].
-        position: (n, M) [rad or m].
-        velocity: (n, M) [rad/s or m/s].
-        held_out: whether it belongs to the validation data.
-    """
-
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    held_out: bool
+    time: FloatArray  # (M,) [s]
+    position: FloatArray  # (n, M) [rad or m]
+    velocity: FloatArray  # (n, M) [rad/s or m/s]
+    held_out: bool  # whether it belongs to the validation data
 
 
 @dataclass(frozen=True)
 class TemperatureSeries:
-    """One recorded channel of temperatures.
+    """One recorded channel of temperatures."""
 
-    Attributes:
-        name: stream and quantity.
-        columns: (k,) joints or sensors.
-        time: (N,) [s].
-        values: (N, k) [°C].
-    """
-
-    name: str
-    columns: tuple[str, ...]
-    time: FloatArray
-    values: FloatArray
+    name: str  # stream and quantity
+    columns: tuple[str, ...]  # (k,) joints or sensors
+    time: FloatArray  # (N,) [s]
+    values: FloatArray  # (N, k) [°C]
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,10 @@ from ident.result.schema import Result
 
 @dataclass(frozen=True)
 class TruthTable:
-    """True base parameters, where the arm is a simulated one.
+    """True base parameters, where the arm is a simulated one."""
 
-    Attributes:
-        names: of base parameters, as in the Result.
-        values: (len(names),) in the units of the Result.
-    """
-
-    names: tuple[str, ...]
-    values: FloatArray
+    names: tuple[str, ...]  # of base parameters, as in the Result
+    values: FloatArray  # (len(names),) in the units of the Result
 
     def __post_init__(self) -> None:
         if len(self.names) != len(self.values) or len(set(self.names)) != len(self.names):
@@ -32,21 +27,13 @@ class TruthTable:
 
 @dataclass(frozen=True)
 class ReportData:
-    """All that the sections may show.
+    """All that the sections may show."""
 
-    Attributes:
-        result: what was identified.
-        fit: torques of the identification data, one series per gap-free segment.
-        validation: torques of the held-out data; empty where nothing was held out.
-        truth: true parameters, for simulated arms only.
-        recorded: motion and temperatures of the recordings.
-    """
-
-    result: Result
-    fit: tuple[TorqueSeries, ...]
-    validation: tuple[TorqueSeries, ...]
-    truth: TruthTable | None = None
-    recorded: RecordedRuns = field(default_factory=RecordedRuns)
+    result: Result  # what was identified
+    fit: tuple[TorqueSeries, ...]  # torques of the identification data, one series per gap-free segment
+    validation: tuple[TorqueSeries, ...]  # torques of the held-out data; empty where nothing was held out
+    truth: TruthTable | None = None  # true parameters, for simulated arms only
+    recorded: RecordedRuns = field(default_factory=RecordedRuns)  # motion and temperatures of the recordings
 
     def __post_init__(self) -> None:
         dof = len(self.result.joints)
@@ -71,21 +58,13 @@ class ReportData:
 
 @dataclass(frozen=True)
 class ReportSection:
-    """One section of the page.
+    """One section of the page."""
 
-    Attributes:
-        title: its heading and its entry in the table of contents.
-        anchor: its id within the page.
-        template: name of its template.
-        context: what the template is rendered with.
-        folded: whether it is folded under its heading when the page is opened.
-    """
-
-    title: str
-    anchor: str
-    template: str
-    context: Mapping[str, Any]
-    folded: bool = True
+    title: str  # its heading and its entry in the table of contents
+    anchor: str  # its id within the page
+    template: str  # name of its template
+    context: Mapping[str, Any]  # what the template is rendered with
+    folded: bool = True  # whether it is folded under its heading when the page is opened
 
 
 @dataclass(frozen=True)

@@ -133,19 +133,12 @@ def file_sha256(path: Path) -> str:
 
 @dataclass(frozen=True)
 class StoredModel:
-    """The dynamic model that a result's parameters belong to.
+    """The dynamic model that a result's parameters belong to."""
 
-    Attributes:
-        robot_file: stored beside them.
-        model: with the columns that were identified.
-        experiments: what the recordings make identifiable.
-        base: the base parameters of these experiments together.
-    """
-
-    robot_file: RobotFile
-    model: DynamicModel
-    experiments: tuple[Experiment, ...]
-    base: BaseParameters
+    robot_file: RobotFile  # stored beside them
+    model: DynamicModel  # with the columns that were identified
+    experiments: tuple[Experiment, ...]  # what the recordings make identifiable
+    base: BaseParameters  # the base parameters of these experiments together
 
 
 def stored_model(result: Result) -> StoredModel:

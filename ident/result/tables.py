@@ -24,24 +24,16 @@ Kind = Literal["plain", "std", "detail", "minor"]
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a table.
+    """One column of a table."""
 
-    Attributes:
-        name: for programs.
-        cells: one per row; None where a row has no value.
-        unit: empty where there is none.
-        label: for people; the name where it is empty.
-        kind: `std` is σ of the column before it, `detail` belongs under it in small print; a page has neither as a
-            column of its own. `minor` is what narrow paper can do without.
-        digits: significant ones on a page.
-    """
-
-    name: str
-    cells: tuple[Cell, ...] = ()
-    unit: str = ""
-    label: str = ""
+    name: str  # for programs
+    cells: tuple[Cell, ...] = ()  # one per row; None where a row has no value
+    unit: str = ""  # empty where there is none
+    label: str = ""  # for people; the name where it is empty
+    # `std` is σ of the column before it, `detail` belongs under it in small print; a page has neither as a column of
+    # its own. `minor` is what narrow paper can do without.
     kind: Kind = "plain"
-    digits: int = 4
+    digits: int = 4  # significant ones on a page
 
     @property
     def heading(self) -> str:

@@ -20,19 +20,12 @@ CHEBYSHEV_PASSBAND = 0.4
 
 @dataclass(frozen=True)
 class Cutoffs:
-    """The cut-offs of a recording.
+    """The cut-offs of a recording."""
 
-    Attributes:
-        band: of the motion [Hz].
-        position: cut-off of the positions [Hz]; the lowest where joints have their own.
-        torque: cut-off of the parallel filter [Hz].
-        decimate: factor of the parallel filter.
-    """
-
-    band: float
-    position: float
-    torque: float
-    decimate: int
+    band: float  # of the motion [Hz]
+    position: float  # cut-off of the positions [Hz]; the lowest where joints have their own
+    torque: float  # cut-off of the parallel filter [Hz]
+    decimate: int  # factor of the parallel filter
 
 
 def choose_cutoffs(band: float, rate: float, choices: PreprocessChoices) -> Cutoffs:

@@ -30,17 +30,12 @@ LEAST_BAND_HZ = 0.1
 
 @dataclass(frozen=True)
 class Smoother:
-    """How rows become smooth.
+    """How rows become smooth."""
 
-    Attributes:
-        apply: rows (n, N) and a number k of derivatives → the smooth rows and their first k derivatives, each (n, N).
-        derivatives: in words, how they come about.
-        joint_cutoffs: (n,) of the joints [Hz] where each has its own; None otherwise.
-    """
-
+    # rows (n, N) and a number k of derivatives → the smooth rows and their first k derivatives, each (n, N)
     apply: Callable[[FloatArray, int], tuple[FloatArray, ...]]
-    derivatives: str
-    joint_cutoffs: tuple[float, ...] | None = None
+    derivatives: str  # in words, how they come about
+    joint_cutoffs: tuple[float, ...] | None = None  # (n,) of the joints [Hz] where each has its own; None otherwise
 
 
 def choose_smoother(

@@ -14,25 +14,16 @@ from drivers.core.arrays import ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class Modes:
-    """The two-sided filter in modal form; one entry per real pole or pair of conjugate ones.
+    """The two-sided filter in modal form; one entry per real pole or pair of conjugate ones."""
 
-    Attributes:
-        pole: (m,) λ, upper half plane.
-        residue: (m,) r of the filter in one direction, doubled for a pair, so that sums need only the real part.
-        mirrored: (m,) g = H(1/λ).
-        paired: (m,) bool, whether the conjugate belongs to it.
-        offset: (m,) 1 − λ without cancellation.
-        direct: D.
-        center: h₀.
-    """
-
-    pole: ComplexArray
+    pole: ComplexArray  # (m,) λ, upper half plane
+    # (m,) r of the filter in one direction, doubled for a pair, so that sums need only the real part
     residue: ComplexArray
-    mirrored: ComplexArray
-    paired: npt.NDArray[np.bool_]
-    offset: ComplexArray
-    direct: float
-    center: float
+    mirrored: ComplexArray  # (m,) g = H(1/λ)
+    paired: npt.NDArray[np.bool_]  # (m,) bool, whether the conjugate belongs to it
+    offset: ComplexArray  # (m,) 1 − λ without cancellation
+    direct: float  # D
+    center: float  # h₀
 
     def one_minus_products(self, conjugate: bool) -> ComplexArray:
         """(m, m) 1 − λᵢλⱼ, or 1 − λᵢλⱼ* where `conjugate`."""

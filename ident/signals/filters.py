@@ -39,17 +39,11 @@ _ROWS_AT_ONCE = 2_000_000  # samples of the rows that are worked on together: bo
 
 @dataclass(frozen=True, eq=False)
 class ZeroPhaseFilter:
-    """A low-pass run forward and backward over time, then every `factor`-th sample kept.
+    """A low-pass run forward and backward over time, then every `factor`-th sample kept."""
 
-    Attributes:
-        sos: (S, 6) second-order sections of one direction; S = 0 leaves the signal unchanged.
-        factor: every factor-th sample is kept, the first one included; 1 keeps all.
-        description: one printable phrase.
-    """
-
-    sos: FloatArray
-    factor: int
-    description: str
+    sos: FloatArray  # (S, 6) second-order sections of one direction; S = 0 leaves the signal unchanged
+    factor: int  # every factor-th sample is kept, the first one included; 1 keeps all
+    description: str  # one printable phrase
 
     def __post_init__(self) -> None:
         sos = np.array(self.sos, dtype=np.float64).reshape(-1, 6)

@@ -29,37 +29,25 @@ JOINT_QUANTITIES = ("position", "velocity", "current", "voltage", "torque")
 
 @dataclass(frozen=True)
 class ReplacedSamples:
-    """Samples of a recorded quantity that were outliers (`daq.recording.quality.outliers`).
+    """Samples of a recorded quantity that were outliers (`daq.recording.quality.outliers`)."""
 
-    Attributes:
-        quantity: as recorded: position, current, …
-        joint: name.
-        count: of samples.
-    """
-
-    quantity: str
-    joint: str
-    count: int
+    quantity: str  # as recorded: position, current, …
+    joint: str  # name
+    count: int  # of samples
 
 
 @dataclass(frozen=True, eq=False)
 class JointPositions:
     """One recording's joint positions, stale rows left out, outliers replaced; N samples, n joints in robot order.
 
-    Attributes:
-        label: name of the recording in messages; may be empty.
-        joint_names: (n,).
-        time: (N,) the source's clock [s].
-        position: (N, n) [rad or m].
-
     Raises:
         DataError: a position is not finite.
     """
 
-    label: str
-    joint_names: tuple[str, ...]
-    time: FloatArray
-    position: FloatArray
+    label: str  # name of the recording in messages; may be empty
+    joint_names: tuple[str, ...]  # (n,)
+    time: FloatArray  # (N,) the source's clock [s]
+    position: FloatArray  # (N, n) [rad or m]
 
     def __post_init__(self) -> None:
         _check(self.label, self.joint_names, self.time, {"position": self.position})

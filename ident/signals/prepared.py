@@ -77,23 +77,14 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A recording, ready for the model.
+    """A recording, ready for the model."""
 
-    Attributes:
-        segments: one or more at the same rate.
-        steps: the pipeline, in order.
-        parallel_filter: to be applied to τ and to every column of W of each segment.
-        cutoffs: that were used, chosen or given.
-        irregularity: of the recorded stamps.
-        choices: the user's, with the values chosen from the data filled in.
-    """
-
-    segments: tuple[Segment, ...]
-    steps: tuple[Step, ...]
-    parallel_filter: ZeroPhaseFilter
-    cutoffs: Cutoffs
-    irregularity: Irregularity
-    choices: PreprocessChoices
+    segments: tuple[Segment, ...]  # one or more at the same rate
+    steps: tuple[Step, ...]  # the pipeline, in order
+    parallel_filter: ZeroPhaseFilter  # to be applied to τ and to every column of W of each segment
+    cutoffs: Cutoffs  # that were used, chosen or given
+    irregularity: Irregularity  # of the recorded stamps
+    choices: PreprocessChoices  # the user's, with the values chosen from the data filled in
 
     @property
     def rest_velocity(self) -> float:

@@ -21,25 +21,15 @@ REGULAR_WITHIN = 0.01
 
 @dataclass(frozen=True)
 class Irregularity:
-    """How far recorded stamps are from a uniform grid.
+    """How far recorded stamps are from a uniform grid."""
 
-    Attributes:
-        median_period: between two stamps [s].
-        shortest: period [s].
-        longest: period [s], gaps included.
-        rms_deviation: of the periods from the median, gaps left out [s].
-        gaps: number of holes that were not interpolated.
-        duplicates: samples left out because they repeat their predecessor's stamp.
-        regular: whether the samples were used unchanged, without interpolation.
-    """
-
-    median_period: float
-    shortest: float
-    longest: float
-    rms_deviation: float
-    gaps: int
-    duplicates: int
-    regular: bool
+    median_period: float  # between two stamps [s]
+    shortest: float  # period [s]
+    longest: float  # period [s], gaps included
+    rms_deviation: float  # of the periods from the median, gaps left out [s]
+    gaps: int  # number of holes that were not interpolated
+    duplicates: int  # samples left out because they repeat their predecessor's stamp
+    regular: bool  # whether the samples were used unchanged, without interpolation
 
     @property
     def rate(self) -> float:

@@ -94,18 +94,12 @@ def _hint(arm: ForwardArm, name: str, torque: FloatArray) -> str:
 
 @dataclass(frozen=True, eq=False)
 class SteppedMotion:
-    """A simulated motion, N samples of n joints.
+    """A simulated motion, N samples of n joints."""
 
-    Attributes:
-        time: (N,) [s].
-        position: (N, n) [rad or m].
-        velocity: (N, n) [rad/s or m/s].
-        torque: (N, n) of the step that begins with the sample, of the last sample that of the step before [N·m or N].
-    """
-
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray
+    time: FloatArray  # (N,) [s]
+    position: FloatArray  # (N, n) [rad or m]
+    velocity: FloatArray  # (N, n) [rad/s or m/s]
+    # (N, n) of the step that begins with the sample, of the last sample that of the step before [N·m or N]
     torque: FloatArray
 
 

@@ -50,21 +50,13 @@ class TrackingError(Stored):
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """A simulated arm near a recorded motion.
+    """A simulated arm near a recorded motion."""
 
-    Attributes:
-        motion: of the simulated arm.
-        position: (N, n) recorded, at its times [rad or m].
-        velocity: (N, n) recorded [rad/s or m/s].
-        stiffness: (n,) of the controller [N·m/rad].
-        damping: (n,) of the controller [N·m·s/rad].
-    """
-
-    motion: SteppedMotion
-    position: FloatArray
-    velocity: FloatArray
-    stiffness: FloatArray
-    damping: FloatArray
+    motion: SteppedMotion  # of the simulated arm
+    position: FloatArray  # (N, n) recorded, at its times [rad or m]
+    velocity: FloatArray  # (N, n) recorded [rad/s or m/s]
+    stiffness: FloatArray  # (n,) of the controller [N·m/rad]
+    damping: FloatArray  # (n,) of the controller [N·m·s/rad]
 
 
 def tracked(inverse: InverseDynamics, segment: Segment, longest: float = np.inf) -> Tracking:

@@ -44,25 +44,15 @@ Parameters = Literal["full", "consistent"]
 
 @dataclass(frozen=True)
 class ComparedModel:
-    """One method's model with its errors.
+    """One method's model with its errors."""
 
-    Attributes:
-        method: as given.
-        friction: as given; empty where the robot file says it.
-        parameters: all base parameters as estimated ("full"), or the physically consistent ones.
-        fit: relative error on the identification data, a ratio.
-        runs: errors on each held-out recording.
-        seconds: CPU time of the identification with error bars and checks [s]; of both parameter sets together.
-        failure: why there is no model; empty where there is one.
-    """
-
-    method: str
-    friction: str
-    parameters: Parameters
-    fit: float
-    runs: tuple[RunErrors, ...]
-    seconds: float
-    failure: str = ""
+    method: str  # as given
+    friction: str  # as given; empty where the robot file says it
+    parameters: Parameters  # all base parameters as estimated ("full"), or the physically consistent ones
+    fit: float  # relative error on the identification data, a ratio
+    runs: tuple[RunErrors, ...]  # errors on each held-out recording
+    seconds: float  # CPU time of the identification with error bars and checks [s]; of both parameter sets together
+    failure: str = ""  # why there is no model; empty where there is one
 
     @property
     def label(self) -> str:

@@ -37,27 +37,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ModelDifference:
-    """Two models of one arm side by side; the columns `first` and `second` are the models.
+    """Two models of one arm side by side; the columns `first` and `second` are the models."""
 
-    Attributes:
-        parameters: base parameters as estimated, with σ, the difference second − first, and z, the difference over its
-            σ; empty where a model has no value or no σ.
-        errors: held-out errors of each joint, and of all together.
-        purposes: grade of each purpose.
-        checks: severity of each check that one of the two raises; empty where a model does not raise it.
-        test: of all parameters together, with both covariances: chi-square, its degrees of freedom, and the probability
-            of a larger one if the arm is the same; None where a covariance is not stored.
-        shared: recordings that both were identified from, by file name; their errors are then not independent.
-        what: the parameters, in words.
-    """
-
+    # base parameters as estimated, with σ, the difference second − first, and z, the difference over its σ; empty where
+    # a model has no value or no σ
     parameters: Table
-    errors: Table
-    purposes: Table
-    checks: Table
+    errors: Table  # held-out errors of each joint, and of all together
+    purposes: Table  # grade of each purpose
+    checks: Table  # severity of each check that one of the two raises; empty where a model does not raise it
+    # of all parameters together, with both covariances: chi-square, its degrees of freedom, and the probability of a
+    # larger one if the arm is the same; None where a covariance is not stored
     test: SignificanceTest | None
+    # recordings that both were identified from, by file name; their errors are then not independent
     shared: tuple[str, ...]
-    what: str = "base parameters"
+    what: str = "base parameters"  # the parameters, in words
 
     @property
     def agree(self) -> bool | None:

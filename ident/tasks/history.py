@@ -28,15 +28,10 @@ from ident.views.history_tables import notes, sentences, step_table, trend_table
 
 @dataclass(frozen=True)
 class ArmTrends(PagedResult):
-    """What became of an arm's parameters over its results.
+    """What became of an arm's parameters over its results."""
 
-    Attributes:
-        history: series and trends as arrays.
-        entries: the results.
-    """
-
-    history: ArmHistory
-    entries: Sequence[HistoryEntry]
+    history: ArmHistory  # series and trends as arrays
+    entries: Sequence[HistoryEntry]  # the results
 
     @property
     def sentences(self) -> list[str]:

@@ -43,38 +43,16 @@ POSES = 40
 
 @dataclass(frozen=True)
 class Detector:
-    """A way to notice contacts, against labelled ones.
+    """A way to notice contacts, against labelled ones."""
 
-    Attributes:
-        name: of it.
-        points: for every threshold.
-        chosen: at the threshold that the data without contact gave.
-    """
-
-    name: str
-    points: tuple[OperatingPoint, ...]
-    chosen: OperatingPoint
+    name: str  # of it
+    points: tuple[OperatingPoint, ...]  # for every threshold
+    chosen: OperatingPoint  # at the threshold that the data without contact gave
 
 
 @dataclass(frozen=True, eq=False)
 class MonitoredRun(PagedResult):
     """A recording under the eyes of a model; N samples of n joints, those near gaps left out.
-
-    Attributes:
-        label: what messages call the recording.
-        joint_names: (n,).
-        time: (N,) the recording's clock [s].
-        external: (N, n) external torque that acts on the arm, through the observer [N·m or N].
-        threshold: (N, n) beyond which it is an alarm [N·m or N].
-        std: (N, n) its σ without contact [N·m or N].
-        measured: (N, n) torque of the drives [N·m or N].
-        contacts: that were noticed, in order of time.
-        smallest: forces on each link that are noticed.
-        delay: expected until a force of twice that size is noticed [s].
-        load: on the tool since the last contact began; None where the arm hardly moved since.
-        thresholds: what contacts were judged by.
-        beyond: what of the motion the thresholds were not learnt on, in words.
-        detectors: against labelled contacts; empty where none were given.
 
     Example:
         >>> import dynid
@@ -85,20 +63,20 @@ class MonitoredRun(PagedResult):
     """
 
     model: Model = field(repr=False)
-    label: str
-    joint_names: tuple[str, ...]
-    time: FloatArray
-    external: FloatArray
-    threshold: FloatArray
-    std: FloatArray
-    measured: FloatArray
-    contacts: tuple[Contact, ...]
-    smallest: tuple[SmallestForce, ...]
-    delay: float
-    load: ToolLoad | None
-    thresholds: Thresholds
-    beyond: tuple[str, ...] = ()
-    detectors: tuple[Detector, ...] = ()
+    label: str  # what messages call the recording
+    joint_names: tuple[str, ...]  # (n,)
+    time: FloatArray  # (N,) the recording's clock [s]
+    external: FloatArray  # (N, n) external torque that acts on the arm, through the observer [N·m or N]
+    threshold: FloatArray  # (N, n) beyond which it is an alarm [N·m or N]
+    std: FloatArray  # (N, n) its σ without contact [N·m or N]
+    measured: FloatArray  # (N, n) torque of the drives [N·m or N]
+    contacts: tuple[Contact, ...]  # that were noticed, in order of time
+    smallest: tuple[SmallestForce, ...]  # forces on each link that are noticed
+    delay: float  # expected until a force of twice that size is noticed [s]
+    load: ToolLoad | None  # on the tool since the last contact began; None where the arm hardly moved since
+    thresholds: Thresholds  # what contacts were judged by
+    beyond: tuple[str, ...] = ()  # what of the motion the thresholds were not learnt on, in words
+    detectors: tuple[Detector, ...] = ()  # against labelled contacts; empty where none were given
 
     @cached_property
     def summary(self) -> Table:

@@ -26,21 +26,13 @@ DESCRIPTIONS = "robot_descriptions"
 
 @dataclass(frozen=True)
 class NewRobot:
-    """A robot file that was written.
+    """A robot file that was written."""
 
-    Attributes:
-        path: of the file.
-        text: its content.
-        arm: content of the URDF; None where there was none.
-        guess: what was guessed beyond it.
-        unknown: joints whose position limits the URDF does not state; None where there is no URDF.
-    """
-
-    path: Path
-    text: str
-    arm: UrdfArm | None
-    guess: ArmGuess
-    unknown: tuple[str, ...] | None
+    path: Path  # of the file
+    text: str  # its content
+    arm: UrdfArm | None  # content of the URDF; None where there was none
+    guess: ArmGuess  # what was guessed beyond it
+    unknown: tuple[str, ...] | None  # joints whose position limits the URDF does not state; None where there is no URDF
 
     @property
     def todo(self) -> int:

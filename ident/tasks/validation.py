@@ -30,24 +30,16 @@ Identified = IdentificationResult | Model | str | PathLike[str]
 
 @dataclass(frozen=True)
 class RecordingValidation:
-    """A model on one held-out recording.
+    """A model on one held-out recording."""
 
-    Attributes:
-        recording: what messages call it.
-        full: errors of all base parameters.
-        essential: the same of the significant ones.
-        consistent: the same of the physically consistent ones; None where the result holds none.
-        delivered: errors of the model that `load_model` hands out, in motion and over all samples; its simulated
-            motion; whether the recording is held out.
-        verdict: on the model, from the checks of its identification, those of this recording, and these errors.
-    """
-
-    recording: str
-    full: Fit
-    essential: Fit
-    consistent: Fit | None
+    recording: str  # what messages call it
+    full: Fit  # errors of all base parameters
+    essential: Fit  # the same of the significant ones
+    consistent: Fit | None  # the same of the physically consistent ones; None where the result holds none
+    # errors of the model that `load_model` hands out, in motion and over all samples; its simulated motion; whether the
+    # recording is held out
     delivered: HeldOutErrors
-    verdict: Verdict
+    verdict: Verdict  # on the model, from the checks of its identification, those of this recording, and these errors
 
 
 @dataclass(frozen=True)

@@ -25,36 +25,24 @@ FULL, GRAVITY, SERVO = "full", "gravity", "servo"
 
 @dataclass(frozen=True)
 class DesignedMotion:
-    """A motion of any purpose, with what the command says of it.
+    """A motion of any purpose, with what the command says of it."""
 
-    Attributes:
-        trajectory: to be written; None where no further motion is needed.
-        title: of the table.
-        headings, rows: of the table.
-        lines: below the table.
-        object: what `--json` has beside file, page, robot and warnings.
-    """
-
-    trajectory: ExcitationTrajectory | None
-    title: str
+    trajectory: ExcitationTrajectory | None  # to be written; None where no further motion is needed
+    title: str  # of the table
+    # headings, rows: of the table
     headings: Sequence[str]
     rows: Sequence[Sequence[Any]]
-    lines: Sequence[str]
-    object: Mapping[str, Any]
+    lines: Sequence[str]  # below the table
+    object: Mapping[str, Any]  # what `--json` has beside file, page, robot and warnings
 
 
 @dataclass(frozen=True)
 class Purpose:
-    """What a motion is for.
+    """What a motion is for."""
 
-    Attributes:
-        summary: for the help.
-        options: whose fields it heeds; another option that is given is refused.
-        design: makes the motion; the second argument shows progress.
-    """
-
-    summary: str
-    options: type[Options]
+    summary: str  # for the help
+    options: type[Options]  # whose fields it heeds; another option that is given is refused
+    # makes the motion; the second argument shows progress
     design: Callable[[ExciteCommandOptions, Callable[[str], None]], DesignedMotion]
 
 

@@ -43,17 +43,11 @@ KINDS: tuple[Literal["collision", "visual"], ...] = ("collision", "visual")
 
 @dataclass(frozen=True)
 class UrdfShapes:
-    """What encloses the shapes of links, by link index.
+    """What encloses the shapes of links, by link index."""
 
-    Attributes:
-        capsules: of every link that has shapes, all of which can be used.
-        hulls: tighter ones, of the links among these that have meshes.
-        unread: why the shapes of others cannot be used.
-    """
-
-    capsules: Mapping[int, list[Capsule]]
-    hulls: Mapping[int, list[Hull]]
-    unread: Mapping[int, str]
+    capsules: Mapping[int, list[Capsule]]  # of every link that has shapes, all of which can be used
+    hulls: Mapping[int, list[Hull]]  # tighter ones, of the links among these that have meshes
+    unread: Mapping[int, str]  # why the shapes of others cannot be used
 
 
 def urdf_shapes(robot_file: RobotFile) -> UrdfShapes:
@@ -135,20 +129,14 @@ _SAME_POINT = 1e-9  # [m]
 
 @dataclass(frozen=True)
 class ArmGeometry:
-    """An arm's capsules.
+    """An arm's capsules."""
 
-    Attributes:
-        capsules: every link has at least one; those of one link are consecutive, the base's first.
-        from_shapes: names of the links (by joint, or `base`) whose capsules enclose shapes of the URDF; the others
-            are tubes along their axes.
-        hulls: of the same shapes, links in the same order, where the URDF has meshes; else none.
-        unread: links whose shapes cannot be used, and why: `wrist: no such file: wrist.stl`.
-    """
-
-    capsules: tuple[Capsule, ...]
+    capsules: tuple[Capsule, ...]  # every link has at least one; those of one link are consecutive, the base's first
+    # names of the links (by joint, or `base`) whose capsules enclose shapes of the URDF; the others are tubes along
+    # their axes
     from_shapes: tuple[str, ...]
-    hulls: tuple[Hull, ...] = ()
-    unread: tuple[str, ...] = ()
+    hulls: tuple[Hull, ...] = ()  # of the same shapes, links in the same order, where the URDF has meshes; else none
+    unread: tuple[str, ...] = ()  # links whose shapes cannot be used, and why: `wrist: no such file: wrist.stl`
 
     @cached_property
     def links(self) -> IndexArray:

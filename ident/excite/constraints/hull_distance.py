@@ -39,19 +39,12 @@ _EVERY_SAMPLE_DISTANCE = 2e-3
 
 @dataclass(frozen=True)
 class Hull:
-    """All points within `radius` of the convex hull of points that are fixed to a link.
+    """All points within `radius` of the convex hull of points that are fixed to a link."""
 
-    Attributes:
-        link: index of the link's joint; `BASE_INDEX` for the base.
-        points: (V, 3) [m] in the link's frame.
-        triangles: (F, 3) of the points; none of a point or a segment.
-        radius: [m].
-    """
-
-    link: int
-    points: FloatArray
-    triangles: tuple[tuple[int, int, int], ...] = ()
-    radius: float = 0.0
+    link: int  # index of the link's joint; `BASE_INDEX` for the base
+    points: FloatArray  # (V, 3) [m] in the link's frame
+    triangles: tuple[tuple[int, int, int], ...] = ()  # (F, 3) of the points; none of a point or a segment
+    radius: float = 0.0  # [m]
 
     @property
     def reach(self) -> float:
@@ -128,18 +121,13 @@ def coal_shape(hull: Hull) -> tuple[Any, FloatArray, FloatArray]:
 
 @dataclass(frozen=True)
 class Nearest:
-    """The nearest points of pairs of segments.
+    """The nearest points of pairs of segments."""
 
-    Attributes:
-        distance: (K, N) [m].
-        first, second: (K, 3, N) [m], the points.
-        normal: (K, 3, N) unit vectors from second to first; across both segments where they cross.
-    """
-
-    distance: FloatArray
+    distance: FloatArray  # (K, N) [m]
+    # first, second: (K, 3, N) [m], the points
     first: FloatArray
     second: FloatArray
-    normal: FloatArray
+    normal: FloatArray  # (K, 3, N) unit vectors from second to first; across both segments where they cross
 
 
 def nearest_points(start1: FloatArray, end1: FloatArray, start2: FloatArray, end2: FloatArray) -> Nearest:

@@ -21,18 +21,13 @@ _LENGTHS_TRIED = 21
 
 @dataclass(frozen=True)
 class Capsule:
-    """All points within `radius` of a segment that is fixed to a link.
+    """All points within `radius` of a segment that is fixed to a link."""
 
-    Attributes:
-        link: index of the link's joint; `BASE_INDEX` for the base.
-        start, end: (3,) [m] in the link's frame; equal for a sphere.
-        radius: [m].
-    """
-
-    link: int
+    link: int  # index of the link's joint; `BASE_INDEX` for the base
+    # start, end: (3,) [m] in the link's frame; equal for a sphere
     start: FloatArray
     end: FloatArray
-    radius: float
+    radius: float  # [m]
 
 
 def cylinder_capsule(link: int, rotation: FloatArray, centre: FloatArray, radius: float, length: float) -> Capsule:
@@ -80,17 +75,12 @@ def enclosing_capsule(link: int, points: FloatArray) -> Capsule:
 
 @dataclass(frozen=True)
 class Placements:
-    """The frames of all joints along a path, in the base frame; the last entry of the first axis is the base itself.
+    """The frames of all joints along a path, in the base frame; the last entry of the first axis is the base itself."""
 
-    Attributes:
-        rotation: (n + 1, 3, 3, N).
-        origin: (n + 1, 3, N) [m].
-        screw: (n, 6, N) velocity of all that a joint moves per unit of its own: angular, then linear at the base
-            frame's origin. A point p moves with linear + angular × p.
-    """
-
-    rotation: FloatArray
-    origin: FloatArray
+    rotation: FloatArray  # (n + 1, 3, 3, N)
+    origin: FloatArray  # (n + 1, 3, N) [m]
+    # (n, 6, N) velocity of all that a joint moves per unit of its own: angular, then linear at the base frame's origin.
+    # A point p moves with linear + angular × p.
     screw: FloatArray
 
     def points(self, links: IndexArray, local: FloatArray) -> FloatArray:

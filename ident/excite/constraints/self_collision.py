@@ -41,21 +41,14 @@ Pair = tuple[int, int]
 
 @dataclass(frozen=True)
 class LinkPairs:
-    """Pairs of links by number (`BASE_INDEX` is the base), and what becomes of them.
+    """Pairs of links by number (`BASE_INDEX` is the base), and what becomes of them."""
 
-    Attributes:
-        checked: pairs with a least distance.
-        neighbours: joined by a joint.
-        close: left out since their capsules touch or nearly touch in nearly every configuration, whatever the limits.
-        ignored: left out by the robot file.
-        by_hull: those whose capsules touch by construction, but whose shapes' convex hulls do not.
-    """
-
-    checked: tuple[Pair, ...]
-    neighbours: tuple[Pair, ...]
+    checked: tuple[Pair, ...]  # pairs with a least distance
+    neighbours: tuple[Pair, ...]  # joined by a joint
+    # left out since their capsules touch or nearly touch in nearly every configuration, whatever the limits
     close: tuple[Pair, ...]
-    ignored: tuple[Pair, ...]
-    by_hull: tuple[Pair, ...] = ()
+    ignored: tuple[Pair, ...]  # left out by the robot file
+    by_hull: tuple[Pair, ...] = ()  # those whose capsules touch by construction, but whose shapes' convex hulls do not
 
 
 def link_pairs(model: DynamicModel, geometry: ArmGeometry, ignore: Iterable[tuple[str, str]] = ()) -> LinkPairs:

@@ -44,17 +44,11 @@ _SAMPLES = 2000
 
 @dataclass(frozen=True)
 class Distances:
-    """Signed distances to what must not be touched, negative inside it.
+    """Signed distances to what must not be touched, negative inside it."""
 
-    Attributes:
-        value: (K, N) [m].
-        point: (K, 3, N) [m], the points of the links that are nearest.
-        gradient: (K, 3, N) derivatives by these points.
-    """
-
-    value: FloatArray
-    point: FloatArray
-    gradient: FloatArray
+    value: FloatArray  # (K, N) [m]
+    point: FloatArray  # (K, 3, N) [m], the points of the links that are nearest
+    gradient: FloatArray  # (K, 3, N) derivatives by these points
 
 
 def above_plane(points: FloatArray, half_space: HalfSpace) -> Distances:
@@ -125,21 +119,13 @@ class _Limit:
 
 @dataclass(frozen=True)
 class Clearance:
-    """How near the arm comes to an obstacle, or to another limit of the workspace, along a path.
+    """How near the arm comes to an obstacle, or to another limit of the workspace, along a path."""
 
-    Attributes:
-        name: of the obstacle or limit.
-        obstacle: None of another limit.
-        kept: distance that is kept [m].
-        distance: (N,) of the nearest link [m], to an obstacle thickness included; negative beyond the limit.
-        link: (N,) number of that link.
-    """
-
-    name: str
-    obstacle: Obstacle | None
-    kept: float
-    distance: FloatArray
-    link: IndexArray
+    name: str  # of the obstacle or limit
+    obstacle: Obstacle | None  # None of another limit
+    kept: float  # distance that is kept [m]
+    distance: FloatArray  # (N,) of the nearest link [m], to an obstacle thickness included; negative beyond the limit
+    link: IndexArray  # (N,) number of that link
 
 
 class WorkspaceLimits:

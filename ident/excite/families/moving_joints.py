@@ -44,18 +44,13 @@ def from_share(share: FloatArray) -> FloatArray:
 class MovingJoints:
     """The joints of an arm, split into those that move (m of them) and those that rest.
 
-    Attributes:
-        limits: of all n joints; they may be infinite.
-        moving: indices of those that move, ascending.
-        rest: (n,) rest positions of the others [rad or m].
-
     Raises:
         UsageError: no joint moves.
     """
 
-    limits: tuple[JointLimits, ...]
-    moving: tuple[int, ...]
-    rest: FloatArray
+    limits: tuple[JointLimits, ...]  # of all n joints; they may be infinite
+    moving: tuple[int, ...]  # indices of those that move, ascending
+    rest: FloatArray  # (n,) rest positions of the others [rad or m]
 
     def __post_init__(self) -> None:
         if not self.moving:
@@ -160,12 +155,9 @@ class Family(ABC):
     """Motions of one form, given by a vector x of `size` decision variables.
 
     The variables are scaled to the order of 1 at high limit utilisation.
-
-    Attributes:
-        joints: those that move, and the others.
     """
 
-    joints: MovingJoints
+    joints: MovingJoints  # those that move, and the others
 
     @property
     @abstractmethod

@@ -49,18 +49,13 @@ class PointsFamily(Family):
     of the maximum. So all moves use about the same share of the limits and the durations follow smoothly from the
     points. The grid is uniform in time: a rest of `dwell` weighs in a design what it weighs in the recording.
 
-    Attributes:
-        duration: of all moves and rests [s].
-        points: their number P.
-        dwell: rest in every point but the first [s].
-
     Raises:
         UsageError: no joint moves, a number is not possible, or the rests leave no time for moves.
     """
 
-    duration: float
-    points: int
-    dwell: float = 0.0
+    duration: float  # of all moves and rests [s]
+    points: int  # their number P
+    dwell: float = 0.0  # rest in every point but the first [s]
 
     def __post_init__(self) -> None:
         check_positive("duration", self.duration)

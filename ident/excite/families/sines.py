@@ -36,19 +36,14 @@ class SinesFamily(Family):
 
     Played from rest to rest, the motion's own time runs from −ramp/2 to duration + ramp/2, and so does the grid.
 
-    Attributes:
-        duration: at full speed [s].
-        sines: of each joint.
-        ramp: from rest to full speed [s].
-        band: lowest and highest angular frequency [rad/s]; half a wave to `sines` waves in `duration` where None.
-
     Raises:
         UsageError: no joint moves, a number is not positive, or the band is none.
     """
 
-    duration: float
-    sines: int
-    ramp: float
+    duration: float  # at full speed [s]
+    sines: int  # of each joint
+    ramp: float  # from rest to full speed [s]
+    # lowest and highest angular frequency [rad/s]; half a wave to `sines` waves in `duration` where None
     band: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:

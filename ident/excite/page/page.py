@@ -61,13 +61,9 @@ _BOX_TRIANGLES = np.array([corners for a, b, c, d in _BOX_SIDES for corners in (
 
 @dataclass(frozen=True)
 class AnimatedFigure(Figure):
-    """A figure with frames, which the page's script adds once it is drawn.
+    """A figure with frames, which the page's script adds once it is drawn."""
 
-    Attributes:
-        frames: argument of Plotly.addFrames.
-    """
-
-    frames: Sequence[dict[str, Any]] = field(default=())
+    frames: Sequence[dict[str, Any]] = field(default=())  # argument of Plotly.addFrames
 
     @property
     def frames_json(self) -> Markup:
@@ -146,17 +142,11 @@ def arm_figure(robot_file: RobotFile, motion: Motion, shown: Shown) -> AnimatedF
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles that are fixed to links.
+    """Triangles that are fixed to links."""
 
-    Attributes:
-        links: (V,) link of each vertex.
-        vertices: (V, 3) [m] in the frame of its link.
-        triangles: (T, 3) numbers of vertices.
-    """
-
-    links: IndexArray
-    vertices: FloatArray
-    triangles: IndexArray
+    links: IndexArray  # (V,) link of each vertex
+    vertices: FloatArray  # (V, 3) [m] in the frame of its link
+    triangles: IndexArray  # (T, 3) numbers of vertices
 
 
 def capsule_mesh(geometry: ArmGeometry) -> Mesh:

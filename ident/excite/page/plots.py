@@ -36,17 +36,11 @@ _LIMIT = {"color": PREDICTED, "width": 1, "dash": "dash"}
 
 @dataclass(frozen=True)
 class Shown:
-    """Signals of a motion for the plots.
+    """Signals of a motion for the plots."""
 
-    Attributes:
-        path: on a grid.
-        torque: (n, N) of the prior parameters [N·m or N]; None without them.
-        repetitions: how many there are in all; one of them is shown.
-    """
-
-    path: JointPath
-    torque: FloatArray | None
-    repetitions: int
+    path: JointPath  # on a grid
+    torque: FloatArray | None  # (n, N) of the prior parameters [N·m or N]; None without them
+    repetitions: int  # how many there are in all; one of them is shown
 
 
 def shown_part(robot_file: RobotFile, motion: Motion, prior: PriorKnowledge) -> Shown:

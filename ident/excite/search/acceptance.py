@@ -28,19 +28,12 @@ _HALVINGS = 7
 
 @dataclass(frozen=True)
 class Accepted:
-    """A motion that keeps every limit.
+    """A motion that keeps every limit."""
 
-    Attributes:
-        family: of motions, with a longer ramp where that was needed.
-        variables: (size,), begun where the arm's approach is short.
-        motion: as played, from rest to rest.
-        use: (m,) utilisation of every limit along it, on the dense grid; at most 1.
-    """
-
-    family: Family
-    variables: FloatArray
-    motion: Motion
-    use: FloatArray
+    family: Family  # of motions, with a longer ramp where that was needed
+    variables: FloatArray  # (size,), begun where the arm's approach is short
+    motion: Motion  # as played, from rest to rest
+    use: FloatArray  # (m,) utilisation of every limit along it, on the dense grid; at most 1
 
 
 def dense_use(problem: DesignProblem, variables: FloatArray) -> float:

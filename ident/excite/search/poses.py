@@ -32,15 +32,10 @@ class NoFeasiblePoseError(UsageError):
 
 @dataclass(frozen=True)
 class CandidatePose:
-    """A pose and what it uses of the limits.
+    """A pose and what it uses of the limits."""
 
-    Attributes:
-        position: (moving joints,) [rad or m].
-        use: (limits,) at rest and at the beginning of a motion either way.
-    """
-
-    position: FloatArray
-    use: FloatArray
+    position: FloatArray  # (moving joints,) [rad or m]
+    use: FloatArray  # (limits,) at rest and at the beginning of a motion either way
 
 
 def pose_path(joints: MovingJoints, position: FloatArray) -> JointPath:

@@ -17,32 +17,20 @@ from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 
 @dataclass(frozen=True)
 class ErrorBar:
-    """Expected 95 % interval of one parameter.
+    """Expected 95 % interval of one parameter."""
 
-    Attributes:
-        name: of the base parameter.
-        percent: half of the interval, of the parameter's size [%].
-    """
-
-    name: str
-    percent: float
+    name: str  # of the base parameter
+    percent: float  # half of the interval, of the parameter's size [%]
 
 
 @dataclass(frozen=True)
 class ErrorBars:
-    """Expected error bars of weighted least squares, as √(A⁻¹)_ii (SR400 eq. 14).
+    """Expected error bars of weighted least squares, as √(A⁻¹)_ii (SR400 eq. 14)."""
 
-    Attributes:
-        criterion: with the columns and the weights 1/σ_j of the joints' noise.
-        names: (b,) of the columns' parameters.
-        sizes: (b,) of the parameters: their prior values, at least a share of the largest of its kind.
-        values: independent values of the noise per joint in the motion.
-    """
-
-    criterion: RegressorCriterion
-    names: Sequence[str]
-    sizes: FloatArray
-    values: float
+    criterion: RegressorCriterion  # with the columns and the weights 1/σ_j of the joints' noise
+    names: Sequence[str]  # (b,) of the columns' parameters
+    sizes: FloatArray  # (b,) of the parameters: their prior values, at least a share of the largest of its kind
+    values: float  # independent values of the noise per joint in the motion
 
     def worst(self, path: JointPath) -> ErrorBar:
         """The worst of all parameters along one repetition at full speed; infinite where one is not excited."""
@@ -58,29 +46,18 @@ class ErrorBars:
 
 @dataclass(frozen=True)
 class DesignProblem:
-    """Find x that makes a criterion small and uses no limit beyond `allowed`.
+    """Find x that makes a criterion small and uses no limit beyond `allowed`."""
 
-    Attributes:
-        family: of the motions that x parametrises.
-        criterion: the cost.
-        conditioning: log of the column-normalised condition number of the same columns; for progress.
-        constraints: the limits.
-        time: (N,) grid [s] on which both are evaluated.
-        allowed: largest limit utilisation, 1 minus a margin for what lies between the grid's points.
-        error_bars: to expect, for progress; None where no parameters are known beforehand.
-        refusal: why the check before a motion is played would refuse a motion, in words; empty where it does not.
-        by_hull: whether that check also keeps links apart that the constraints leave out.
-    """
-
-    family: Family
-    criterion: Criterion
-    conditioning: Criterion
-    constraints: Sequence[Constraint]
-    time: FloatArray
-    allowed: float
-    error_bars: ErrorBars | None = None
+    family: Family  # of the motions that x parametrises
+    criterion: Criterion  # the cost
+    conditioning: Criterion  # log of the column-normalised condition number of the same columns; for progress
+    constraints: Sequence[Constraint]  # the limits
+    time: FloatArray  # (N,) grid [s] on which both are evaluated
+    allowed: float  # largest limit utilisation, 1 minus a margin for what lies between the grid's points
+    error_bars: ErrorBars | None = None  # to expect, for progress; None where no parameters are known beforehand
+    # why the check before a motion is played would refuse a motion, in words; empty where it does not
     refusal: Callable[[Motion], str] = lambda _: ""
-    by_hull: bool = False
+    by_hull: bool = False  # whether that check also keeps links apart that the constraints leave out
 
     def path(self, variables: FloatArray) -> JointPath:
         """The motion of x (size,) on the grid."""

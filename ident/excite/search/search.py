@@ -187,23 +187,14 @@ class SearchChoices(SearchOptions):
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Outcome of a search.
+    """Outcome of a search."""
 
-    Attributes:
-        best: the candidate of the least cost; None where there is none yet.
-        finished: starts that went through all rounds.
-        seconds: that the search took.
-        limit: time limit [s]; None where it ends after a number of starts.
-        interrupted: whether Ctrl-C ended it.
-        died: processes that crashed or were killed.
-    """
-
-    best: CandidateMotion | None
-    finished: int
-    seconds: float
-    limit: float | None
-    interrupted: bool = False
-    died: int = 0
+    best: CandidateMotion | None  # the candidate of the least cost; None where there is none yet
+    finished: int  # starts that went through all rounds
+    seconds: float  # that the search took
+    limit: float | None  # time limit [s]; None where it ends after a number of starts
+    interrupted: bool = False  # whether Ctrl-C ended it
+    died: int = 0  # processes that crashed or were killed
 
 
 def search(

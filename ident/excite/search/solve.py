@@ -33,19 +33,12 @@ exceed the limit."""
 
 @dataclass(frozen=True)
 class Round:
-    """How blunt a round's problem is.
+    """How blunt a round's problem is."""
 
-    Attributes:
-        cost_sharpness: order of the power means of eigenvalues.
-        limit_sharpness: of the soft maximum of uses.
-        iterations: at most.
-        tolerance: change of the cost (a logarithm) at which the round ends.
-    """
-
-    cost_sharpness: float
-    limit_sharpness: float
-    iterations: int
-    tolerance: float
+    cost_sharpness: float  # order of the power means of eigenvalues
+    limit_sharpness: float  # of the soft maximum of uses
+    iterations: int  # at most
+    tolerance: float  # change of the cost (a logarithm) at which the round ends
 
 
 OPENING = Round(4.0, 300.0, 25, 1e-3)
@@ -57,14 +50,10 @@ ROUNDS = (Round(4.0, 30.0, 100, 1e-4), Round(16.0, 100.0, 100, 1e-4), Round(64.0
 
 @dataclass(frozen=True)
 class Callbacks:
-    """Callbacks of a solver; either may end it by raising.
+    """Callbacks of a solver; either may end it by raising."""
 
-    Attributes:
-        tick: before every evaluation.
-        visit: with an iterate (size,) of lower cost than those before; returns whether it keeps all limits.
-    """
-
-    tick: Callable[[], None]
+    tick: Callable[[], None]  # before every evaluation
+    # with an iterate (size,) of lower cost than those before; returns whether it keeps all limits
     visit: Callable[[FloatArray], bool]
 
 

@@ -79,32 +79,20 @@ def leap(
 
 @dataclass(frozen=True)
 class CandidateMotion:
-    """A motion that keeps every limit, reported by a start.
+    """A motion that keeps every limit, reported by a start."""
 
-    Attributes:
-        start: index of the start.
-        cost: the criterion, exactly (a logarithm).
-        condition: column-normalised condition number of the base regressor.
-        worst: expected worst error bar; None where no parameters are known beforehand.
-        variables: (size,).
-    """
-
-    start: int
-    cost: float
-    condition: float
-    worst: ErrorBar | None
-    variables: FloatArray
+    start: int  # index of the start
+    cost: float  # the criterion, exactly (a logarithm)
+    condition: float  # column-normalised condition number of the base regressor
+    worst: ErrorBar | None  # expected worst error bar; None where no parameters are known beforehand
+    variables: FloatArray  # (size,)
 
 
 @dataclass(frozen=True)
 class Finished:
-    """A start went through all its rounds.
+    """A start went through all its rounds."""
 
-    Attributes:
-        start: its index.
-    """
-
-    start: int
+    start: int  # its index
 
 
 Report = CandidateMotion | Finished

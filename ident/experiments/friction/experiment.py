@@ -27,17 +27,11 @@ from ident.signals.options import PreprocessChoices
 
 @dataclass(frozen=True)
 class FrictionExperiment:
-    """Friction of all joints that move alone.
+    """Friction of all joints that move alone."""
 
-    Attributes:
-        result: what friction.json holds.
-        periods: the data.
-        joints: in the robot's order.
-    """
-
-    result: FrictionExperimentResult
-    periods: JointPeriods
-    joints: tuple[JointExperiment, ...]
+    result: FrictionExperimentResult  # what friction.json holds
+    periods: JointPeriods  # the data
+    joints: tuple[JointExperiment, ...]  # in the robot's order
 
 
 def analyse_friction(

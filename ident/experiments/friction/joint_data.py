@@ -25,19 +25,12 @@ ALONE = ((0, 1.0),)
 
 @dataclass(frozen=True, eq=False)
 class JointExperiment:
-    """Friction of one joint, and what its page shows beside.
+    """Friction of one joint, and what its page shows beside."""
 
-    Attributes:
-        stored: what friction.json holds of it.
-        terms: of this one motor, shapes as estimated.
-        steps: terms that were tried.
-        points: (4, P) velocity, temperature [K] (nan where unknown), load torque, measured friction.
-    """
-
-    stored: JointFrictionExperiment
-    terms: FrictionTerms
-    steps: tuple[FrictionStep, ...]
-    points: FloatArray
+    stored: JointFrictionExperiment  # what friction.json holds of it
+    terms: FrictionTerms  # of this one motor, shapes as estimated
+    steps: tuple[FrictionStep, ...]  # terms that were tried
+    points: FloatArray  # (4, P) velocity, temperature [K] (nan where unknown), load torque, measured friction
 
 
 def friction_signal(

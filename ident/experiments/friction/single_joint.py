@@ -49,28 +49,19 @@ FILTER_PERIODS = 1.0
 
 @dataclass(frozen=True, eq=False)
 class JointPeriod:
-    """One joint moving, the others at rest: N samples, M of them after the parallel filter.
+    """One joint moving, the others at rest: N samples, M of them after the parallel filter."""
 
-    Attributes:
-        recording: index of its recording.
-        position, velocity, acceleration, torque: (N,) of the joint [rad, rad/s, rad/s², N·m or m, m/s, m/s², N].
-        gravity: (g, N) columns of the gravity torque; g is 0 where gravity does not act.
-        temperature: (N,) of the joint [K]; None where it was not recorded.
-        parallel_filter: for torque and columns.
-        counted: (M,) whether the equation counts: away from reversals and rest.
-        phase: (M,) samples at the same place of a repeated motion have the same.
-    """
-
-    recording: int
+    recording: int  # index of its recording
+    # position, velocity, acceleration, torque: (N,) of the joint [rad, rad/s, rad/s², N·m or m, m/s, m/s², N]
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
     torque: FloatArray
-    gravity: FloatArray
-    temperature: FloatArray | None
-    parallel_filter: ZeroPhaseFilter
-    counted: npt.NDArray[np.bool_]
-    phase: npt.NDArray[np.int64]
+    gravity: FloatArray  # (g, N) columns of the gravity torque; g is 0 where gravity does not act
+    temperature: FloatArray | None  # (N,) of the joint [K]; None where it was not recorded
+    parallel_filter: ZeroPhaseFilter  # for torque and columns
+    counted: npt.NDArray[np.bool_]  # (M,) whether the equation counts: away from reversals and rest
+    phase: npt.NDArray[np.int64]  # (M,) samples at the same place of a repeated motion have the same
 
     def filtered(self, signals: FloatArray) -> FloatArray:
         """(k, C) of signals (k, N): filtered, those samples that count."""
@@ -83,17 +74,11 @@ class JointPeriod:
 
 @dataclass(frozen=True)
 class JointPeriods:
-    """All periods of all joints.
+    """All periods of all joints."""
 
-    Attributes:
-        model: of the arm, friction terms left out.
-        periods: of each joint; none where it never moves alone.
-        data: all recordings as prepared.
-    """
-
-    model: DynamicModel
-    periods: tuple[tuple[JointPeriod, ...], ...]
-    data: PreparedData
+    model: DynamicModel  # of the arm, friction terms left out
+    periods: tuple[tuple[JointPeriod, ...], ...]  # of each joint; none where it never moves alone
+    data: PreparedData  # all recordings as prepared
 
 
 def joint_periods(

@@ -51,14 +51,10 @@ _SILENT = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class GravityExperiment:
-    """What an identification gives.
+    """What an identification gives."""
 
-    Attributes:
-        result: as result.json holds it.
-        signals: of the recordings, for the page; empty where the result was read from a file.
-    """
-
-    result: GravityResult
+    result: GravityResult  # as result.json holds it
+    # of the recordings, for the page; empty where the result was read from a file
     signals: tuple[JointSignals, ...] = ()
 
 

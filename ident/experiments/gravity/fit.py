@@ -32,35 +32,20 @@ FEWEST_VISITS = 3
 
 @dataclass(frozen=True, eq=False)
 class GravityFit:
-    """What the visits tell.
+    """What the visits tell."""
 
-    Attributes:
-        values: (b,) gravity parameters and offsets; 0 where they are not determined.
-        covariance: (b, b) of them.
-        determined: (b,) whether the poses tell each of them.
-        quantile: (b,) of Student's t for 95 %, by the residuals that each parameter's σ comes from.
-        deviation: (n,) σ of a joint's equations [N·m or N]; nan of a joint without any.
-        used: (K, n) which joints of which visit have an equation.
-        residual: (K, n) measured minus fitted, nan where not used.
-        held_out: (K, n) measured minus predicted from the other poses.
-        group: (K,) number of the place of each visit.
-        friction: (n,) mean half difference of the directions [N·m or N], nan without equations.
-        friction_interval: (n,) half of its 95 % interval.
-        friction_spread: (n,) its standard deviation over the poses.
-    """
-
-    values: FloatArray
-    covariance: FloatArray
-    determined: BoolArray
-    quantile: FloatArray
-    deviation: FloatArray
-    used: BoolArray
-    residual: FloatArray
-    held_out: FloatArray
-    group: IntArray
-    friction: FloatArray
-    friction_interval: FloatArray
-    friction_spread: FloatArray
+    values: FloatArray  # (b,) gravity parameters and offsets; 0 where they are not determined
+    covariance: FloatArray  # (b, b) of them
+    determined: BoolArray  # (b,) whether the poses tell each of them
+    quantile: FloatArray  # (b,) of Student's t for 95 %, by the residuals that each parameter's σ comes from
+    deviation: FloatArray  # (n,) σ of a joint's equations [N·m or N]; nan of a joint without any
+    used: BoolArray  # (K, n) which joints of which visit have an equation
+    residual: FloatArray  # (K, n) measured minus fitted, nan where not used
+    held_out: FloatArray  # (K, n) measured minus predicted from the other poses
+    group: IntArray  # (K,) number of the place of each visit
+    friction: FloatArray  # (n,) mean half difference of the directions [N·m or N], nan without equations
+    friction_interval: FloatArray  # (n,) half of its 95 % interval
+    friction_spread: FloatArray  # (n,) its standard deviation over the poses
 
 
 def used_equations(visits: Sequence[Visit], model: DynamicModel) -> BoolArray:

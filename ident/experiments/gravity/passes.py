@@ -47,42 +47,25 @@ GRID = 15
 
 @dataclass(frozen=True, eq=False)
 class SlowPass:
-    """A segment of a recording in one direction.
+    """A segment of a recording in one direction."""
 
-    Attributes:
-        samples: first and last, exclusive.
-        direction: (n,) −1, 0 or 1.
-        peak: (n,) largest velocity [rad/s or m/s].
-        way: (n,) from its first to its last position [rad or m].
-    """
-
-    samples: slice
-    direction: IntArray
-    peak: FloatArray
-    way: FloatArray
+    samples: slice  # first and last, exclusive
+    direction: IntArray  # (n,) −1, 0 or 1
+    peak: FloatArray  # (n,) largest velocity [rad/s or m/s]
+    way: FloatArray  # (n,) from its first to its last position [rad or m]
 
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """A pose that was passed in both directions.
+    """A pose that was passed in both directions."""
 
-    Attributes:
-        pose: (n,) the middle of the way in common [rad or m].
-        time: [s] between the two passes, from the recording's first sample.
-        direction: (n,) of the joints in the first pass: −1, 0 or 1.
-        torque: (2, n) mean torque of the motors in either pass [N·m or N].
-        rows: (2, n, b) mean gravity rows of the same positions.
-        noise: (n,) σ of the mean of both torques by white noise [N·m or N].
-        recording: label.
-    """
-
-    pose: FloatArray
-    time: float
-    direction: IntArray
-    torque: FloatArray
-    rows: FloatArray
-    noise: FloatArray
-    recording: str
+    pose: FloatArray  # (n,) the middle of the way in common [rad or m]
+    time: float  # [s] between the two passes, from the recording's first sample
+    direction: IntArray  # (n,) of the joints in the first pass: −1, 0 or 1
+    torque: FloatArray  # (2, n) mean torque of the motors in either pass [N·m or N]
+    rows: FloatArray  # (2, n, b) mean gravity rows of the same positions
+    noise: FloatArray  # (n,) σ of the mean of both torques by white noise [N·m or N]
+    recording: str  # label
 
     @property
     def mean(self) -> tuple[FloatArray, FloatArray]:
@@ -92,17 +75,12 @@ class Visit:
 
 @dataclass(frozen=True, eq=False)
 class Visits:
-    """What a recording shows.
+    """What a recording shows."""
 
-    Attributes:
-        visits: in order of time.
-        unbalanced: passes of a kind with those of the visits that nothing pairs: pose, direction, time [s].
-        moved: (n,) whether each joint changed its position at all.
-    """
-
-    visits: list[Visit]
+    visits: list[Visit]  # in order of time
+    # passes of a kind with those of the visits that nothing pairs: pose, direction, time [s]
     unbalanced: list[tuple[FloatArray, IntArray, float]]
-    moved: IntArray
+    moved: IntArray  # (n,) whether each joint changed its position at all
 
 
 def find_visits(signals: JointSignals, model: DynamicModel, base: BaseParameters) -> Visits:

@@ -34,45 +34,28 @@ CONTRADICTING = 3.0
 
 @dataclass(frozen=True)
 class Information:
-    """Information of one experiment on b parameters x: values = combinations·x + an error.
+    """Information of one experiment on b parameters x: values = combinations·x + an error."""
 
-    Attributes:
-        values: (a,).
-        combinations: (a, b).
-        root: (a, a); rootᵀ·root weighs the errors.
-        covariance: (a, a) of the error.
-        blocks: of the jackknife behind the covariance.
-    """
-
-    values: FloatArray
-    combinations: FloatArray
-    root: FloatArray
-    covariance: FloatArray
-    blocks: int
+    values: FloatArray  # (a,)
+    combinations: FloatArray  # (a, b)
+    root: FloatArray  # (a, a); rootᵀ·root weighs the errors
+    covariance: FloatArray  # (a, a) of the error
+    blocks: int  # of the jackknife behind the covariance
 
 
 @dataclass(frozen=True)
 class MergedEstimate:
-    """Parameters from several experiments; b of them, k active.
+    """Parameters from several experiments; b of them, k active."""
 
-    Attributes:
-        solution: by least squares; `rows` is the number of values merged, `residual_sum` the weighted one.
-        covariance: (k, k) of the active parameters, from the experiments' covariances.
-        root: (k, k) upper triangular square root of the summed information.
-        taken_up: (k, b − k) share of each inactive parameter in each active one.
-        consistency: whether the experiments agree; None where they share nothing.
-        deviations: for each experiment (a,), how many standard deviations its values are from the merged ones; 0 where
-            no other experiment determines the same.
-        fitted: for each experiment (a,), what the merged parameters give for its values.
-    """
-
-    solution: LeastSquares
-    covariance: FloatArray
-    root: FloatArray
-    taken_up: FloatArray
-    consistency: SignificanceTest | None
+    solution: LeastSquares  # by least squares; `rows` is the number of values merged, `residual_sum` the weighted one
+    covariance: FloatArray  # (k, k) of the active parameters, from the experiments' covariances
+    root: FloatArray  # (k, k) upper triangular square root of the summed information
+    taken_up: FloatArray  # (k, b − k) share of each inactive parameter in each active one
+    consistency: SignificanceTest | None  # whether the experiments agree; None where they share nothing
+    # for each experiment (a,), how many standard deviations its values are from the merged ones; 0 where no other
+    # experiment determines the same
     deviations: tuple[FloatArray, ...]
-    fitted: tuple[FloatArray, ...]
+    fitted: tuple[FloatArray, ...]  # for each experiment (a,), what the merged parameters give for its values
 
 
 def variance_ratio(root: FloatArray, covariance: FloatArray) -> float:

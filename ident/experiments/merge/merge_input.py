@@ -18,23 +18,14 @@ from ident.result.schema import RecordingUse, Result
 
 @dataclass(frozen=True)
 class MergeInput:
-    """One of the results to be merged, ready for it.
+    """One of the results to be merged, ready for it."""
 
-    Attributes:
-        label: its name in messages.
-        result: as read.
-        stored: its model.
-        information: on the merged base parameters, weighted.
-        names: of its values.
-        ratio: mean variance, corrected for autocorrelation over white.
-    """
-
-    label: str
-    result: Result
-    stored: StoredModel
-    information: Information
-    names: tuple[str, ...]
-    ratio: float
+    label: str  # its name in messages
+    result: Result  # as read
+    stored: StoredModel  # its model
+    information: Information  # on the merged base parameters, weighted
+    names: tuple[str, ...]  # of its values
+    ratio: float  # mean variance, corrected for autocorrelation over white
 
 
 def merge_inputs(results: Sequence[tuple[str, Result]]) -> tuple[list[MergeInput], BaseParameters]:

@@ -42,19 +42,12 @@ ExpressionArray = npt.NDArray[np.object_]
 
 @dataclass(frozen=True)
 class Node:
-    """One operation, or an operand.
+    """One operation, or an operand."""
 
-    Attributes:
-        kind: which.
-        operands: numbers of the nodes that it takes, all smaller than its own.
-        value: of a constant, never negative.
-        name: of a symbol.
-    """
-
-    kind: Kind
-    operands: tuple[int, ...] = ()
-    value: float = 0.0
-    name: str = ""
+    kind: Kind  # which
+    operands: tuple[int, ...] = ()  # numbers of the nodes that it takes, all smaller than its own
+    value: float = 0.0  # of a constant, never negative
+    name: str = ""  # of a symbol
 
 
 @dataclass(frozen=True)

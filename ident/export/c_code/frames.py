@@ -25,42 +25,32 @@ class Shortcut:
 
     In a parallelogram the sum of their angles is simpler than either: the forearm turns as the rod's motor does, and
     what both compute is shared.
-
-    Attributes:
-        steps: rotations that take a vector of the grandparent's frame to this one, one after the other.
-        velocity, acceleration: of both joints together.
     """
 
+    # rotations that take a vector of the grandparent's frame to this one, one after the other
     steps: tuple[ExpressionArray, ...]
+    # velocity, acceleration: of both joints together
     velocity: Expression
     acceleration: Expression
 
 
 @dataclass(frozen=True)
 class JointFrame:
-    """A joint's frame in its parent's.
+    """A joint's frame in its parent's."""
 
-    Attributes:
-        joint: of the tree.
-        translation: of the origin, in the parent's frame.
-        angle: of a revolute joint, without its constant part.
-        velocity, acceleration: of the joint.
-        constant: rotation from the joint's frame at `angle` zero to the parent's; the identity where `turn` holds it.
-        turn: rotation about the joint's axis; the identity of a prismatic joint.
-        planar: number of the coordinate axis that `turn` leaves alone, with the sine and cosine of the angle about it;
-            None where there is none.
-        shortcut: where there is one.
-    """
-
-    joint: Joint
-    translation: ExpressionArray
-    angle: Expression
+    joint: Joint  # of the tree
+    translation: ExpressionArray  # of the origin, in the parent's frame
+    angle: Expression  # of a revolute joint, without its constant part
+    # velocity, acceleration: of the joint
     velocity: Expression
     acceleration: Expression
+    # rotation from the joint's frame at `angle` zero to the parent's; the identity where `turn` holds it
     constant: ExpressionArray
-    turn: ExpressionArray
+    turn: ExpressionArray  # rotation about the joint's axis; the identity of a prismatic joint
+    # number of the coordinate axis that `turn` leaves alone, with the sine and cosine of the angle about it; None where
+    # there is none
     planar: tuple[int, Expression, Expression] | None
-    shortcut: Shortcut | None = None
+    shortcut: Shortcut | None = None  # where there is one
 
     def to_joint(self, vector: ExpressionArray) -> ExpressionArray:
         """A vector of the parent's frame in the joint's."""

@@ -101,25 +101,15 @@ def payload_torque(graph: Graph, motion: LinkMotion, axes: Axes, follow: FloatAr
 
 @dataclass(frozen=True)
 class Function:
-    """One C function.
+    """One C function."""
 
-    Attributes:
-        name: without the arm's prefix.
-        summary: what it gives, for a comment.
-        inputs: names of its arrays (n,).
-        output: name of what it writes.
-        rows: the output's entries, (1, n) for a vector.
-        matrix: whether the output has rows and columns.
-        sizes: length of the arrays that are not (n,).
-    """
-
-    name: str
-    summary: str
-    inputs: tuple[str, ...]
-    output: str
-    rows: tuple[tuple[Expression, ...], ...]
-    matrix: bool = False
-    sizes: Mapping[str, int] = field(default_factory=dict)
+    name: str  # without the arm's prefix
+    summary: str  # what it gives, for a comment
+    inputs: tuple[str, ...]  # names of its arrays (n,)
+    output: str  # name of what it writes
+    rows: tuple[tuple[Expression, ...], ...]  # the output's entries, (1, n) for a vector
+    matrix: bool = False  # whether the output has rows and columns
+    sizes: Mapping[str, int] = field(default_factory=dict)  # length of the arrays that are not (n,)
 
     @property
     def outputs(self) -> list[Expression]:

@@ -23,22 +23,15 @@ EXPRESSIONS = Maths(sign, power, decay, cosine, sine)
 
 @dataclass(frozen=True)
 class JointTermsCode:
-    """Torques at the n joints with a motor: inertia·q̈ + viscous·q̇ + Σ coulomb·sign(motion·q̇) + offset + further terms.
+    """Torques at the n joints with a motor: inertia·q̈ + viscous·q̇ + Σ coulomb·sign(motion·q̇) + offset + further."""
 
-    Attributes:
-        inertia: (n, n) [kg·m²] of the motors.
-        viscous: (n, n) [N·m·s/rad].
-        coulomb: (motion (n,), torques (n,) [N·m]) of each Coulomb column.
-        offset: (n,) [N·m].
-        further: (column, motion (n,), torques (n,)) of each other column of friction.
-        sliding: the same of the dry friction, Coulomb columns included, whose motion has a presliding travel.
-    """
-
-    inertia: FloatArray
-    viscous: FloatArray
-    coulomb: tuple[tuple[FloatArray, FloatArray], ...]
-    offset: FloatArray
+    inertia: FloatArray  # (n, n) [kg·m²] of the motors
+    viscous: FloatArray  # (n, n) [N·m·s/rad]
+    coulomb: tuple[tuple[FloatArray, FloatArray], ...]  # (motion (n,), torques (n,) [N·m]) of each Coulomb column
+    offset: FloatArray  # (n,) [N·m]
+    # (column, motion (n,), torques (n,)) of each other column of friction
     further: tuple[tuple[JointColumn, FloatArray, FloatArray], ...]
+    # the same of the dry friction, Coulomb columns included, whose motion has a presliding travel
     sliding: tuple[tuple[JointColumn, FloatArray, FloatArray], ...]
 
 

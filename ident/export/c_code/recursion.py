@@ -23,21 +23,13 @@ from ident.model.parameters import INERTIAL
 
 @dataclass(frozen=True)
 class LinkMotion:
-    """Motion of a link's frame, in that frame.
+    """Motion of a link's frame, in that frame."""
 
-    Attributes:
-        velocity: ω.
-        acceleration: α.
-        products: xx, yy, zz, xy, xz, yz of the components of ω.
-        swing: U.
-        linear: a.
-    """
-
-    velocity: ExpressionArray
-    acceleration: ExpressionArray
-    products: dict[str, Expression]
-    swing: ExpressionArray
-    linear: ExpressionArray
+    velocity: ExpressionArray  # ω
+    acceleration: ExpressionArray  # α
+    products: dict[str, Expression]  # xx, yy, zz, xy, xz, yz of the components of ω
+    swing: ExpressionArray  # U
+    linear: ExpressionArray  # a
 
 
 @dataclass(frozen=True)

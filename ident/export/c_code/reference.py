@@ -26,17 +26,13 @@ TOLERANCES: dict[Real, float] = {"double": 1e-12, "float": 1e-5}
 
 @dataclass(frozen=True)
 class ExpectedValues:
-    """What the functions should give.
+    """What the functions should give."""
 
-    Attributes:
-        inputs: q, dq, ddq and tau (N, n), payload (N, 10), and with presliding z (N, s) and step (N, 1), by name.
-        outputs: (N, …) by the function's name.
-        scales: largest value of each, that deviations are relative to; of all torques the same, of accelerations
-            times the condition number of the inertia matrix, which multiplies rounding.
-    """
-
+    # q, dq, ddq and tau (N, n), payload (N, 10), and with presliding z (N, s) and step (N, 1), by name
     inputs: dict[str, FloatArray]
-    outputs: dict[str, FloatArray]
+    outputs: dict[str, FloatArray]  # (N, …) by the function's name
+    # largest value of each, that deviations are relative to; of all torques the same, of accelerations times the
+    # condition number of the inertia matrix, which multiplies rounding
     scales: dict[str, float]
 
 

@@ -21,21 +21,13 @@ WIDTH = 120
 
 @dataclass(frozen=True)
 class Parameter:
-    """One base parameter.
+    """One base parameter."""
 
-    Attributes:
-        name: as in the report.
-        value: in its unit.
-        std: its standard deviation; None where it is not known.
-        unit: of both.
-        expression: what it combines.
-    """
-
-    name: str
-    value: float
-    std: float | None = None
-    unit: str = ""
-    expression: str = ""
+    name: str  # as in the report
+    value: float  # in its unit
+    std: float | None = None  # its standard deviation; None where it is not known
+    unit: str = ""  # of both
+    expression: str = ""  # what it combines
 
     @property
     def text(self) -> str:
@@ -47,27 +39,16 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Description:
-    """What the comments and declarations say.
+    """What the comments and declarations say."""
 
-    Attributes:
-        robot: its name.
-        prefix: of all C names.
-        joints: names (n,), prismatic ones marked.
-        parameters: of the base.
-        kind: which parameters these are.
-        origin: lines on where they come from.
-        left_out: lines on functions that are not there.
-        tool: name of the joint whose frame the payload is given in.
-    """
-
-    robot: str
-    prefix: str
-    joints: tuple[str, ...]
-    parameters: tuple[Parameter, ...]
-    kind: str
-    origin: tuple[str, ...]
-    left_out: tuple[str, ...]
-    tool: str
+    robot: str  # its name
+    prefix: str  # of all C names
+    joints: tuple[str, ...]  # names (n,), prismatic ones marked
+    parameters: tuple[Parameter, ...]  # of the base
+    kind: str  # which parameters these are
+    origin: tuple[str, ...]  # lines on where they come from
+    left_out: tuple[str, ...]  # lines on functions that are not there
+    tool: str  # name of the joint whose frame the payload is given in
 
 
 PRESLIDING = (

@@ -20,19 +20,12 @@ LONGEST_INLINE = 80
 
 @dataclass(frozen=True)
 class Dialect:
-    """How numbers are written.
+    """How numbers are written."""
 
-    Attributes:
-        real: C type of the arithmetic.
-        type_name: of the arm's numbers.
-        sign: name of the function for signs.
-        inverse: name of the function for 1/x of a positive x.
-    """
-
-    real: Real
-    type_name: str
-    sign: str
-    inverse: str
+    real: Real  # C type of the arithmetic
+    type_name: str  # of the arm's numbers
+    sign: str  # name of the function for signs
+    inverse: str  # name of the function for 1/x of a positive x
 
     def number(self, value: float) -> str:
         """A floating constant.

@@ -14,23 +14,14 @@ Placement = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True)
 class Joint:
-    """A joint with one degree of freedom; its frame is fixed to the link that it moves.
+    """A joint with one degree of freedom; its frame is fixed to the link that it moves."""
 
-    Attributes:
-        name: as in the robot file.
-        parent: index of the parent joint; `BASE_INDEX` for the base.
-        prismatic: translation along the axis instead of rotation about it.
-        rotation: (3, 3) of the joint frame in its parent's at position zero.
-        translation: (3,) [m] of its origin in its parent's frame at position zero.
-        axis: (3,) unit vector in the joint frame.
-    """
-
-    name: str
-    parent: int
-    prismatic: bool
-    rotation: FloatArray
-    translation: FloatArray
-    axis: FloatArray
+    name: str  # as in the robot file
+    parent: int  # index of the parent joint; `BASE_INDEX` for the base
+    prismatic: bool  # translation along the axis instead of rotation about it
+    rotation: FloatArray  # (3, 3) of the joint frame in its parent's at position zero
+    translation: FloatArray  # (3,) [m] of its origin in its parent's frame at position zero
+    axis: FloatArray  # (3,) unit vector in the joint frame
 
 
 def ancestors(joints: tuple[Joint, ...], index: int) -> tuple[int, ...]:

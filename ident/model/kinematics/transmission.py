@@ -16,34 +16,23 @@ ZERO_SHARE = 1e-12
 
 @dataclass(frozen=True)
 class TreeMotion:
-    """Motion of the n joints of a tree at N samples, a of them with a motor.
+    """Motion of the n joints of a tree at N samples, a of them with a motor."""
 
-    Attributes:
-        position, velocity, acceleration: (n, N) [rad, rad/s, rad/s² or m…].
-        follow: G = ∂q_tree/∂q_active, (n, a) where it is constant, else (n, a, N).
-    """
-
+    # position, velocity, acceleration: (n, N) [rad, rad/s, rad/s² or m…]
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
-    follow: FloatArray
+    follow: FloatArray  # G = ∂q_tree/∂q_active, (n, a) where it is constant, else (n, a, N)
 
 
 @dataclass(frozen=True)
 class Transmission(ABC):
-    """How n joints of a tree, a of them with a motor, and the motors move each other.
+    """How n joints of a tree, a of them with a motor, and the motors move each other."""
 
-    Attributes:
-        active: (a,) indices of the tree's joints that have a motor, in the order of every array.
-        coupling: (a, a) R of q_motor = R·q_active.
-        pair_friction: (a,) whether a coupled joint rubs beside its motor (SR400 eq. 8).
-        pair_inertia: (a,) whether an inertia of its own turns with a coupled joint, beside the motor's.
-    """
-
-    active: tuple[int, ...]
-    coupling: FloatArray
-    pair_friction: tuple[bool, ...]
-    pair_inertia: tuple[bool, ...]
+    active: tuple[int, ...]  # (a,) indices of the tree's joints that have a motor, in the order of every array
+    coupling: FloatArray  # (a, a) R of q_motor = R·q_active
+    pair_friction: tuple[bool, ...]  # (a,) whether a coupled joint rubs beside its motor (SR400 eq. 8)
+    pair_inertia: tuple[bool, ...]  # (a,) whether an inertia of its own turns with a coupled joint, beside the motor's
 
     @property
     @abstractmethod
@@ -141,15 +130,10 @@ class Transmission(ABC):
 
 @dataclass(frozen=True)
 class LinearTransmission(Transmission):
-    """Joints that follow linearly: parallelograms, equations, coupled motors.
+    """Joints that follow linearly: parallelograms, equations, coupled motors."""
 
-    Attributes:
-        follow: (n, a) G = ∂q_tree/∂q_active (SR400 eq. 4).
-        offset: (n,) b of q_tree = G·q_active + b [rad or m].
-    """
-
-    follow: FloatArray
-    offset: FloatArray
+    follow: FloatArray  # (n, a) G = ∂q_tree/∂q_active (SR400 eq. 4)
+    offset: FloatArray  # (n,) b of q_tree = G·q_active + b [rad or m]
 
     @property
     def joint_count(self) -> int:

@@ -33,32 +33,20 @@ class UnusableShapeError(Exception):
 
 @dataclass(frozen=True)
 class LinkShapes:
-    """The shapes of one link of a URDF.
+    """The shapes of one link of a URDF."""
 
-    Attributes:
-        link: index of the joint that moves it, `BASE_INDEX` for the base; links fixed to each other share one.
-        placement: Pinocchio's placement of the link in that joint's frame.
-        elements: `collision` or `visual` elements.
-    """
-
-    link: int
-    placement: Any
-    elements: tuple[ElementTree.Element, ...]
+    link: int  # index of the joint that moves it, `BASE_INDEX` for the base; links fixed to each other share one
+    placement: Any  # Pinocchio's placement of the link in that joint's frame
+    elements: tuple[ElementTree.Element, ...]  # `collision` or `visual` elements
 
 
 @dataclass(frozen=True)
 class LinkShape:
-    """One shape in the frame of the joint that moves it.
+    """One shape in the frame of the joint that moves it."""
 
-    Attributes:
-        rotation: (3, 3) of its own axes.
-        centre: (3,) its origin [m].
-        element: `box`, `sphere`, `cylinder`, `capsule` or `mesh` with its attributes.
-    """
-
-    rotation: FloatArray
-    centre: FloatArray
-    element: ElementTree.Element
+    rotation: FloatArray  # (3, 3) of its own axes
+    centre: FloatArray  # (3,) its origin [m]
+    element: ElementTree.Element  # `box`, `sphere`, `cylinder`, `capsule` or `mesh` with its attributes
 
 
 def link_shapes(

@@ -41,21 +41,15 @@ LOG_AXIS: dict[str, Any] = {"type": "log", "tickformat": "~g", "nticks": 3}
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of the page.
+    """One figure of the page."""
 
-    Attributes:
-        anchor: its id within the page.
-        height: [px].
-        data, layout: what Plotly.newPlot takes.
-        caption: what is shown, and what was left out.
-        narrow: keys of the layout that are others on a phone's width, its height included; see `narrow_layout`.
-    """
-
-    anchor: str
-    height: int
+    anchor: str  # its id within the page
+    height: int  # [px]
+    # data, layout: what Plotly.newPlot takes
     data: Sequence[Mapping[str, Any]]
     layout: Mapping[str, Any]
-    caption: str
+    caption: str  # what is shown, and what was left out
+    # keys of the layout that are others on a phone's width, its height included; see `narrow_layout`
     narrow: Mapping[str, Any] = field(default_factory=dict)
 
     def drawn(self, backend: Backend) -> Any:

@@ -49,27 +49,19 @@ Line = tuple[float, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Panel:
-    """One plot with axes of its own.
+    """One plot with axes of its own."""
 
-    Attributes:
-        name: what it shows, for files of its data.
-        heading: above it, in plotly's markup.
-        traces: without their axes.
-        stacked_heading: above it where panels stand one below the other; the same where empty.
-        x, y: further keys of its axes.
-        vertical, horizontal: lines across it, a position and a style each.
-        height: [px].
-    """
-
-    name: str
-    heading: str
-    traces: Sequence[Mapping[str, Any]]
-    stacked_heading: str = ""
+    name: str  # what it shows, for files of its data
+    heading: str  # above it, in plotly's markup
+    traces: Sequence[Mapping[str, Any]]  # without their axes
+    stacked_heading: str = ""  # above it where panels stand one below the other; the same where empty
+    # x, y: further keys of its axes
     x: Mapping[str, Any] = field(default_factory=dict)
     y: Mapping[str, Any] = field(default_factory=dict)
+    # vertical, horizontal: lines across it, a position and a style each
     vertical: Sequence[Line] = ()
     horizontal: Sequence[Line] = ()
-    height: int = 140
+    height: int = 140  # [px]
 
 
 def panel_figure(
@@ -192,21 +184,14 @@ ROW = 15
 
 @dataclass(frozen=True)
 class IntervalSeries:
-    """Values of some rows.
+    """Values of some rows."""
 
-    Attributes:
-        label: in the legend.
-        values: row → value.
-        marker: its style, as plotly.js takes it.
-        deviations: row → σ; without one, or where it is not finite, a value has no interval.
-        shown: whether the legend names it.
-    """
-
-    label: str
-    values: Mapping[str, float | None]
-    marker: Mapping[str, Any]
+    label: str  # in the legend
+    values: Mapping[str, float | None]  # row → value
+    marker: Mapping[str, Any]  # its style, as plotly.js takes it
+    # row → σ; without one, or where it is not finite, a value has no interval
     deviations: Mapping[str, float | None] | None = None
-    shown: bool = True
+    shown: bool = True  # whether the legend names it
 
 
 def interval_panel(

@@ -83,23 +83,14 @@ def _judged(series: Sequence[TorqueSeries]) -> list[TorqueSeries]:
 
 @dataclass(frozen=True)
 class _Drawing:
-    """Segments on one axis of time, and how much of them is drawn.
+    """Segments on one axis of time, and how much of them is drawn."""
 
-    Attributes:
-        result: names and units of the joints.
-        series: the segments.
-        times: (M,) of each [s], as shown.
-        borders: shown times at which a segment begins that does not follow the one before.
-        points: of a line, about.
-        height: of a panel [px].
-    """
-
-    result: Result
-    series: Sequence[TorqueSeries]
-    times: Sequence[FloatArray]
-    borders: tuple[float, ...]
-    points: int
-    height: int
+    result: Result  # names and units of the joints
+    series: Sequence[TorqueSeries]  # the segments
+    times: Sequence[FloatArray]  # (M,) of each [s], as shown
+    borders: tuple[float, ...]  # shown times at which a segment begins that does not follow the one before
+    points: int  # of a line, about
+    height: int  # of a panel [px]
 
     @classmethod
     def of(cls, result: Result, series: Sequence[TorqueSeries], points: int, height: int) -> Self:

@@ -30,15 +30,10 @@ SIDE_BY_SIDE = 0.02
 
 @dataclass(frozen=True)
 class Timeline:
-    """Where each series is shown.
+    """Where each series is shown."""
 
-    Attributes:
-        offsets: (S,) to be added to the series' own time [s]; the first sample is shown at 0.
-        borders: shown times [s] at which a segment begins that does not follow the one before.
-    """
-
-    offsets: tuple[float, ...]
-    borders: tuple[float, ...]
+    offsets: tuple[float, ...]  # (S,) to be added to the series' own time [s]; the first sample is shown at 0
+    borders: tuple[float, ...]  # shown times [s] at which a segment begins that does not follow the one before
 
 
 def lay_out(times: Sequence[FloatArray]) -> Timeline:

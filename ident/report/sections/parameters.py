@@ -24,15 +24,10 @@ from ident.views.result_tables import parameter_table
 
 @dataclass(frozen=True)
 class ReferenceValues:
-    """Base parameters known from elsewhere.
+    """Base parameters known from elsewhere."""
 
-    Attributes:
-        label: what they are, as a heading.
-        values: name → value in the unit of the Result.
-    """
-
-    label: str
-    values: Mapping[str, float]
+    label: str  # what they are, as a heading
+    values: Mapping[str, float]  # name → value in the unit of the Result
 
 
 def reference_values(data: ReportData) -> ReferenceValues | None:

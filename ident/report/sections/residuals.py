@@ -67,32 +67,22 @@ def fit_section(data: ReportData) -> ReportSection:
 
 @dataclass(frozen=True)
 class JointResidual:
-    """Residuals of one joint, over the samples used.
+    """Residuals of one joint, over the samples used."""
 
-    Attributes:
-        velocity, predicted, residual: (N,) [rad/s or m/s], [N·m], [N·m], segments one after the other.
-        mean, std: [N·m]; nan without samples.
-        autocorrelation: (L,) at lags 0 … L − 1.
-        band: half width of the 95 % band of white residuals.
-        outside: share of the autocorrelations from lag 1 on outside the band.
-        density: (50,) histogram of residual / std, as a density.
-        quantiles: (Q,) of residual / std, at the probabilities `PROBABILITIES`; empty without samples.
-        beyond_three: share of the samples further than 3 std from the mean (0.27 % of a normal distribution).
-        excess_kurtosis: 0 for a normal distribution.
-    """
-
+    # velocity, predicted, residual: (N,) [rad/s or m/s], [N·m], [N·m], segments one after the other
     velocity: FloatArray
     predicted: FloatArray
     residual: FloatArray
+    # mean, std: [N·m]; nan without samples
     mean: float
     std: float
-    autocorrelation: FloatArray
-    band: float
-    outside: float
-    density: FloatArray
-    quantiles: FloatArray
-    beyond_three: float
-    excess_kurtosis: float
+    autocorrelation: FloatArray  # (L,) at lags 0 … L − 1
+    band: float  # half width of the 95 % band of white residuals
+    outside: float  # share of the autocorrelations from lag 1 on outside the band
+    density: FloatArray  # (50,) histogram of residual / std, as a density
+    quantiles: FloatArray  # (Q,) of residual / std, at the probabilities `PROBABILITIES`; empty without samples
+    beyond_three: float  # share of the samples further than 3 std from the mean (0.27 % of a normal distribution)
+    excess_kurtosis: float  # 0 for a normal distribution
 
 
 def joint_residual(series: Sequence[TorqueSeries], joint: int, lags: int) -> JointResidual:

@@ -27,20 +27,13 @@ Controller = Callable[[float, FloatArray, FloatArray], npt.ArrayLike]
 
 @dataclass(frozen=True, eq=False)
 class SimulatedMotion:
-    """What `Model.simulate` gives: N samples, a step apart, of n joints.
+    """What `Model.simulate` gives: N samples, a step apart, of n joints."""
 
-    Attributes:
-        joint_names: (n,) of the arrays' columns.
-        time: (N,) from the start [s].
-        position: (N, n) [rad or m].
-        velocity: (N, n) [rad/s or m/s].
-        torque: (N, n) joint torques of the step that begins with the sample; the last row repeats the one before [N·m].
-    """
-
-    joint_names: tuple[str, ...]
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray
+    joint_names: tuple[str, ...]  # (n,) of the arrays' columns
+    time: FloatArray  # (N,) from the start [s]
+    position: FloatArray  # (N, n) [rad or m]
+    velocity: FloatArray  # (N, n) [rad/s or m/s]
+    # (N, n) joint torques of the step that begins with the sample; the last row repeats the one before [N·m]
     torque: FloatArray
 
 

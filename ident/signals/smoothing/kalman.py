@@ -56,21 +56,13 @@ _FILTER_ROUNDING = (
 
 @dataclass(frozen=True, eq=False)
 class StationaryFilter:
-    """The filter and the smoother with constant gains, in units in which f_c is 1/2π and a sample's variance is 1.
+    """The filter and the smoother with constant gains, in units in which f_c is 1/2π and a sample's variance is 1."""
 
-    Attributes:
-        transition: (m, m) F, from one sample to the next.
-        process: (m, m) Q.
-        gain: (m,) K of the filter.
-        innovation: variance S of a sample about its prediction, in variances of a sample.
-        smoother_gain: (m, m) C of the smoother.
-    """
-
-    transition: FloatArray
-    process: FloatArray
-    gain: FloatArray
-    innovation: float
-    smoother_gain: FloatArray
+    transition: FloatArray  # (m, m) F, from one sample to the next
+    process: FloatArray  # (m, m) Q
+    gain: FloatArray  # (m,) K of the filter
+    innovation: float  # variance S of a sample about its prediction, in variances of a sample
+    smoother_gain: FloatArray  # (m, m) C of the smoother
 
 
 @lru_cache(maxsize=64)

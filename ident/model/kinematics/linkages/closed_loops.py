@@ -20,38 +20,23 @@ from ident.model.kinematics.transmission import Transmission, TreeMotion
 
 @dataclass(frozen=True)
 class ClosedPose:
-    """N closed tree positions.
+    """N closed tree positions."""
 
-    Attributes:
-        tree: (n, N) [rad or m].
-        closing: the equations there.
-        follow: (n, a, N) G.
-    """
-
-    tree: FloatArray
-    closing: Closing
-    follow: FloatArray
+    tree: FloatArray  # (n, N) [rad or m]
+    closing: Closing  # the equations there
+    follow: FloatArray  # (n, a, N) G
 
 
 @dataclass(frozen=True)
 class ClosedLoops(Transmission):
-    """Joints that follow by closing equations.
+    """Joints that follow by closing equations."""
 
-    Attributes:
-        names: of the tree's joints, for messages.
-        equations: their closing equations.
-        start: (n,) tree position that closes, on the branch that is meant [rad or m].
-        known: (n, K) further ones, spread over the joint limits.
-        constant: (n, a) the entries of G that are the same at all known positions, zeros elsewhere.
-        varies: (n, a) where they are not.
-    """
-
-    names: tuple[str, ...]
-    equations: LoopEquations
-    start: FloatArray
-    known: FloatArray
-    constant: FloatArray
-    varies: np.ndarray
+    names: tuple[str, ...]  # of the tree's joints, for messages
+    equations: LoopEquations  # their closing equations
+    start: FloatArray  # (n,) tree position that closes, on the branch that is meant [rad or m]
+    known: FloatArray  # (n, K) further ones, spread over the joint limits
+    constant: FloatArray  # (n, a) the entries of G that are the same at all known positions, zeros elsewhere
+    varies: np.ndarray  # (n, a) where they are not
 
     @property
     def joint_count(self) -> int:

@@ -28,21 +28,13 @@ REVOLUTE_ROWS = 5
 
 @dataclass(frozen=True)
 class Link:
-    """One joint of a chain.
+    """One joint of a chain."""
 
-    Attributes:
-        joint: its index in the tree.
-        sign: 1, or -1 where it counts backwards.
-        axis: (3,) in its frame.
-        prismatic: as in the tree.
-        after: placement of the next joint's frame in this one's, position aside.
-    """
-
-    joint: int
-    sign: float
-    axis: FloatArray
-    prismatic: bool
-    after: Placement
+    joint: int  # its index in the tree
+    sign: float  # 1, or -1 where it counts backwards
+    axis: FloatArray  # (3,) in its frame
+    prismatic: bool  # as in the tree
+    after: Placement  # placement of the next joint's frame in this one's, position aside
 
     @cached_property
     def turn(self) -> FloatArray:
@@ -59,19 +51,12 @@ class Link:
 
 @dataclass(frozen=True)
 class ClosingChain:
-    """The joints between two closing frames.
+    """The joints between two closing frames."""
 
-    Attributes:
-        name: name of the loop in messages.
-        spherical: whether the opened joint is spherical, not revolute.
-        before: placement of the first joint's frame in the first closing frame.
-        links: the joints, the first closing frame's side first.
-    """
-
-    name: str
-    spherical: bool
-    before: Placement
-    links: tuple[Link, ...]
+    name: str  # name of the loop in messages
+    spherical: bool  # whether the opened joint is spherical, not revolute
+    before: Placement  # placement of the first joint's frame in the first closing frame
+    links: tuple[Link, ...]  # the joints, the first closing frame's side first
 
     @property
     def rows(self) -> int:
@@ -117,19 +102,12 @@ class ClosingChain:
 
 @dataclass(frozen=True)
 class ChainState:
-    """A chain of K joints at N positions.
+    """A chain of K joints at N positions."""
 
-    Attributes:
-        rows: number of closing equations.
-        value: (2, 3, N) e [m] and z.
-        turning: (K, 3, N) w_k.
-        moved: (K, 2, 3, N) first derivatives of e and z.
-    """
-
-    rows: int
-    value: FloatArray
-    turning: FloatArray
-    moved: FloatArray
+    rows: int  # number of closing equations
+    value: FloatArray  # (2, 3, N) e [m] and z
+    turning: FloatArray  # (K, 3, N) w_k
+    moved: FloatArray  # (K, 2, 3, N) first derivatives of e and z
 
     def residual(self) -> FloatArray:
         """(rows, N) what the closing equations miss zero by [m, rad]."""

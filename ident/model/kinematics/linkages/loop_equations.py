@@ -44,36 +44,24 @@ SHORTEST_MOVE = 1e-4
 
 @dataclass(frozen=True)
 class Followed:
-    """How far a branch could be followed.
+    """How far a branch could be followed."""
 
-    Attributes:
-        tree: (n, N) the last positions [rad or m] that close.
-        reached: (N,) the fraction of the path that was reached.
-    """
-
-    tree: FloatArray
-    reached: FloatArray
+    tree: FloatArray  # (n, N) the last positions [rad or m] that close
+    reached: FloatArray  # (N,) the fraction of the path that was reached
 
 
 @dataclass(frozen=True)
 class LoopEquations:
-    """Φ and its derivatives.
+    """Φ and its derivatives."""
 
-    Attributes:
-        active, passive: (a,), (p,) indices of the tree's joints with and without a motor.
-        chains: the general loops.
-        linear: (l, n) E and `right` (l,) e of the linear equations E·q = e.
-        rows: (p, r) W, combinations of the r equations that are independent.
-        sign: of det J_p on the branch that is meant.
-    """
-
+    # active, passive: (a,), (p,) indices of the tree's joints with and without a motor
     active: tuple[int, ...]
     passive: tuple[int, ...]
-    chains: tuple[ClosingChain, ...]
-    linear: FloatArray
+    chains: tuple[ClosingChain, ...]  # the general loops
+    linear: FloatArray  # (l, n) E and `right` (l,) e of the linear equations E·q = e
     right: FloatArray
-    rows: FloatArray
-    sign: float
+    rows: FloatArray  # (p, r) W, combinations of the r equations that are independent
+    sign: float  # of det J_p on the branch that is meant
 
     def at(self, tree: FloatArray) -> Closing:
         """The equations at tree positions (n, N)."""
@@ -151,21 +139,13 @@ class LoopEquations:
 
 @dataclass(frozen=True)
 class Closing:
-    """The equations at N tree positions.
+    """The equations at N tree positions."""
 
-    Attributes:
-        equations: which.
-        states: of every chain.
-        residual: (r, N) Φ [m, rad].
-        full: (r, n, N) ∂Φ/∂q.
-        jacobian: (p, n, N) J = W ∂Φ/∂q.
-    """
-
-    equations: LoopEquations
-    states: Sequence[ChainState]
-    residual: FloatArray
-    full: FloatArray
-    jacobian: FloatArray
+    equations: LoopEquations  # which
+    states: Sequence[ChainState]  # of every chain
+    residual: FloatArray  # (r, N) Φ [m, rad]
+    full: FloatArray  # (r, n, N) ∂Φ/∂q
+    jacobian: FloatArray  # (p, n, N) J = W ∂Φ/∂q
 
     def follow(self) -> FloatArray:
         """G_p (p, a, N)."""
