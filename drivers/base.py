@@ -224,6 +224,17 @@ class Holding(Protocol):
 
 
 @runtime_checkable
+class Buffering(Protocol):
+    """A driver whose arm follows each position a fixed time after it was due: one that is sent late changes nothing."""
+
+    def buffered(self) -> float:
+        """How late [s] one may be sent; 0 where lateness is felt."""
+
+    def command(self, position: FloatArray, due: float | None = None) -> None:
+        """As `Driver.command`; `due` [s, host's clock] is when it should have been sent, now where None."""
+
+
+@runtime_checkable
 class Guidable(Protocol):
     """A driver whose arm can be led by hand: limp, or with torques that are commanded; `stop` ends it."""
 

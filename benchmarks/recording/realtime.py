@@ -57,7 +57,7 @@ def punctuality_of_the_player(seconds: float) -> Figures:
 def punctuality_of_sync(seconds: float) -> Figures:
     """SYNCs on a bus within this process."""
     bus = open_bus("virtual", "realtime", 1_000_000, {})
-    producer = SyncProducer(Sender(bus), SYNC_RATE, lambda _: ())
+    producer = SyncProducer(Sender(bus), SYNC_RATE, lambda *_: ())
     producer.start()
     sent: list[tuple[int, float]] = []
     end = SYSTEM_CLOCK.now() + seconds

@@ -19,6 +19,8 @@ SKIP_TIME = 0.01
 more, the arm was held meanwhile: the motion goes on from rest, where it was."""
 UNHELD_STALL_LIMIT = 0.0
 """The same, beyond positions that are skipped, for an arm that is not held where commands pause."""
+GENTLE = 0.25
+"""Share of the acceleration limit that going on from rest may add to the path's own: its torque was planned."""
 BEHIND, KEPT_UP = 0.25, 1.0
 """A motion ends where sending positions that come too late to be skipped takes more than this share of about the last
 so many seconds. Until then such an arm is held, and goes on from rest: it is slow, and within its limits."""
@@ -131,6 +133,7 @@ class Player:
         acceleration: (n,) limits [rad/s² or m/s²], kept when the motion goes on after a stall.
         clock: the host's.
         held: whether the arm comes to rest in order where commands pause; else no motion goes on after a stall.
+        buffered: how late [s] a position may be sent without the arm's noticing; then none is skipped.
     """
 
     def __init__(
@@ -141,10 +144,11 @@ class Player:
         clock: Clock = SYSTEM_CLOCK,
         *,
         held: bool = True,
+        buffered: float = 0.0,
     ) -> None:
         self._send = send
         self._clock = clock
-        self._held = held
+        self._held, self._buffered = held, buffered
         self._path = path
         self._acceleration = acceleration
         self._period = 1.0 / path.rate
@@ -220,6 +224,8 @@ class Player:
             overdue = max(int((self._clock.now() - start) / period + 1e-9) - tick - 1, 0)
             if self._done:
                 start, overdue = start + overdue * period, 0  # at rest, where time does not matter
+            elif self._buffered and overdue * period <= self._buffered:
+                overdue = 0  # each is sent, one at once after the other
             elif overdue > skipped_at_most:
                 self._go_on_from_rest(tick, overdue * period)
                 start, overdue = start + overdue * period, 0
@@ -230,7 +236,8 @@ class Player:
             position = self._position(tick)
             begun = self._clock.now()
             self._send(position, start + tick * period)
-            self._require_to_keep_up(self._clock.now() - begun)
+            if not self._buffered:
+                self._require_to_keep_up(self._clock.now() - begun)
             self._done = self._done or self._elapsed >= self._path.duration - 1e-9
 
     def _require_to_keep_up(self, took: float) -> None:
@@ -249,29 +256,33 @@ class Player:
     def _go_on_from_rest(self, tick: int, stalled: float) -> None:
         """Let the path go on slowly from the position that was sent last, which the arm has held for `stalled` [s]."""
         if stalled > (STALL_LIMIT if self._held else UNHELD_STALL_LIMIT):
-            longer = f"more than {STALL_LIMIT:g} s" if self._held else "longer than this arm bridges without commands"
+            at_most = STALL_LIMIT if self._held else self._buffered
+            longer = f"more than {at_most:g} s" if at_most else "longer than this arm bridges without commands"
             raise SafetyStopError(
                 f"this computer stalled for {stalled:.3f} s in the motion, {longer}",
                 hint="end other programs, or use --realtime, and play the motion again",
             )
-        begin, ramp = self._elapsed, _SHORTEST_RAMP
-        while ramp <= _LONGEST_RAMP:
-            course = _Course(tick, begin, ramp)
-            if self._keeps_limits(course):
-                self._course, self._ahead = course, _NOTHING_AHEAD
-                self._delayed += stalled + 0.5 * ramp
-                return
-            ramp *= 2.0
+        for added in (GENTLE, 1.0):
+            ramp = _SHORTEST_RAMP
+            while ramp <= _LONGEST_RAMP:
+                course = _Course(tick, self._elapsed, ramp)
+                if self._keeps_limits(course, added):
+                    self._course, self._ahead = course, _NOTHING_AHEAD
+                    self._delayed += stalled + 0.5 * ramp
+                    return
+                ramp *= 2.0
         raise SafetyStopError(
             "after a stall of this computer the motion cannot go on within the acceleration limits",
             hint="end other programs, or use --realtime, and play the motion again",
         )
 
-    def _keeps_limits(self, course: _Course) -> bool:
+    def _keeps_limits(self, course: _Course, added: float) -> bool:
+        """Whether a course keeps the acceleration limits, and adds no more than a share of them to the path's own."""
         ticks = np.arange(course.tick, course.tick + int(course.ramp / self._period) + 2, dtype=float)
         _, pace, change = quintic_pace((ticks - course.tick) * self._period, course.ramp)
         _, velocity, acceleration = self._path.evaluate(course.at(ticks, self._period))
-        wanted = np.abs(acceleration * pace[:, None] ** 2 + velocity * change[:, None])
+        own, more = acceleration * pace[:, None] ** 2, velocity * change[:, None]
+        wanted = np.maximum(np.abs(own + more), np.abs(more) / added)
         return bool(np.all(wanted <= self._acceleration * (1.0 + 1e-3)))
 
     def _position(self, tick: int) -> FloatArray:

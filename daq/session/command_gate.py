@@ -80,7 +80,7 @@ class CommandGate:
     - the measured position is fresh, and the command is not farther from it than the tracking limit allows.
 
     Args:
-        send: takes a position (n,); a driver's `command`.
+        send: takes a position (n,) and when it is due [s, host's clock].
         noted: called with the host's time [s] and each position before it is sent; the supervisor's `commanded`.
         limits: to keep.
         period: of the commands [s].
@@ -89,7 +89,7 @@ class CommandGate:
 
     def __init__(
         self,
-        send: Callable[[FloatArray], None],
+        send: Callable[[FloatArray, float], None],
         noted: Callable[[float, FloatArray], None],
         limits: GateLimits,
         period: float,
@@ -129,7 +129,7 @@ class CommandGate:
             self._closed = error
             raise
         self._noted(now, position)
-        self._send(position)
+        self._send(position, due)
 
     def _check(self, now: float, position: FloatArray, due: float) -> None:
         """Check a command, and remember it as the last one."""

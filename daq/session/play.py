@@ -18,7 +18,7 @@ from daq.session.course import GAP, REST_TIME, Course
 from daq.session.sources import Sources
 from daq.session.supervisor import Supervisor
 from daq.session.unrecorded import SampleKeeper
-from drivers.base import Driver, Holding, ReportingSafety
+from drivers.base import Buffering, Driver, Holding, ReportingSafety
 from drivers.clock_rates import COMPARING_LIMIT
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ConnectionLostError, DynidError, MotionRefusedError, UsageError, WorkError
@@ -221,10 +221,14 @@ def gated_player(driver: Driver, supervisor: Supervisor, course: Course, path: M
     limits = GateLimits.of_joints(robot.joints)
     main = driver.main if isinstance(driver, Sources) else driver
     held = main.holds() if isinstance(main, Holding) else True
-    course.gate = CommandGate(driver.command, supervisor.commanded, limits, 1.0 / path.rate, course.clock)
+    send: Callable[[FloatArray, float], None] = lambda position, _due: driver.command(position)  # noqa: E731
+    buffered = 0.0
+    if isinstance(main, Buffering):
+        send, buffered = main.command, main.buffered()
+    course.gate = CommandGate(send, supervisor.commanded, limits, 1.0 / path.rate, course.clock)
     if course.position is not None:
         course.gate.measured(course.clock.now(), course.position)
-    return Player(course.gate.command, path, limits.acceleration, course.clock, held=held)
+    return Player(course.gate.command, path, limits.acceleration, course.clock, held=held, buffered=buffered)
 
 
 def follow_motion(

@@ -32,6 +32,7 @@ from drivers.canopen402.setup.drive_limits import at_joints
 from drivers.canopen402.setup.error_control import check_own_id, release
 from drivers.canopen402.setup.readiness import masters_heartbeats, require_alone
 from drivers.core.arrays import FloatArray
+from drivers.core.clock import STALL_LIMIT
 from drivers.core.errors import ConnectionLostError, DriverStateError, MotionRefusedError
 from drivers.first_step import check_first_step, finite_position
 from drivers.life_cycle import LifeCycle
@@ -119,6 +120,10 @@ class Canopen402Driver(LifeCycle):
         """Whether drives come to rest by themselves, as in mode "profile", or go on towards the next target."""
         return self._settings.mode == "profile"
 
+    def buffered(self) -> float:
+        """How late [s] a position may be sent: targets follow them so much later, but in mode "profile"."""
+        return 0.0 if self.holds() else STALL_LIMIT
+
     def device_limits(self) -> DeviceLimits:
         """The drives' own limits: 0x607D, 0x607F, 0x6072, 0x6065 and the ramp of their quick stop."""
         self._require_open("tell the drives' limits")
@@ -198,10 +203,11 @@ class Canopen402Driver(LifeCycle):
             if not motion.moving and motion.ended_by is None:
                 motion.enable(self._settings.timeout)
 
-    def command(self, position: FloatArray) -> None:
+    def command(self, position: FloatArray, due: float | None = None) -> None:
         """Send a joint position (n,) [rad] to be reached within a few periods (see `TargetPath`).
 
-        The first one enables the drives where `take_control` did not.
+        The first one enables the drives where `take_control` did not. `due` [s, host's clock] is when it should have
+        been sent; now where None.
         """
         position = finite_position(position, self._joints)
         with self._motion_lock:
@@ -210,7 +216,7 @@ class Canopen402Driver(LifeCycle):
                 check_first_step(position, self._latest_position, self._joints, self._sliding)
                 motion.enable(self._settings.timeout)
             try:
-                motion.command(self._scaling.counts(position))
+                motion.command(self._scaling.counts(position), due)
             except DriverStateError as error:
                 cause = "" if motion.dropped_out is None else self._watch.cause(motion.dropped_out)
                 if not cause:
@@ -332,9 +338,9 @@ class Canopen402Driver(LifeCycle):
         pairs = zip(self._joints, self._settings.nodes, strict=True)
         return tuple(joint for joint, node in pairs if node.temperature is not None)
 
-    def _outputs(self, moment: float) -> Sequence[tuple[int, bytes]]:
+    def _outputs(self, moment: float, left_out: int) -> Sequence[tuple[int, bytes]]:
         motion = self._motion
-        return () if motion is None else motion.outputs(moment)
+        return () if motion is None else motion.outputs(moment, left_out)
 
     def _moved_in(self) -> int | None:
         """The mode of operation in which the drives are being moved; None where they are not."""

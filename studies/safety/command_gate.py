@@ -31,7 +31,7 @@ from daq.motion.trajectories import FourierSeries, Motion, Pieces, PointToPoint,
 from daq.session.command_gate import MARGIN, CommandGate
 from drivers.clock_rates import COMPARING_LIMIT, ClockRates
 from drivers.core.arrays import FloatArray
-from drivers.core.clock import Clock
+from drivers.core.clock import STALL_LIMIT, Clock
 from drivers.core.errors import SafetyStopError
 from studies.safety.gated_arms import BUSES, COUNTS, EVERY, HEARTBEAT, JOINTS, LIMITS, SETTLED, Arm, new_arm
 
@@ -229,13 +229,9 @@ def played(case: Case, start: FloatArray) -> Outcome:
     for part in range(parts):
         log: list[tuple[float, float, FloatArray]] = []
 
-        dues: list[float] = []
-
-        def send(
-            position: FloatArray, log: list[tuple[float, float, FloatArray]] = log, dues: list[float] = dues
-        ) -> None:
-            world.arm.command(world.time, position)
-            log.append((world.time, dues[-1], position))
+        def send(position: FloatArray, due: float, log: list[tuple[float, float, FloatArray]] = log) -> None:
+            world.arm.command(due if case.bus == "CiA 402" else world.time, position)
+            log.append((world.time, due, position))
             if case.take and world.time >= world.begun + case.slow_from:
                 world.sleep_until(world.now() + case.take)
 
@@ -243,12 +239,11 @@ def played(case: Case, start: FloatArray) -> Outcome:
         gate.measured(world.now(), case.measure(world.time, here))
         world.frozen = case.frozen
 
-        def command(position: FloatArray, due: float, gate: CommandGate = gate, dues: list[float] = dues) -> None:
-            dues.append(due)
-            gate.command(position, due)
-
         path = MotionSequence([slow_move(here, goal, JOINTS, 0.8), case.motion], case.rate)
-        world.player = player = Player(command, path, LIMITS.acceleration, world, held=case.bus == "RTDE")
+        buffered = STALL_LIMIT if case.bus == "CiA 402" else 0.0
+        world.player = player = Player(
+            gate.command, path, LIMITS.acceleration, world, held=case.bus == "RTDE", buffered=buffered
+        )
         world.stop_at = world.begun + case.restart if part == 0 else np.inf
         player.start()
         said = "" if player.failure is None else str(player.failure)

@@ -77,7 +77,8 @@ class CiA402Arm:
         self._period, self._time, self._free = 1.0 / rate, begun, free
         self._clock = SyncClock(self._period)
         self._path = TargetPath(np.rint(start * COUNTS).astype(int).tolist(), self._period)
-        self._syncs, self._begun = 0, begun
+        self._syncs, self._begun, self._left_out = 0, begun, 0
+        self._next = self._path.at(begun - self._period)
         self._axes = [CyclicPosition(AxisReference(float(position)), begun) for position in start]
         self.reference = start
         self.log = [(begun, start)]
@@ -91,8 +92,12 @@ class CiA402Arm:
             while (sent := self._free(moment := self._begun + self._syncs * self._period)) <= self._time + 1e-9:
                 self._syncs += 1
                 if sent - moment > LATEST * self._period:
+                    self._left_out += 1
                     continue
-                target = np.array(self._path.at(moment)) / COUNTS
+                if self._left_out:
+                    self._next = self._path.at(moment - self._period, self._left_out)
+                    self._left_out = 0
+                target, self._next = np.array(self._next) / COUNTS, self._path.at(moment)
                 heard = self._clock.tick(sent)
                 for axis, position in zip(self._axes, target.tolist(), strict=True):
                     axis.aim(position, heard, self._clock.cycle)

@@ -127,7 +127,7 @@ def main() -> None:
     LISTENER.listen()
     robot_file = load_robot("ur5e")
     robot, clock = robot_file.robot, Moment()
-    gate = CommandGate(lambda _: None, lambda *_: None, GateLimits.of_joints(robot.joints), 0.002, clock)
+    gate = CommandGate(lambda *_: None, lambda *_: None, GateLimits.of_joints(robot.joints), 0.002, clock)
     spent = []
     for tick in range(COMMANDS):
         clock.time = 0.002 * tick

@@ -157,11 +157,12 @@ class DriveMotion:
             return None
         return DriveReport(frame[0], *_STATE.unpack(frame[2]))
 
-    def outputs(self, moment: float) -> Sequence[tuple[int, bytes]]:
+    def outputs(self, moment: float, left_out: int = 0) -> Sequence[tuple[int, bytes]]:
         """The frames for the next SYNC to apply; called by the SYNC thread once a period.
 
         Args:
             moment: of the present SYNC in its schedule [s, host's monotonic clock].
+            left_out: SYNCs up to then that were not sent; the frames given last were not applied.
         """
         phase = self._phase
         if phase == "idle":
@@ -172,7 +173,7 @@ class DriveMotion:
             if stalled > self._longest_stall and self._left is None:  # the drives have had no target meanwhile
                 self._left = f"this computer stalled for {stalled:.3f} s, more than {self._longest_stall:g} s"
                 self._phase = "stopping"
-        wanted = self._path.at(moment)
+        wanted = self._path.at(moment, 0 if self._mode == MODE_PROFILE_POSITION else left_out)
         if self._phase == "moving" and self._mode != MODE_PROFILE_POSITION and self._path.run_out:
             self._phase = "stopping"  # along their ramp; whoever commands them knows why
         return [self._output(index, wanted[index]) for index in range(len(self._ids))]
@@ -203,8 +204,8 @@ class DriveMotion:
         self._path = TargetPath(self._targets, self._period)
         self._phase = "moving"
 
-    def command(self, counts: IntArray) -> None:
-        """Aim at positions (n,) [counts], along a straight line from the last ones.
+    def command(self, counts: IntArray, due: float | None = None) -> None:
+        """Aim at positions (n,) [counts], along a straight line from the last ones; `due` [s, host's clock], else now.
 
         Raises:
             DriverStateError: the drives are not enabled, or no longer.
@@ -216,7 +217,7 @@ class DriveMotion:
             raise DriverStateError(f"the arm does not move: {reason}", hint="start again before the next motion")
         if np.any(np.abs(counts) > 2**31 - 1):
             raise ValueError("a target does not fit into 32 bits of counts")
-        self._path.put(self._clock.now(), [int(count) for count in counts])
+        self._path.put(self._clock.now() if due is None else due, [int(count) for count in counts])
 
     def halt(self) -> None:
         """Quick-stop all drives with the next SYNC, without waiting; safe at any time."""

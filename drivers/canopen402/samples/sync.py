@@ -47,7 +47,8 @@ class SyncProducer:
         sender: of the bus.
         rate: [Hz].
         outputs: called once a period in this thread with the moment of the SYNC in the schedule [s, host's monotonic
-            clock]; the frames to send after the SYNC. Where SYNCs were left out, they are sent for the last of these.
+            clock] and 0; the frames to send after the SYNC. Where SYNCs were left out, the moment is that of the last
+            of these, and instead of 0 it gets how many.
         clock: the host's.
         at_rest: whether the arm is at rest, and no motion is played; called in this thread.
     """
@@ -56,7 +57,7 @@ class SyncProducer:
         self,
         sender: Sender,
         rate: float,
-        outputs: Callable[[float], Sequence[tuple[int, bytes]]],
+        outputs: Callable[[float, int], Sequence[tuple[int, bytes]]],
         clock: Clock = SYSTEM_CLOCK,
         at_rest: Callable[[], bool] = lambda: False,
     ) -> None:
@@ -124,7 +125,7 @@ class SyncProducer:
                 return
             resting = self._at_rest()
             if late > (BEHIND if resting else LATEST / self._rate):
-                following = self._following(BEHIND) if resting else self._renewed(self._following())
+                following = self._following(BEHIND) if resting else self._renewed(self._following(), slot)
                 self.skipped += following - slot
                 slot = following
                 continue
@@ -145,7 +146,7 @@ class SyncProducer:
 
     def _send_outputs(self, moment: float) -> None:
         try:
-            self._sender.send_all(self._outputs(moment))
+            self._sender.send_all(self._outputs(moment, 0))
             self._refused_since = None
         except ConnectionLostError as error:
             self._note_refusal(error)
@@ -156,16 +157,17 @@ class SyncProducer:
         if now - self._refused_since > PATIENCE:
             self._failure = error
 
-    def _renewed(self, slot: int) -> int:
-        """Send targets for the SYNC of a slot after some left out; the slot, or a later one where that is too near.
+    def _renewed(self, slot: int, due: int) -> int:
+        """Send targets for the SYNC of a slot, those from `due` on having been left out; the slot, or a later one.
 
-        The drives still hold targets for the SYNC that was left out. The next one must not apply them.
+        The drives still hold targets for the SYNC that was left out. The next one must not apply them, so that one
+        which is too near is left out as well.
         """
         with contextlib.suppress(ConnectionLostError):
-            targets = self._outputs(self._begin + (slot - 1) / self._rate)
+            targets = self._outputs(self._begin + (slot - 1) / self._rate, slot - due)
             if targets and self._begin + slot / self._rate - self._host_clock.now() < TARGET_ROOM / self._rate:
                 slot = max(slot + 1, self._following())
-                targets = self._outputs(self._begin + (slot - 1) / self._rate)
+                targets = self._outputs(self._begin + (slot - 1) / self._rate, slot - due)
             self._sender.send_all(targets)
         return slot
 
@@ -183,7 +185,7 @@ class KernelSync(SyncProducer):
     Args:
         sender: of a bus whose kernel driver sends periodically.
         rate: [Hz].
-        outputs: called once a period with the moment of the SYNC [s, host's monotonic clock]; the frames to send.
+        outputs: called once a period with the moment of the SYNC [s, host's monotonic clock] and 0; the frames to send.
         drained: all that arrived before this time [s, host's monotonic clock] has been passed on.
         clock: the host's.
         at_rest: see `SyncProducer`, which sends where the kernel cannot.
@@ -193,7 +195,7 @@ class KernelSync(SyncProducer):
         self,
         sender: Sender,
         rate: float,
-        outputs: Callable[[float], Sequence[tuple[int, bytes]]],
+        outputs: Callable[[float, int], Sequence[tuple[int, bytes]]],
         drained: Callable[[], float],
         clock: Clock = SYSTEM_CLOCK,
         at_rest: Callable[[], bool] = lambda: False,

@@ -114,6 +114,39 @@ def test_after_a_stall_the_motion_goes_on_from_rest_within_its_acceleration(
     assert player.duration == pytest.approx(0.39)
 
 
+@pytest.mark.parametrize("stall", [0.019, 0.049, 0.075])
+def test_where_commands_are_buffered_every_position_is_sent_however_late_until_the_buffer_is_empty(
+    clock: SimulatedClock, stall: float
+) -> None:
+    sent = Sent(clock)
+    clock.call_at(clock.now() + 0.1951, lambda: clock.stall(stall))
+    path = MotionSequence([RAMP], RATE)
+    player = played(clock, Player(sent.take, path, ACCELERATION, clock, held=False, buffered=0.05))
+    player.stop(1.0)
+    if stall > 0.05:
+        assert str(player.failure).startswith("this computer stalled for 0.070 s in the motion, more than 0.05 s")
+        assert len(sent.positions) == 20
+        return
+    assert player.failure is None
+    np.testing.assert_allclose(sent.due, PERIOD * np.arange(40), atol=1e-9)
+    np.testing.assert_allclose(sent.positions, planned(np.arange(40)), atol=1e-15)
+    assert (player.punctuality().skipped, player.punctuality().delayed_ms) == (0, 0.0)
+
+
+def test_going_on_from_rest_adds_little_to_the_accelerations_of_the_path(clock: SimulatedClock) -> None:
+    """At an even speed, where the path itself has none: their torque was not planned."""
+    path = MotionSequence([PointToPoint(np.array([[0.0], [4.0]]), np.array([4.0]))], RATE)
+    sent = Sent(clock)
+    clock.call_at(clock.now() + 1.9951, lambda: clock.stall(0.035))
+    player = played(clock, Player(sent.take, path, np.array([8.0]), clock))
+    assert player.failure is None
+    positions = np.array(sent.positions).ravel()
+    gap = int(np.argmax(np.diff(sent.due)))
+    acceleration = np.abs(np.diff(np.concatenate([[positions[gap]], positions[gap:]]), 2)) / PERIOD**2
+    assert np.max(acceleration[:20]) <= 2.0 * 1.01
+    player.stop(1.0)
+
+
 @pytest.mark.parametrize(("held", "takes", "slow"), [(True, 2.1, 20), (False, 1.1, 10)])
 def test_a_motion_that_the_computer_does_not_keep_up_with_ends(
     clock: SimulatedClock, held: bool, takes: float, slow: int

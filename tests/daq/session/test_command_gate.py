@@ -43,7 +43,7 @@ class Bench:
         self.sent: list[np.ndarray] = []
         self.due: list[float] = []
         self.noted: list[tuple[float, float]] = []
-        self.gate = CommandGate(self.sent.append, self._note, LIMITS, period, self.clock)
+        self.gate = CommandGate(lambda position, _: self.sent.append(position), self._note, LIMITS, period, self.clock)
         self.gate.measured(self.clock.now(), np.zeros(2))
 
     def _note(self, now: float, position: np.ndarray) -> None:
@@ -149,7 +149,9 @@ def test_without_a_fresh_measured_position_nothing_is_sent(age: float) -> None:
             bench.send(0.0)
     else:
         bench.send(0.0)
-    unmeasured = CommandGate(bench.sent.append, lambda *_: None, LIMITS, PERIOD, bench.clock)
+    unmeasured = CommandGate(
+        lambda position, _: bench.sent.append(position), lambda *_: None, LIMITS, PERIOD, bench.clock
+    )
     with pytest.raises(SafetyStopError, match="no position of the arm"):
         unmeasured.command(np.zeros(2), bench.clock.now())
 
@@ -243,7 +245,7 @@ def test_plans_stalls_and_rates_never_pass_a_limit_at_the_arm(
         sent: list[np.ndarray] = []
         times: list[float] = []
 
-        def receive(position: np.ndarray) -> None:
+        def receive(position: np.ndarray, _due: float) -> None:
             sent.append(position)
             times.append(clock.now())
             gate.measured(clock.now(), position)

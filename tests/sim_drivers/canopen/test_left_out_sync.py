@@ -25,6 +25,8 @@ RATE = 250
 PERIOD = 1 / RATE
 BEGIN, END = 200, 300
 """Numbers of the SYNC after which some are left out, and of the last."""
+MOMENTS = np.arange(0.0, END * PERIOD, 1e-3)
+"""[s] from the first SYNC on."""
 COMMAND_PHASE = 0.3
 """When the player sends, in periods after SYNC."""
 
@@ -39,8 +41,8 @@ def from_rest() -> FloatArray:
     return np.ascontiguousarray(motion.evaluate(paced)[0].T)
 
 
-def torques(left_out: Collection[int], player_too: bool) -> FloatArray:
-    """Drive torques [N·m], (steps of 1 ms, 6); the commands of the SYNCs left out come or not."""
+def torques(left_out: Collection[int], late: float) -> FloatArray:
+    """Drive torques [N·m] at `MOMENTS`, (N, 6); commands from `BEGIN` on are sent up to `late` [s] too late."""
     positions = from_rest()
     robot = ROBOT_FILE.robot
     plant = Plant(ROBOT_FILE, position=positions[0])
@@ -56,46 +58,42 @@ def torques(left_out: Collection[int], player_too: bool) -> FloatArray:
     start = bench.time
     path = TargetPath(counts[0], PERIOD)
 
-    def send_targets(number: int) -> None:
-        for node, target in enumerate(path.at(start + number * PERIOD), start=1):
+    def send_targets(number: int, left: int = 0) -> None:
+        for node, target in enumerate(path.at(start + number * PERIOD, left), start=1):
             bench.send(0x200 + node, struct.pack("<Hbi", 0x0F, 8, target))
 
-    events = [(number + COMMAND_PHASE, "command") for number in range(END) if not (player_too and number in left_out)]
-    events += [(float(number), "SYNC") for number in range(END) if number not in left_out]
+    commands = [(number, number + COMMAND_PHASE) for number in range(END)]
+    held = BEGIN + COMMAND_PHASE + late / PERIOD
+    events = [(max(due, held) if due > BEGIN else due, "command", number) for number, due in commands]
+    events += [(float(number), "SYNC", number) for number in range(END) if number not in left_out]
     if left_out:
-        events.append((max(left_out) + 0.6, "targets"))  # what the SYNC producer does when it wakes
-    found = []
-    for place, event in sorted(events):
+        events.append((max(left_out) + 0.6, "targets", max(left_out)))  # what the SYNC producer does when it wakes
+    times, found = [], []
+    for place, event, number in sorted(events):
         while bench.time < start + place * PERIOD - 1e-9:
             bench.pass_time(min(1e-3, start + place * PERIOD - bench.time))
+            times.append(bench.time - start)
             found.append(plant.drive_torque.copy())
         if event == "command":
-            path.put(bench.time, counts[int(place)])
+            path.put(start + commands[number][1] * PERIOD, counts[number])
         elif event == "targets":
-            send_targets(max(left_out))
+            send_targets(number, len(left_out))
         else:
             bench.send(0x80)
-            send_targets(int(place))
+            send_targets(number)
     assert all(drive.enabled for drive in bench.network.drives)
-    return np.array(found)
+    return np.array([np.interp(MOMENTS, times, torque) for torque in np.array(found).T]).T
 
 
 @pytest.fixture(scope="module")
 def undisturbed() -> FloatArray:
-    return torques((), player_too=False)
+    return torques((), late=0.0)
 
 
-@pytest.mark.parametrize(("count", "allowed"), [(1, 8.0), (2, 16.0), (3, 32.0)])
-@pytest.mark.parametrize("player_too", [False, True])
-def test_syncs_left_out_change_the_torque_little(
-    undisturbed: FloatArray, count: int, allowed: float, player_too: bool
+@pytest.mark.parametrize(("count", "late", "allowed"), [(0, 0.045, 1.0), (1, 0.0, 6.0), (2, 0.0, 8.0), (3, 0.03, 10.0)])
+def test_late_commands_and_syncs_left_out_change_the_torque_little(
+    undisturbed: FloatArray, count: int, late: float, allowed: float
 ) -> None:
     """`allowed` in N·m, of joints that may have 150."""
-    found = torques(range(BEGIN, BEGIN + count), player_too)
-    moments = np.linspace(0.0, 1.0, 2000)
-    change = [
-        np.interp(moments, np.linspace(0, 1, len(found)), found[:, joint])
-        - np.interp(moments, np.linspace(0, 1, len(undisturbed)), undisturbed[:, joint])
-        for joint in range(6)
-    ]
-    assert np.max(np.abs(change)) < allowed
+    found = torques(range(BEGIN, BEGIN + count), late)
+    assert np.max(np.abs(found - undisturbed)) < allowed

@@ -4,9 +4,10 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen402.motion.target_path import BRIDGED, CATCH_UP, DELAY, TargetPath
+from drivers.canopen402.motion.target_path import BRIDGED, CATCH_UP, RETURN_TIME, TargetPath, delay_periods
 
-PERIOD = 0.0025
+PERIOD = 0.008
+DELAY = delay_periods(PERIOD)
 SPEED = 1000
 """Counts a period."""
 
@@ -46,16 +47,45 @@ def test_commands_left_out_are_bridged(gone: set[int]) -> None:
         assert np.all(np.abs(steps[DELAY + 1 :] - SPEED) <= 1)
 
 
-@given(st.lists(st.integers(1, 4), min_size=5, max_size=15))
-def test_where_commands_are_left_out_a_steady_acceleration_stays_what_it_is(apart: list[int]) -> None:
+@given(st.lists(st.floats(0.0, 0.05), min_size=60, max_size=60), st.floats(0.0, 0.999))
+def test_commands_with_their_due_times_may_be_50_ms_late(late: list[float], phase: float) -> None:
     path = TargetPath([0], PERIOD)
-    sent = {0, *np.cumsum([1, 1, *apart]).tolist()}
+    events, sent = [((tick + phase) * PERIOD, 1, tick) for tick in range(60)], 0.0
+    for tick in range(60):
+        sent = max(sent, tick * PERIOD + (late[tick] if tick else 0.0))
+        events.append((sent, 0, tick))
     targets = []
-    for tick in range(max(sent) + DELAY + 1):
-        if tick in sent:
-            path.put(tick * PERIOD, [500 * tick**2])
-        targets.append(path.at(tick * PERIOD)[0])
-    assert np.all(np.abs(np.diff(targets[DELAY + 1 :], 2) - 1000) <= 4)
+    for moment, kind, tick in sorted(events):
+        if kind == 0:
+            path.put(tick * PERIOD, [SPEED * tick])
+        else:
+            targets.append(path.at(moment)[0])
+    assert np.all(np.abs(np.diff(targets[DELAY + 1 :]) - SPEED) <= 1)
+    assert not path.run_out
+
+
+@given(st.integers(1, BRIDGED), st.integers(20, 40))
+def test_after_syncs_left_out_targets_return_gently_from_where_drives_went_on_to(count: int, when: int) -> None:
+    """At a steady acceleration, of 1000 counts a period squared."""
+    path = TargetPath([0], PERIOD)
+    applied: list[int] = []
+    for tick in range(200):
+        path.put(tick * PERIOD, [500 * tick**2])
+        if when <= tick < when + count:
+            continue  # what was given before it is not applied
+        found = path.at(tick * PERIOD) if tick != when + count else path.at((tick - 1) * PERIOD, count)
+        if tick == when + count:
+            applied.pop()
+            speed = applied[-1] - applied[-2]
+            applied += [applied[-1] + speed * (place + 1) for place in range(count)]
+            applied.append(found[0])
+            found = path.at(tick * PERIOD)
+        applied.append(found[0])
+    commanded = 500.0 * np.maximum(np.arange(len(applied)) - DELAY, 0) ** 2
+    assert np.max(np.abs(np.diff(applied[DELAY + 2 :], 2))) <= 1000.0 * (1.0 + 2.0 * (count + 2) * PERIOD / RETURN_TIME)
+    astray = np.abs(np.array(applied) - commanded)
+    assert np.max(astray[: when - 1]) <= 1000.0
+    assert np.max(astray[-60:]) <= 1001.0
 
 
 def test_the_last_command_is_reached_and_held() -> None:
