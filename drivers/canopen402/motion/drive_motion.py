@@ -167,7 +167,7 @@ class DriveMotion:
         phase = self._phase
         if phase == "idle":
             return ()
-        stalled, self._last_moment = moment - self._last_moment - self._period, moment
+        stalled, self._last_moment = moment - self._last_moment - (0 if left_out else self._period), moment
         if phase == "moving":
             self._watch_for_drop_outs()
             if stalled > self._longest_stall and self._left is None:  # the drives have had no target meanwhile
