@@ -1,4 +1,4 @@
-"""Joints that rest most of the time: static friction carries an unknown share of their load, and enters the fit."""
+"""Joints that rest most of the time, or move one way only: their friction cannot be told from what else is constant."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ from ident.verdict.check import Check
 
 MOSTLY = 0.5
 """Share of a joint's equations at rest beyond which they, and not those in motion, decide on its parameters."""
+
+ONE_WAY = 0.02
+"""Share of a joint's moving samples in one direction below which its Coulomb friction and a constant torque are one."""
 
 
 def idle_share(series: Sequence[TorqueSeries], rest_velocity: float) -> FloatArray:
@@ -86,3 +89,28 @@ def idle_joint_checks(
         "joints and merge the models"
     )
     return [raised("idle-joints", text, [names[j] for j in idle])]
+
+
+def one_way_checks(
+    names: Sequence[str], series: Sequence[TorqueSeries], rest_velocity: float, joints: Sequence[int]
+) -> list[Check]:
+    """Joints with Coulomb friction and an offset that move in one direction only, where both are constant.
+
+    Args:
+        names: of the joints.
+        series: measured and predicted torques.
+        rest_velocity: below which a joint rests [rad/s or m/s].
+        joints: with both, that move in some run, and whose torques are used.
+    """
+    velocity = np.concatenate([torques.velocity[:, torques.used] for torques in series], axis=1)
+    ways = np.array([np.sum(sign * velocity > rest_velocity, axis=1) for sign in (1.0, -1.0)], dtype=np.float64)
+    share = ways.min(axis=0) / np.maximum(1.0, ways.sum(axis=0))
+    found = [names[joint] for joint in joints if share[joint] < ONE_WAY]
+    if not found:
+        return []
+    text = (
+        f"{', '.join(found)} moved in one direction only, in which Coulomb friction is as constant as an offset or a "
+        "weight: each may have the other's value, and the torque at rest and on the way back is not known; record both "
+        "directions"
+    )
+    return [raised("one-direction", text, found)]

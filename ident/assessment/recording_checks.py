@@ -6,7 +6,7 @@ still fits its own data: the parameters absorb the factor.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -133,8 +133,10 @@ def recording_checks(
             period = 1e3 / quality.rate_hz
             text = f"{of}{name}: stamps jitter by {quality.jitter_ms:.2g} ms at a period of {period:.2g} ms"
             checks.append(raised("jittering-stamps", text))
-    checks += time_axis_checks(recording, of)
-    checks += stale_checks(recording, of) + unit_checks(recording, of) + column_checks(recording, of)
+    stale = stale_checks(recording, of)
+    stuck = {joint for check in stale if check.name == "encoder-stuck" for joint in check.joints}
+    checks += time_axis_checks(recording, of, stuck)
+    checks += stale + unit_checks(recording, of) + column_checks(recording, of)
     for quantity, joints in unsigned_signals(recording).items():
         text = (
             f"{of}{quantity} never changes its sign though it comes back to 0 and the joints reverse "
@@ -143,7 +145,11 @@ def recording_checks(
         )
         checks.append(raised("unsigned-signal", text, joints))
     for (stream, quantity), qualities in columns.items():
-        clipped = [column for column in qualities if column.clipped_percent > CLIPPED_PERCENT]
+        clipped = [
+            column
+            for column in qualities
+            if column.clipped_percent > CLIPPED_PERCENT and not column.filled_percent > FILLED_PERCENT
+        ]
         if quantity in MOTOR_SIGNALS and clipped:
             figures = ", ".join(f"{column.name} {percentage_text(column.clipped_percent, 2)} %" for column in clipped)
             text = f"{of}{stream}/{quantity} is clipped: {figures} of the samples; use a slower motion or a wider range"
@@ -292,9 +298,12 @@ def time_axis(recording: Recording) -> TimeAxis:
     return TimeAxis(ratios, clocks)
 
 
-def time_axis_checks(recording: Recording, of: str = "") -> list[Check]:
-    """The checks that the time stamps raise; `of` begins their sentences."""
+def time_axis_checks(recording: Recording, of: str = "", stuck: Collection[str] = ()) -> list[Check]:
+    """The checks that the time stamps raise; `of` begins their sentences, of joints whose encoder was not `stuck`."""
     axis = time_axis(recording)
+    axis = replace(
+        axis, velocity_ratios={joint: ratio for joint, ratio in axis.velocity_ratios.items() if joint not in stuck}
+    )
     checks = []
     unit = axis.velocity_unit
     if unit is not None:

@@ -13,7 +13,7 @@ from drivers.core.errors import IdentificationError
 from drivers.core.text import percent_text
 from ident.assessment.delay.delay import delay_checks
 from ident.assessment.differing_runs import differing_run_checks
-from ident.assessment.idle_joints import idle_joint_checks
+from ident.assessment.idle_joints import idle_joint_checks, one_way_checks
 from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.model_errors import INDEPENDENT_PER_PARAMETER
 from ident.assessment.plausibility import POSES, indefinite_share, inertia_matrices, opposite_gravity, sign_checks
@@ -27,6 +27,7 @@ from ident.estimators.torque_estimator import reduce_torques
 from ident.identify.body_checks import body_checks, with_opposite_torques
 from ident.identify.cutoff_search import cutoff_checks
 from ident.identify.data_split import distinct
+from ident.identify.extrapolation import extrapolation_checks
 from ident.identify.identification import Identification
 from ident.identify.residual_bursts import burst_checks
 from ident.model.dynamics.inverse_dynamics import weights_in_offsets
@@ -56,9 +57,10 @@ FRICTION_CHANGE = 3.0
 that were followed exactly it changes by up to 2.4 σ, since data are left out."""
 
 
-REJECTED = 1e-3
-"""p-value of the F-test of consistent against unconstrained parameters below which a note says so; a warning follows
-from the errors' difference alone (`consistency-costs`), since any model is rejected by enough data."""
+REJECTED, REJECTED_RISE = 1e-3, 1.02
+"""p-value of the F-test of consistent against unconstrained parameters below which a note says so, where the torque
+error rises by this factor: the prior's pull alone is significant in enough data. A warning follows from the errors'
+difference alone (`consistency-costs`), since any model is rejected by enough data."""
 
 SEARCH_GAP = 0.01
 """Cost of a search above its optimum that gives a warning, also where no single parameter is far from its value there:
@@ -81,21 +83,25 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     mistakes = [] if unsound else _mistake_checks(identification)
     torque = np.concatenate([run.signals.torque for run in identification.runs])
     levels = torque_level_checks(identification.robot_file, identification.model, torque)
-    # A torque beyond its limit that is another joint's is explained.
-    exchanged = any(
-        "exchanged" in mistake.name or (mistake.name == "sign-or-column" and "exchanged" in mistake.text)
+    # A torque beyond its limit that is another joint's, or in part, is explained.
+    of_others = any(
+        "exchanged" in mistake.name
+        or mistake.name == "motors-coupled"
+        or (mistake.name == "sign-or-column" and ("exchanged" in mistake.text or "coupled" in mistake.text))
         for mistake in mistakes
     )
-    checks += [] if exchanged else levels
+    checks += [] if of_others else levels
     checks += delay_checks(identification.delay)
     checks += cutoff_checks(identification.lowered)
     clipped = {joint for check in checks if check.name == "signal-clipped" for joint in check.joints}
-    named_already = unsound or bool(clipped) or any(mistake.severity == "serious" for mistake in mistakes)
+    explained = any(mistake.severity == "serious" or mistake.name == "position-late" for mistake in mistakes)
+    named_already = unsound or bool(clipped) or explained
     checks += [] if named_already else burst_checks(identification)
     checks += _size_checks(identification)
     checks += _convergence_checks(identification)
     checks += _experiment_checks(identification)
     checks += _excitation_checks(identification)
+    checks += _extrapolation_checks(identification)
     checks += sign_checks(identification.base, identification.solution.parameters, identification.std)
     idle = _idle_joint_checks(identification)
     # Static friction of resting joints, or a torque that is cut off, looks like a number of the robot file that is off.
@@ -135,10 +141,17 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         checks.append(raised("weight-not-separate", text))
     if consistent is not None:
         whole = identification.experiment == whole_arm(identification.model)
-        bodies = body_checks(identification.model, identification.robot_file, consistent.parameters, whole=whole)
-        explained = {"implausible-mass"} if named else set()
-        explained |= {"implausible-link", "implausible-centre"} if denied else set()
-        checks += [check for check in bodies if check.name not in explained]
+        bodies = body_checks(
+            identification.model,
+            identification.robot_file,
+            identification.base,
+            identification.estimate,
+            consistent.parameters,
+            whole=whole,
+        )
+        follow = {"implausible-mass"} if named else set()
+        follow |= {"implausible-link", "implausible-centre"} if denied else set()
+        checks += [check for check in bodies if check.name not in follow]
     return checks + residual_checks(identification.residual_tests)
 
 
@@ -159,7 +172,8 @@ def consistency_checks(
         names = [link_names[link] for link in consistent.boundary]
         text = f"the links of {', '.join(names)} lie at the boundary of what can exist"
         checks.append(raised("links-on-boundary", text))
-    if consistent.cost is not None and consistent.cost.p_value < REJECTED:
+    rises = errors is None or errors[1] > REJECTED_RISE * errors[0]
+    if rises and consistent.cost is not None and consistent.cost.p_value < REJECTED:
         rise = "" if errors is None else f", {percent_text(errors[1])} of error for {percent_text(errors[0])}"
         text = (
             f"no bodies explain the data as well as the unconstrained parameters (p = {consistent.cost.p_value:.1g}"
@@ -303,14 +317,12 @@ def _idle_joint_checks(identification: Identification) -> list[Check]:
         if kind == "coulomb" and joint in model.active and i in identification.solution.active:
             row = model.active.index(joint)
             coulomb[row], deviation[row] = identification.solution.parameters[i], within[i]
-    return idle_joint_checks(
-        model.joint_names,
-        model.sliding,
-        identification.fit_series,
-        identification.runs[0].prepared.rest_velocity,
-        coulomb,
-        deviation,
-        [joint for joint in identification.experiment.torques if joint not in identification.experiment.locked],
+    joints = [joint for joint in identification.experiment.torques if joint not in identification.experiment.locked]
+    rest_velocity, series = identification.runs[0].prepared.rest_velocity, identification.fit_series
+    kinds = set(zip(base.kinds, base.joints, strict=True))
+    both = [joint for joint in joints if {(kind, model.active[joint]) for kind in ("coulomb", "offset")} <= kinds]
+    return one_way_checks(model.joint_names, series, rest_velocity, both) + idle_joint_checks(
+        model.joint_names, model.sliding, series, rest_velocity, coulomb, deviation, joints
     )
 
 
@@ -382,6 +394,20 @@ def _excitation_checks(identification: Identification) -> list[Check]:
             )
             checks.append(raised("few-moves-for-energy", text))
     return checks
+
+
+def _extrapolation_checks(identification: Identification) -> list[Check]:
+    """Motion within the robot file's limits for which the delivered model is uncertain."""
+    found, consistent, solution = identification.corrected, identification.consistent, identification.solution
+    return extrapolation_checks(
+        identification.model,
+        identification.base,
+        solution.parameters if consistent is None else consistent.parameters.base,
+        found.covariance if found.within is None else found.within,
+        solution.active,
+        None if consistent is None else consistent.parameters.base_moves,
+        np.max([np.max(np.abs(part.velocity), axis=1) for part in identification.fit_series], axis=0),
+    )
 
 
 def _experiment_checks(identification: Identification) -> list[Check]:

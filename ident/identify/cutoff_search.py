@@ -95,7 +95,7 @@ def lowered_cutoffs(
     slow = parallel_filter(slowest.cutoffs, choices.filter, slowest.segments[0].rate)
     errors = [_held_out_error(kernel, choice, slow, torques) for _, choice in tried]
     best = next(place for place, error in enumerate(errors) if error <= AS_GOOD * min(errors))
-    if errors[best] > BETTER * errors[0]:
+    if errors[best] > min(1.0, BETTER * errors[0]):  # parts of the data that do not predict others judge nothing
         return None
     lower, found = tried[best]
     return LoweredCutoffs(lower, prepared.cutoffs.position, found.cutoffs.position, errors[0], errors[best])

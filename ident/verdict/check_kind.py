@@ -23,6 +23,7 @@ class CheckKind:
         purposes: that it spoils; none exactly where it is a note.
         meaning: what it says, as a clause.
         remedy: what to do, as a sentence.
+        figures: whether a verdict's reason is not the meaning, but the sentence of the check up to its semicolon.
     """
 
     name: str
@@ -31,6 +32,7 @@ class CheckKind:
     purposes: tuple[Purpose, ...]
     meaning: str
     remedy: str
+    figures: bool = False
 
 
 def note(name: str, subject: Subject, meaning: str, remedy: str) -> CheckKind:

@@ -349,6 +349,23 @@ EXCITATION = (
         "the motion determines few base parameters",
         "Record a more exciting motion, or longer.",
     ),
+    CheckKind(
+        "one-direction",
+        "data",
+        "warning",
+        ALL,
+        "a joint moved in one direction only",
+        "Record both directions: Coulomb friction and a constant torque are not distinguishable in one.",
+    ),
+    CheckKind(
+        "extrapolation",
+        "data",
+        "warning",
+        ALL,
+        "the robot file's limits allow motion for which the model is uncertain",
+        "Record motion that is as fast and as wide, or state the limits within which the arm will work.",
+        figures=True,
+    ),
     note(
         "few-moves-for-energy",
         "data",

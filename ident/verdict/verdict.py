@@ -247,6 +247,8 @@ def _motion_reasons(motion: MotionError, beside: str) -> list[_Reason]:
 
 def _check_reason(check: Check) -> _Reason:
     kind = CATALOGUE.get(check.name)
+    if kind is not None and kind.figures:
+        return _Reason(AT_BEST[check.severity], check.text.partition("; ")[0])
     who = f" ({', '.join(check.joints)})" if check.joints else ""
     return _Reason(AT_BEST[check.severity], f"{kind.meaning}{who}" if kind is not None else check.text)
 

@@ -254,7 +254,7 @@ def taken(order: Sequence[int], *quantities: str) -> Change:
 
 def all_mistakes(count: int, sliding: Sequence[bool], generator: np.random.Generator) -> list[Mistake]:
     """Each once, at joints drawn at random."""
-    turning = [joint for joint in range(count) if not sliding[joint]]
+    turning = [joint for joint in range(count) if not sliding[joint]] or list(range(count))
     everyone, one = tuple(range(count)), int(generator.integers(count))
     angle = turning[int(generator.integers(len(turning)))]
     first = int(generator.integers(count - 1))

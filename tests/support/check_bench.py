@@ -9,7 +9,9 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from lift import LIFT
 
+from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Channel, Recording, Stream
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import ModelError
@@ -24,7 +26,7 @@ from ident.regression import least_squares
 from ident.regression.options import ExperimentChoices
 from ident.result.schema import Result
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
-from studies.synthetic.data_mistakes import with_velocity
+from studies.synthetic.data_mistakes import stuck_encoder, with_velocity
 
 PERIOD = 10.0
 SEARCHED = {"model": ModelChoices(), "presliding": True}
@@ -78,6 +80,9 @@ class Bench:
         self.drifting = cache(lambda: self.found(changed(self.recorded(), drifting)))
         self.parts = cache(self._parts)
         self.opposite = cache(lambda: self.tested(changed(self.recorded(), lambda i: i * [-1, 1, 1])))
+        self.late = cache(lambda: self.tested(changed(self.recorded(), late, "position")))
+        self.lift = cache(lambda: self.found(simulate_recording(LIFT, _motion(LIFT), PERIOD, 1)))
+        self.stuck = cache(lambda: self.names(stuck_encoder(with_velocity(self.recorded()), 1, 3.0, 1.0)))
         self.in_a_narrow_range = cache(lambda: self.found(robot_file=self.said({"drives:\n": NARROW})))
         self.whole = cache(lambda: self.result(self.recorded()))
         self.clean_merge = cache(lambda: self.merged(self.whole(), self.result(self.recorded(4))))
@@ -160,6 +165,23 @@ class Bench:
         """Joint 3 locked; joint 3's own torque."""
         arm = self.result(self.recorded(1, shares=(1, 1, 0)), locked=("j3",))
         return arm, self.result(self.recorded(2), torques_of=("j3",))
+
+    def one_way(self) -> Recording:
+        """The third joint turns slowly on, at a speed that varies."""
+        motion = _motion(self.arm)
+        motion.sine[2] *= 0.1
+        motion.cosine[2] *= 0.1
+        speed = 1.2 * float(np.max(np.abs(motion.evaluate(np.linspace(0.0, PERIOD, 200))[1][2])))
+        on = np.array([[0.0], [0.0], [speed]])
+
+        class Turning:
+            period = PERIOD
+
+            def evaluate(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                position, velocity, acceleration = motion.evaluate(time)
+                return position + on * time, velocity + on, acceleration
+
+        return simulate_recording(self.arm, Turning(), 15.0, 1)
 
     def single_joint_runs(self) -> list[Recording]:
         """One joint after the other, the others held by static friction."""
@@ -247,6 +269,10 @@ class Bench:
         """(N, n) of the recorded motion [rad/s]."""
         stream = self.recorded().streams[JOINTS_STREAM]
         return np.gradient(stream.channels["position"].values, stream.time, axis=0)
+
+
+def _motion(arm: RobotFile) -> FourierSeries:
+    return random_fourier_motion(build_model(arm), PERIOD, 1, candidates=3)
 
 
 def shifted_from_the_middle(size: float) -> Callable[[np.ndarray], np.ndarray]:

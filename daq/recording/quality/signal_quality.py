@@ -25,13 +25,13 @@ FILLED_STEPS = 2.5
 """Steps of a coarse signal: so near 0 a value is by noise and rounding."""
 
 CLIPPED_RUN = 5
-"""At least this many equal extreme values in a row count as clipping."""
-
-COARSE_LEVELS = 50
-"""A signal with a range of fewer steps rests on its extreme levels without being clipped …"""
+"""At least this many equal extreme values in a row count as clipping …"""
 
 CLIPPED_TO_NEXT = 4.0
-"""… unless it does so this many times as often as on the level beside them: a sinusoid does 2.4 times."""
+"""… if this many times as many as on the level beside them: a rounded peak has 2.4 times as many at most."""
+
+FEWEST_LEVELS = 4
+"""A signal of fewer levels shows no peak."""
 
 OTHER_SIGN = 1e-3
 """Share of a signal's samples that single wrong ones may have on the other side of zero."""
@@ -118,13 +118,12 @@ def white_noise(values: FloatArray) -> float:
 def _clipped(values: FloatArray, *, magnitude: bool) -> npt.NDArray[np.bool_]:
     # A magnitude rests at 0; one of negative values, at its largest one.
     levels, counts = np.unique(values, return_counts=True)
-    if len(levels) == 1:
+    if len(levels) < FEWEST_LEVELS:
         return np.zeros(len(values), dtype=bool)
-    coarse = levels[-1] - levels[0] < COARSE_LEVELS * np.min(np.diff(levels))
     at_ends = [
         level
         for level, often, beside in ((levels[0], counts[0], counts[1]), (levels[-1], counts[-1], counts[-2]))
-        if not (magnitude and level == 0.0) and not (coarse and (len(levels) < 4 or often < CLIPPED_TO_NEXT * beside))
+        if not (magnitude and level == 0.0) and often >= CLIPPED_TO_NEXT * beside
     ]
     extreme = np.isin(values, at_ends)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], extreme, [False]]).astype(np.int8)))

@@ -21,6 +21,7 @@ from ident.experiments.merge.merge_input import MergeInput, merge_inputs, used_r
 from ident.identify.body_checks import body_checks
 from ident.identify.checks import consistency_checks
 from ident.identify.data_split import labelled
+from ident.identify.extrapolation import extrapolation_checks
 from ident.identify.held_out import HeldOutRun, delivered_model, model_verdict
 from ident.identify.revalidate import Revalidation, revalidate
 from ident.identify.summary import gain_results, parameter_results
@@ -77,9 +78,12 @@ def merge_results(
     pruned = prune(
         merged.solution, inflation, rows, lambda columns: merge(informations, columns).solution, essential, threshold
     )
-    result, consistent = _result(model, base, inputs, merged, within, std, between, pruned, essential, threshold)
+    result, estimate, consistent = _result(
+        model, base, inputs, merged, within, std, between, pruned, essential, threshold
+    )
     whole = base.count == base_parameters(model).count
-    bodies = [] if consistent is None else body_checks(model, inputs[0].stored.robot_file, consistent, whole=whole)
+    robot_file = inputs[0].stored.robot_file
+    bodies = [] if consistent is None else body_checks(model, robot_file, base, estimate, consistent, whole=whole)
     checks = [*result.verdict.checks, *consistency_checks(model.link_names, consistent), *bodies]
     if held_out is None:
         return _judged(result, checks, ()), None
@@ -129,7 +133,7 @@ def _result(
     pruned: Pruned,
     essential: EssentialRule,
     threshold: float,
-) -> tuple[Result, ConsistentParameters | None]:
+) -> tuple[Result, Estimate, ConsistentParameters | None]:
     first, solution = inputs[0].result, merged.solution
     unexcited = [base.names[i] for i in range(base.count) if i not in solution.active]
     consistency = _consistency(inputs, merged)
@@ -147,6 +151,8 @@ def _result(
     residuals = _residuals(inputs)
     robot_file = inputs[0].stored.robot_file
     consistent = found_consistent(model, base, estimate, robot_file)
+    values, moves = (solution.parameters, None) if consistent is None else (consistent.base, consistent.base_moves)
+    checks += extrapolation_checks(model, base, values, within, solution.active, moves)
     result = Result(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         robot=first.robot,
@@ -217,7 +223,7 @@ def _result(
         ),
         estimate=EstimateResult.of(estimate, base.names, model.joint_names),
     )
-    return result, consistent
+    return result, estimate, consistent
 
 
 def _residuals(inputs: Sequence[MergeInput]) -> Residuals:

@@ -24,7 +24,6 @@ from check_bench import (
     exchanged,
     exchanged_with_velocity,
     glitches,
-    late,
     noisy,
     servo,
     shifted_from_the_middle,
@@ -34,7 +33,6 @@ from check_bench import (
     without_rows,
 )
 from exported_arms import exported_arm
-from lift import LIFT
 
 from daq.recording.recording import HAND_GUIDED, JOINTS_STREAM, Event
 from daq.robot.loader import RobotFile
@@ -97,7 +95,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.names(stamped(b.with_velocity(), lambda t: 1.25 * t)),
         lambda b: b.names(b.with_velocity()),
     ),
-    "velocity-scale": (lambda b: b.names(b.with_velocity((1.0, 1.0, 0.5))), lambda b: b.names(b.with_velocity())),
+    "velocity-scale": (
+        lambda b: b.names(b.with_velocity((1.0, 1.0, 0.5))),
+        lambda b: b.names(b.with_velocity()) | b.stuck(),
+    ),
     "clocks-drift": (lambda b: b.names(b.drifting_clock()), lambda b: b.clean_names()),
     "torque-ahead": (
         lambda b: b.found(changed(b.recorded(), lambda i: np.roll(i, -2, axis=0)), search_delay=True),
@@ -122,11 +123,8 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.in_a_narrow_range(),
         lambda b: b.tested(robot_file=b.said({"drives:\n": "known: {Fv1: {max: 9}, M3: 2}\ndrives:\n"})),
     ),
-    "weight-not-separate": (
-        lambda b: b.found(simulate_recording(LIFT, random_fourier_motion(build_model(LIFT), PERIOD, 1), PERIOD, 1)),
-        lambda b: b.clean(),
-    ),
-    "consistency-rejected": (lambda b: b.opposite(), lambda b: b.clean()),
+    "weight-not-separate": (lambda b: b.lift(), lambda b: b.clean()),
+    "consistency-rejected": (lambda b: b.opposite(), lambda b: b.clean() | b.lift()),
     "armature-assumed": (
         lambda b: b.found(robot_file=b.said({"gain_std: 0.2}": "gain_std: 0.2, inertia: false}"})),
         lambda b: b.found(robot_file=b.said({"gain_std: 0.2}": "gain_std: 0.2, inertia: false, armature: 0.3}"})),
@@ -175,7 +173,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "joint-at-rest": (lambda b: b.info(servo(at_rest(b.recorded(), 1))), lambda b: b.servo_info()),
     "signal-clipped": (
         lambda b: b.names(changed(b.recorded(), lambda i: np.clip(i, -0.5 * i.max(axis=0), 0.5 * i.max(axis=0)))),
-        lambda b: b.clean_names(),
+        lambda b: b.clean_names() | b.names(changed(b.recorded(), lambda i: np.round(i * (60.0 / i.max(axis=0))))),
     ),
     "outliers-replaced": (
         lambda b: b.info(changed(b.recorded(), glitches(1e-3), "position")),
@@ -188,7 +186,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "rows-repeated": (lambda b: b.names(repeated_rows(b.recorded(), 0.1, 1)), lambda b: b.clean_names()),
     "encoder-stuck": (
         lambda b: (
-            b.names(stuck_encoder(with_velocity(b.recorded()), 1, 3.0, 1.0))
+            b.stuck()
             & b.names(stuck_encoder(servo(b.recorded()), 1, 3.0, 1.0))
             & b.info(stuck_encoder(servo(b.recorded()), 1, -1.0, 40.0))
         ),
@@ -219,7 +217,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     ),
     "filled-with-zeros": (lambda b: b.names(filled_with_zeros(b.recorded(), 0.5, 1)), lambda b: b.clean_names()),
     "positions-jitter": (lambda b: b.tested(jittering_position(b.recorded(), 0.02, 1)), lambda b: b.clean()),
-    "residual-bursts": (lambda b: b.tested(contact(b.recorded(), 0.05, 1.0, 1)), lambda b: b.clean()),
+    "residual-bursts": (lambda b: b.tested(contact(b.recorded(), 0.05, 1.0, 1)), lambda b: b.clean() | b.late()),
     "few-parameters-determined": (
         lambda b: b.info(changed(b.recorded(1, 4.5, (0.02, 0.02, 0.02)), noisy)),
         lambda b: b.clean_info(),
@@ -228,6 +226,8 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.info(changed(b.recorded(), lambda q: np.zeros_like(q), "position")),
         lambda b: b.clean_info(),
     ),
+    "one-direction": (lambda b: b.found(b.one_way()), lambda b: b.clean()),
+    "extrapolation": (lambda b: b.found(b.recorded(1, 30.0, (0.05, 0.05, 0.05))), lambda b: b.clean() | b.lift()),
     "high-condition": (lambda b: b.info(b.recorded(1, 30.0, (1, 0.02, 1))), lambda b: b.clean_info()),
     "slow-motion": (lambda b: b.info(b.recorded(1, 30.0, (0.1, 0.1, 0.1))), lambda b: b.clean_info()),
     "torque-beyond-limits": (lambda b: b.info(changed(b.recorded(), lambda i: 1e3 * i)), lambda b: b.clean_info()),
@@ -304,7 +304,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.tested(changed(b.recorded(), lambda q: q + np.deg2rad([0, 8, 0]), "position")),
         lambda b: b.clean(),
     ),
-    "position-late": (lambda b: b.tested(changed(b.recorded(), late, "position")), lambda b: b.clean()),
+    "position-late": (lambda b: b.late(), lambda b: b.clean()),
     "inconsistent-gain": (lambda b: b.tested(changed(b.recorded(), lambda i: i * [1, 1, 1.6])), lambda b: b.clean()),
     "lengths-unchecked": (lambda b: b.tested(b.recorded(1, 30.0, (1, 0, 0))), lambda b: b.clean()),
     "wrong-gain": (lambda b: b.tested(changed(b.recorded(), lambda i: i * [1, 1, 20])), lambda b: b.clean()),
