@@ -82,7 +82,7 @@ def motion_extremes(motion: Motion, sufficient: FloatArray | None = None) -> Ext
         pieces = motion.pieces()
         shape = (4, pieces.largest.shape[1])
         enough = np.full(shape, -np.inf) if sufficient is None else sufficient
-        found, bound, times = np.full(shape, -np.inf), np.full(shape, -np.inf), np.zeros(shape)
+        highest, bound, times = np.full(shape, -np.inf), np.full(shape, -np.inf), np.zeros(shape)
         count, looked = len(pieces.start), 0
         waiting = [
             _Intervals(pieces.start[batch], pieces.end[batch], np.arange(count)[batch], np.full(shape, np.inf))
@@ -95,11 +95,11 @@ def motion_extremes(motion: Motion, sufficient: FloatArray | None = None) -> Ext
             looked += edges.size
             best = values.reshape(*shape, -1).argmax(axis=-1)
             reached = np.take_along_axis(values.reshape(*shape, -1), best[..., None], axis=-1)[..., 0]
-            times = np.where(reached > found, edges.ravel()[best], times)
-            found = np.fmax(found, reached)
+            times = np.where(reached > highest, edges.ravel()[best], times)
+            highest = np.fmax(highest, reached)
             bounds = np.maximum(values[..., :-1], values[..., 1:]) + rise
             bounds[2:] = np.fmin(bounds[2:], pieces.largest[:2, :, intervals.piece, None])
-            narrow = np.maximum(found + _SHARPNESS * np.maximum(1.0, np.abs(found)), enough)
+            narrow = np.maximum(highest + _SHARPNESS * np.maximum(1.0, np.abs(highest)), enough)
             undecided = ~(bounds <= narrow[..., None, None]).all(axis=(0, 1))  # NaN decides nothing
             bound = np.maximum(bound, bounds[..., ~undecided].max(axis=-1, initial=-np.inf))
             for rows in np.array_split(np.argwhere(undecided), np.arange(_BATCH, undecided.sum(), _BATCH)):
@@ -108,8 +108,8 @@ def motion_extremes(motion: Motion, sufficient: FloatArray | None = None) -> Ext
                     largest = bounds[..., row, column].max(axis=-1)
                     piece = intervals.piece[row]
                     waiting.append(_Intervals(edges[row, column], edges[row, column + 1], piece, largest))
-        bound = np.array([bound, found, *(intervals.bound for intervals in waiting)]).max(axis=0)
-    return Extremes(found, np.where(np.isnan(bound), np.inf, bound), times)
+        bound = np.array([bound, highest, *(intervals.bound for intervals in waiting)]).max(axis=0)
+    return Extremes(highest, np.where(np.isnan(bound), np.inf, bound), times)
 
 
 def _divided(intervals: _Intervals, pieces: Pieces) -> tuple[FloatArray, FloatArray]:

@@ -68,10 +68,10 @@ def _addresses(host: str) -> set[str]:
     """A host's addresses; its name where it has none, `localhost` for this computer's usual two."""
     name = host.strip().rstrip(".").casefold()
     try:
-        found = {str(entry[4][0]) for entry in socket.getaddrinfo(name, None, type=socket.SOCK_STREAM)}
+        numbers = {str(entry[4][0]) for entry in socket.getaddrinfo(name, None, type=socket.SOCK_STREAM)}
     except (OSError, ValueError):  # not known, or no name at all: opening the connection says so
         return {name}
-    addresses = {ipaddress.ip_address(address) for address in found}
+    addresses = {ipaddress.ip_address(address) for address in numbers}
     plain = {getattr(address, "ipv4_mapped", None) or address for address in addresses}
     return {"localhost" if str(address) in _THIS_COMPUTER else str(address) for address in plain}
 

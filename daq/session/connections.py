@@ -31,9 +31,9 @@ def connection_names(robot: Robot, wire: str | None = None, place: str = "") -> 
         raise UsageError("the robot file has no connection", where=f"{place}: connections")
     name = wire if wire is not None else next(iter(robot.connections))
     where = place
-    known = ", ".join(robot.connections)
+    names = ", ".join(robot.connections)
     if name not in robot.connections:
-        raise UsageError(f"no connection is called '{name}'", where=where, hint=f"there are: {known}")
+        raise UsageError(f"no connection is called '{name}'", where=where, hint=f"there are: {names}")
     given = (robot.connections[name].model_extra or {}).get(WITH, [])
     where = f"{place}: connections.{name}.{WITH}"
     if not isinstance(given, list) or not all(isinstance(name_beside, str) for name_beside in given):
@@ -42,7 +42,7 @@ def connection_names(robot: Robot, wire: str | None = None, place: str = "") -> 
         )
     for name_beside in given:
         if name_beside not in robot.connections:
-            raise UsageError(f"no connection is called '{name_beside}'", where=where, hint=f"there are: {known}")
+            raise UsageError(f"no connection is called '{name_beside}'", where=where, hint=f"there are: {names}")
     if name in given or len(set(given)) < len(given):
         raise UsageError(f"names a connection twice, or itself: {', '.join(given)}", where=where)
     return [name, *given]

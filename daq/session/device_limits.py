@@ -48,9 +48,9 @@ def require_same_arm(robot_file: RobotFile, driver: Driver) -> None:
     if told is None or own is None or np.max(np.abs(told - own)) < LENGTH_AGREEMENT:
         return
     pairs = [
-        f"{name} {one:.4g} m, and not {other:.4g} m"
-        for name, one, other in zip(LENGTHS, told, own, strict=True)
-        if abs(one - other) >= LENGTH_AGREEMENT
+        f"{name} {length:.4g} m, and not {own_length:.4g} m"
+        for name, length, own_length in zip(LENGTHS, told, own, strict=True)
+        if abs(length - own_length) >= LENGTH_AGREEMENT
     ]
     raise UsageError(
         f"the controller says that its arm is another than {robot_file.robot.name}: {'; '.join(pairs)}",

@@ -67,9 +67,9 @@ class StuckChannel:
         changed = (changes != 0.0).any(axis=0)
         self._last = values[-1].copy()
         self._low, self._high = np.fmin(self._low, way), np.fmax(self._high, way)
-        known = ~np.isnan(speed)
-        if known.any():
-            self._speeds += known
+        measured = ~np.isnan(speed)
+        if measured.any():
+            self._speeds += measured
             own = np.where(self._speeds > 1, speed, np.nan)  # the first one is that of a time before, too
             self._slow, self._fast = np.fmin(self._slow, own), np.fmax(self._fast, own)
         stood = self._high - self._low

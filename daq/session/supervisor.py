@@ -231,7 +231,7 @@ class Supervisor:
         if len(batches) < MOST_TOGETHER and batch.time[-1] - seen < TOGETHER:
             return []
         self._unseen[batch.stream] = float(batch.time[-1]), []
-        found = []
+        breaches = []
         for quantity in WATCHED:
             parts = [part for batch in batches if (part := self._part(batch, quantity)) is not None]
             if not parts:
@@ -241,7 +241,7 @@ class Supervisor:
             if quantity == "position" and whole:
                 self._speed.add(time, values[-1])
             if quantity == "velocity" and whole:
-                found += self._other_velocities(batch, values)
+                breaches += self._other_velocities(batch, values)
             way, cause = self._speed.position, "while the joint moves"
             if quantity == "temperature":
                 way, cause = np.full(len(self._limits.joints), time), "although it changed all the time before"
@@ -261,19 +261,19 @@ class Supervisor:
                 )
                 said = f"{values[-1, column]:.6g} {shown} repeats bit for bit {cause}"
                 supervised = self._depends_on(batch, quantity, joint)
-                found.append(Breach(f"stuck {quantity}", name, *channel.stood(column), time, unit, said, supervised))
-        return found
+                breaches.append(Breach(f"stuck {quantity}", name, *channel.stood(column), time, unit, said, supervised))
+        return breaches
 
     def _other_velocities(self, batch: Batch, values: FloatArray) -> list[Breach]:
         """The joints whose velocity contradicts their positions."""
         unit = self._velocity_units.setdefault(batch.stream, VelocityUnit(len(self._limits.joints)))
-        found = []
+        breaches = []
         for joint in unit.add(values, self._speed.speed).tolist():
             named = joint_unit("rad/s", sliding=self._limits.sliding[joint])
             name, said, moved = self._limits.joints[joint], unit.mean[joint], unit.speed[joint]
             cause = f"its position moves by {moved:.3g} {named}: another unit, scale or sign"
-            found.append(Breach(OTHER_VELOCITY, name, said, moved, float(batch.time[-1]), named, cause))
-        return found
+            breaches.append(Breach(OTHER_VELOCITY, name, said, moved, float(batch.time[-1]), named, cause))
+        return breaches
 
     def _aimed_at(self, batch: Batch) -> FloatArray:
         """(n,) the position that was commanded last, else the controller's target; NaN where there is neither."""

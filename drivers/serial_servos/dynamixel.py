@@ -90,30 +90,30 @@ class DynamixelProtocol:
     def answers(self, buffer: bytearray) -> tuple[list[Packet], int]:
         """Take whole answers from the front of a buffer, and how many bytes belonged to none."""
         packets, strange = _packets(buffer)
-        found = []
+        answers = []
         for packet in packets:
             if packet.code != STATUS:  # a request: somebody else's, or an echo
                 continue
             if packet.motor == BROADCAST:
-                found.append(packet)
+                answers.append(packet)
             elif packet.data:
                 data = packet.data.replace(MARK + b"\xfd", MARK)
-                found.append(Packet(packet.motor, data[0], data[1:]))
-        return found, strange
+                answers.append(Packet(packet.motor, data[0], data[1:]))
+        return answers, strange
 
     def requests(self, buffer: bytearray) -> tuple[list[Packet], int]:
         """Take whole requests from the front of a buffer, and how many bytes belonged to none."""
         packets, strange = _packets(buffer)
         stuffed = MARK + b"\xfd"
-        found = [Packet(p.motor, p.code, p.data.replace(stuffed, MARK)) for p in packets if p.code != STATUS]
-        return found, strange
+        requests = [Packet(p.motor, p.code, p.data.replace(stuffed, MARK)) for p in packets if p.code != STATUS]
+        return requests, strange
 
     def fast_answers(self, packet: Packet, size: int) -> list[Packet]:
         """The servos' answers in the packet of a fast sync read."""
         # The CRC of the last is that of the packet, and cut off already.
         data, step = packet.data + b"\0\0", size + 4
         parts = [data[start : start + step] for start in range(0, len(data) - step + 1, step)]
-        return [Packet(part[1], part[0], part[2 : 2 + size]) for part in parts]
+        return [Packet(answer[1], answer[0], answer[2 : 2 + size]) for answer in parts]
 
 
 def _packets(buffer: bytearray) -> tuple[list[Packet], int]:

@@ -47,7 +47,7 @@ def scanned(
         size: of the packet at the front [bytes]; 0 where no packet is so long.
         packet: of so many bytes; None where their sum is wrong.
     """
-    found: list[Packet] = []
+    packets: list[Packet] = []
     strange = 0
     while True:
         start = buffer.find(header)
@@ -58,20 +58,20 @@ def scanned(
             kept = next((count for count in range(len(header) - 1, 0, -1) if buffer.endswith(header[:count])), 0)
             strange += len(buffer) - kept
             del buffer[: len(buffer) - kept]
-            return found, strange
+            return packets, strange
         strange += start
         del buffer[:start]
         if len(buffer) < least:
-            return found, strange
+            return packets, strange
         end = size(buffer)
         if end > len(buffer):
-            return found, strange
+            return packets, strange
         taken = packet(bytes(buffer[:end])) if end else None
         if taken is None:
             strange += len(header)
             del buffer[: len(header)]
         else:
-            found.append(taken)
+            packets.append(taken)
             del buffer[:end]
 
 

@@ -157,10 +157,10 @@ def servo_table(model: str) -> ServoTable:
     Raises:
         UsageError: there is none; names those that there are.
     """
-    known = known_models()
-    if model not in known:
-        guess = did_you_mean(model, known)
-        raise UsageError(f"no servo model is called '{model}'", hint=f"known: {', '.join(known)}; {guess}".rstrip("; "))
+    models = known_models()
+    if model not in models:
+        hint = f"known: {', '.join(models)}; {did_you_mean(model, models)}".rstrip("; ")
+        raise UsageError(f"no servo model is called '{model}'", hint=hint)
     content = load_yaml((files(__package__) / "tables" / f"{model}.yaml").read_text("utf-8"))
     steps, big_endian = content["steps"], content.get("big_endian", False)
     units = {

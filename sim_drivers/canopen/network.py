@@ -126,8 +126,8 @@ class DriveNetwork:
         self._arrivals: deque[tuple[float, Frame]] = deque(maxlen=LONGEST_QUEUE)
         nodes = [node.id for node in settings.nodes]
         if swapped is not None:
-            one, other = swapped
-            nodes[one], nodes[other] = nodes[other], nodes[one]
+            first, second = swapped
+            nodes[first], nodes[second] = nodes[second], nodes[first]
         self.drives = tuple(
             SimulatedDrive(node, setup, feedback, self._send)
             for node, setup, feedback in zip(nodes, drive_setups(robot, settings), self._feedback(0.0), strict=True)

@@ -12,7 +12,6 @@ import os
 import re
 import sys
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -21,17 +20,14 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "tests" / "support"))
 import canopen_recording
 import numpy as np
 import table_arm_bench
-from rtde_in_process import HOST, NOWHERE, Motions, serving
+from recorded_session import record_session
+from rtde_in_process import NOWHERE, opened, serving
 from simulated_clock import simulated_time
 from unchecked import unchecked_play
 
 import dynid
-from daq.recording.recorder import Recorder
 from daq.robot.loader import RobotFile, load_robot
-from daq.session.connections import driver_settings
-from daq.session.session import SessionReport, record
-from daq.session.supervisor import Limits, Supervisor
-from drivers.rtde.driver import RtdeDriver
+from daq.session.session import SessionReport
 from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.server import RtdeServer
 
@@ -48,16 +44,9 @@ def over_rtde(folder: Path) -> SessionReport:
     robot, motion = robot_file.robot, designed(robot_file).motion
     with simulated_time() as clock:
         server = RtdeServer(Plant(robot_file, seed=1), ports=NOWHERE, joints=robot.joints, clock=clock)
-        with serving(server) as network:
-            settings = replace(driver_settings(robot, {"host": HOST}), clock=clock)
-            driver = RtdeDriver(settings, network.connect, Motions(clock, network.connect).take_control)
-            driver.open()
-            layouts = driver.streams()
-            recorder = Recorder(folder / "run.h5", robot_file, layouts, clock=clock)
-            supervisor = Supervisor(Limits.of_robot(robot), layouts)
-            report = record(driver, recorder, supervisor, unchecked_play(motion, robot), clock=clock)
-            driver.close()
-    return report
+        with serving(server) as network, opened(robot, network.connect, clock) as driver:
+            play = unchecked_play(motion, robot)
+            return record_session(folder / "run.h5", robot_file, driver, play, clock=clock)
 
 
 def over_cia402(folder: Path) -> SessionReport:

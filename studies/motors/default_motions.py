@@ -19,18 +19,16 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "support"))
 
 from motor_bench import WIRES, robot_file
+from recorded_session import opened, record_session
 from simulated_clock import simulated_time
 from unchecked import unchecked_play
 
 import dynid
 from daq.motion.trajectories import Motion
 from daq.recording.reader import read_recording
-from daq.recording.recorder import Recorder
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
 from daq.session.connections import driver_settings
-from daq.session.session import record
-from daq.session.supervisor import Limits, Supervisor
 from drivers.can_motors.driver import CanMotorDriver
 from drivers.can_motors.settings import parse_settings
 from sim_drivers.can_motors.server import CanMotorServer
@@ -51,13 +49,9 @@ def recorded(file: RobotFile, wire: str, motion: Motion, folder: Path) -> Record
     with simulated_time() as clock:
         settings = parse_settings(keys, robot.joint_names, connection.driver)
         driver = CanMotorDriver(replace(driver_settings(robot, keys), clock=clock), connection.driver)
-        with CanMotorServer(file, settings, start, clock, held=True):
-            driver.open()
-            layouts = driver.streams()
-            recorder = Recorder(folder / "run.h5", file, layouts, trajectory="default", clock=clock)
-            supervisor = Supervisor(Limits.of_robot(robot), layouts)
-            report = record(driver, recorder, supervisor, unchecked_play(motion, robot), clock=clock)
-            driver.close()
+        with CanMotorServer(file, settings, start, clock, held=True), opened(driver):
+            path, play = folder / "run.h5", unchecked_play(motion, robot)
+            report = record_session(path, file, driver, play, trajectory="default", clock=clock)
         if report.stopped_by is not None or report.file is None:
             raise RuntimeError(f"{robot.name}: {report.stopped_by}")
         return read_recording(report.file)

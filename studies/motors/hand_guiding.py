@@ -20,17 +20,15 @@ import yaml
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "support"))
 
+from recorded_session import opened, record_session
 from simulated_clock import SimulatedClock, simulated_time
 
 import dynid
 from daq.recording.reader import read_recording
-from daq.recording.recorder import Recorder
 from daq.recording.recording import HAND_GUIDED
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.session.connections import driver_settings
 from daq.session.guiding import Guiding, load_compensation
-from daq.session.session import record
-from daq.session.supervisor import Limits, Supervisor
 from drivers.can_motors.driver import CanMotorDriver
 from drivers.can_motors.settings import parse_settings
 from sim_drivers.can_motors.server import CanMotorServer
@@ -81,15 +79,9 @@ def drift(file: RobotFile, model: Path, pose: Sequence[float], seconds: float) -
         server = CanMotorServer(
             file, parse_settings(keys, robot.joint_names, connection.driver), start, clock, held=True
         )
-        driver = CanMotorDriver(settings, connection.driver)
-        with server:
-            driver.open()
-            layouts = driver.streams()
+        with server, opened(CanMotorDriver(settings, connection.driver)) as driver:
             guiding = Guiding(robot, Nobody(clock, seconds), load_compensation(file, model))
-            recorder = Recorder(path, file, layouts, clock=clock)
-            supervisor = Supervisor(Limits.of_robot(robot), layouts)
-            report = record(driver, recorder, supervisor, clock=clock, guiding=guiding)
-            driver.close()
+            report = record_session(path, file, driver, clock=clock, guiding=guiding)
         if report.file is None:
             return str(report.stopped_by), np.full(robot.dof, np.nan)
         run = read_recording(report.file)

@@ -17,17 +17,16 @@ from unittest.mock import patch
 import can
 import numpy as np
 import yaml
+from recorded_session import record_session
 from simulated_clock import DAY, SimulatedClock, VirtualBus, simulated_time
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import Motion
 from daq.motion.trajectory_file import load_trajectory
 from daq.recording.reader import read_recording
-from daq.recording.recorder import Recorder
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from daq.session.session import SessionReport, load_driver, record
-from daq.session.supervisor import Limits, Supervisor
+from daq.session.session import SessionReport, load_driver
 from drivers.canopen402.driver import Canopen402Driver
 from drivers.canopen402.settings import parse_settings
 from drivers.core.arrays import FloatArray
@@ -105,13 +104,9 @@ class Bench:
 
     def record(self, folder: Path, duration: float | None = None, motion: Motion | None = None) -> Run:
         """Record for so long, or while a motion is played."""
-        robot, path = self.robot_file.robot, folder / "run.h5"
-        layouts = self.driver.streams()
-        recorder = Recorder(path, self.robot_file, layouts, clock=self.clock)
-        supervisor = Supervisor(Limits.of_robot(robot), layouts)
-        self.begun = self.clock.now()
-        play = None if motion is None else unchecked_play(motion, robot)
-        report = record(self.driver, recorder, supervisor, play, duration, clock=self.clock)
+        path, self.begun = folder / "run.h5", self.clock.now()
+        play = None if motion is None else unchecked_play(motion, self.robot_file.robot)
+        report = record_session(path, self.robot_file, self.driver, play, duration, clock=self.clock)
         ended = self.clock.now() - self.begun
         return Run(report, read_recording(path), ended, self.rate)
 

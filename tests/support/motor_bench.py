@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from recorded_session import opened, record_session
 from simulated_clock import SimulatedClock
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import Motion, slow_move
-from daq.recording.recorder import Recorder
 from daq.robot.loader import RobotFile, parse_robot
 from daq.session.connections import driver_settings
-from daq.session.session import SessionReport, record
-from daq.session.supervisor import Limits, Supervisor
+from daq.session.session import SessionReport
 from drivers.can_motors.driver import CanMotorDriver
 from drivers.can_motors.settings import parse_settings
 from sim_drivers.can_motors.server import CanMotorServer
@@ -102,15 +101,9 @@ class MotorBench:
         settings = driver_settings(robot_file().robot, {**self.keys, **more})
         return CanMotorDriver(replace(settings, clock=self.clock), self.wire)
 
-    @contextmanager
-    def opened(self, **more: object) -> Iterator[CanMotorDriver]:
+    def opened(self, **more: object) -> AbstractContextManager[CanMotorDriver]:
         """The driver, open."""
-        driver = self.driver(**more)
-        driver.open()
-        try:
-            yield driver
-        finally:
-            driver.close()
+        return opened(self.driver(**more))
 
     def session(self, path: Path, to: np.ndarray | None = None, duration: float | None = None) -> SessionReport:
         """Record as `dynid record` does: a slow way to a position, or only `duration` [s]."""
@@ -118,13 +111,10 @@ class MotorBench:
 
     def play(self, path: Path, motion: Motion | None, duration: float | None = None) -> SessionReport:
         """Record a motion, or only `duration` [s]."""
-        robot = robot_file().robot
-        play = None if motion is None else unchecked_play(motion, robot)
-        with self.opened(**({} if play else {"read_only": True})) as driver:
-            layouts = driver.streams()
-            supervisor = Supervisor(Limits.of_robot(robot), layouts)
-            recorder = Recorder(path, robot_file(), layouts, trajectory="played" if play else "", clock=self.clock)
-            return record(driver, recorder, supervisor, play, duration, clock=self.clock)
+        play = None if motion is None else unchecked_play(motion, robot_file().robot)
+        with self.opened(read_only=play is None) as driver:
+            told = "played" if play else ""
+            return record_session(path, robot_file(), driver, play, duration, trajectory=told, clock=self.clock)
 
 
 @contextmanager

@@ -7,12 +7,17 @@ import socket
 import struct
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
+import recorded_session
 from simulated_clock import SimulatedClock
 
+from daq.robot.schema import Robot
+from daq.session.connections import driver_settings
 from drivers.core.arrays import FloatArray
 from drivers.rtde import protocol as wire
+from drivers.rtde.driver import RtdeDriver
 from drivers.rtde.motion import Control, ControlFactory, MotionProcess, obey
 from drivers.rtde.protocol import Connect
 from drivers.rtde.servo_program import ServoProgram
@@ -276,6 +281,14 @@ class MotionThread:
             status = int(str(left.code))
         self._far_end.close()
         self.exitcode = status if self.exitcode is None else self.exitcode
+
+
+@contextlib.contextmanager
+def opened(robot: Robot, connect: Connect, clock: SimulatedClock) -> Iterator[RtdeDriver]:
+    """The driver of a controller, open; its motion process is a thread."""
+    settings = replace(driver_settings(robot, {"host": HOST}), clock=clock)
+    with recorded_session.opened(RtdeDriver(settings, connect, Motions(clock, connect).take_control)) as driver:
+        yield driver
 
 
 class Motions:

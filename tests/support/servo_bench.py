@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from recorded_session import opened, record_session
 from simulated_clock import SimulatedClock
 from simulated_serial import SerialPort, SimulatedLine, simulated_line
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import slow_move
-from daq.recording.recorder import Recorder
 from daq.robot.loader import RobotFile, parse_robot
 from daq.session.connections import driver_settings
-from daq.session.session import SessionReport, record
-from daq.session.supervisor import Limits, Supervisor
+from daq.session.session import SessionReport
 from drivers.serial_servos.driver import SerialServoDriver
 from drivers.serial_servos.settings import parse_settings
 from sim_drivers.serial_servos.server import SerialServoServer
@@ -92,30 +91,19 @@ class ServoBench:
         settings = driver_settings(robot_file().robot, {**self.keys, **more})
         return SerialServoDriver(replace(settings, clock=self.clock), self.wire)
 
-    @contextmanager
-    def opened(self, **more: object) -> Iterator[SerialServoDriver]:
+    def opened(self, **more: object) -> AbstractContextManager[SerialServoDriver]:
         """The driver, open."""
-        driver = self.driver(**more)
-        driver.open()
-        try:
-            yield driver
-        finally:
-            driver.close()
+        return opened(self.driver(**more))
 
     def session(
         self, path: Path, to: np.ndarray | None = None, duration: float | None = None, **more: object
     ) -> SessionReport:
         """Record as `dynid record` does: a slow way to a position and back, or only `duration` [s]."""
         robot = robot_file().robot
-        play = None
-        if to is not None:
-            play = unchecked_play(slow_move(START, to, robot.joints, share=0.5), robot)
-        with self.opened(**({} if play else {"read_only": True}), **more) as driver:
-            layouts = driver.streams()
-            supervisor = Supervisor(Limits.of_robot(robot), layouts)
-            trajectory = "played" if play else ""
-            recorder = Recorder(path, robot_file(), layouts, trajectory=trajectory, clock=self.clock)
-            return record(driver, recorder, supervisor, play, duration, clock=self.clock)
+        play = None if to is None else unchecked_play(slow_move(START, to, robot.joints, share=0.5), robot)
+        with self.opened(read_only=play is None, **more) as driver:
+            told = "played" if play else ""
+            return record_session(path, robot_file(), driver, play, duration, trajectory=told, clock=self.clock)
 
 
 @contextmanager

@@ -7,14 +7,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
+from recorded_session import record_session
 from simulated_clock import simulated_time
 from unchecked import unchecked_play
 
 from daq.motion.trajectory_file import load_trajectory
-from daq.recording.recorder import Recorder
 from daq.robot.loader import load_robot
-from daq.session.session import record
-from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
 from drivers.core.clock import Clock
 from drivers.streams import Batch, ChannelLayout, StreamLayout
@@ -99,11 +97,8 @@ def in_simulated_time(robot: str, seed: int, position: np.ndarray) -> Iterator[R
     def recorded(trajectory: Path, out: Path) -> Recorded:
         played = load_trajectory(trajectory, robot_file.robot)
         with simulated_time() as clock:
-            driver = ServoedPlant(plant, clock)
-            layouts = driver.streams()
-            recorder = Recorder(out, robot_file, layouts, trajectory=played.text, clock=clock)
-            supervisor = Supervisor(Limits.of_robot(robot_file.robot), layouts)
-            report = record(driver, recorder, supervisor, unchecked_play(played.motion, robot_file.robot), clock=clock)
+            driver, play = ServoedPlant(plant, clock), unchecked_play(played.motion, robot_file.robot)
+            report = record_session(out, robot_file, driver, play, trajectory=played.text, clock=clock)
         assert report.stopped_by is None, report.stopped_by
         return Recorded(report.samples["joints"], report.lost["joints"])
 

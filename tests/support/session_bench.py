@@ -6,17 +6,16 @@ from pathlib import Path
 
 import numpy as np
 from kinematic_arm import FIRST_STAMP, QUANTITIES, RATE, ROBOT_FILE, KinematicArm
+from recorded_session import record_session
 from unchecked import unchecked_play
 
 from daq.motion.player import DRY_RUN
 from daq.motion.trajectories import PointToPoint
 from daq.recording.reader import read_recording
-from daq.recording.recorder import Recorder
 from daq.recording.recording import Event, Recording
 from daq.session.course import REST_TIME
 from daq.session.play import Play
-from daq.session.session import SessionReport, record
-from daq.session.supervisor import Limits, Supervisor
+from daq.session.session import SessionReport
 from daq.session.watch import Watch
 
 MOTION = PointToPoint(np.array([[0.1, -0.1], [0.5, 0.3], [0.0, 0.0]]), np.array([1.2, 1.2]))
@@ -38,10 +37,8 @@ def run(
     path: Path, arm: KinematicArm, play: Play | None = None, duration: float | None = None, watch: Watch | None = None
 ) -> SessionReport:
     arm.open()
-    layouts = arm.streams()
-    supervisor = Supervisor(Limits.of_robot(ROBOT_FILE.robot, tracking_error=TRACKING_ERROR), layouts)
-    recorder = Recorder(path, ROBOT_FILE, layouts, clock=arm.clock)
-    return record(arm, recorder, supervisor, play, duration, clock=arm.clock, watch=watch)
+    limit = TRACKING_ERROR
+    return record_session(path, ROBOT_FILE, arm, play, duration, tracking_error=limit, clock=arm.clock, watch=watch)
 
 
 def stopped(arm: KinematicArm) -> float:

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import recorded_session
+from recorded_session import record_session
 from simulated_clock import SimulatedClock
 
-from daq.recording.recorder import Recorder
 from daq.robot.loader import RobotFile, load_robot
 from daq.robot.schema import Robot
 from daq.session.connections import driver_settings
 from daq.session.play import Play
-from daq.session.session import SessionReport, record
-from daq.session.supervisor import Limits, Supervisor
+from daq.session.session import SessionReport
 from drivers.can_signals.driver import CanFramesDriver
 from drivers.streams import Batch
 from sim_drivers.can_signals.arm import TableArm
@@ -72,15 +72,11 @@ def served(clock: SimulatedClock, robot_file: RobotFile = ROBOT_FILE, **more: ob
     assert server.failure is None
 
 
-@contextmanager
-def opened(connection: dict[str, Any], clock: SimulatedClock, robot: Robot = ROBOT) -> Iterator[CanFramesDriver]:
+def opened(
+    connection: dict[str, Any], clock: SimulatedClock, robot: Robot = ROBOT
+) -> AbstractContextManager[CanFramesDriver]:
     """The driver of an arm."""
-    driver = CanFramesDriver(replace(driver_settings(robot, connection), clock=clock))
-    driver.open()
-    try:
-        yield driver
-    finally:
-        driver.close()
+    return recorded_session.opened(CanFramesDriver(replace(driver_settings(robot, connection), clock=clock)))
 
 
 def connection_of(server: ProprietaryCanServer) -> dict[str, Any]:
@@ -92,9 +88,7 @@ def session(
     path: Path, driver: CanFramesDriver, clock: SimulatedClock, play: Play | None = None, duration: float | None = None
 ) -> SessionReport:
     """Record as `dynid record` does."""
-    layouts = driver.streams()
-    supervisor = Supervisor(Limits.of_robot(ROBOT), layouts)
-    return record(driver, Recorder(path, ROBOT_FILE, layouts, clock=clock), supervisor, play, duration, clock=clock)
+    return record_session(path, ROBOT_FILE, driver, play, duration, clock=clock)
 
 
 def noted_by(server: ProprietaryCanServer, quantity: str, cycles: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, parse_robot
 
 NAMES = ("shoulder", "elbow", "wrist")
@@ -65,3 +66,14 @@ def write_npz(folder: Path, arrays: Arrays) -> Path:
     path = folder / "run.npz"
     np.savez(path, **arrays)  # type: ignore[arg-type]
     return path
+
+
+def content(recording: Recording) -> Arrays:
+    """The stamps and the channels of the joints."""
+    stream = recording.streams[JOINTS_STREAM]
+    return {"time": stream.time, **{name: channel.values for name, channel in stream.channels.items()}}
+
+
+def messages(recording: Recording) -> str:
+    """What the importer said, a line each."""
+    return "\n".join(f"{event.level}: {event.message}" for event in recording.events)

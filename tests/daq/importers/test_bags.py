@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from three_links import NAMES, make_robot
+from joint_state_bag import write_bag
+from three_links import NAMES, make_robot, samples
 
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
@@ -22,10 +23,6 @@ from daq.robot.loader import RobotFile
 from drivers.core.errors import ImportFileError, UsageError
 
 ROBOT = make_robot()
-JOINT_STATE = "sensor_msgs/msg/JointState"
-TIME = np.arange(200) / 125.0
-Q = np.sin(2.0 * TIME[:, None] + np.arange(3.0))
-QD = 2.0 * np.cos(2.0 * TIME[:, None] + np.arange(3.0))
 
 
 def accept_or_refuse(path: Path, choices: ImportChoices, robot: RobotFile = ROBOT) -> None:
@@ -37,40 +34,8 @@ def accept_or_refuse(path: Path, choices: ImportChoices, robot: RobotFile = ROBO
     assert not problem or str(path) in problem
 
 
-def write_bag(
-    folder: Path,
-    *,
-    mcap: bool = False,
-    topics: tuple[str, ...] = ("/joint_states",),
-    edit: Callable[[int, dict[str, Any]], None] = lambda _index, _fields: None,
-    count: int = 50,
-) -> Path:
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    types = store.types
-    with Writer(
-        folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
-    ) as writer:
-        connections = [writer.add_connection(topic, JOINT_STATE, typestore=store) for topic in topics]
-        other = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=store)
-        text_message = types["std_msgs/msg/String"](data="hello")
-        writer.write(other, 0, store.serialize_cdr(text_message, "std_msgs/msg/String"))
-        for index in range(count):
-            fields: dict[str, Any] = {
-                "name": list(NAMES),
-                "position": Q[index].copy(),
-                "velocity": QD[index].copy(),
-                "effort": Q[index].copy(),
-            }
-            edit(index, fields)
-            stamp = types["builtin_interfaces/msg/Time"](sec=1, nanosec=index * 8_000_000)
-            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="")
-            message = types[JOINT_STATE](header=header, **fields)
-            for connection in connections:
-                writer.write(connection, index * 8_000_000, store.serialize_cdr(message, JOINT_STATE))
-    return folder / "bag"
+def bag_of(folder: Path, count: int = 50, **more: Any) -> Path:
+    return write_bag(folder, samples(count), start=1_000_000_000, **more)
 
 
 def rename(*names: str) -> Callable[[int, dict[str, Any]], None]:
@@ -149,24 +114,24 @@ def test_bags_refused_with_their_message(
     tmp_path: Path, mcap: bool, options: dict[str, Any], choices: ImportChoices, message: str
 ) -> None:
     with pytest.raises(ImportFileError, match=message):
-        import_file(write_bag(tmp_path, mcap=mcap, **options), ROBOT, choices)
+        import_file(bag_of(tmp_path, mcap=mcap, **options), ROBOT, choices)
 
 
 def test_one_of_several_topics_can_be_chosen(tmp_path: Path) -> None:
-    path = write_bag(tmp_path, topics=("/a", "/b"))
+    path = bag_of(tmp_path, topics=("/a", "/b"))
     recording = import_file(path, ROBOT, ImportChoices(effort="torque", topic="/b"))
     assert any("topic /b, 50 messages" in event.message for event in recording.events)
 
 
 def test_columns_make_no_sense_for_a_bag(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="a bag has no columns to map"):
-        import_file(write_bag(tmp_path), ROBOT, ImportChoices(columns={"t": "stamp"}))
+        import_file(bag_of(tmp_path), ROBOT, ImportChoices(columns={"t": "stamp"}))
 
 
 @functools.cache
 def bag_content(mcap: bool) -> bytes:
     with tempfile.TemporaryDirectory() as name:
-        bag = write_bag(Path(name), mcap=mcap)
+        bag = bag_of(Path(name), mcap=mcap)
         return next(file for file in bag.iterdir() if file.suffix in (".db3", ".mcap")).read_bytes()
 
 
@@ -185,7 +150,7 @@ def test_cut_and_spoilt_bags_never_give_a_traceback(mcap: bool, share: float, po
 
 def test_a_cut_bag_says_so(tmp_path: Path) -> None:
     for mcap, expected in ((False, "cannot be read as a ROS 2 bag"), (True, "cannot be read as a ROS 2 bag")):
-        bag = write_bag(tmp_path, mcap=mcap)
+        bag = bag_of(tmp_path, mcap=mcap)
         storage = next(file for file in bag.iterdir() if file.suffix in (".db3", ".mcap"))
         storage.write_bytes(storage.read_bytes()[: storage.stat().st_size // 2])
         for path in (storage, bag):
@@ -195,7 +160,7 @@ def test_a_cut_bag_says_so(tmp_path: Path) -> None:
 
 
 def test_unmerged_journals_and_split_bags_are_mentioned(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path)
+    bag = bag_of(tmp_path)
     storage = bag / "bag.db3"
     (bag / "bag.db3-wal").write_bytes(b"pending")
     shutil.copy(storage, bag / "bag_1.db3")

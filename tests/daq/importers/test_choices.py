@@ -12,26 +12,17 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from three_links import DEGREE, Arrays, make_robot, samples, write_csv, write_npz
+from three_links import DEGREE, content, make_robot, messages, samples, write_csv, write_npz
 
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
-from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import RobotFile
 
 
 @pytest.fixture(scope="module")
 def robot() -> RobotFile:
     return make_robot()
-
-
-def content(recording: Recording) -> Arrays:
-    stream = recording.streams[JOINTS_STREAM]
-    return {"time": stream.time, **{name: channel.values for name, channel in stream.channels.items()}}
-
-
-def messages(recording: Recording) -> str:
-    return "\n".join(f"{event.level}: {event.message}" for event in recording.events)
 
 
 # --- choices and units ----------------------------------------------------------------------------------------------

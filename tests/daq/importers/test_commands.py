@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from three_links import NAMES, Arrays, columns_of, make_robot, samples, write_csv, write_npz
+from three_links import NAMES, Arrays, columns_of, make_robot, messages, samples, write_csv, write_npz
 
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
 from daq.recording.commanded_motion import commanded_motion
 from daq.recording.reader import read_recording
-from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Recording
+from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.errors import DataError, ImportFileError
@@ -30,10 +30,6 @@ def servo_samples(command_rate: float = 50.0) -> tuple[Arrays, Arrays]:
     phase = np.array([0.0, 1.0, 2.0])
     commands = {"command_time": stamps, "command": np.sin(2.0 * (stamps[:, None] + 0.04) + phase)}
     return {name: arrays[name] for name in ("t", "q")}, commands
-
-
-def words(recording: Recording) -> str:
-    return "\n".join(f"{event.level}: {event.message}" for event in recording.events)
 
 
 def write_padded_csv(folder: Path, arrays: Arrays) -> Path:
@@ -57,7 +53,7 @@ def test_commands_keep_their_own_stamps_and_are_held_between_them(tmp_path: Path
     np.testing.assert_array_equal(stream.time, told["command_time"])
     np.testing.assert_array_equal(stream.channels["target_position"].values, told["command"])
     assert len(recording.streams[JOINTS_STREAM].time) == len(measured["t"])
-    assert "warning" not in words(recording)
+    assert "warning" not in messages(recording)
     motion = commanded_motion(recording, robot.robot)
     times = np.sort(np.random.default_rng(0).uniform(-0.1, 2.0, 200))
     latest = [max(0, np.count_nonzero(told["command_time"] <= time) - 1) for time in times]
@@ -134,12 +130,12 @@ def test_requested_repairs_reach_the_commands(tmp_path: Path, robot: RobotFile) 
     path = write_npz(tmp_path, measured | shuffled)
     recording = import_file(path, robot, ImportChoices(repair=("sort",)))
     np.testing.assert_array_equal(recording.streams[COMMANDS_STREAM].time, told["command_time"])
-    assert "commands: sort" in words(recording)
+    assert "commands: sort" in messages(recording)
 
 
 def test_a_recording_without_commands_says_how_to_import_them(tmp_path: Path, robot: RobotFile) -> None:
     recording = import_file(write_npz(tmp_path, servo_samples()[0]), robot, ImportChoices())
-    assert "neither torque nor current" in words(recording)
+    assert "neither torque nor current" in messages(recording)
     with pytest.raises(DataError, match="target_position=NAME"):
         commanded_motion(recording, robot.robot)
 
@@ -162,7 +158,7 @@ def test_so101_recordings_need_no_option(tmp_path: Path) -> None:
     robot, arrays = load_robot("so101"), so101_arrays()
     write_recording(tmp_path / "run.h5", import_file(write_npz(tmp_path, arrays), robot, ImportChoices()))
     recording = read_recording(tmp_path / "run.h5")
-    assert "Jaw → gripper" in words(recording)
+    assert "Jaw → gripper" in messages(recording)
     current = recording.streams[JOINTS_STREAM].channels["current"]
     assert current.magnitude
     assert current.columns == robot.robot.joint_names
@@ -174,7 +170,7 @@ def test_so101_recordings_need_no_option(tmp_path: Path) -> None:
 def test_a_magnitude_with_negative_values_is_none(tmp_path: Path) -> None:
     arrays = so101_arrays() | {"current_magnitude": np.linspace(-1.5, 1.5, 300)[:, None] * np.ones(6)}
     recording = import_file(write_npz(tmp_path, arrays), load_robot("so101"), ImportChoices())
-    assert "it is no magnitude" in words(recording)
+    assert "it is no magnitude" in messages(recording)
     assert not recording.streams[JOINTS_STREAM].channels["current"].magnitude
 
 

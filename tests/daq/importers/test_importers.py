@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from three_links import NAMES, Arrays, columns_of, make_robot, samples, write_csv, write_npz
+from joint_state_bag import write_bag
+from three_links import NAMES, Arrays, columns_of, content, make_robot, messages, samples, write_csv, write_npz
 
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
 from daq.recording.reader import read_recording
-from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.recording import JOINTS_STREAM
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile
 from drivers.core.errors import ImportFileError
@@ -49,58 +50,8 @@ def write_mat73(folder: Path, arrays: Arrays) -> Path:
     return path
 
 
-def write_bag(
-    folder: Path,
-    arrays: Arrays,
-    *,
-    mcap: bool = False,
-    names: Callable[[int], tuple[str, ...]] = lambda _: NAMES,
-    stamped: bool = True,
-    topics: tuple[str, ...] = ("/joint_states",),
-    start: int = 0,
-    effort: str = "torque",
-    edit: Callable[[int, dict[str, Any]], None] | None = None,
-) -> Path:
-    """A rosbag2 folder with JointState messages; `names` gives each message's joints, values follow the names."""
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    joint_state, header, stamp = (
-        store.types[f"{package}/msg/{name}"]
-        for package, name in (("sensor_msgs", "JointState"), ("std_msgs", "Header"), ("builtin_interfaces", "Time"))
-    )
-    path = folder / ("bag_mcap" if mcap else "bag_sqlite")
-    plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
-    with Writer(path, version=9, storage_plugin=plugin) as writer:
-        connections = [writer.add_connection(topic, joint_state.__msgtype__, typestore=store) for topic in topics]
-        for index, time in enumerate(arrays["t"]):
-            order = names(index)
-            fields: dict[str, Any] = {"name": list(order)}
-            for field, key in (("position", "q"), ("velocity", "qd"), ("effort", effort)):
-                by_name = dict(zip(NAMES, arrays[key][index], strict=True)) if key in arrays else {}
-                fields[field] = np.array([by_name.get(name, 7.0) for name in order if by_name], dtype=np.float64)
-            if edit is not None:
-                edit(index, fields)
-            nanoseconds = start + round(float(time) * 1e9)
-            seconds, rest = divmod(nanoseconds if stamped else 0, 1_000_000_000)
-            message = joint_state(header=header(stamp=stamp(sec=seconds, nanosec=rest), frame_id=""), **fields)
-            for connection in connections:
-                writer.write(connection, nanoseconds, store.serialize_cdr(message, joint_state.__msgtype__))
-    return path
-
-
 def write_mcap(folder: Path, arrays: Arrays) -> Path:
     return write_bag(folder, arrays, mcap=True)
-
-
-def content(recording: Recording) -> Arrays:
-    stream = recording.streams[JOINTS_STREAM]
-    return {"time": stream.time, **{name: channel.values for name, channel in stream.channels.items()}}
-
-
-def messages(recording: Recording) -> str:
-    return "\n".join(f"{event.level}: {event.message}" for event in recording.events)
 
 
 # --- the same samples in every format ------------------------------------------------------------------------------

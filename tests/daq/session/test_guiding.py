@@ -11,17 +11,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from motor_bench import MotorBench, motors, robot_file
+from recorded_session import record_session
 from servo_bench import servos
 from simulated_clock import SimulatedClock
 from true_results import true_result
 
 from daq.commands.hand_guiding import KeyAtTerminal
 from daq.recording.reader import read_recording
-from daq.recording.recorder import Recorder
 from daq.recording.recording import HAND_GUIDED
 from daq.session.guiding import Compensation, Guiding, HandGate, load_compensation, require_guidable
-from daq.session.session import SessionReport, record
-from daq.session.supervisor import Limits, Supervisor
+from daq.session.session import SessionReport
 from drivers.core.errors import MotionRefusedError, SafetyStopError, UsageError
 from ident.monitor.compensation import WeightCompensation
 from ident.result.result_file import result_json
@@ -69,16 +68,8 @@ def led(bench: MotorBench, path: Path, hand: Person, carrying: Compensation | No
         motor.hold(angle, bench.clock.now())
     bench.clock.sleep(0.5)
     with bench.opened(**more) as driver:
-        layouts = driver.streams()
         hand.mind(require_guidable(driver, guiding).guiding_cautions(pushed=carrying is not None))
-        recorder = Recorder(path, robot_file(), layouts, clock=bench.clock)
-        return record(
-            driver,
-            recorder,
-            Supervisor(Limits.of_robot(robot_file().robot), layouts),
-            clock=bench.clock,
-            guiding=guiding,
-        )
+        return record_session(path, robot_file(), driver, clock=bench.clock, guiding=guiding)
 
 
 @pytest.mark.parametrize("wire", ["damiao", "robstride", "moteus"])

@@ -5,31 +5,28 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
+import rtde_in_process
 from canopen_recording import arm_on_bus
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from rtde_in_process import HOST, NOWHERE, Motions, serving
+from recorded_session import record_session
+from rtde_in_process import NOWHERE, serving
 from simulated_clock import SimulatedClock, simulated_time
 from table_arm_bench import KEYS, POSE, ROBOT, TIME, connection_of, opened, served, session
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import PointToPoint
 from daq.recording.reader import read_recording
-from daq.recording.recorder import Recorder
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.schema import Robot
-from daq.session.connections import driver_settings
-from daq.session.session import SessionReport, record
-from daq.session.supervisor import Limits, Supervisor
+from daq.session.session import SessionReport
 from drivers.base import Driver
 from drivers.core.arrays import FloatArray
-from drivers.rtde.driver import RtdeDriver
 from sim_drivers.faults import FAULTS, STICKING, ServerKind, parse_fault
 from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.server import RtdeServer
@@ -195,26 +192,14 @@ def on_ur_arm(drawn: Faults, *, moves: bool = True) -> tuple[SessionReport, Reco
         plant = Plant(ur5e(), seed=1)
         server = RtdeServer(plant, ports=NOWHERE, joints=robot.joints, clock=clock)
         with serving(server) as network:
-            motions = Motions(clock, network.connect)
-            settings = replace(driver_settings(robot, {"host": HOST}), clock=clock)
-            driver = RtdeDriver(settings, network.connect, motions.take_control)
-            driver.open()
-            commands, begun = Commands(driver, clock), clock.now()
-            for moment, line in drawn:
-                fault = parse_fault(line, "UR controller", robot.joint_names)
-                clock.call_at(begun + moment, partial(server.cause, fault))
-            layouts = driver.streams()
-            recorder = Recorder(Path(folder, "run.h5"), ur5e(), layouts, clock=clock)
-            play = unchecked_play(there_and_back(robot, plant.position.copy()), robot) if moves else None
-            report = record(
-                driver,
-                recorder,
-                Supervisor(Limits.of_robot(robot), layouts),
-                play,
-                None if moves else LAST,
-                clock=clock,
-            )
-            driver.close()
+            with rtde_in_process.opened(robot, network.connect, clock) as driver:
+                commands, begun = Commands(driver, clock), clock.now()
+                for moment, line in drawn:
+                    fault = parse_fault(line, "UR controller", robot.joint_names)
+                    clock.call_at(begun + moment, partial(server.cause, fault))
+                play = unchecked_play(there_and_back(robot, plant.position.copy()), robot) if moves else None
+                path, duration = Path(folder, "run.h5"), None if moves else LAST
+                report = record_session(path, ur5e(), driver, play, duration, clock=clock)
             clock.sleep_until(begun + LAST + LONGEST)
             clock.sleep(SETTLED)
             assert np.max(np.abs(plant.velocity)) < 0.01

@@ -3,30 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from canopen_recording import arm_on_bus
 from motor_bench import START, MotorBench, motors, robot_file
-from rtde_in_process import HOST, NOWHERE, Motions, serving
+from recorded_session import record_session
+from rtde_in_process import NOWHERE, opened, serving
 from simulated_clock import SimulatedClock
 from unchecked import unchecked_play
 
 from daq.motion.player import MotionSequence
 from daq.motion.trajectories import slow_move
 from daq.recording.reader import read_recording
-from daq.recording.recorder import Recorder
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
-from daq.session.connections import driver_settings
 from daq.session.retract import SPEED, WAY, way_back
-from daq.session.session import SessionReport, record
-from daq.session.supervisor import Limits, Supervisor
+from daq.session.session import SessionReport
 from drivers.base import Driver
 from drivers.core.errors import MotionRefusedError, SafetyStopError
-from drivers.rtde.driver import RtdeDriver
 from drivers.streams import Batch, StreamLayout
 from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.server import RtdeServer
@@ -60,13 +56,10 @@ class Touching:
 
 
 def touched(bench: MotorBench, path: Path, watch: Touching) -> tuple[SessionReport, Recording]:
-    robot = robot_file().robot
+    file, robot, clock = robot_file(), robot_file().robot, bench.clock
     play = unchecked_play(slow_move(START, GOAL, robot.joints, 0.3), robot)
     with bench.opened() as driver:
-        layouts = driver.streams()
-        recorder = Recorder(path, robot_file(), layouts, trajectory="played", clock=bench.clock)
-        supervisor = Supervisor(Limits.of_robot(robot), layouts)
-        report = record(driver, recorder, supervisor, play, clock=bench.clock, watch=watch, retracts=True)
+        report = record_session(path, file, driver, play, trajectory="played", clock=clock, watch=watch, retracts=True)
     assert report.file is not None
     return report, read_recording(report.file)
 
@@ -102,11 +95,8 @@ def test_a_ur_arm_is_controlled_once_more_for_the_way_back(clock: SimulatedClock
     plant = Plant(file, seed=1)
     server = RtdeServer(plant, ports=NOWHERE, joints=file.robot.joints, clock=clock)
     with serving(server) as network:
-        settings = replace(driver_settings(file.robot, {"host": HOST}), clock=clock)
-        driver = RtdeDriver(settings, network.connect, Motions(clock, network.connect).take_control)
-        driver.open()
-        said = way_back_of(driver, file, plant.position, clock, tmp_path / "run.h5", 450)
-        driver.close()
+        with opened(file.robot, network.connect, clock) as driver:
+            said = way_back_of(driver, file, plant.position, clock, tmp_path / "run.h5", 450)
         assert said == ["contact: elbow", "goes back", "went back, and holds"]
         assert server.controller.script is None  # and no program is left
 
@@ -115,12 +105,9 @@ def way_back_of(
     driver: Driver, file: RobotFile, start: np.ndarray, clock: SimulatedClock, path: Path, sample: int
 ) -> list[str]:
     """What the monitor's events say of a motion that touches something at a sample."""
-    layouts, robot = driver.streams(), file.robot
-    recorder = Recorder(path, file, layouts, trajectory="played", clock=clock)
-    goal = start + 0.3 * np.cos(np.arange(robot.dof))
-    play = unchecked_play(slow_move(start, goal, robot.joints, 0.3), robot)
-    supervisor = Supervisor(Limits.of_robot(robot), layouts)
-    record(driver, recorder, supervisor, play, clock=clock, watch=Touching(sample), retracts=True)
+    goal = start + 0.3 * np.cos(np.arange(file.robot.dof))
+    play, watch = unchecked_play(slow_move(start, goal, file.robot.joints, 0.3), file.robot), Touching(sample)
+    record_session(path, file, driver, play, trajectory="played", clock=clock, watch=watch, retracts=True)
     said = [event.message for event in read_recording(path).events if event.source == "monitor"]
     return [message.split(" for ")[0] for message in said]
 

@@ -7,14 +7,13 @@ import re
 import numpy as np
 import pytest
 from kinematic_arm import RATE, ROBOT_FILE, KinematicArm
+from recorded_session import record_session
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import PointToPoint
 from daq.recording.reader import read_recording
-from daq.recording.recorder import Recorder
-from daq.session.session import Play, record
+from daq.session.play import Play
 from daq.session.sources import Sources
-from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Notice
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
@@ -99,9 +98,7 @@ class Thermometer:
 
 def run(path, clock, sources, play=None, duration=None):
     sources.open()
-    layouts = sources.streams()
-    supervisor = Supervisor(Limits.of_robot(ROBOT_FILE.robot, tracking_error=0.05), layouts)
-    return record(sources, Recorder(path, ROBOT_FILE, layouts, clock=clock), supervisor, play, duration, clock=clock)
+    return record_session(path, ROBOT_FILE, sources, play, duration, tracking_error=0.05, clock=clock)
 
 
 def motion() -> Play:

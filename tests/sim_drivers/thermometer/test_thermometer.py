@@ -9,21 +9,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import recorded_session
 from kinematic_arm import RATE, KinematicArm
 from kinematic_arm import ROBOT_FILE as ARM
+from recorded_session import record_session
 from serial_lines import SerialLine
 from simulated_clock import SimulatedClock
 from unchecked import unchecked_play
 
 from daq.motion.trajectories import PointToPoint
 from daq.recording.reader import read_recording
-from daq.recording.recorder import Recorder
 from daq.recording.recording import Recording
 from daq.robot.schema import Connection, Robot
-from daq.session.session import SessionReport, record
+from daq.session.session import SessionReport
 from daq.session.sources import Sources
 from daq.session.stuck_channels import WATCHED
-from daq.session.supervisor import Limits, Supervisor
 from drivers.base import DriverSettings, Notice
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, UsageError
@@ -363,19 +363,13 @@ def recorded(
         line_end=line,
         clock=clock,
     )
-    with server:
-        sources = Sources("bench", arm, {"oven": driver_of(line.path, clock, **keys)})
-        try:
-            sources.open()
-            layouts = sources.streams()
-            supervisor = Supervisor(Limits.of_robot(robot, tracking_error=0.05), layouts)
-            play = unchecked_play(motion, robot) if duration is None else None
-            recorder = Recorder(path, ARM, layouts, clock=clock)
-            if fault is not None:
-                clock.call_at(clock.now() + fault[0], lambda: server.obey(fault[1]))
-            report = record(sources, recorder, supervisor, play, duration, clock=clock)
-        finally:
-            sources.close()
+    sources = Sources("bench", arm, {"oven": driver_of(line.path, clock, **keys)})
+    with server, recorded_session.opened(sources):
+        play = unchecked_play(motion, robot) if duration is None else None
+        if fault is not None:
+            clock.call_at(clock.now() + fault[0], lambda: server.obey(fault[1]))
+        file = ARM.model_copy(update={"robot": robot})
+        report = record_session(path, file, sources, play, duration, tracking_error=0.05, clock=clock)
     return arm, report, read_recording(path)
 
 
