@@ -243,7 +243,7 @@ class _Known:
             for joint in range(joints):
                 lane = int(np.flatnonzero((lanes.joint == joint) & (lanes.piece == number))[0])
                 rows = np.searchsorted(columns, np.flatnonzero(self.free[joint]))
-                slope = tangents[rows][:, counted[:, lane], lane] / sigma[joint]
+                slope = tangents[lane][counted[:, lane]][:, rows].T / sigma[joint]
                 own.append(weight * slope @ slope.T)
             segments.append(own)
         return segments

@@ -13,7 +13,7 @@ from ident.servo.rollout import Lanes, repeated
 from ident.servo.search import EVERY_ERROR, evaluate, joint_cost, lane_cost, robust_scale, search
 from ident.servo.terms import INDEX, members, start_values, to_search, with_group
 
-STARTING_PIECES = 40
+STARTING_PIECES = 24
 """Pieces at most in the first searches from several limits of acceleration."""
 
 LIKE = 2

@@ -13,16 +13,7 @@ from ident.servo.first_fit import FIRST_GROUPS, LIKE, error_scale, first_fit, la
 from ident.servo.links import ServoLinks
 from ident.servo.motion import PIECE, ServoMotion, halves, lanes_with_touch, measured_load, some_pieces
 from ident.servo.rollout import Lanes, with_pull
-from ident.servo.search import (
-    BLOCKED_LITTLE,
-    EVERY_ERROR,
-    Intervals,
-    evaluate,
-    intervals,
-    joint_cost,
-    search,
-    search_arm,
-)
+from ident.servo.search import BLOCKED_LITTLE, EVERY_ERROR, evaluate, intervals, joint_cost, search
 from ident.servo.terms import GROUPS, INDEX, TERMS, members, to_search, with_group, without_group
 
 PIECES = 160
@@ -149,62 +140,53 @@ def fit_servo(
     _settle_terms(state, (chosen, judged), motions, links, (centre, heavy, moving), tool, least, progress)
     _coupled_again(state, motions, links, tool[0])
     progress("final fit")
-    final = some_pieces(state.kept, FINAL_PIECES)
-    state.values = _of_whole_arm(final, state, centre, least)
-    longer = _longer_pieces(state, final, motions, links, tool[0])
-    if longer is not final:
+    pieces = some_pieces(state.kept, FINAL_PIECES)
+    longer = _longer_pieces(state, pieces, motions, links, tool[0])
+    _free_torques(state, pieces, moving, inertia, least)
+    state.values = _of_whole_arm(longer, state, centre, least)
+    interval = intervals(pieces, state.values, state.free, least)
+    if _pruned(state, interval[3]) | _tied_again(state, interval[2], (centre, moving), inertia, given):
+        progress("final fit without what nothing shows")
         state.values = _of_whole_arm(longer, state, centre, least)
-    if _pruned(final, state, least):
-        state.values = _of_whole_arm(longer, state, centre, least)
-    progress("torques of joints without gravity")
-    low, high, seen, _, covariance = _settle_torques(state, final, longer, (centre, moving), inertia, given, least)
-    pieces, contact = len(np.unique(final.piece)), state.contact
+        interval = intervals(pieces, state.values, state.free, least)
+    low, high, seen, _, covariance = interval
+    count, contact = len(np.unique(pieces.piece)), state.contact
     if contact is not None:
         progress("contact")
         contact = find_contact(state.lanes, state.values, *tool, least, contact)
     values, free, held, assumed = state.values, state.free, state.held, state.assumed
-    return ServoFit(values, low, high, free, seen, held, assumed, moving, covariance, tuple(gains), pieces, contact)
+    return ServoFit(values, low, high, free, seen, held, assumed, moving, covariance, tuple(gains), count, contact)
 
 
-def _settle_torques(
-    state: _State,
-    final: Lanes,
-    longer: Lanes,
-    joints: tuple[FloatArray, BoolArray],
-    inertia: FloatArray,
-    given: Mapping[tuple[int, str], float],
-    least: float,
-) -> Intervals:
-    """Find what ties the torques that gravity does not: inertia of links that change their pose, or other joints.
-
-    Args:
-        state: changed in place.
-        final: pieces that intervals come from.
-        longer: pieces of the last fit.
-        joints: prior (n, terms), whether a joint moves (n,).
-        inertia: (n,) of the links about each joint, on average.
-        given: known values.
-        least: smallest scale of errors.
-    """
-    (centre, moving), stiffness = joints, INDEX["stiffness"]
+def _free_torques(state: _State, lanes: Lanes, moving: BoolArray, inertia: FloatArray, least: float) -> None:
+    """Search the assumed stiffnesses, too, in place: links that change their pose, or other joints, may tie them."""
+    stiffness = INDEX["stiffness"]
     again = np.array([joint for joint, term in state.assumed if term == stiffness and moving[joint]], dtype=np.intp)
     if len(again):
         state.free, state.held = state.free.copy(), state.held.copy()
         state.free[again, stiffness], state.held[again, stiffness] = True, False
         state.assumed -= {(joint, stiffness) for joint in again.tolist()}
-        state.values = _scaled_torques(with_pull(final, state.values), state.values, again, inertia, least)
-        state.values = _of_whole_arm(longer, state, centre, least)
-    found = intervals(final, state.values, state.free, least)
-    loose = state.free[:, stiffness] & ~found[2][:, stiffness]
+        state.values = _scaled_torques(with_pull(lanes, state.values), state.values, again, inertia, least)
+
+
+def _tied_again(
+    state: _State,
+    seen: BoolArray,
+    joints: tuple[FloatArray, BoolArray],
+    inertia: FloatArray,
+    given: Mapping[tuple[int, str], float],
+) -> bool:
+    """Assume the stiffnesses that were searched but are not seen, in place; prior (n, terms) and moving (n,) joints."""
+    (centre, moving), stiffness = joints, INDEX["stiffness"]
+    loose = state.free[:, stiffness] & ~seen[:, stiffness]
     if not loose.any():
-        return found
-    scaled = (~loose, moving)
+        return False
+    which = (~loose, moving)
     state.values, state.free, state.held, more = _tied(
-        state.values, state.free, state.held, centre, scaled, inertia, given
+        state.values, state.free, state.held, centre, which, inertia, given
     )
     state.assumed |= more
-    state.values = _of_whole_arm(longer, state, centre, least)
-    return intervals(final, state.values, state.free, least)
+    return True
 
 
 @dataclass(eq=False)
@@ -375,7 +357,7 @@ def _of_whole_arm(lanes: Lanes, state: _State, centre: FloatArray, least: float)
     known = with_pull(lanes, state.values)
     scale = error_scale(known, state.values, least)
     values = search(known, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
-    return search_arm(lanes, values, state.free, error_scale(lanes, values, least), centre, 30, BLOCKED_LITTLE)
+    return search(lanes, values, state.free, error_scale(lanes, values, least), centre, 12, BLOCKED_LITTLE)
 
 
 def _tried(
@@ -406,9 +388,8 @@ def _beside_coulomb(values: FloatArray, able: Sequence[int], group: str) -> Floa
     return values
 
 
-def _pruned(lanes: Lanes, state: _State, least: float) -> bool:
-    """Take away the optional terms of which all data together tell nothing, in place."""
-    wide = intervals(lanes, state.values, state.free, least)[3]
+def _pruned(state: _State, wide: BoolArray) -> bool:
+    """Take away the optional terms of which all data together tell nothing (n, terms), in place."""
     state.values, state.free, pruned = state.values.copy(), state.free.copy(), False
     for group in GROUPS:
         own = members(group)

@@ -9,7 +9,7 @@ stable with any step, and neither ahead of the joint nor damped.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from ctypes import c_double, c_long, c_void_p
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -22,9 +22,6 @@ from ident.servo.terms import INDEX, TERMS
 
 STEEPNESS_SPAN = 0.03
 """Half of the difference that gives derivatives by the logarithm of an acceleration limit."""
-
-DELAY_SPAN = 1.5
-"""The same by a delay, in steps."""
 
 UNLIMITED = 1e6
 """[rad/s²] From this acceleration on, a profile is its target."""
@@ -98,8 +95,13 @@ class Lanes:
             touch = Touch(touch.reference[:, chosen], touch.height[:, :, kept], touch.lever[:, :, chosen])
         return replace(self.of(chosen), touch=touch, between=None if self.between is None else self.between[:, kept])
 
-    def of(self, chosen: IndexArray) -> Lanes:
-        """Some of the lanes."""
+    def consecutive(self, pieces: slice, joints: int) -> Lanes:
+        """Pieces that lie side by side, of so many lanes each, without what they touch."""
+        between = None if self.between is None else self.between[:, pieces]
+        return replace(self.of(slice(pieces.start * joints, pieces.stop * joints)), between=between)
+
+    def of(self, chosen: IndexArray | slice) -> Lanes:
+        """Some of the lanes, on their own."""
         return Lanes(
             self.step,
             self.joint[chosen],
@@ -135,37 +137,110 @@ class RollOut(NamedTuple):
 
     Attributes:
         path: (K, L) positions on the grid [rad or m].
-        tangents: (F, K, L) derivatives of the path without contact by the search's coordinates (logarithms of positive
-            terms); (n·F, K, L) where joints move each other, by the terms of each joint of a piece in turn.
+        slopes: (P, S, n, F) derivatives of the path without contact at the samples of each piece and joint, by F
+            parameters in the search's coordinates (logarithms of positive terms).
         force: (K, P) of the contact [N], without columns where nothing is touched.
         pull: (K, L) torque that the other joints ask for [N·m], without columns where none moves another.
     """
 
     path: FloatArray
-    tangents: FloatArray
+    slopes: FloatArray
     force: FloatArray
     pull: FloatArray
 
 
 def roll_out(
-    lanes: Lanes, values: FloatArray, free: IndexArray | None = None, surface: FloatArray | None = None
+    lanes: Lanes,
+    values: FloatArray,
+    terms: IndexArray | None = None,
+    owners: IndexArray | None = None,
+    surface: FloatArray | None = None,
 ) -> RollOut:
     """Roll lanes out on their commands.
 
     Args:
-        lanes: K steps, L lanes.
+        lanes: K steps, L lanes. Where none moves another, each is a piece of its own.
         values: (terms, L) parameters of each lane.
-        free: (F,) indices of the terms to derive by; none where None.
+        terms: (F,) indices of the terms to derive by; none where None.
+        owners: (F,) the joint of a piece whose term it is; 0 where None.
         surface: (5, P) height [m] and stiffness [N/m] of what each piece may touch, and the point (3) [m] that touches;
             nothing is touched where None.
     """
-    free = np.zeros(0, dtype=np.intp) if free is None else free
-    rows = {TERMS[term].name: row for row, term in enumerate(free)}
-    p = {name: values[index] for name, index in INDEX.items()}
-    goals, d_goals = _goals(lanes, p["delay"], p["acceleration_limit"], rows)
+    terms = np.zeros(0, dtype=np.intp) if terms is None else terms
+    owners = np.zeros_like(terms) if owners is None else owners
+    delay, steepest = values[INDEX["delay"]], values[INDEX["acceleration_limit"]]
+    goals = _goals(lanes, delay, steepest, {TERMS[term].name for term in terms})
     together = _Together(lanes, surface)
     if (library := kernels().long) is not None:
-        return _compiled(library, lanes, values, free, goals, d_goals, together)
+        return _compiled(library, lanes, values, (terms, owners), goals, together)
+    return _by_numpy(lanes, values, (terms, owners), goals, together)
+
+
+def with_pull(lanes: Lanes, values: FloatArray) -> Lanes:
+    """Lanes whose joints' torques on each other are known: those of a roll-out with values (n, terms)."""
+    if lanes.between is None:
+        return lanes
+    return replace(lanes, load=lanes.load + roll_out(lanes, values[lanes.joint].T).pull, between=None)
+
+
+class _Goals(NamedTuple):
+    """Goals (K, L) of profiles in each step, and their derivatives by delay and limit; None where not asked for."""
+
+    path: FloatArray
+    by_delay: FloatArray | None
+    by_limit: FloatArray | None
+
+
+def _compiled(
+    library: Any,
+    lanes: Lanes,
+    values: FloatArray,
+    parameters: tuple[IndexArray, IndexArray],
+    goals: _Goals,
+    together: _Together,
+) -> RollOut:
+    """The same by the library's C code."""
+    (count, width), (terms, owners) = lanes.load.shape, parameters
+    coupled, touched, joints = lanes.between is not None, together.touched, together.joints
+    pieces, samples = width // joints, len(lanes.sample)
+    path, pull = np.empty((count, width)), np.empty((count, width if coupled else 0))
+    slopes = np.empty((pieces, samples if len(terms) else 0, joints, len(terms)))
+    force = np.empty((count, together.pieces if touched else 0))
+    call = _Call()
+    library.servo_roll_out(
+        *(c_long(size) for size in (count, pieces, joints)),
+        c_double(lanes.step),
+        *map(call.given, (values, lanes.inertia, lanes.load, lanes.load_slope, lanes.start, goals.path)),
+        *(call.given(lanes.between), c_long(THINNED), call.given(pull if coupled else None)),
+        *(call.given(array if touched else None) for array in (together.clear, together.lever, together.surface)),
+        *(call.given(force if touched else None), c_long(len(terms))),
+        *(call.given(owners, np.int_), call.given(terms, np.int_)),
+        *(call.given(goals.by_delay), call.given(goals.by_limit), c_long(samples)),
+        *(call.given(lanes.sample[:, ::joints]), call.given(path), call.given(slopes)),
+    )
+    return RollOut(path, slopes, force, pull)
+
+
+class _Call:
+    """Arrays of a call of the library, which live until it has ended."""
+
+    def __init__(self) -> None:
+        """Without arrays."""
+        self._kept: list[Any] = []
+
+    def given(self, array: FloatArray | IndexArray | None, kind: Any = np.float64) -> c_void_p:
+        """The address of an array, which is copied if C could not read it; that of None is NULL."""
+        if array is None:
+            return c_void_p(None)
+        self._kept.append(np.ascontiguousarray(array, dtype=kind))
+        return c_void_p(address(self._kept[-1]))
+
+
+def _by_numpy(
+    lanes: Lanes, values: FloatArray, parameters: tuple[IndexArray, IndexArray], goals: _Goals, together: _Together
+) -> RollOut:
+    """The same by NumPy."""
+    p = {name: values[index] for name, index in INDEX.items()}
     inertia = p["armature"] + lanes.inertia
     offset = p["zero"] * lanes.load_slope
     h, (count, width) = lanes.step, lanes.load.shape
@@ -177,7 +252,7 @@ def roll_out(
     present = _Present.of(p)
     for index in range(count):
         path[index], velocities[index] = position, velocity
-        error = goals[index] - position - p["bias"]
+        error = goals.path[index] - position - p["bias"]
         step = _step(
             half, p, inertia[index], resistance[index], lanes.load[index], offset[index], error, velocity, present
         )
@@ -187,59 +262,18 @@ def roll_out(
             moving = middle != 0.0
         velocity = np.where(moving, 2.0 * middle - velocity, 0.0)
         position = position + h * middle
-    tangents = np.zeros((0, count, width))
-    if len(free):
-        error = goals - path - p["bias"]
+    terms, owners = parameters
+    pieces = width // together.joints
+    slopes = np.zeros((pieces, 0, together.joints, 0))
+    if len(terms):
+        columns = np.unique(terms)
+        error = goals.path - path - p["bias"]
         step = _step(half, p, inertia, resistance, lanes.load + pull, offset, error, velocities)
-        tangents = _tangents(lanes, p, rows, inertia, step, velocities, d_goals, together)
+        tangents = _tangents(lanes, p, columns, inertia, step, velocities, goals, together)
+        sampled = at_samples(lanes, tangents[np.searchsorted(columns, terms) + owners * len(columns)])
+        slopes = np.moveaxis(sampled.reshape(len(terms), -1, pieces, together.joints), (1, 2, 3, 0), (1, 0, 2, 3))
     none = slice(None) if lanes.between is not None else slice(0)
-    return RollOut(path, tangents, force if surface is not None else force[:, :0], pull[:, none])
-
-
-def with_pull(lanes: Lanes, values: FloatArray) -> Lanes:
-    """Lanes whose joints' torques on each other are known: those of a roll-out with values (n, terms)."""
-    if lanes.between is None:
-        return lanes
-    return replace(lanes, load=lanes.load + roll_out(lanes, values[lanes.joint].T).pull, between=None)
-
-
-def _compiled(
-    library: Any,
-    lanes: Lanes,
-    values: FloatArray,
-    free: IndexArray,
-    goals: FloatArray,
-    d_goals: dict[int, FloatArray],
-    together: _Together,
-) -> RollOut:
-    """The same by the library's C code."""
-    count, width = lanes.load.shape
-    by_goals = np.zeros((len(free), count, width))
-    for row, derivative in d_goals.items():
-        by_goals[row] = derivative
-    coupled, touched = lanes.between is not None, together.touched
-    owners = together.joints if coupled else 1
-    path, tangents = np.empty((count, width)), np.empty((owners * len(free), count, width))
-    pull, force = np.empty((count, width if coupled else 0)), np.empty((count, together.pieces if touched else 0))
-    kept = []  # what C reads lives until it has
-
-    def given(array: FloatArray | IndexArray | None, kind: Any = np.float64) -> c_void_p:
-        if array is None:
-            return c_void_p(None)
-        kept.append(np.ascontiguousarray(array, dtype=kind))
-        return c_void_p(address(kept[-1]))
-
-    known = [values, lanes.inertia, lanes.load, lanes.load_slope, lanes.start, goals]
-    library.servo_roll_out(
-        *(c_long(size) for size in (count, width // together.joints, together.joints)),
-        c_double(lanes.step),
-        *(given(array) for array in known),
-        *(given(lanes.between), c_long(THINNED), c_void_p(address(pull)) if coupled else c_void_p(None)),
-        *(given(array if touched else None) for array in (together.clear, together.lever, together.surface)),
-        *(c_void_p(address(force)) if touched else c_void_p(None), c_long(len(free))),
-        *(given(free, np.int_), given(by_goals), c_void_p(address(path)), c_void_p(address(tangents))),
-    )
-    return RollOut(path, tangents, force, pull)
+    return RollOut(path, slopes, force if together.touched else force[:, :0], pull[:, none])
 
 
 class _Present(NamedTuple):
@@ -410,11 +444,11 @@ class _Together:
 def _tangents(
     lanes: Lanes,
     p: dict[str, FloatArray],
-    rows: dict[str, int],
+    terms: IndexArray,
     inertia: FloatArray,
     step: _Step,
     velocity: FloatArray,
-    d_goals: dict[int, FloatArray],
+    goals: _Goals,
     together: _Together,
 ) -> FloatArray:
     """Derivatives (F, K, L) of the positions on the grid; (n·F, K, L) where joints move each other.
@@ -423,7 +457,7 @@ def _tangents(
     and velocity before it, d_middle = kept·d_velocity + pulled·d_position + driven. The coefficients of all steps are
     computed at once.
     """
-    h = 0.5 * lanes.step
+    h, rows = 0.5 * lanes.step, {TERMS[term].name: row for row, term in enumerate(terms)}
     freely = step.acting > 0
     gate = step.moving / step.divisor
     torque = step.torque - h * step.acting * step.velocity
@@ -439,8 +473,9 @@ def _tangents(
         if name in rows:
             driven[rows[name]] = partial()
 
-    for row, derivative in d_goals.items():
-        driven[row] = -pulled * derivative
+    for name, derivative in (("delay", goals.by_delay), ("acceleration_limit", goals.by_limit)):
+        if derivative is not None:
+            driven[rows[name]] = -pulled * derivative
     add("bias", lambda: pulled)
     add("dead_band", lambda: pulled * step.side * p["dead_band"])
     add("stiffness", lambda: pull * np.where(freely, torque, 0.0))
@@ -482,17 +517,24 @@ def at_samples(lanes: Lanes, path: FloatArray) -> FloatArray:
     return sampled
 
 
-def _goals(
-    lanes: Lanes, delay: FloatArray, steepest: FloatArray, rows: dict[str, int]
-) -> tuple[FloatArray, dict[int, FloatArray]]:
-    """Goals (K, L) of the servos' profiles in each step, and their derivatives by the rows that are asked for.
+def _goals(lanes: Lanes, delay: FloatArray, steepest: FloatArray, names: Collection[str]) -> _Goals:
+    """Goals of the servos' profiles, and their derivatives by those of delay and limit that `names` holds.
 
     A profile starts at once, however small a part of a command has come: goals are delayed, not commands. Goals are
     means over the step, as commands are. A profile
     that switches between its limits has no smooth derivative by them: differences over a finite span stand for it.
     """
-    limit, factor = "acceleration_limit", np.exp(STEEPNESS_SPAN)
-    limits = [steepest, *([steepest * factor, steepest / factor] if limit in rows else [])]
+    limited = "acceleration_limit" in names
+    if (library := kernels().long) is not None:
+        call, shape = _Call(), lanes.load.shape
+        path, by_delay = np.empty(shape), np.empty(shape) if "delay" in names else None
+        by_limit = np.empty(shape) if limited else None
+        sizes = (c_long(lanes.history), c_long(shape[0]), c_long(shape[1]), c_double(lanes.step))
+        given = map(call.given, (lanes.command, delay, steepest, path, by_delay, by_limit))
+        library.servo_goals(*sizes, c_double(STEEPNESS_SPAN), c_double(UNLIMITED), *given)
+        return _Goals(path, by_delay, by_limit)
+    factor = np.exp(STEEPNESS_SPAN)
+    limits = [steepest, *([steepest * factor, steepest / factor] if limited else [])]
     wide, steep = np.tile(lanes.command, (1, len(limits))), np.concatenate(limits)
     ends = profile_goals(wide, lanes.step, steep)
     wide[1:] = np.where(steep < UNLIMITED, 0.5 * (ends[1:] + ends[:-1]), wide[1:])
@@ -505,12 +547,11 @@ def _goals(
         reached = own[places, lane]
         older = reached[:-1] - reached[1:]
         delayed.append((reached[1:] + late * older, older))
-    derivatives = {}
-    if "delay" in rows:
-        derivatives[rows["delay"]] = delayed[0][1] / lanes.step
-    if limit in rows:
-        derivatives[rows[limit]] = (delayed[1][0] - delayed[2][0]) / (2 * STEEPNESS_SPAN)
-    return delayed[0][0], derivatives
+    return _Goals(
+        delayed[0][0],
+        delayed[0][1] / lanes.step if "delay" in names else None,
+        (delayed[1][0] - delayed[2][0]) / (2 * STEEPNESS_SPAN) if limited else None,
+    )
 
 
 def profile_goals(command: FloatArray, step: float, steepest: FloatArray) -> FloatArray:
@@ -522,9 +563,8 @@ def profile_goals(command: FloatArray, step: float, steepest: FloatArray) -> Flo
         return command
     goals = np.empty(command.shape)
     if (library := kernels().long) is not None:
-        given = [np.ascontiguousarray(array, dtype=np.float64) for array in (command, steepest)]
-        sizes = c_long(len(command)), c_long(command.shape[1]), c_double(step)
-        library.servo_profile(*sizes, *(c_void_p(address(array)) for array in (*given, goals)))
+        sizes, call = (c_long(len(command)), c_long(command.shape[1]), c_double(step)), _Call()
+        library.servo_profile(*sizes, *map(call.given, (command, steepest, goals)))
         return goals
     half, most = 0.5 * step * steepest, step * steepest
     goals[0] = goal = command[0]

@@ -10,6 +10,9 @@ blocked for seconds hardly pulls at.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
@@ -55,13 +58,10 @@ _PRIOR = np.array([BIAS if term.name == "bias" else term.spread for term in TERM
 
 
 def evaluate(lanes: Lanes, values: FloatArray, free: BoolArray | None = None) -> tuple[FloatArray, FloatArray]:
-    """Residuals (S, L) and their derivatives (F, S, L) by the terms that are free in some joint."""
+    """Residuals (S, L) and their derivatives (L, S, F) by the terms of each lane that are free in some joint."""
     columns = None if free is None else np.flatnonzero(free.any(axis=0))
-    path, tangents = roll_out(lanes, values[lanes.joint].T, columns)[:2]
-    residual = at_samples(lanes, path) - lanes.measured
-    if columns is None or not len(columns):
-        return residual, np.empty((0, *residual.shape))
-    return residual, at_samples(lanes, tangents)
+    rolled = roll_out(lanes, values[lanes.joint].T, columns)
+    return at_samples(lanes, rolled.path) - lanes.measured, rolled.slopes[:, :, 0]
 
 
 EVERY_ERROR, BLOCKED_LITTLE = 1.0, 0.0
@@ -99,6 +99,48 @@ def robust_scale(residual: FloatArray, lanes: Lanes, joints: int, least: float) 
     return scale
 
 
+@dataclass(eq=False)
+class _Descent:
+    """Levenberg-Marquardt on parameters that are searched together: those of a joint, or of a whole arm.
+
+    Attributes:
+        free: (n, terms) of the parameters.
+        patience: trials that are followed although the cost rises, until the next has to be better than all before.
+        still: relative fall of the cost at which it ends.
+        best: coordinates, curvature and gradient of the least cost.
+        followed: of the trial that the next step begins at.
+    """
+
+    free: BoolArray
+    patience: int
+    still: float
+    best: tuple[FloatArray, FloatArray, FloatArray] = (np.empty(0), np.empty(0), np.empty(0))
+    followed: tuple[FloatArray, FloatArray, FloatArray] = (np.empty(0), np.empty(0), np.empty(0))
+    least: float = np.inf
+    damping: float = DAMPING_START * DAMPING_FACTOR
+    waited: int = 0
+    done: bool = False
+
+    def judge(self, trial: FloatArray, curvature: FloatArray, gradient: FloatArray, cost: float) -> None:
+        """Take a trial, follow it although it is worse, or go back."""
+        fall, self.waited = self.least - cost, self.waited + 1
+        if fall > 0:
+            self.done = fall < self.still * self.least
+            self.best = self.followed = (trial, curvature, gradient)
+            self.least, self.damping, self.waited = cost, self.damping / DAMPING_FACTOR, 0
+        elif self.waited % self.patience and -fall < JUMP * self.least:
+            self.followed = (trial, curvature, gradient)
+        else:
+            self.followed, self.damping = self.best, self.damping * DAMPING_FACTOR
+        self.done |= self.damping > DAMPING_LIMIT or (self.patience > 1 and self.waited > 2 * self.patience)
+
+    def next_trial(self, longest: FloatArray) -> FloatArray:
+        """Coordinates of the next trial, at most so far from those that are followed."""
+        point, curvature, gradient = self.followed
+        move = np.linalg.solve(curvature + self.damping * np.diag(np.diag(curvature)), gradient)
+        return np.asarray(point - np.clip(move, -longest, longest), dtype=np.float64)
+
+
 def search(
     lanes: Lanes,
     values: FloatArray,
@@ -108,7 +150,7 @@ def search(
     evaluations: int,
     shape: float,
 ) -> FloatArray:
-    """Values (n, terms) that minimise each joint's robust cost plus its weak prior.
+    """Values (n, terms) of least robust cost plus weak prior: of each joint, or of an arm whose joints move each other.
 
     Args:
         lanes: pieces of motion.
@@ -116,146 +158,95 @@ def search(
         free: (n, terms) to search.
         scale: (n,) of the errors [rad or m].
         centre: (n, terms) of the prior, in the search's coordinates.
-        evaluations: of roll-outs with derivatives, at most.
+        evaluations: of roll-outs after the first, at most.
         shape: of the loss.
     """
-    joints = len(values)
-    point = to_search(values)
-    damping = np.full(joints, DAMPING_START)
-    done = ~free.any(axis=1)
-    columns = np.flatnonzero(free.any(axis=0))
-    residual, tangents = evaluate(lanes, values, free)
-    cost = joint_cost(residual, lanes, scale, shape) + _prior(point, centre, free)
-    for _ in range(evaluations):
-        step = np.zeros_like(point)
-        for joint in np.flatnonzero(~done).tolist():
-            own = np.flatnonzero(free[joint])
-            curvature, gradient = normal_equations(residual, tangents, lanes, joint, scale[joint], columns, own, shape)
-            curvature += np.diag(1.0 / _PRIOR[own] ** 2)
-            gradient += (point[joint, own] - centre[joint, own]) / _PRIOR[own] ** 2
-            damped = curvature + damping[joint] * np.diag(np.diag(curvature))
-            move = -np.linalg.lstsq(damped, gradient, rcond=None)[0]
-            step[joint, own] = np.clip(move, -0.7 * _SPREAD[own], 0.7 * _SPREAD[own])
-        trial = to_search(np.where(free, from_search(point + step), values))
-        new_residual, new_tangents = evaluate(lanes, np.where(free, from_search(trial), values), free)
-        new_cost = joint_cost(new_residual, lanes, scale, shape) + _prior(trial, centre, free)
-        better = (new_cost < cost) & ~done
-        done |= better & (cost - new_cost < STILL * cost)
-        damping = np.where(better, damping / DAMPING_FACTOR, damping * DAMPING_FACTOR)
-        done |= damping > DAMPING_LIMIT
-        point[better], cost[better] = trial[better], new_cost[better]
-        taken = better[lanes.joint]
-        residual[:, taken], tangents[:, :, taken] = new_residual[:, taken], new_tangents[:, :, taken]
-        if done.all():
+    together = lanes.between is not None
+    owned = [free & (np.arange(len(free)) == joint)[:, None] for joint in np.flatnonzero(free.any(axis=1))]
+    blocks = [free] if together and owned else owned
+    descents = [_Descent(block, PATIENCE if together else 1, STILL * (0.1 if together else 1.0)) for block in blocks]
+    trial = to_search(values)
+    for evaluation in range(evaluations + 1):
+        running = [each for each in descents if not each.done]
+        if not running:
             break
-        left = np.flatnonzero(~done[lanes.joint])
-        if len(left) < len(lanes.joint):
-            # what has settled is not rolled out again
-            lanes, residual, tangents = lanes.of(left), residual[:, left], tangents[:, :, left]
-    return np.where(free, from_search(point), values)
-
-
-def of_joint(
-    residual: FloatArray, tangents: FloatArray, lanes: Lanes, joint: int, columns: IndexArray, own: IndexArray
-) -> tuple[FloatArray, FloatArray]:
-    """Residuals (S, l) of a joint's lanes, and their derivatives (f, S, l) by its own terms among the `columns`."""
-    chosen = np.flatnonzero(lanes.joint == joint)
-    rows = np.searchsorted(columns, own)
-    return residual[:, chosen], tangents[np.ix_(rows, np.arange(tangents.shape[1]), chosen)]
-
-
-def normal_equations(
-    residual: FloatArray,
-    tangents: FloatArray,
-    lanes: Lanes,
-    joint: int,
-    scale: float,
-    columns: IndexArray,
-    own: IndexArray,
-    shape: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Curvature and gradient of a joint's robust cost by its own terms (half of the derivatives)."""
-    measured, derivative = of_joint(residual, tangents, lanes, joint, columns, own)
-    counted = np.isfinite(measured)
-    error, jacobian = measured[counted] / scale, derivative[:, counted] / scale
-    weight = loss(error, shape)[1]
-    return (jacobian * weight) @ jacobian.T, jacobian @ (weight * error)
-
-
-def _prior(point: FloatArray, centre: FloatArray, free: BoolArray) -> FloatArray:
-    return np.asarray(np.sum(np.where(free, ((point - centre) / _PRIOR) ** 2, 0.0), axis=1), dtype=np.float64)
-
-
-def search_arm(
-    lanes: Lanes,
-    values: FloatArray,
-    free: BoolArray,
-    scale: FloatArray,
-    centre: FloatArray,
-    evaluations: int,
-    shape: float,
-) -> FloatArray:
-    """The same for lanes whose joints move each other: values (n, terms) of least cost of the whole arm."""
-    owners, terms = np.nonzero(free)
-    if not len(owners):
-        return values
-    point, precision, damping = to_search(values), 1.0 / _PRIOR[terms] ** 2, DAMPING_START
-    curvatures, gradients = _equations(lanes, values, free, scale, shape)
-    cost = joint_cost(evaluate(lanes, values)[0], lanes, scale, shape) + _prior(point, centre, free)
-    least, best, waited = float(cost.sum()), (point, curvatures, gradients), 0
-    for _ in range(evaluations):
-        curvature = curvatures.sum(axis=0) + np.diag(precision)
-        gradient = gradients.sum(axis=0) + precision * (point - centre)[owners, terms]
-        move = -np.linalg.lstsq(curvature + damping * np.diag(np.diag(curvature)), gradient, rcond=None)[0]
-        step = np.zeros_like(point)
-        step[owners, terms] = np.clip(move, -0.7 * _SPREAD[terms], 0.7 * _SPREAD[terms])
-        trial = to_search(np.where(free, from_search(point + step), values))
+        if evaluation:
+            for each in running:
+                trial[each.free] = each.next_trial(0.7 * np.tile(_SPREAD, (len(free), 1))[each.free])
+            trial = to_search(np.where(free, from_search(trial), values))
+            kept = np.any([each.free.any(axis=1) for each in running], axis=0)[lanes.joint]
+            if not together and not kept.all():
+                lanes = lanes.of(np.flatnonzero(kept))  # what has settled is not rolled out again
         moved = np.where(free, from_search(trial), values)
-        cost = joint_cost(evaluate(lanes, moved)[0], lanes, scale, shape) + _prior(trial, centre, free)
-        fall, waited = least - float(cost.sum()), waited + 1
-        if fall > 0:
-            point, (curvatures, gradients) = trial, _equations(lanes, moved, free, scale, shape)
-            least, best, damping, waited = least - fall, (trial, curvatures, gradients), damping / DAMPING_FACTOR, 0
-            if fall < 0.1 * STILL * least:
-                break
-        elif waited % PATIENCE and -fall < JUMP * least:
-            point, (curvatures, gradients) = trial, _equations(lanes, moved, free, scale, shape)
-        else:
-            (point, curvatures, gradients), damping = best, damping * DAMPING_FACTOR
-        if waited > 2 * PATIENCE or damping > DAMPING_LIMIT:
-            break
-    return np.where(free, from_search(best[0]), values)
+        equations = _sums(lanes, moved, [each.free for each in running], scale, shape)
+        prior = np.where(free, ((trial - centre) / _PRIOR) ** 2, 0.0)
+        for each, (curvature, gradient, cost) in zip(running, equations, strict=True):
+            precision = np.tile(_PRIOR**-2, (len(free), 1))[each.free]
+            pull = precision * (trial - centre)[each.free]
+            whole = curvature + np.diag(precision)
+            each.judge(trial[each.free], whole, gradient + pull, cost + float(prior[each.free].sum()))
+    for each in descents:
+        trial[each.free] = each.best[0]
+    return np.where(free, from_search(trial), values)
 
 
-def _equations(
-    lanes: Lanes, values: FloatArray, free: BoolArray, scale: FloatArray, shape: float, share: FloatArray | None = None
-) -> tuple[FloatArray, FloatArray]:
-    """Curvature (P, m, m) and gradient (P, m) by the free terms, joint after joint.
-
-    The curvature is times the `share` (n,) of each joint's residuals.
-    """
-    pieces, joints, (owners, terms) = np.unique(lanes.piece), len(values), np.nonzero(free)
+def _sums(
+    lanes: Lanes, values: FloatArray, blocks: Sequence[BoolArray], scale: FloatArray, shape: float
+) -> list[tuple[FloatArray, FloatArray, float]]:
+    """Curvature and gradient (half of the derivatives) of the robust cost by blocks of terms, and the cost."""
+    if lanes.between is not None:
+        curvature, gradient, cost = equations(lanes, values, blocks[0], scale, shape)
+        return [(curvature.sum(axis=0), gradient.sum(axis=0), float(cost.sum()))]
+    free = np.any(blocks, axis=0)
     columns = np.flatnonzero(free.any(axis=0))
-    rows = np.searchsorted(columns, terms) + owners * len(columns)
-    share = np.ones(joints) if share is None else share
-    gradients = np.empty((len(pieces), len(owners)))
-    curvatures = np.empty((len(pieces), len(owners), len(owners)))
-    many = max(1, int(CHUNK / (joints * joints * max(len(columns), 1) * len(lanes.load))))
-    for first in range(0, len(pieces), many):
-        part = lanes.of_pieces(pieces[first : first + many])
-        if part.between is None:
-            raise AssertionError("the joints of these lanes do not move each other")
-        path, tangents = roll_out(part, values[part.joint].T, columns)[:2]
-        residual, slopes = at_samples(part, path) - part.measured, at_samples(part, tangents[rows])
-        for number in range(len(np.unique(part.piece))):
-            own = slice(number * joints, (number + 1) * joints)
-            counted = np.isfinite(residual[:, own])
-            wide = np.broadcast_to(scale, counted.shape)[counted]
-            error, slope = residual[:, own][counted] / wide, slopes[:, :, own][:, counted] / wide
-            weight = loss(error, shape)[1]
-            counts = weight * np.broadcast_to(share, counted.shape)[counted]
-            curvatures[first + number], gradients[first + number] = (slope * counts) @ slope.T, slope @ (weight * error)
-    return curvatures, gradients
+    curvature, gradient, cost = equations(lanes, values, free, scale, shape)
+    sums = []
+    for block in blocks:
+        joint = int(np.flatnonzero(block.any(axis=1))[0])
+        own, rows = np.searchsorted(columns, np.flatnonzero(block[joint])), lanes.joint == joint
+        total = curvature[rows].sum(axis=0)[np.ix_(own, own)]
+        sums.append((total, gradient[rows].sum(axis=0)[own], float(cost[rows].sum())))
+    return sums
+
+
+def equations(
+    lanes: Lanes, values: FloatArray, free: BoolArray, scale: FloatArray, shape: float, share: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Curvature (P, F, F), gradient (P, F) and robust cost (P,) of each piece; of lanes alone, each is a piece.
+
+    By the free terms of all joints, joint after joint; of lanes alone by those that are free in some joint. The
+    curvature is times the `share` (n,) of each joint's residuals.
+    """
+    owners, terms = np.nonzero(free)
+    joints = len(free) if lanes.between is not None else 1
+    if lanes.between is None:
+        terms = np.unique(terms)
+        owners = np.zeros_like(terms)
+    pieces, samples = len(lanes.joint) // joints, len(lanes.sample)
+    curvature, gradient = np.empty((pieces, len(terms), len(terms))), np.empty((pieces, len(terms)))
+    cost, many = np.empty(pieces), max(1, int(CHUNK / (joints * samples * max(len(terms), 1))))
+    share = np.ones(len(free)) if share is None else share
+    for first in range(0, pieces, many):
+        part = slice(first, min(first + many, pieces))
+        own = lanes if many >= pieces else lanes.consecutive(part, joints)
+        joint = own.joint.reshape(-1, 1, joints)
+        rolled = roll_out(own, values[own.joint].T, terms, owners)
+        residual = (at_samples(own, rolled.path) - own.measured).reshape(samples, -1, joints).swapaxes(0, 1)
+        error = residual / scale[joint]
+        counted = np.isfinite(error)
+        error[~counted] = 0.0
+        losses, weight = loss(error, shape)
+        root = np.where(counted, np.sqrt(weight), 0.0)
+        slopes = rolled.slopes
+        slopes *= (root / scale[joint])[..., None]
+        slopes = slopes.reshape(len(root), -1, len(terms))
+        pulled = (root * error).reshape(len(root), -1, 1)
+        gradient[part] = np.matmul(slopes.swapaxes(1, 2), pulled)[:, :, 0]
+        if share.min() < 1.0:
+            slopes *= np.sqrt(np.broadcast_to(share[joint], root.shape)).reshape(len(root), -1, 1)
+        curvature[part] = np.matmul(slopes.swapaxes(1, 2), slopes)
+        cost[part] = losses.sum(axis=(1, 2))
+    return curvature, gradient, cost
 
 
 Intervals = tuple[FloatArray, FloatArray, BoolArray, BoolArray, tuple[FloatArray, ...]]
@@ -280,7 +271,7 @@ def intervals(lanes: Lanes, values: FloatArray, free: BoolArray, least: float) -
     residual = evaluate(lanes, values)[0]
     scale = robust_scale(residual, lanes, len(values), least)
     share = _bend(residual / scale[lanes.joint], lanes.joint, len(values))
-    curvatures, gradients = _equations(lanes, values, free, scale, BLOCKED_LITTLE, share)
+    curvatures, gradients, _ = equations(lanes, values, free, scale, BLOCKED_LITTLE, share)
     covariance, allowed = _spread(curvatures, gradients, np.diag((UNSEEN / _SPREAD[terms]) ** 2))
     quantile = float(stdtrit(max(1, len(gradients) - 1), 0.5 + CONFIDENCE / 2))
     reach, least_reach = quantile * np.sqrt(np.diag(covariance)), quantile * np.sqrt(allowed)

@@ -11,7 +11,7 @@ from daq.recording.commanded_motion import CommandedMotion
 from ident.compiled.library import Kernels, kernels
 from ident.servo import rollout
 from ident.servo.motion import servo_motions
-from ident.servo.rollout import THINNED, Lanes, Touch, _goals, profile_goals, roll_out, with_pull
+from ident.servo.rollout import THINNED, Lanes, Touch, _goals, at_samples, profile_goals, roll_out, with_pull
 from ident.servo.search import evaluate
 from ident.servo.terms import GROUPS, INDEX, TERMS, from_search, members, start_values, to_search, with_group
 
@@ -79,7 +79,7 @@ def every_term() -> tuple[np.ndarray, np.ndarray]:
 def test_derivatives_are_those_of_the_roll_out(name):
     values, free = every_term()
     moved, point, column = lanes(), to_search(values), INDEX[name]
-    tangents = evaluate(moved, values, free)[1][np.searchsorted(np.flatnonzero(free.any(axis=0)), column)]
+    tangents = evaluate(moved, values, free)[1][:, :, np.searchsorted(np.flatnonzero(free.any(axis=0)), column)].T
     ends = []
     for shift in (1e-6, -1e-6):
         there = point.copy()
@@ -118,10 +118,12 @@ def test_the_library_computes_what_numpy_does(monkeypatch):
         (dataclasses.replace(touched, between=None), np.full(3, 1e7), surface),
     ):
         values[:, INDEX["acceleration_limit"]] = steepest
-        found = roll_out(moved, values[moved.joint].T, None if pushed is not None else free, pushed)
+        terms = None if pushed is not None else free if moved.between is None else np.tile(free, 3)
+        owners = None if moved.between is None else np.repeat(np.arange(3), len(free))
+        found = roll_out(moved, values[moved.joint].T, terms, owners, pushed)
         with monkeypatch.context() as without:
             without.setattr(rollout, "kernels", lambda: Kernels(None, None, "off"))
-            expected = roll_out(moved, values[moved.joint].T, None if pushed is not None else free, pushed)
+            expected = roll_out(moved, values[moved.joint].T, terms, owners, pushed)
         for own, other in zip(found, expected, strict=True):
             np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-8)
         assert pushed is None or found.force.max() > 1.0
@@ -144,17 +146,18 @@ def test_derivatives_of_an_arm_are_those_by_the_terms_of_every_joint():
     moved, values = arm_lanes(), start_values(3)
     values[:, INDEX["coulomb"]] = 1e-6  # sticking has derivatives that jump
     free = np.array([INDEX["stiffness"], INDEX["armature"], INDEX["bias"]])
-    tangents = roll_out(moved, values[moved.joint].T, free).tangents.reshape(3, 3, *moved.load.shape)
-    for owner in range(3):
-        for row, term in enumerate(free):
-            ends = []
-            for shift in (1e-5, -1e-5):
-                point = to_search(values)
-                point[owner, term] += shift
-                ends.append(roll_out(moved, from_search(point)[moved.joint].T).path)
-            difference = (ends[0] - ends[1]) / 2e-5
-            wrong = np.abs(difference - tangents[owner, row]) > 1e-4 + 1e-3 * np.abs(difference).max()
-            assert wrong.mean() < 0.02, (owner, TERMS[term].name)
+    owners, terms = np.repeat(np.arange(3), 3), np.tile(free, 3)
+    slopes = roll_out(moved, values[moved.joint].T, terms, owners).slopes
+    for column, (owner, term) in enumerate(zip(owners, terms, strict=True)):
+        ends = []
+        for shift in (1e-5, -1e-5):
+            point = to_search(values)
+            point[owner, term] += shift
+            ends.append(at_samples(moved, roll_out(moved, from_search(point)[moved.joint].T).path))
+        difference = (ends[0] - ends[1]) / 2e-5
+        found = np.moveaxis(slopes[..., column], 1, 0).reshape(difference.shape)
+        wrong = np.abs(difference - found) > 1e-4 + 1e-3 * np.abs(difference).max()
+        assert wrong.mean() < 0.02, (owner, TERMS[term].name)
 
 
 def test_a_joint_sticks_where_its_friction_holds_it():
@@ -193,7 +196,8 @@ def test_a_later_command_is_followed_later_and_otherwise_alike():
     moved = lanes(steps=400)
     late, later = values.copy(), values.copy()
     late[:, INDEX["delay"]], later[:, INDEX["delay"]] = 0.0, 2.5 * moved.step
-    goals = [_goals(moved, own[:, INDEX["delay"]], own[:, INDEX["acceleration_limit"]], {})[0] for own in (late, later)]
+    delay, limit = INDEX["delay"], INDEX["acceleration_limit"]
+    goals = [_goals(moved, own[:, delay], own[:, limit], ()).path for own in (late, later)]
     steps = np.arange(400.0)
     shifted = np.stack([np.interp(steps[10:] - 2.5, steps, column) for column in goals[0].T], axis=1)
     np.testing.assert_allclose(goals[1][10:], shifted, atol=1e-12)
