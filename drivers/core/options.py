@@ -19,6 +19,7 @@ from functools import wraps
 from types import MappingProxyType
 from typing import Any, ParamSpec, TypeVar, cast
 
+from drivers.core.blas import one_blas_thread
 from drivers.core.errors import ArgumentError, DynidError, UsageError
 from drivers.core.ranges import Range, check_option
 from drivers.core.text import did_you_mean
@@ -209,7 +210,8 @@ def keywords_of(
                     f"{function.__name__}(): {error}", hint=f"help(dynid.{function.__name__})"
                 ) from None
             try:
-                return function(options(*args, **keywords))
+                with one_blas_thread():
+                    return function(options(*args, **keywords))
             except DynidError as error:
                 if not _spoken_in_a_shell:
                     in_python(error, names.values())

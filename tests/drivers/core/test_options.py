@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from drivers.core.errors import UsageError
 from drivers.core.options import (
@@ -144,3 +145,13 @@ def test_a_value_of_another_kind_is_refused_in_words():
             grasp("left", **values)
         assert refused.value.message == words
     assert grasp("left", force=np.float32(2.0)).force == 2.0
+
+
+def test_a_function_of_python_computes_with_one_blas_thread_and_gives_the_callers_back():
+    def threads(_options: object = None) -> set[int]:
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    with threadpool_limits(2, "blas"):
+        before = threads()
+        assert keywords_of(Options)(threads)() == {1}
+        assert threads() == before == {2}
