@@ -36,16 +36,8 @@ FrictionSearch = dict[str, Callable[..., bool]]
 """The methods of an identification's choices that begin the search for friction terms and pre-sliding, by name."""
 
 REPOSITORY = Path(__file__).resolve().parents[1]
-READ_APART = (
-    "drivers/core",
-    "daq/importers",
-    "daq/recording",
-    "daq/robot",
-    "ident/excite/constraints",
-    "found",
-    "realdata",
-)
-"""Whose tests read damaged files, and those of others."""
+READ_APART = ("drivers/core", "found")
+"""Rooms whose tests read files in a process of their own; elsewhere, those that are marked `reads_apart`."""
 
 # "ci", the default, draws the same examples in every run; "soak" (`make soak`) new ones, and keeps those that fail.
 # A busy computer makes any single example slow: time is no property that a test of values may fail by.
@@ -97,16 +89,20 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.unfreeze = lambda: None
     gc.enable()
-    gc.set_threshold(20_000)  # objects; looking after each 700 takes a hundredth of all tests' time
+    gc.set_threshold(
+        50_000, 20, 50
+    )  # objects; after each 700, and through all after each 70,000, takes 3 % of all time
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Read files in a process of their own where that is what is tested.
+    """Read files in a process of their own where that is what is tested, and any file that is drawn anew.
 
-    To copy the process that has imported everything takes 20 ms and more, once or twice for each command.
+    To copy the process that has imported everything takes both of them 50 ms, once or twice for each command.
     """
-    reading_process.APART = any(item.nodeid.startswith(f"tests/{room}/") for room in READ_APART)
+    drawn = item.config.getoption("--hypothesis-profile") == "soak"
+    marked = item.get_closest_marker("reads_apart") is not None
+    reading_process.APART = drawn or marked or any(item.nodeid.startswith(f"tests/{room}/") for room in READ_APART)
 
 
 @pytest.fixture(scope="session")
@@ -230,6 +226,17 @@ def not_simulated() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("ident.identify.held_out.track_longest", lambda *_: (None, "left out by this test"))
         patch.setattr("ident.identify.held_out.open_loop", lambda *_: None)
+        yield
+
+
+@pytest.fixture(scope="module")
+def mistakes_not_sought() -> Iterator[None]:
+    """Identify without the search for wrong signs, columns, gains and lengths, a third to most of what is left then.
+
+    For a module whose tests look at other checks, or at what is made of a result.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("ident.identify.checks._mistake_checks", lambda _: [])
         yield
 
 

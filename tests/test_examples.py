@@ -10,7 +10,7 @@ from types import ModuleType
 
 import pytest
 
-pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction")
+pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction", "mistakes_not_sought")
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 

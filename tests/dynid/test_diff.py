@@ -9,6 +9,8 @@ from true_results import true_result
 import dynid
 from daq.robot.loader import load_robot
 
+pytestmark = pytest.mark.usefixtures("mistakes_not_sought")
+
 
 @pytest.fixture(scope="module")
 def models() -> list[dynid.IdentificationResult]:

@@ -119,7 +119,7 @@ def test_every_argument_of_a_public_function_is_described():
     assert without == []
 
 
-@pytest.mark.usefixtures("not_simulated", "stated_friction")
+@pytest.mark.usefixtures("not_simulated", "stated_friction", "mistakes_not_sought")
 def test_the_examples_run(monkeypatch):
     for costly in ("simulate", "identify", "design_excitation", "compare"):
         monkeypatch.setitem(vars(dynid), costly, _remembered(costly))

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from recorded_session import opened, record_session
@@ -22,6 +23,7 @@ from daq.session.session import SessionReport
 from drivers.can_motors.driver import CanMotorDriver
 from drivers.can_motors.settings import parse_settings
 from sim_drivers.can_motors.server import CanMotorServer
+from sim_drivers.plant import servo
 
 ROBOT = """
 name: two_motors
@@ -66,6 +68,8 @@ JOINTS = ("swing", "bend")
 WIRES = ("damiao", "robstride", "cubemars", "moteus", "odrive")
 START = np.array([-np.pi / 2, 0.0])
 """[rad] where the arm hangs, limp."""
+STEP = 0.005
+"""Of the arm [s], half of a period; two and a half times the usual one, for two thirds of the time."""
 CHANNELS = itertools.count()
 
 
@@ -121,7 +125,8 @@ class MotorBench:
 def motors(clock: SimulatedClock, wire: str = "damiao", **more: object) -> Iterator[MotorBench]:
     """The arm, served; `more` are keys of its connection."""
     file, keys = robot_file(), keys_of(wire, **more)
-    server = CanMotorServer(file, parse_settings(keys, file.robot.joint_names, wire), START, clock)
+    with patch.object(servo, "STEP", STEP):
+        server = CanMotorServer(file, parse_settings(keys, file.robot.joint_names, wire), START, clock)
     with server:
         yield MotorBench(server, wire, keys, clock)
     assert server.failure is None

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from recorded_session import opened, record_session
@@ -21,6 +22,7 @@ from daq.session.connections import driver_settings
 from daq.session.session import SessionReport
 from drivers.serial_servos.driver import SerialServoDriver
 from drivers.serial_servos.settings import parse_settings
+from sim_drivers.plant import servo
 from sim_drivers.serial_servos.server import SerialServoServer
 
 ROBOT = """
@@ -56,6 +58,8 @@ START = np.array([-1.3, 0.4])
 """[rad] where the arm stands."""
 STEP = 2.0 * np.pi / 4096
 """[rad] of the encoders."""
+STEP_OF_THE_ARM = 0.005
+"""[s], two and a half times the usual one; that takes a third less time."""
 
 
 @cache
@@ -113,7 +117,8 @@ def servos(clock: SimulatedClock, wire: str = "feetech", **more: object) -> Iter
     with simulated_line(clock) as line:
         keys = dict(file.robot.connections[wire].model_extra or {}) | {"url": line.path} | more
         settings = parse_settings(keys, file.robot.joint_names, None, wire)
-        server = SerialServoServer(file, settings, START, line_end=line, clock=clock)
+        with patch.object(servo, "STEP", STEP_OF_THE_ARM):
+            server = SerialServoServer(file, settings, START, line_end=line, clock=clock)
         with server:
             yield ServoBench(server, line, wire, keys, clock)
         assert server.failure is None

@@ -168,6 +168,7 @@ def mcap_of_one_chunk(compression: str, packed: bytes, unpacked: int) -> bytes:
     return b"".join([magic, record(1, text("ros2"), text("")), chunk, record(2, bytes(20)), magic])
 
 
+@pytest.mark.reads_apart
 @pytest.mark.parametrize("suffix", [".mcap", ".csv"])
 def test_what_unpacks_to_more_than_memory_is_refused(tmp_path: Path, monkeypatch, suffix: str) -> None:
     """Only the process that reads the file sees how large it becomes."""

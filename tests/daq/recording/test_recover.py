@@ -184,6 +184,7 @@ def test_what_is_no_recording_is_refused(tmp_path):
         recover(tmp_path / "text.h5", tmp_path / "text.h5")
 
 
+@pytest.mark.reads_apart
 def test_a_file_over_which_hdf5_loops_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "run.h5"
     times = np.arange(300.0) / RATE
@@ -210,6 +211,7 @@ def test_a_file_over_which_hdf5_loops_is_refused(tmp_path, monkeypatch):
     assert not (tmp_path / "run-recovered.h5").exists()
 
 
+@pytest.mark.reads_apart
 def test_hdf5_does_not_wait_for_ever_for_a_damaged_block_to_be_mended(tmp_path, monkeypatch):
     path = tmp_path / "run.h5"
     with RecordingWriter(path, ROBOT_FILE, (StreamLayout("joints", (ChannelLayout("position", NAMES),), RATE),)):

@@ -17,7 +17,7 @@ from ident.model.dynamic_model import build_model
 from ident.regression.least_squares import ordinary_least_squares, weighted_least_squares
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction")
+pytestmark = pytest.mark.usefixtures("not_simulated", "stated_friction", "mistakes_not_sought")
 
 
 @pytest.fixture(scope="module")

@@ -28,6 +28,8 @@ from ident.model.true_parameters import truth_vector
 from ident.result.models.model import Model
 from ident.signals.pipeline import PreprocessChoices
 
+pytestmark = pytest.mark.usefixtures("mistakes_not_sought")
+
 OF_BODIES = {
     "implausible-mass",
     "implausible-link",

@@ -28,6 +28,8 @@ from ident.result.result_file import read_result, result_json, stored_estimate, 
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
+pytestmark = pytest.mark.usefixtures("mistakes_not_sought")
+
 SECONDS = 20.0
 STATED = ModelChoices(friction="coulomb-viscous")
 """The terms that the arm has; to look for others takes a quarter of the time."""
