@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,16 @@ class FrameMotion:
     angular_acceleration: FloatArray
     linear: FloatArray
     axes: list[AxisMotion]
+
+
+def stacked(motions: Sequence[AxisMotion], count: int) -> tuple[FloatArray, FloatArray]:
+    """Angular and linear components (J, 3, count) of J axes."""
+    angular, linear = np.empty((2, len(motions), 3, count))
+    for index, axis in enumerate(motions):
+        for component in range(3):
+            for target, value in ((angular, axis.angular[component]), (linear, axis.linear[component])):
+                target[index, component] = value if isinstance(value, float) else value[:count]
+    return angular, linear
 
 
 def scaled(factor: FloatArray | float, values: FloatArray, count: int, out: FloatArray) -> bool:

@@ -21,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -29,39 +28,22 @@ from drivers.core.arrays import FloatArray
 from ident.friction.table import LOAD_KINDS
 from ident.friction.terms import NO_STATES, NO_TERMS, FrictionConditions, States
 from ident.linear_algebra.triangular import QrAccumulator
+from ident.linear_algebra.vectors import cross
 from ident.model.compiled_rows import LinkRows, Share, compiled_rows, compiled_torques
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, joint_column
 from ident.model.kinematics.joints import ancestors
 from ident.model.kinematics.transmission import TreeMotion
-from ident.model.newton_euler import AxisMotion, Direction, FrameMotion, Recursion, combine, scaled
+from ident.model.newton_euler import FrameMotion, Recursion, stacked
 from ident.model.parameters import LINK_SIZE
 
 SAMPLES_AT_ONCE = 4096
 """Samples evaluated at once: enough to hide the interpreter, few enough for the cache."""
 
-_INERTIA_COUNT = 6  # XX XY XZ YY YZ ZZ
-_MASS_INDEX = 9
-
-_PRODUCTS = (("xx", 0, 0), ("yy", 1, 1), ("zz", 2, 2), ("xy", 0, 1), ("xz", 0, 2), ("yz", 1, 2))
-"""Products of the angular velocity's components, by name."""
-
-# Columns of the matrix that takes XX XY XZ YY YZ ZZ to I·α + ω × I·ω; ax ay az are α's components.
-_INERTIA_TERMS: tuple[tuple[tuple[Any, ...], ...], ...] = (
-    ((np.positive, "ax"), (np.positive, "xz"), (np.negative, "xy")),
-    ((np.subtract, "ay", "xz"), (np.add, "ax", "yz"), (np.subtract, "xx", "yy")),
-    ((np.add, "az", "xy"), (np.subtract, "zz", "xx"), (np.subtract, "ax", "yz")),
-    ((np.negative, "yz"), (np.positive, "ay"), (np.positive, "xy")),
-    ((np.subtract, "yy", "zz"), (np.subtract, "az", "xy"), (np.add, "ay", "xz")),
-    ((np.positive, "yz"), (np.negative, "xz"), (np.positive, "az")),
-)
-
-# Columns of [α]× + [ω]×², which maps MX MY MZ to the force.
-_MOMENT_TERMS: tuple[tuple[tuple[Any, ...], ...], ...] = (
-    ((np.subtract, "-yy", "zz"), (np.add, "az", "xy"), (np.subtract, "xz", "ay")),
-    ((np.subtract, "xy", "az"), (np.subtract, "-xx", "zz"), (np.add, "ax", "yz")),
-    ((np.add, "ay", "xz"), (np.subtract, "yz", "ax"), (np.subtract, "-xx", "yy")),
-)
+_UNIT_INERTIAS = np.zeros((6, 3, 3))
+"""Matrices (6, 3, 3) of XX XY XZ YY YZ ZZ, each 1 by itself."""
+for _kind, (_row, _column) in enumerate(zip(*np.triu_indices(3), strict=True)):
+    _UNIT_INERTIAS[_kind, _row, _column] = _UNIT_INERTIAS[_kind, _column, _row] = 1.0
 
 
 @dataclass(frozen=True)
@@ -70,17 +52,6 @@ class JointRows:
 
     rows: slice  # slice of the packed array's first axis
     columns: tuple[int, ...]  # for each of these rows, the column of the kernel's selection that it belongs to
-
-
-@dataclass(frozen=True)
-class _LinkBlock:
-    """Packed rows that one link fills: for each motor that moves it, where its rows start and which axes act."""
-
-    link: int
-    inertia: tuple[int, ...]  # which of XX..ZZ
-    moments: tuple[int, ...]  # which of MX MY MZ
-    mass: bool
-    targets: tuple[tuple[int, tuple[tuple[int, Share], ...]], ...]  # first packed row, (index of an axis, factor)
 
 
 @dataclass(frozen=True)
@@ -104,19 +75,6 @@ def _motor_axes(
         )
         for motor, (shares, varying) in enumerate(zip(constant, varies, strict=True))
     ]
-
-
-def _link_block(
-    link: int, selected: Sequence[int], targets: Sequence[tuple[int, tuple[tuple[int, Share], ...]]]
-) -> _LinkBlock:
-    kinds = [column - 10 * link for column in selected]
-    return _LinkBlock(
-        link=link,
-        inertia=tuple(kind for kind in kinds if kind < _INERTIA_COUNT),
-        moments=tuple(kind - _INERTIA_COUNT for kind in kinds if _INERTIA_COUNT <= kind < _MASS_INDEX),
-        mass=_MASS_INDEX in kinds,
-        targets=tuple(targets),
-    )
 
 
 class RegressorKernel:
@@ -176,23 +134,16 @@ class RegressorKernel:
             joint_rows.append(JointRows(slice(first, row), tuple(row_columns)))
         self.joint_rows = tuple(joint_rows)
         self.row_count = row
-        self._blocks = tuple(_link_block(link, selected[link], targets[link]) for link in links)
         self.link_rows = tuple(
             LinkRows(
                 kinds=tuple(column - 10 * link for column in selected[link]),
-                joints=(*self._chains[link], link) if block.targets else (),
-                targets=block.targets,
+                joints=(*self._chains[link], link) if targets[link] else (),
+                targets=tuple(targets[link]),
             )
-            for link, block in enumerate(self._blocks)
+            for link in links
         )
         self._recursion, self._recursed = Recursion(model.joints, self._chains, model.gravity, chunk), True
         self._compiled = compiled_rows(model.joints, model.gravity, self.link_rows)
-        self._rotating = np.empty((3, _INERTIA_COUNT, chunk))
-        self._pushing = np.empty((3, 4, chunk))
-        self._products = np.empty((len(_PRODUCTS) + 2, chunk))
-        self._term = np.empty((_INERTIA_COUNT, chunk))
-        self._axis = np.empty((6, chunk))
-        self._part = np.empty(chunk)
         self.shares = np.empty((0, 0, 0))
         loads = any(row.column.quantity in LOAD_KINDS for row in self.joint_parameter_rows)
         self._load = LoadTorqueKernel(model, chunk) if loads else None
@@ -227,7 +178,6 @@ class RegressorKernel:
         Raises:
             ModelError: the friction depends on a temperature, and none is given.
         """
-        count = position.shape[1]
         model = self.model
         self.tree = model.tree_motion(position, velocity, acceleration)
         self._recursed = False
@@ -236,89 +186,38 @@ class RegressorKernel:
         if self._compiled is not None and out.strides[1] == out.itemsize:
             self._compiled.write(self.tree, self.shares, out)
         else:
-            for block in self._blocks:
-                if block.targets:
-                    self._fill_link(block, count, out)
+            for frame, rows in zip(self.frames, self.link_rows, strict=True):
+                self._fill_link(frame, rows, position.shape[1], out)
         load = None if self._load is None else self._load.torque(position)
         conditions = FrictionConditions(load, temperature, presliding, position)
         for entry in self.joint_parameter_rows:
             signal = column_signal(model, entry.column, velocity, acceleration, conditions)
             out[entry.row] = signal if entry.factor == 1.0 else entry.factor * signal
 
-    def _fill_link(self, block: _LinkBlock, count: int, out: FloatArray) -> None:
-        motion = self.frames[block.link]
-        rotating, pushing = self._rotating[..., :count], self._pushing[..., :count]
-        self._body_rows(motion, block, count)
-        inertias, moments = len(block.inertia), len(block.moments)
-        pushes = moments + block.mass
-        acceleration = motion.linear[:, :count]
-        for start, axes in block.targets:
-            direction = self._motor_axis(motion, axes, count)
-            for_inertia = out[start : start + inertias, :count]
-            for_push = out[start + inertias : start + inertias + pushes, :count]
-            if inertias:
-                combine(direction.angular, rotating[:, :inertias], count, for_inertia, self._term)
-            if pushes:
-                combine(direction.linear, pushing[:, :pushes], count, for_push, self._term)
-            if moments:
-                self._add_moment_of_first_moments(direction.angular, acceleration, block.moments, count, for_push)
+    def _fill_link(self, frame: FrameMotion, rows: LinkRows, count: int, out: FloatArray) -> None:
+        """Write a link's rows: power of the forces that its unit parameters need, per unit velocity of each motor."""
+        if not rows.targets:
+            return
+        kinds = list(rows.kinds)
+        moment, force = (wrench[kinds] for wrench in unit_wrenches(frame, count))
+        axes = stacked(frame.axes, count)
+        for start, combination in rows.targets:
+            shares = [(at, share if isinstance(share, float) else self.shares[share]) for at, share in combination]
+            angular, linear = (sum(share * axis[at] for at, share in shares) for axis in axes)
+            out[start : start + len(kinds)] = np.einsum("it,kit->kt", angular, moment)
+            out[start : start + len(kinds)] += np.einsum("it,kit->kt", linear, force)
 
-    def _motor_axis(self, motion: FrameMotion, axes: Sequence[tuple[int, Share]], count: int) -> AxisMotion:
-        """The combination of the joints' axes, valid until the next call."""
-        if len(axes) == 1 and axes[0][1] == 1.0:
-            return motion.axes[axes[0][0]]
-        components: list[FloatArray | float] = []
-        for row in range(6):
-            component, total = row % 3, self._axis[row]
-            constant, varies = 0.0, False
-            for index, share in axes:
-                axis = motion.axes[index]
-                value = (axis.angular if row < 3 else axis.linear)[component]
-                factor = share if isinstance(share, float) else self.shares[share]
-                if isinstance(value, float) and isinstance(factor, float):
-                    constant += factor * value
-                    continue
-                if isinstance(value, float) and value == 0.0:
-                    continue
-                chunk = self._part if varies else total
-                np.multiply(value if isinstance(value, float) else value[:count], factor, out=chunk[:count])
-                if varies:
-                    total[:count] += chunk[:count]
-                varies = True
-            if varies and constant != 0.0:
-                total[:count] += constant
-            components.append(total if varies else constant)
-        return AxisMotion((components[0], components[1], components[2]), (components[3], components[4], components[5]))
 
-    def _body_rows(self, motion: FrameMotion, block: _LinkBlock, count: int) -> None:
-        """Moment (3, inertias) and force (3, moments + mass) that unit parameters of this link cause in its frame."""
-        w, a = motion.angular_velocity[:, :count], motion.angular_acceleration[:, :count]
-        operands = {"ax": a[0], "ay": a[1], "az": a[2]}
-        for row, (name, left, right) in enumerate(_PRODUCTS):
-            operands[name] = np.multiply(w[left], w[right], out=self._products[row, :count])
-        operands["-xx"] = np.negative(operands["xx"], out=self._products[-2, :count])
-        operands["-yy"] = np.negative(operands["yy"], out=self._products[-1, :count])
-        n, f = self._rotating[..., :count], self._pushing[..., :count]
-        for slot, kind in enumerate(block.inertia):
-            for component, (operation, *names) in enumerate(_INERTIA_TERMS[kind]):
-                operation(*(operands[name] for name in names), out=n[component, slot])
-        for slot, kind in enumerate(block.moments):
-            for component, (operation, *names) in enumerate(_MOMENT_TERMS[kind]):
-                operation(*(operands[name] for name in names), out=f[component, slot])
-        if block.mass:
-            f[:, len(block.moments)] = motion.linear[:, :count]
-
-    def _add_moment_of_first_moments(
-        self, angular: Direction, acceleration: FloatArray, moments: Sequence[int], count: int, out: FloatArray
-    ) -> None:
-        """Add (a × w)·h for the selected first moments."""
-        term = self._term[0, :count]
-        for slot, kind in enumerate(moments):
-            first, second = (kind + 1) % 3, (kind + 2) % 3
-            if scaled(angular[second], acceleration[first], count, term):
-                out[slot] += term
-            if scaled(angular[first], acceleration[second], count, term):
-                out[slot] -= term
+def unit_wrenches(frame: FrameMotion, count: int) -> tuple[FloatArray, FloatArray]:
+    """Moment about the frame's origin and force (10, 3, count) that each of a link's unit parameters needs."""
+    w, alpha, a = (vector[:, :count] for vector in (frame.angular_velocity, frame.angular_acceleration, frame.linear))
+    units = np.eye(3)[:, :, None]
+    moment, force = np.zeros((2, 10, 3, count))
+    moment[:6] = np.tensordot(_UNIT_INERTIAS, alpha, 1) + cross(w, np.tensordot(_UNIT_INERTIAS, w, 1))
+    moment[6:9] = cross(units, a)
+    force[6:9] = cross(alpha, units) + cross(w, cross(w, units))
+    force[9] = a
+    return moment, force
 
 
 class LoadTorqueKernel:

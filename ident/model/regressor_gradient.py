@@ -24,7 +24,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.linear_algebra.vectors import cross
 from ident.model.joint_columns import column_slope
-from ident.model.newton_euler import AxisMotion
+from ident.model.newton_euler import stacked
 from ident.model.regressor import RegressorKernel
 
 
@@ -128,7 +128,7 @@ def _link_gradient(
     frame = kernel.frames[link]
     omega, alpha = frame.angular_velocity[:, :count], frame.angular_acceleration[:, :count]
     a = frame.linear[:, :count]
-    axes = _stacked(frame.axes, count)
+    axes = _Spatial(*stacked(frame.axes, count))
     of_axes, of_omega, of_alpha, of_a = _body_gradient(weights, axes, omega, alpha, a)
 
     # From the origin's acceleration to the spatial one: a = A_linear + ω × v.
@@ -166,17 +166,7 @@ def _row_value(kernel: RegressorKernel, link: int, index: int, kinds: Sequence[i
     omega, alpha = frame.angular_velocity[:, :count], frame.angular_acceleration[:, :count]
     inertia_omega = _symmetric(of_parameters[:, :6], omega)
     of_axis = _axis_gradient(of_parameters, inertia_omega, omega, alpha, frame.linear[:, :count])
-    return np.asarray(_stacked(frame.axes[index : index + 1], count).dot(of_axis)[0])
-
-
-def _stacked(motions: Sequence[AxisMotion], count: int) -> _Spatial:
-    """Axes as arrays (J, 3, m)."""
-    axes = _Spatial(np.empty((len(motions), 3, count)), np.empty((len(motions), 3, count)))
-    for index, axis in enumerate(motions):
-        for component in range(3):
-            for target, value in ((axes.angular, axis.angular[component]), (axes.linear, axis.linear[component])):
-                target[index, component] = value if isinstance(value, float) else value[:count]
-    return axes
+    return np.asarray(_Spatial(*stacked(frame.axes[index : index + 1], count)).dot(of_axis)[0])
 
 
 def _axis_gradient(
