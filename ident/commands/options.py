@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import typer
 
@@ -14,7 +14,6 @@ from drivers.core.options import Options, argument, default_of, flag_of, option
 
 if TYPE_CHECKING:
     from ident.result.delivered import Parameters
-    from ident.tasks.options import IdentifyOptions
 
 
 def _list_methods(text: str) -> str:
@@ -72,15 +71,15 @@ def limits_option(
     return limits or None
 
 
-def refuse_options_but(taken: Collection[str], options: IdentifyOptions, mode: str, *, limited: bool) -> None:
-    """Refuse options of identify that do nothing in one of its modes.
+def refuse_options_but(taken: Collection[str], options: Options, mode: str, *, limited: bool = False) -> None:
+    """Refuse options of a command that do nothing in one of its modes, such as `--method servo`.
 
     Raises:
-        UsageError: names them all.
+        UsageError: names them all; acceptance limits, too, where they are given (`limited`).
     """
     strange = [
         flag_of(of).partition("/")[0]
-        for of in fields(options)
+        for of in fields(cast("Any", options))
         if of.name not in taken and getattr(options, of.name) != default_of(of)
     ]
     if limited:

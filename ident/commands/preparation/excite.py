@@ -11,8 +11,8 @@ import typer
 
 from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, takes
-from drivers.core.errors import UsageError
-from drivers.core.options import Options, default_of, flag_of, option, same_named
+from drivers.core.options import Options, option, same_named
+from ident.commands.options import refuse_options_but
 from ident.excite.choices import PoseCount, ServoMotionLength
 from ident.tasks.options import ExciteOptions, GravityMotionOptions, ServoMotionOptions
 
@@ -212,13 +212,7 @@ def purpose_of(options: ExciteCommandOptions) -> Purpose:
     """
     purpose = PURPOSES[options.purpose]
     heeded = {of.name for of in fields(cast("Any", purpose.options))} | {"purpose"}
-    strange = [
-        flag_of(of).partition("/")[0]
-        for of in fields(options)
-        if of.name not in heeded and getattr(options, of.name) != default_of(of)
-    ]
-    if strange:
-        raise UsageError(f"{', '.join(strange)} does nothing with --for {options.purpose}", hint="leave it out")
+    refuse_options_but(heeded, options, f"--for {options.purpose}")
     return purpose
 
 
