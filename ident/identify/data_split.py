@@ -16,7 +16,7 @@ from drivers.core.text import percent_text
 from ident.assessment.validation import HELD_OUT_SHARE
 from ident.identify.held_friction import HeldFriction
 from ident.regression.least_squares import LEAST_TORQUE
-from ident.signals.copied_runs import same_noise
+from ident.signals.copied_runs import copied_run
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
 from ident.signals.sample_hashes import HashArray, kept_hashes, overlap, sample_hashes
@@ -145,8 +145,9 @@ def split_data(
 
 
 def copied(run: RunWindow, others: Sequence[RunWindow]) -> bool:
-    """Whether a held-out run is one of the others resampled, scaled or with noise added, by the noise in its torque."""
-    return any(same_noise(run.time, run.torque, other.time, other.torque) for other in others)
+    """Whether a held-out run is one of the others resampled, scaled or with noise added, by noise that both hold."""
+    own = run.time, run.position, run.torque
+    return any(copied_run(own, (other.time, other.position, other.torque)) for other in others)
 
 
 def distinct(labels: Sequence[str]) -> list[str]:

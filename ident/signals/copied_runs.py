@@ -62,6 +62,10 @@ LEFT_OF_NOISE, LEAST_RATE = 0.1, 100.0
 rates [Hz], where ripple of the gears, which another run repeats, looks like noise. Copies left 0 to 0.07, other runs of
 one motion 0.75 and more."""
 
+OTHER_NOISE = 1.5
+"""Ratio of the variances of torque noise, of some joint, from which on equal positions are those of a copy: where a
+simulated arm follows its motion exactly, another run has the same positions and as much noise."""
+
 SAMPLES = 1500
 """Of a copy, that its estimate by interpolation is compared at."""
 
@@ -69,8 +73,29 @@ INTERVALS, PER_STEP = 10, 4
 """Averages before and after a sample of which a decimated one is estimated, and how many last as long as a step."""
 
 
+def copied_run(
+    one: tuple[FloatArray, FloatArray, FloatArray], other: tuple[FloatArray, FloatArray, FloatArray]
+) -> bool:
+    """Whether one of two recordings holds the other's noise: in its torques or, where more was added, its positions.
+
+    Args:
+        one: stamps (N,) [s], rising, positions (N, n) [rad or m] and torques (N, n) [N·m or N].
+        other: those of the other one.
+    """
+    (time, position, torque), (other_time, other_position, other_torque) = one, other
+    if same_noise(time, torque, other_time, other_torque):
+        return True
+    pair = _aligned(time, torque, other_time, other_torque)
+    if pair is None or not _same_motion(pair[0], pair[1]):
+        return False
+    noises = [np.maximum(_noise(torques), np.finfo(float).tiny) for torques in (torque, other_torque)]
+    ratio = noises[0] / noises[1]
+    changed = bool(np.any(np.maximum(ratio, 1.0 / ratio) > OTHER_NOISE))
+    return changed and same_noise(time, position, other_time, other_position)
+
+
 def same_noise(time: FloatArray, torque: FloatArray, other_time: FloatArray, other_torque: FloatArray) -> bool:
-    """Whether one of two recordings holds the other's noise.
+    """Whether one of two signals holds the other's noise.
 
     Args:
         time: (N,) [s], rising.

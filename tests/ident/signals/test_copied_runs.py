@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import butter, filtfilt, savgol_filter
 
 from drivers.core.arrays import FloatArray
-from ident.signals.copied_runs import same_noise
+from ident.signals.copied_runs import copied_run, same_noise
 
 RATE, SECONDS, NOISE = 250.0, 16.0, 0.05
 Samples = tuple[FloatArray, FloatArray]
@@ -90,3 +90,20 @@ def test_another_run_at_a_lower_rate_is_no_copy(way: str) -> None:
 def test_what_is_too_short_to_compare_is_no_copy() -> None:
     time, torque = run(1)
     assert not same_noise(time[:200], torque[:200], time[:200], 1.02 * torque[:200])
+
+
+def test_positions_show_a_copy_whose_torques_are_hidden_by_noise() -> None:
+    """Other runs have positions of their own; where they are followed exactly, torques as noisy as the first one's."""
+    time, torque = run(1)
+    motion = np.cos(2.0 * np.pi * np.array([0.31, 0.43, 0.17]) * time[:, None])
+    encoders = [(time, motion + 1e-4 * np.random.default_rng(seed).standard_normal(motion.shape)) for seed in (5, 6)]
+    halved = [resampled(signal, 2.0, 0.3 / RATE) for signal in (*encoders, run(1), run(2))]
+    stamps = halved[0][0]
+    hidden, of_other = (
+        torques + 2.0 * NOISE * np.random.default_rng(9).standard_normal(torques.shape) for _, torques in halved[2:]
+    )
+    original, copy = (time, encoders[0][1], torque), (stamps, halved[0][1], hidden)
+    assert not same_noise(time, torque, stamps, hidden)
+    assert copied_run(original, copy)
+    assert not copied_run(original, (stamps, halved[1][1], of_other))
+    assert not copied_run(original, (time, encoders[0][1], run(2)[1]))
