@@ -21,6 +21,13 @@ motion: 10 % in amplitude. Independent motions give 1."""
 DIFFERENT_MOTION = 0.5
 """The search for a period starts where the velocity has first become this different from itself."""
 
+SIMILAR = 0.4
+"""The same difference, below which a lag is looked at without the ends of what it has twice: a motion goes into and out
+of its periods by ramps."""
+
+WINDOWS = 40
+"""Parts of it; those at the ends that differ are ramps, as long as they are no more than half of it."""
+
 LEAST_OVERLAP = 0.1
 """Share of the shorter segment that must be there twice."""
 
@@ -67,18 +74,33 @@ def own_period(velocity: FloatArray) -> int | None:
         return None
     difference = _differences(velocity, velocity)[count - 1 : count - 1 + longest]
     apart = np.flatnonzero(difference > DIFFERENT_MOTION)
-    return _first_minimum(difference, int(apart[0])) if len(apart) else None
-
-
-def _first_minimum(difference: FloatArray, start: int) -> int | None:
-    """Index of the smallest value of the first interval behind `start` that counts as the same motion."""
-    same = np.flatnonzero(difference[start:] < SAME_MOTION)
-    if len(same) == 0:
+    if len(apart) == 0:
         return None
-    first = start + int(same[0])
-    beyond = np.flatnonzero(difference[first:] >= SAME_MOTION)
-    last = first + int(beyond[0]) if len(beyond) else len(difference)
-    return int(np.argmin(difference[first:last])) + first
+    difference[: apart[0]] = 1.0
+    return next((lag for lag in _minima(difference) if _repeats(velocity[:, lag:], velocity[:, :-lag])), None)
+
+
+def _minima(difference: FloatArray) -> list[int]:
+    """Where each interval of similar motion has its smallest difference."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], difference < SIMILAR, [False]]).astype(np.int8)))
+    return [start + int(np.argmin(difference[start:stop])) for start, stop in edges.reshape(-1, 2).tolist()]
+
+
+def _repeats(first: FloatArray, second: FloatArray) -> bool:
+    """Whether two velocities (n, M) are the same motion, but for ramps at the ends."""
+    scale = np.sqrt(np.mean(first**2 + second**2, axis=1, keepdims=True))
+    scale, window = np.where(scale > 0, scale, 1.0), -(-first.shape[1] // WINDOWS)
+    starts = np.arange(0, first.shape[1], window)
+    different, energy = (
+        np.add.reduceat(np.sum(values, axis=0), starts)
+        for values in (((first - second) / scale) ** 2, (first / scale) ** 2 + (second / scale) ** 2)
+    )
+    same = np.flatnonzero(different <= SAME_MOTION * energy)
+    if len(same) == 0:
+        return False
+    inner = slice(same[0], same[-1] + 1)
+    long_enough = 2 * (same[-1] + 1 - same[0]) >= len(starts)
+    return bool(long_enough and np.sum(different[inner]) < SAME_MOTION * np.sum(energy[inner]))
 
 
 def _best_lag(earlier: FloatArray, later: FloatArray) -> int | None:
@@ -87,11 +109,14 @@ def _best_lag(earlier: FloatArray, later: FloatArray) -> int | None:
         return None
     difference = _differences(later, earlier)
     least = int(np.ceil(LEAST_OVERLAP * min(earlier.shape[1], later.shape[1])))
-    difference = difference[least:-least] if least else difference
-    if len(difference) == 0 or difference.min() >= SAME_MOTION:
-        return None
-    lag: int = int(np.argmin(difference)) + least - later.shape[1] + 1
-    return lag
+    if least:
+        difference[:least] = difference[-least:] = 1.0
+    for place in sorted(_minima(difference), key=lambda place: float(difference[place])):
+        lag: int = place - later.shape[1] + 1
+        own = slice(max(0, -lag), min(later.shape[1], earlier.shape[1] - lag))
+        if _repeats(earlier[:, own.start + lag : own.stop + lag], later[:, own]):
+            return lag
+    return None
 
 
 def _phases_like(earlier: _Known, lag: int, own: IntArray) -> IntArray:

@@ -7,7 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from daq.motion.trajectories import RestToRest
+from daq.robot.loader import load_robot
+from ident.model.dynamic_model import build_model
 from ident.signals.repetition import motion_phases, own_period
+from sim_drivers.synthetic.measurement import random_fourier_motion
 
 
 def periodic(period: int, samples: int, seed: int = 0, joints: int = 3, noise: float = 0.0, start: int = 0):
@@ -35,6 +39,15 @@ def aperiodic(samples: int, seed: int = 0, joints: int = 3):
 def test_the_period_is_found_to_the_sample(period, repetitions, noise):
     samples = round(period * repetitions)
     assert [own_period(periodic(period, samples, seed, noise=noise)) for seed in range(3)] == [period] * 3
+
+
+@pytest.mark.parametrize(("period", "periods", "ramp"), [(15.0, 2, 2.0), (5.0, 3, 2.0), (20.0, 1.5, 0.0)])
+def test_ramps_into_and_out_of_the_periods_do_not_hide_them(period, periods, ramp):
+    motion = random_fourier_motion(build_model(load_robot("up6")), period, seed=1, candidates=1)
+    whole = RestToRest(motion, int(periods), ramp) if ramp else motion
+    time = np.arange(0.0, whole.duration if ramp else periods * period, 0.05)
+    velocity = whole.evaluate(time)[1]
+    assert own_period(velocity) == pytest.approx(20.0 * period, abs=1)
 
 
 def test_a_motion_that_does_not_repeat_has_no_period():
