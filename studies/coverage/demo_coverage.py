@@ -1,10 +1,10 @@
 """True values within their 95 % intervals, over simulated demonstrations: `dynid demo` without real time.
 
-A UR5e under its controller (`Plant`: bristle friction, heat, noise and encoder of the robot file), each seed with
-another motion and other noise, identified with the defaults and with `--friction coulomb-viscous`, which the arm has.
-Shares are of all seeds' values; in brackets is the mean number inside of the arm's base parameters.
+Arms under their controllers (`Plant`: bristle friction, heat, noise and encoders of the robot file), each seed with
+another motion and other noise, identified with the defaults but for the method. Shares are of all seeds' values; in
+brackets is the mean number inside and that of the arm's base parameters. About 15 s of CPU per arm and seed.
 
-    python -m studies.coverage.demo_coverage [seeds [first]]
+    python -m studies.coverage.demo_coverage [seeds [arms, as ur5e,panda [methods, as wls,iirls]]]
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from daq.motion.trajectories import RestToRest
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile, load_robot
-from ident.identify.identification import IdentifyChoices, ModelChoices
+from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
@@ -35,10 +35,6 @@ RATE, RAMP = 500.0, 2.0
 CANDIDATES = 20
 """Random motions of which the best conditioned one is played: the demonstration designs its own."""
 
-CASES = {
-    "default": IdentifyChoices(),
-    "coulomb-viscous": IdentifyChoices(model=ModelChoices(friction="coulomb-viscous")),
-}
 KINDS = ("viscous", "coulomb", "offset", "bodies and motors")
 
 
@@ -51,34 +47,45 @@ def played(arm: RobotFile, part: str, seed: int) -> Recording:
     return record_plant(arm, plant, motion, RATE)
 
 
-def main(seeds: int = 20, first: int = 0) -> None:
-    """Print a line per case."""
-    arm = load_robot("ur5e")
-    names = [parameter.name for parameter in build_model(arm).parameters]
-    truth = dict(zip(names, truth_vector(arm).tolist(), strict=True))
-    ratios: dict[str, dict[str, list[float]]] = {case: {kind: [] for kind in KINDS} for case in CASES}
-    further = dict.fromkeys(CASES, 0)
-    for seed in range(first, first + seeds):
-        recordings = [played(arm, part, seed) for part in PERIODS]
-        for case, choices in CASES.items():
-            found = identify(recordings[:1], recordings[1:], choices)
-            columns = [truth.get(parameter.name, 0.0) for parameter in found.model.parameters]
-            true = found.base.projection @ np.array(columns)
-            plain = not (found.model.terms.shaped or found.model.terms.loaded)
-            further[case] += not plain
-            for place in found.solution.active:
-                kind = found.base.kinds[place] if found.base.kinds[place] in KINDS else KINDS[-1]
-                error = abs(float(found.solution.parameters[place] - true[place])) / float(found.std[place])
-                ratios[case][kind].append(error)
-        print(f"# seed {seed}", file=sys.stderr, flush=True)
-    print("| | " + " | ".join(KINDS) + " | all | seeds with further friction terms |")
+def errors_of(found: Identification) -> list[tuple[str, str, float, float]]:
+    """Kind, name, error and σ of each base parameter that was estimated."""
+    names = [parameter.name for parameter in build_model(found.robot_file).parameters]
+    truth = dict(zip(names, truth_vector(found.robot_file).tolist(), strict=True))
+    columns = [truth.get(parameter.name, 0.0) for parameter in found.model.parameters]
+    error = found.solution.parameters - found.base.projection @ np.array(columns)
+    return [
+        (
+            found.base.kinds[place] if found.base.kinds[place] in KINDS else KINDS[-1],
+            found.base.names[place],
+            float(error[place]),
+            float(found.std[place]),
+        )
+        for place in found.solution.active
+    ]
+
+
+def main(seeds: int = 20, arms: str = "ur5e,panda,rocr6", methods: str = "wls,iirls") -> None:
+    """Print a line per arm and method."""
+    print("| arm, method | " + " | ".join(KINDS) + " | all | seeds with further friction terms |")
     print("|---" * (len(KINDS) + 3) + "|")
-    for case, of_case in ratios.items():
-        every = np.concatenate(list(of_case.values())) < WITHIN_95_PERCENT
-        shares = [100.0 * np.mean(np.array(values) < WITHIN_95_PERCENT) for values in of_case.values()]
-        cells = " | ".join(f"{share:.0f} %" for share in shares)
-        print(f"| {case} | {cells} | {100 * every.mean():.1f} % ({every.sum() / seeds:.1f}) | {further[case]} |")
+    for name in arms.split(","):
+        arm = load_robot(name)
+        ratios: dict[str, list[tuple[str, float]]] = {method: [] for method in methods.split(",")}
+        further = dict.fromkeys(ratios, 0)
+        for seed in range(seeds):
+            recordings = [played(arm, part, seed) for part in PERIODS]
+            for method in ratios:
+                found = identify(recordings[:1], recordings[1:], IdentifyChoices(method))
+                further[method] += bool(found.model.terms.shaped or found.model.terms.loaded)
+                ratios[method] += [(kind, abs(error) / sigma) for kind, _, error, sigma in errors_of(found)]
+            print(f"# {name}, seed {seed}", file=sys.stderr, flush=True)
+        for method, values in ratios.items():
+            inside = np.array([ratio < WITHIN_95_PERCENT for _, ratio in values])
+            kinds = np.array([kind for kind, _ in values])
+            cells = " | ".join(f"{100 * inside[kinds == kind].mean():.0f} %" for kind in KINDS)
+            share = f"{100 * inside.mean():.1f} % ({inside.sum() / seeds:.1f} of {len(values) / seeds:.1f})"
+            print(f"| {name}, `{method}` | {cells} | {share} | {further[method]} |", flush=True)
 
 
 if __name__ == "__main__":
-    main(*(int(argument) for argument in sys.argv[1:3]))
+    main(*(int(word) if word.isdigit() else word for word in sys.argv[1:]))  # type: ignore[arg-type]

@@ -17,6 +17,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -40,7 +41,7 @@ from studies.payload.gains import HIDDEN, LOAD, SLOW_DURATION, slow_motion
 from studies.synthetic.altered_arms import with_gains
 
 INTERVAL = 1.96
-RATE = 50.0
+RATE = 25.0
 SWING = 1.2
 MOVE = 20.0
 DWELL = 1.0
@@ -79,16 +80,23 @@ def one_after_the_other(seed: int) -> PointToPoint:
     return PointToPoint(np.array(points), np.full(len(points) - 1, MOVE), DWELL)
 
 
-def runs(motion: Motion, duration: float, friction: Friction, seed: int) -> tuple[Recording, Recording]:
-    """A free and a loaded run of the arm whose gains are hidden."""
+@lru_cache(maxsize=2)
+def simulated(seed: int, slow: bool) -> tuple[Motion, tuple[tuple[RobotFile, Recording], ...]]:
+    """A motion, and the free and the loaded arm, whose gains are hidden, with their runs along it."""
+    motion = slow_motion(seed) if slow else one_after_the_other(seed)
+    duration = SLOW_DURATION if slow else one_after_the_other(seed).duration
     robot_file = load_robot("ur10e")
     arm = with_gains(robot_file, dict(zip(robot_file.robot.joint_names, HIDDEN, strict=True)))
-    loaded = with_load(arm, LOAD.mass, LOAD.com or (), LOAD.inertia or ())
-    free, second = (
-        with_friction(each, simulate_recording(each, motion, duration, 2 * seed + index, RATE), motion, friction, seed)
-        for index, each in enumerate((arm, loaded))
+    arms = arm, with_load(arm, LOAD.mass, LOAD.com or (), LOAD.inertia or ())
+    return motion, tuple(
+        (each, simulate_recording(each, motion, duration, 2 * seed + index, RATE)) for index, each in enumerate(arms)
     )
-    return free, second
+
+
+def runs(seed: int, slow: bool, friction: Friction) -> list[Recording]:
+    """A free and a loaded run with more friction."""
+    motion, pair = simulated(seed, slow)
+    return [with_friction(arm, run, motion, friction, seed) for arm, run in pair]
 
 
 def with_friction(arm: RobotFile, recording: Recording, motion: Motion, friction: Friction, seed: int) -> Recording:
@@ -112,25 +120,23 @@ def with_friction(arm: RobotFile, recording: Recording, motion: Motion, friction
     return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
 
 
-def print_errors(label: str, results: list[Any]) -> None:
-    """Per joint: RMS error in per cent, and how many of the 95 % intervals hold; `-` where no seed has a value."""
+def cells(results: list[Any]) -> list[str]:
+    """Per joint but the first: RMS error, share of the 95 % intervals that hold, and how many seeds have a value."""
     robot = load_robot("ur10e").robot
     true = np.array([robot.drive(name).gain for name in robot.joint_names]) * np.array(HIDDEN)
-    identified = [each for each in results if each is not None]
-    texts = []
-    for joint in range(len(true)):
-        errors = np.array([100.0 * (each.values[joint] / true[joint] - 1.0) for each in identified])
-        std = np.array([100.0 * each.std[joint] / abs(true[joint]) for each in identified])
+    identified, texts = [each for each in results if each is not None], []
+    for joint in range(1, len(true)):
+        errors = np.array([each.values[joint] - true[joint] for each in identified])
+        std = np.array([each.std[joint] for each in identified])
         good = np.isfinite(errors)
         if not good.any():
-            texts.append(f"{'-':>18}")
+            texts.append("no value")
             continue
-        rms, mean = np.sqrt(np.mean(errors[good] ** 2)), errors[good].mean()
+        rms = 100.0 * np.sqrt(np.mean(np.square(errors[good]))) / abs(true[joint])
         held = np.mean(np.abs(errors[good]) < INTERVAL * std[good])
-        texts.append(
-            f"{rms:6.2f} {mean:+5.1f} {held:4.0%}".rjust(18) if good.all() else f"{rms:6.2f} ({good.sum()})".rjust(18)
-        )
-    print(f"  {label:36}" + "".join(texts) + f"   {len(identified)}/{len(results)}")
+        some = "" if good.sum() == len(results) else f" ({good.sum()} of {len(results)})"
+        texts.append(f"{rms:.2f}, {100 * held:.0f} %{some}")
+    return texts
 
 
 def attempt(identify: Callable[..., Any], *arguments: Any) -> Any:
@@ -142,28 +148,28 @@ def attempt(identify: Callable[..., Any], *arguments: Any) -> Any:
         return None
 
 
-def main(seeds: int = 20) -> None:
+def main(seeds: int = 12) -> None:
     """Print a table for each friction."""
     mass, with_com = KnownLoad(LOAD.mass), KnownLoad(LOAD.mass, LOAD.com)
-    print(f"RMS error [%], mean error [%], 95 % intervals that hold; {seeds} seeds; last: recordings not refused")
-    for label, friction in FRICTIONS.items():
-        columns: dict[str, list[Any]] = {}
-        for seed in range(seeds):
-            passes = one_after_the_other(seed)
-            pair = runs(passes, passes.duration, friction, seed)
-            slow = runs(slow_motion(seed), SLOW_DURATION, friction, seed)
+    joints = " | ".join(name.removesuffix("_joint") for name in load_robot("ur10e").robot.joint_names[1:])
+    rows: dict[str, dict[str, list[Any]]] = {label: {} for label in FRICTIONS}
+    for seed in range(seeds):
+        for label, friction in FRICTIONS.items():
+            passes, slow = runs(seed, False, friction), runs(seed, True, friction)
             for name, identify, recordings, known in (
-                ("half sums, com known", identify_slow_gains, pair, with_com),
-                ("half sums, com unknown", identify_slow_gains, pair, mass),
-                ("least squares, same runs", identify_gains, pair, mass),
-                ("least squares, same runs, com known", identify_gains, pair, with_com),
-                ("least squares, all joints move", identify_gains, slow, mass),
+                ("half sums, `--com`", identify_slow_gains, passes, with_com),
+                ("half sums", identify_slow_gains, passes, mass),
+                ("total least squares, the same runs", identify_gains, passes, mass),
+                ("total least squares, the same runs, `--com`", identify_gains, passes, with_com),
+                ("total least squares, all joints move slowly", identify_gains, slow, mass),
             ):
-                columns.setdefault(name, []).append(attempt(identify, *recordings, known))
-        print(f"\nfriction {label}")
-        for name, results in columns.items():
-            print_errors(name, results)
+                rows[label].setdefault(name, []).append(attempt(identify, *recordings, known))
+        print(f"# seed {seed}", file=sys.stderr, flush=True)
+    for label, of_label in rows.items():
+        print(f"\n| friction {label} | {joints} |\n|---|---|---|---|---|---|")
+        for name, results in of_label.items():
+            print(f"| {name} | {' | '.join(cells(results))} |")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 12)
