@@ -14,7 +14,7 @@ from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Se
 from ident.estimators.feasible.consistent import found_consistent
 from ident.estimators.method import Method
 from ident.estimators.robust.reweighting import COVARIANCE_TOLERANCE, PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
-from ident.estimators.robust.weight_functions import WeightName, weight_function
+from ident.estimators.robust.weight_functions import WeightFunction, WeightName, weight_function
 from ident.estimators.robust.whitened_equations import Whitening, sample_equations, whitened
 from ident.estimators.torque_estimator import reduce_torques
 from ident.model.regressor import RegressorKernel
@@ -25,28 +25,36 @@ from ident.regression.least_squares import LeastSquares, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared, Step
 
+LEAST_HOLD = 0.5
+"""Least eigenvalue of Σψ′(z)·xxᵀ relative to Σw·xxᵀ. Few equations are near the threshold, so that smaller ones are
+themselves uncertain: error bars grow at most twofold by weights that move."""
+
 
 def whitened_jackknife(
-    estimation: Estimation, runs: Sequence[FilteredRun], torques: Sequence[int], steepness: float
+    estimation: Estimation, runs: Sequence[FilteredRun], torques: Sequence[int], function: WeightFunction
 ) -> CorrectedCovariance:
     """Corrected covariance of the active parameters of a whitened and weighted system.
+
+    Weights move with the data: where equations are about to be rejected, the others hold the estimate less than the
+    weighted system Σw·xxᵀ does. The moves are those of Σψ′(z)·xxᵀ (Huber, Annals of Statistics 1, 1973).
 
     Args:
         estimation: with its weights and Ω.
         runs: the data.
         torques: motors whose torques are used.
-        steepness: E[w]/E[ψ′], since the weights move with the data.
+        function: of the weights.
     """
     kernel, solution, active = estimation.kernel, estimation.solution, list(estimation.solution.active)
     whitening = Whitening(estimation.joint_covariance)
     blocks = motion_blocks([torques_of for run in runs for torques_of in run.series])
     sums, of_segments, weights = blocks.sums(len(active)), iter(blocks.of_segments), iter(estimation.weights)
+    holding = np.zeros((len(active), len(active)))
     for run in runs:
         for segment in run.segments:
             of_segment, weight = next(of_segments), next(weights)
             for sample_equation in sample_equations(kernel, segment, run.parallel_filter, torques):
                 _, unroot = whitening.roots(sample_equation.motors)
-                root_weight = np.sqrt(weight[np.ix_(np.array(sample_equation.motors), sample_equation.samples)])
+                weight_of = weight[np.ix_(np.array(sample_equation.motors), sample_equation.samples)]
                 of_sample = of_segment[sample_equation.samples]
                 regressor, residual = (
                     sample_equation.regressor[:, active],
@@ -54,12 +62,27 @@ def whitened_jackknife(
                 )
                 for block in np.unique(of_sample).tolist():
                     inside = of_sample == block
-                    rows = whitened(regressor[:, :, inside], residual[:, inside], unroot, root_weight[:, inside])
-                    sums.gram[block] += rows[:-1] @ rows[:-1].T
-                    sums.score[block] += rows[:-1] @ rows[-1]
-    moves = steepness * tolerant_moves(sums, sums.gram.sum(axis=0))
+                    rows = whitened(regressor[:, :, inside], residual[:, inside], unroot, np.ones(1))
+                    weighted = weight_of[:, inside].ravel() * rows[:-1]
+                    sums.gram[block] += weighted @ rows[:-1].T
+                    sums.score[block] += weighted @ rows[-1]
+                    holding += function.slope(rows[-1]) * rows[:-1] @ rows[:-1].T
+    normal = sums.gram.sum(axis=0)
+    moves = tolerant_moves(sums, normal) @ loosened(normal, holding)
     share = independent_share(blocks.autocorrelation[list(torques)])
     return blocks.corrected(moves, solution.rows, share)
+
+
+def loosened(normal: FloatArray, holding: FloatArray) -> FloatArray:
+    """N·H⁻¹ (a, a) of N = Σw·xxᵀ and H = Σψ′(z)·xxᵀ, H held above `LEAST_HOLD` of N."""
+    lengths = np.sqrt(np.diag(normal))
+    pairs = np.outer(lengths, lengths)
+    values, vectors = np.linalg.eigh(normal / pairs)
+    root = vectors * np.sqrt(np.maximum(values, np.finfo(float).eps * values[-1]))
+    inverse = np.linalg.inv(root)
+    held, directions = np.linalg.eigh(inverse @ (holding / pairs) @ inverse.T)
+    freed = root @ (directions / np.maximum(held, LEAST_HOLD) @ directions.T) @ inverse
+    return np.asarray(lengths[:, None] * freed / lengths)
 
 
 def consistent_or_free(setup: Setup, active: Sequence[int]) -> Solve:
@@ -117,7 +140,7 @@ class RobustEstimator:
     def covariance(self, runs: Sequence[FilteredRun], estimation: Estimation) -> CorrectedCovariance:
         """Delete-block jackknife on the whitened equations with the last weights."""
         function = weight_function(self.weights, estimation.solution.rows - len(estimation.solution.active))
-        return whitened_jackknife(estimation, runs, self.setup.experiment.torques, function.steepness)
+        return whitened_jackknife(estimation, runs, self.setup.experiment.torques, function)
 
     def restricted(self, estimation: Estimation, columns: Sequence[int]) -> LeastSquares:
         """Least squares with the last weights and Ω."""

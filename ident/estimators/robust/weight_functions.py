@@ -22,6 +22,9 @@ HARD_LEVEL = 0.005
 HUBER_THRESHOLD = 1.345
 TUKEY_THRESHOLD = 4.685
 
+SOFTENED = 0.5
+"""Half the width [σ] over which hard weights fall where it matters how they move with the data."""
+
 _INTEGRATION = np.linspace(-12.0, 12.0, 48_001)
 """Normal residuals at which expectations are summed."""
 
@@ -47,20 +50,37 @@ class WeightFunction:
             return np.asarray(1.0 / np.maximum(size, 1.0))
         return np.asarray(np.square(np.clip(1.0 - size**2, 0.0, None)))
 
+    def loss(self, residual: FloatArray) -> FloatArray:
+        """ρ, 0 and more, of normalised residuals, whose derivative is ψ; same shape."""
+        square, limit = np.square(residual), self.threshold**2
+        if self.name == "hard":
+            return np.asarray(0.5 * np.minimum(square, limit))
+        if self.name == "huber":
+            beyond = self.threshold * np.abs(residual) - 0.5 * limit
+            return np.where(square <= limit, 0.5 * square, beyond)
+        return np.asarray(limit / 6.0 * (1.0 - np.clip(1.0 - square / limit, 0.0, None) ** 3))
+
     @property
     def variance(self) -> float:
         """E[w·z²]/E[w] of normal residuals: what their weighted variance is too small by."""
         weights = self(_INTEGRATION)
         return _mean(weights * _INTEGRATION**2) / _mean(weights)
 
-    @property
-    def steepness(self) -> float:
-        """E[w]/E[ψ′] of normal residuals: by how much more than with fixed weights an estimate moves with its data.
+    def slope(self, residual: FloatArray) -> FloatArray:
+        """ψ′ of normalised residuals: by how much an equation holds the estimate against its data; same shape.
 
-        E[ψ′] = E[z·ψ], by parts.
+        Hard weights fall over `SOFTENED` to both sides of the threshold here: an equation near it that moves is
+        rejected, or no longer.
         """
-        weights = self(_INTEGRATION)
-        return _mean(weights) / _mean(weights * _INTEGRATION**2)
+        size = np.abs(residual)
+        if self.name == "hard":
+            weight = np.clip((self.threshold + SOFTENED - size) / (2.0 * SOFTENED), 0.0, 1.0)
+            falls = np.abs(size - self.threshold) < SOFTENED
+            return np.asarray(weight - np.where(falls, size / (2.0 * SOFTENED), 0.0))
+        if self.name == "huber":
+            return (size <= self.threshold).astype(np.float64)
+        square = np.square(size / self.threshold)
+        return np.where(square < 1.0, (1.0 - square) * (1.0 - 5.0 * square), 0.0)
 
 
 def weight_function(name: WeightName, freedom: float) -> WeightFunction:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from daq.recording.recording import Recording
+from ident.estimators.methods.irls import LEAST_HOLD, loosened
 from ident.estimators.robust.weight_functions import weight_function
 from ident.estimators.robust.whitened_equations import Whitening, shrunk
 from ident.identify.identification import Identification, IdentifyChoices
@@ -128,6 +129,18 @@ def test_the_thresholds_lose_5_percent_on_normal_residuals(name):
     assert np.sum(density * z * psi) ** 2 / np.sum(density * psi**2) == pytest.approx(0.95, abs=0.005)
     assert np.all(np.diff(function(np.abs(z[z >= 0]))) <= 0)
     assert function(np.zeros(1))[0] == 1.0
+    assert (
+        np.allclose(np.gradient(function.loss(z), z)[1:-1], psi[1:-1], atol=5e-3 * function.threshold) or name == "hard"
+    )
+    assert np.sum(density * function.slope(z)) == pytest.approx(np.sum(density * z * psi), abs=0.015)  # by parts
+
+
+def test_error_bars_grow_where_the_others_hold_less_up_to_twofold():
+    normal, free = np.array([[4.0, 1.0], [1.0, 2.0]]), np.diag([1.0, 0.5])
+    assert np.allclose(loosened(normal, normal), np.eye(2))
+    assert np.allclose(loosened(normal, 0.8 * normal), np.eye(2) / 0.8)
+    assert np.allclose(loosened(normal, normal - free), normal @ np.linalg.inv(normal - free))
+    assert np.allclose(loosened(normal, -normal), np.eye(2) / LEAST_HOLD)
 
 
 def test_roots_whiten_any_set_of_motors():
