@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
@@ -52,23 +53,16 @@ class Wires:
         return bool(client.row()["timestamp"] >= 0.0)
 
     def close(self) -> None:
-        for one in self._made:
-            one.close()
+        for end in self._made:
+            end.close()
         self.server.stop()
         assert self.server.failure is None
 
 
 @pytest.fixture
 def make_wires(clock: SimulatedClock) -> Iterator[Callable[..., Wires]]:
-    made: list[Wires] = []
-
-    def make(version: str = "5.22", **settings: int) -> Wires:
-        made.append(Wires(clock, version, **settings))
-        return made[-1]
-
-    yield make
-    for one in made:
-        one.close()
+    with ExitStack() as made:
+        yield lambda version="5.22", **keys: made.enter_context(closing(Wires(clock, version, **keys)))
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@ import socket
 import struct
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
@@ -25,16 +26,15 @@ Connect = Callable[..., RtdeReceiver]
 
 @pytest.fixture
 def connect(clock: SimulatedClock) -> Iterator[Connect]:
-    made: list[RtdeReceiver] = []
+    made = ExitStack()
 
     def make(server: ScriptedController, rate: float | None = None, timeout: float = 2.0) -> RtdeReceiver:
-        made.append(receiver_of(server, clock, rate, timeout))
-        made[-1].connect()
-        return made[-1]
+        receiver = made.enter_context(closing(receiver_of(server, clock, rate, timeout)))
+        receiver.connect()
+        return receiver
 
-    yield make
-    for one in made:
-        one.close()
+    with made:
+        yield make
 
 
 def receiver_of(

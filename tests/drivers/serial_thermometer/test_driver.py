@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
@@ -51,11 +52,10 @@ def line(clock: SimulatedClock) -> SerialLine:
 @pytest.fixture
 def opened(clock: SimulatedClock, line: SerialLine) -> Iterator[Make]:
     """Makes a driver that runs; the thermometer spoke 5 ms ago."""
-    drivers: list[SerialThermometerDriver] = []
+    drivers = ExitStack()
 
     def make(**keys: object) -> SerialThermometerDriver:
-        driver = made(line.path, clock, **keys)
-        drivers.append(driver)
+        driver = drivers.enter_context(closing(made(line.path, clock, **keys)))
         begun = clock.now()
         clock.call_at(begun + 0.105, lambda: line.say("12=99\nT1=20 T2=30\nT1"))
         driver.open()
@@ -66,9 +66,8 @@ def opened(clock: SimulatedClock, line: SerialLine) -> Iterator[Make]:
         clock.sleep(0.005)  # now nothing happens at the moment at which the port's thread looks
         return driver
 
-    yield make
-    for one in drivers:
-        one.close()
+    with drivers:
+        yield make
 
 
 def listen(driver: SerialThermometerDriver, clock: Clock, seconds: float) -> tuple[list[Batch], list[Notice]]:

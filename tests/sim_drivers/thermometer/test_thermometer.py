@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing
 from pathlib import Path
 
 import numpy as np
@@ -66,17 +67,16 @@ def line(clock: SimulatedClock) -> SerialLine:
 @pytest.fixture
 def opened(clock: SimulatedClock, line: SerialLine) -> Iterator[Make]:
     """Makes a driver that runs."""
-    made: list[SerialThermometerDriver] = []
+    made = ExitStack()
 
     def make(joints: tuple[str, ...] = JOINTS, **keys: object) -> SerialThermometerDriver:
-        made.append(driver_of(line.path, clock, joints, **keys))
-        made[-1].open()
-        made[-1].start()
-        return made[-1]
+        driver = made.enter_context(closing(driver_of(line.path, clock, joints, **keys)))
+        driver.open()
+        driver.start()
+        return driver
 
-    yield make
-    for one in made:
-        one.close()
+    with made:
+        yield make
 
 
 def listen(
