@@ -202,6 +202,10 @@ class ServoBus:
         start = motor.table.gathered[name] if self.gathered else entry.address - self.block[0]
         return entry.decoded(answer.data[start : start + entry.size])
 
+    def position(self, motor: ServoMotor, answer: Packet) -> float:
+        """The joint's position [rad] in a servo's answer to the request for the feedback."""
+        return motor.scale.position(self.value(motor, motor.table.feedback["position"], answer))
+
     def _asked(self, motor: ServoMotor, request: bytes, size: int, *, hurried: bool = False) -> Packet:
         strange = others = 0
         for _ in range(1 if hurried else ATTEMPTS):

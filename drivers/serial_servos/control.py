@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import deque
 
 import numpy as np
@@ -34,7 +35,7 @@ class ServoControl:
     def __init__(self, bus: ServoBus, settings: ServoSettings, clock: Clock) -> None:
         self._bus, self._settings, self._clock = bus, settings, clock
         self._motors = settings.motors
-        self._turn = 0
+        self._turn = itertools.cycle(self._motors)
         self.active = self.led = False
         self.goal: FloatArray | None = None
         self.sent: deque[tuple[float, FloatArray]] = deque()
@@ -66,7 +67,7 @@ class ServoControl:
             self._set(motor, "speed_limit", keys.speed)
             if "torque_limit" in registers:
                 self._bus.write(motor, "torque_limit", _counts(registers["torque_limit"], keys.torque_limit))
-        here = self._present()
+        here = {motor.id: self._bus.read(motor, motor.table.feedback["position"]) for motor in self._motors}
         self._bus.write_all("goal_position", here)
         for motor in self._motors:
             if abs(self._bus.read(motor, "goal_position") - here[motor.id]) > 1:
@@ -123,15 +124,14 @@ class ServoControl:
         self.goal = np.array([motor.scale.position(counts[motor.id]) for motor in self._motors])
         self._note(self.goal)
 
-    def watched(self) -> tuple[ServoMotor, int]:
-        """Look at the next servo, in turn: its fault bits.
+    def watch(self) -> None:
+        """Look at the next servo, in turn.
 
         Raises:
             DriverStateError: its torque is off though no command switched it off.
             ConnectionFailedError: it does not answer.
         """
-        motor = self._motors[self._turn % len(self._motors)]
-        self._turn += 1
+        motor = next(self._turn)
         enable, status = motor.table.registers["torque_enable"], motor.table.registers["status"]
         near = 0 < status.address - enable.address < 8
         size = status.address + status.size - enable.address if near else enable.size
@@ -143,7 +143,6 @@ class ServoControl:
                 f"the torque of {called(motor)} is off{why}",
                 hint="was its power interrupted, or did it protect itself? look at supply, heat and load",
             )
-        return motor, status.decoded(data[status.address - enable.address :]) if near else 0
 
     def stop(self) -> str:
         """Let the arm hold or go limp, as the connection says; what is wrong, in words, or nothing."""
@@ -164,12 +163,7 @@ class ServoControl:
                 feedback = self._bus.feedback()
                 heard = heard | feedback.answers.keys()
                 if len(feedback.answers) == len(self._motors):
-                    here = [
-                        motor.scale.position(
-                            self._bus.value(motor, motor.table.feedback["position"], feedback.answers[motor.id])
-                        )
-                        for motor in self._motors
-                    ]
+                    here = [self._bus.position(motor, feedback.answers[motor.id]) for motor in self._motors]
                     watch.add(feedback.time, np.array(here))
                 else:
                     self._clock.sleep(0.005)
@@ -188,7 +182,7 @@ class ServoControl:
         for index, motor in enumerate(self._motors):
             if motor.id not in answers or self.goal is None:
                 continue
-            here = motor.scale.position(self._bus.value(motor, motor.table.feedback["position"], answers[motor.id]))
+            here = self._bus.position(motor, answers[motor.id])
             lead = float(np.clip(self.goal[index] - here, -HOLD_LEAD, HOLD_LEAD))
             counts[motor.id] = motor.scale.steps(here + lead)
         for _ in range(STOP_SENDINGS if counts else 0):
@@ -199,10 +193,6 @@ class ServoControl:
         armed = {motor.id: 0 for motor in self._motors if "bus_watchdog" in motor.table.registers}
         if armed:
             self._bus.write_all("bus_watchdog", armed)
-
-    def _present(self) -> dict[int, int]:
-        """Steps of every servo, by id."""
-        return {motor.id: self._bus.read(motor, motor.table.feedback["position"]) for motor in self._motors}
 
     def _set(self, motor: ServoMotor, name: str, value: float | None) -> None:
         """Write a limit of the profile; where none is wanted, Dynamixel's is taken off and Feetech's is left."""

@@ -99,7 +99,7 @@ class ServoCycle(PolledRows):
 
     def _look_closer(self) -> None:
         try:
-            self._control.watched()
+            self._control.watch()
         except DriverStateError as error:
             self._tell("error", error.message, error.hint)
         except ConnectionFailedError:

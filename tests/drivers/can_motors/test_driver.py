@@ -13,7 +13,7 @@ from daq.recording.quality.stale_samples import stale_rows
 from daq.recording.reader import read_recording
 from drivers.can_motors.bus import MotorBus
 from drivers.can_motors.settings import parse_settings
-from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
+from drivers.core.errors import ConnectionFailedError, DriverStateError, UsageError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from sim_drivers.faults import Fault, parse_fault
@@ -120,45 +120,6 @@ def test_a_motion_that_was_refused_leaves_a_file_without_commands(clock: Simulat
     assert not stale.repeated.any()
 
 
-FAULTS = {
-    "die bend": ("stale data of stream joints", "no answer of bend (id 7)"),
-    "same-id bend": ("bend (id 7) answers twice: two motors have this id", ""),
-    "freeze 2": ("stale data of stream joints", "no motor answers"),
-    "bus-off 2": ("stale data of stream joints", "no motor answers"),
-    "over-temperature bend": ("bend (id 7) reports over-temperature", "let it cool down"),
-    "power-cycle bend": ("bend", ""),
-    "sag 1": ("reports under-voltage", ""),
-    "block swing": ("stuck position of swing", "it is jammed"),
-}
-
-
-@pytest.mark.parametrize("wire", WIRES)
-def test_faults_end_a_motion_and_are_named(clock: SimulatedClock, tmp_path, wire):
-    wrong = {}
-    few = ["die bend", "over-temperature bend", *(["same-id bend"] if wire == "moteus" else [])]
-    tried = FAULTS if wire == "damiao" else {line: FAULTS[line] for line in few}
-    for line, (said, more) in tried.items():
-        with motors(clock, wire) as bench:
-            clock.call_at(clock.now() + 1.1, lambda bench=bench, line=line: bench.server.cause(fault(line)))
-            report = bench.session(tmp_path / "run.h5", GOAL)
-            stopped = str(report.stopped_by)
-            assert report.file is not None
-            rows = len(read_recording(report.file).streams["joints"].time)
-            if said not in stopped or more not in stopped or rows < 50:
-                wrong[line] = stopped, rows
-            report.file.unlink()
-    assert wrong == {}, wrong
-
-
-def test_what_is_small_is_lost_and_counted(clock: SimulatedClock, tmp_path):
-    with motors(clock, "robstride") as bench:
-        for number, line in enumerate(("drop 2", "garbage 3", "truncate 1")):
-            clock.call_at(clock.now() + 1.0 + 0.15 * number, lambda line=line: bench.server.cause(fault(line)))
-        report = bench.session(tmp_path / "run.h5", GOAL)
-        assert report.stopped_by is None
-        assert 1 <= report.lost["joints"] <= 10
-
-
 def test_answers_that_come_in_the_next_period_are_rows(clock: SimulatedClock, tmp_path, monkeypatch):
     answering = "sim_drivers.can_motors.server.ANSWERING"  # 100 Hz
     with motors(clock, "moteus") as bench:
@@ -207,17 +168,6 @@ def test_motors_that_go_limp_with_the_end_are_not_in_fault_at_the_next_begin(clo
             assert not any(motor.enabled or motor.fault for motor in bench.server.motors)
             clock.sleep(4.0)  # longer than any time-out, and until it hangs
             assert not any(motor.fault for motor in bench.server.motors)
-
-
-def test_limp_on_stop(clock: SimulatedClock):
-    for wire in WIRES:
-        with motors(clock, wire, on_stop="limp") as bench, bench.opened() as driver:
-            assert any("THE ARM FALLS" in line for line in driver.cautions())
-            driver.start()
-            driver.take_control()
-            assert all(motor.enabled for motor in bench.server.motors)
-            driver.stop()
-            assert not any(motor.enabled for motor in bench.server.motors), wire
 
 
 @pytest.mark.parametrize("wire", WIRES)
@@ -310,14 +260,6 @@ def test_motors_that_are_refused(clock: SimulatedClock):
         driver.command(driver._cycle.latest)
         with pytest.raises(DriverStateError, match=r"its frames end at 12.5"):
             driver._control.command(np.array([13.0, 0.0]))
-
-
-def test_without_an_answer_the_connection_is_lost(clock: SimulatedClock, tmp_path):
-    with motors(clock) as bench:
-        clock.call_at(clock.now() + 0.5, lambda: bench.server.cause(fault("die swing")))
-        report = bench.session(tmp_path / "run.h5", duration=3.0)
-    assert isinstance(report.error, ConnectionLostError)
-    assert "no answer of swing (id 1)" in str(report.error)
 
 
 @pytest.mark.parametrize("wire", WIRES)

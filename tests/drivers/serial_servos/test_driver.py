@@ -13,13 +13,7 @@ from simulated_clock import SimulatedClock
 from daq.recording.commanded_motion import commanded_motion
 from daq.recording.reader import read_recording
 from drivers.base import DriverSettings
-from drivers.core.errors import (
-    ConnectionFailedError,
-    ConnectionLostError,
-    DriverStateError,
-    SafetyStopError,
-    UsageError,
-)
+from drivers.core.errors import ConnectionFailedError, DriverStateError, UsageError
 from drivers.serial_servos.budget import dynamixel_budget, feetech_budget
 from sim_drivers.faults import Fault, parse_fault
 
@@ -92,53 +86,6 @@ def _count(written: list[int], *_: object) -> int:
     return 0
 
 
-FAULTS = {
-    "die bend": ("stale data of stream joints", "no answer of bend (id 7)"),
-    "same-id bend": ("stale data of stream joints", "no answer of bend (id 7)"),
-    "freeze 2": ("stale data of stream joints", "no servo answers"),
-    "unplug": ("the port has gone", ""),
-    "over-temperature bend": ("bend (id 7) reports over-temperature", "let it cool down"),
-    "power-cycle bend": ("stale data of stream joints", "bend"),
-    "block swing": ("stuck position of swing", "it is jammed"),
-}
-
-
-@pytest.mark.parametrize("wire", WIRES)
-def test_faults_end_a_motion_and_are_named(clock: SimulatedClock, tmp_path, wire):
-    wrong = {}
-    tried = (
-        FAULTS
-        if wire == "feetech"
-        else {line: FAULTS[line] for line in ("die bend", "same-id bend", "power-cycle bend")}
-    )
-    for line, (said, more) in tried.items():
-        with servos(clock, wire) as bench:
-            clock.call_at(clock.now() + 1.2, lambda bench=bench, line=line: bench.server.cause(fault(line)))
-            report = bench.session(tmp_path / f"{line}.h5", GOAL)
-            stopped = str(report.stopped_by)
-            clock.sleep(0.5)
-            still = np.max(np.abs(bench.server.plant.arm.velocity)) < 0.05 or "die" in line or "over" in line
-            file = report.file
-            run = read_recording(file) if file is not None else None
-            rows = len(run.streams["joints"].time) if run is not None else 0
-            if said not in stopped or more not in stopped or not still or rows < 50:
-                wrong[line] = stopped, still, rows
-    assert wrong == {}, wrong
-
-
-SMALL = ("drop 2", "garbage 1", "truncate 1", "wrong-sum 1")
-
-
-def test_what_is_small_is_lost_and_counted(clock: SimulatedClock, tmp_path):
-    for wire in WIRES[1:]:
-        with servos(clock, wire) as bench:
-            for number, line in enumerate(SMALL):
-                clock.call_at(clock.now() + 1.0 + 0.15 * number, lambda line=line: bench.server.cause(fault(line)))
-            report = bench.session(tmp_path / f"{wire}.h5", GOAL)
-            assert report.stopped_by is None
-            assert 1 <= report.lost["joints"] <= 40
-
-
 def test_an_adapter_that_returns_what_is_sent(clock: SimulatedClock):
     for wire in WIRES:
         with servos(clock, wire) as bench:
@@ -153,18 +100,6 @@ def test_an_adapter_that_returns_what_is_sent(clock: SimulatedClock):
                 rows = sum(len(batch.time) for batch in driver.read(0.1) if batch.stream == "joints")
                 assert rows >= 29
                 assert "did not answer" not in driver.losses("joints")
-
-
-def test_limp_on_stop(clock: SimulatedClock):
-    for wire in WIRES:
-        with servos(clock, wire) as bench, bench.opened(on_stop="limp") as driver:
-            assert any("THE ARM FALLS" in line for line in driver.cautions())
-            driver.start()
-            driver.take_control()
-            driver.stop()
-            assert [servo.get("torque_enable") for servo in bench.server.servos] == [0, 0]
-            said = [notice.message for notice in driver.notices()]
-            assert "the torque is off, the arm is limp" in said or any("did not show" in line for line in said)
 
 
 def test_where_one_servo_does_not_obey_the_others_are_stopped_as_well(clock: SimulatedClock, monkeypatch):
@@ -282,15 +217,6 @@ def test_a_slow_adapter_is_named_with_what_to_do(clock: SimulatedClock):
         with bench.opened() as driver:
             said = [notice.message for notice in driver.notices()]
     assert any("100 Hz are not reached" in line for line in said)
-
-
-def test_without_an_answer_the_connection_is_lost(clock: SimulatedClock, tmp_path):
-    with servos(clock) as bench:
-        clock.call_at(clock.now() + 1.0, lambda: bench.server.cause(fault("die swing")))
-        report = bench.session(tmp_path / "run.h5", duration=5.0)
-    assert isinstance(report.error, ConnectionLostError)
-    assert "no answer of swing (id 1)" in str(report.error)
-    assert not isinstance(report.error, SafetyStopError)
 
 
 def test_the_wire_carries_what_the_budget_says(clock: SimulatedClock, tmp_path):

@@ -1,0 +1,126 @@
+"""What every arm of servos or motors does that are asked again and again, in simulated time: faults, losses, stops."""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+
+import motor_bench
+import numpy as np
+import pytest
+import servo_bench
+from motor_bench import JOINTS, MotorBench, motors
+from servo_bench import ServoBench, servos
+from simulated_clock import SimulatedClock
+
+from daq.recording.reader import read_recording
+from drivers.core.errors import ConnectionLostError, SafetyStopError
+from sim_drivers.faults import parse_fault
+
+WIRES = (*motor_bench.WIRES, *servo_bench.WIRES)
+
+
+def served(clock: SimulatedClock, wire: str, **more: object) -> AbstractContextManager[MotorBench | ServoBench]:
+    return (servos if wire in servo_bench.WIRES else motors)(clock, wire, **more)
+
+
+def goal(bench: MotorBench | ServoBench) -> np.ndarray:
+    return servo_bench.START + [1.0, -0.8] if isinstance(bench, ServoBench) else motor_bench.START + [0.8, -0.6]
+
+
+def stiff(bench: MotorBench | ServoBench) -> list[bool]:
+    """Which motors drive."""
+    if isinstance(bench, ServoBench):
+        return [servo.get("torque_enable") == 1 for servo in bench.server.servos]
+    return [motor.enabled for motor in bench.server.motors]
+
+
+def cause_after(bench: MotorBench | ServoBench, seconds: float, line: str) -> None:
+    fault = parse_fault(line, "serial servos" if isinstance(bench, ServoBench) else "CAN motors", JOINTS)
+    bench.clock.call_at(bench.clock.now() + seconds, lambda: bench.server.cause(fault))
+
+
+OF_MOTORS = {
+    "die bend": ("stale data of stream joints", "no answer of bend (id 7)"),
+    "same-id bend": ("bend (id 7) answers twice: two motors have this id", ""),
+    "freeze 2": ("stale data of stream joints", "no motor answers"),
+    "bus-off 2": ("stale data of stream joints", "no motor answers"),
+    "over-temperature bend": ("bend (id 7) reports over-temperature", "let it cool down"),
+    "power-cycle bend": ("bend", ""),
+    "sag 1": ("reports under-voltage", ""),
+    "block swing": ("stuck position of swing", "it is jammed"),
+}
+OF_SERVOS = {
+    "die bend": ("stale data of stream joints", "no answer of bend (id 7)"),
+    "same-id bend": ("stale data of stream joints", "no answer of bend (id 7)"),
+    "freeze 2": ("stale data of stream joints", "no servo answers"),
+    "unplug": ("the port has gone", ""),
+    "over-temperature bend": ("bend (id 7) reports over-temperature", "let it cool down"),
+    "power-cycle bend": ("stale data of stream joints", "bend"),
+    "block swing": ("stuck position of swing", "it is jammed"),
+}
+TRIED = {
+    "damiao": OF_MOTORS,
+    **dict.fromkeys(("robstride", "cubemars", "odrive"), ("die bend", "over-temperature bend")),
+    "moteus": ("die bend", "over-temperature bend", "same-id bend"),
+    "feetech": OF_SERVOS,
+    "dynamixel": ("die bend", "same-id bend", "power-cycle bend"),
+}
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_faults_end_a_motion_and_are_named(clock: SimulatedClock, tmp_path, wire):
+    wrong = {}
+    for line in TRIED[wire]:
+        with served(clock, wire) as bench:
+            servo = isinstance(bench, ServoBench)
+            cause_after(bench, 1.2 if servo else 1.1, line)
+            report = bench.session(tmp_path / "run.h5", goal(bench))
+            stopped = str(report.stopped_by)
+            assert report.file is not None
+            rows = len(read_recording(report.file).streams["joints"].time)
+            report.file.unlink()
+            clock.sleep(0.5)
+            loose = not servo or "die" in line or "over" in line
+            still = loose or np.max(np.abs(bench.server.plant.arm.velocity)) < 0.05
+            said = (OF_SERVOS if servo else OF_MOTORS)[line]
+            if not all(words in stopped for words in said) or not still or rows < 50:
+                wrong[line] = stopped, still, rows
+    assert wrong == {}, wrong
+
+
+@pytest.mark.parametrize(
+    ("wire", "lines", "most"),
+    [
+        ("robstride", ("drop 2", "garbage 3", "truncate 1"), 10),
+        ("dynamixel", ("drop 2", "garbage 1", "truncate 1", "wrong-sum 1"), 40),
+    ],
+)
+def test_what_is_small_is_lost_and_counted(clock: SimulatedClock, tmp_path, wire, lines, most):
+    with served(clock, wire) as bench:
+        for number, line in enumerate(lines):
+            cause_after(bench, 1.0 + 0.15 * number, line)
+        report = bench.session(tmp_path / "run.h5", goal(bench))
+        assert report.stopped_by is None
+        assert 1 <= report.lost["joints"] <= most
+
+
+@pytest.mark.parametrize(("wire", "after", "duration"), [("damiao", 0.5, 3.0), ("feetech", 1.0, 5.0)])
+def test_without_an_answer_the_connection_is_lost(clock: SimulatedClock, tmp_path, wire, after, duration):
+    with served(clock, wire) as bench:
+        cause_after(bench, after, "die swing")
+        report = bench.session(tmp_path / "run.h5", duration=duration)
+    assert isinstance(report.error, ConnectionLostError)
+    assert "no answer of swing (id 1)" in str(report.error)
+    assert not isinstance(report.error, SafetyStopError)
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_limp_on_stop(clock: SimulatedClock, wire):
+    with served(clock, wire, on_stop="limp") as bench, bench.opened() as driver:
+        assert any("THE ARM FALLS" in line for line in driver.cautions())
+        driver.start()
+        driver.take_control()
+        assert all(stiff(bench))
+        driver.stop()
+        assert not any(stiff(bench))
+        assert any("limp" in notice.message for notice in driver.notices())
