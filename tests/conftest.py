@@ -42,7 +42,7 @@ READ_APART = ("drivers/core", "found")
 # "ci", the default, draws the same examples in every run; "soak" (`make soak`) new ones, and keeps those that fail.
 # A busy computer makes any single example slow: time is no property that a test of values may fail by.
 UNTIMED = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow], "print_blob": True}
-settings.register_profile("ci", derandomize=True, database=None, max_examples=50, **UNTIMED)
+settings.register_profile("ci", derandomize=True, database=None, max_examples=25, **UNTIMED)
 settings.register_profile(
     "soak",
     derandomize=False,

@@ -32,7 +32,7 @@ SIMULATOR = """
 import sys
 from dynid.command import main
 from sim_drivers.canopen import network
-network.LOOP_PERIOD = 2e-3  # of the drives, half as often as usual: each turn costs processor time
+network.LOOP_PERIOD = 5e-3  # of the drives, a fifth as often as usual: each turn costs processor time
 sys.exit(main())
 """
 SYNC_RATE = 100

@@ -33,15 +33,15 @@ from drivers.core.arrays import FloatArray
 from sim_drivers.canopen import network
 from sim_drivers.canopen.server import CanopenServer
 from sim_drivers.canopen.setup import DriveFeedback
-from sim_drivers.plant.plant import Plant
+from sim_drivers.plant.plant import Plant, PlantSettings
 
 RADIANS = 2 * np.pi / 524288
 """Of a count."""
 CHANNEL = "recorded"
 NODES = (1, 2, 3)
 """Of the drives; six take twice as long to simulate."""
-LOOP_PERIOD = 2e-3
-"""Of the drives' control loops [s], in which the plant's controller takes their references; half as often as usual."""
+LOOP_PERIOD = 5e-3
+"""Of the drives' control loops [s], in which they take their references; a fifth as often as usual."""
 
 
 @dataclass(frozen=True)
@@ -241,7 +241,7 @@ def arm_on_bus(
         robot_file = _robot_on_virtual_bus(keys, serials, coupling, drives)
         robot = robot_file.robot
         settings = parse_settings(dict(robot.connections["canopen"].model_extra or {}), robot.joint_names)
-        plant = Plant(robot_file)
+        plant = Plant(robot_file, PlantSettings(step=LOOP_PERIOD / 2))
         measured: list[list[Measured]] = []
         with CanopenServer(plant, robot, settings, swapped=swapped, clock=clock) as server:
             _note(server, measured)

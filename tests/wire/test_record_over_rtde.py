@@ -35,7 +35,7 @@ from drivers.core.errors import ConnectionLostError, SafetyStopError
 from drivers.rtde.driver import RtdeDriver
 from drivers.rtde.receiver import SILENCE_LIMIT, TOGETHER
 from sim_drivers.faults import parse_fault
-from sim_drivers.plant.plant import Plant
+from sim_drivers.plant.plant import Plant, PlantSettings
 from sim_drivers.rtde.server import RtdeServer, ServerStatus
 
 RATE = 500.0
@@ -102,7 +102,7 @@ class Bench:
         self.control = control
         self.folder = folder
         self.out = folder / "run.h5"
-        self.plant = Plant(ur5e(), seed=1)
+        self.plant = Plant(ur5e(), PlantSettings(step=PERIOD, control_steps=1), seed=1)
         self.arm = RememberedArm(self.plant)
         self.server = RtdeServer(self.arm, ports=NOWHERE, joints=ur5e().robot.joints, clock=clock)
         self.commands: list[tuple[float, np.ndarray]] = []

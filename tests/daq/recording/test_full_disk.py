@@ -14,7 +14,7 @@ import pytest
 from daq.recording.growing_file import SPARE
 
 ROOT = Path(__file__).parents[3]
-STEP = 3 * 4096
+STEP = 6 * 4096
 """Bytes; studies/safety/full_disk.py takes 4096."""
 CHILD = """
     import json, os, resource, sys

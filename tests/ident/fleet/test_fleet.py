@@ -160,10 +160,11 @@ def test_a_folder_of_another_kind_is_left_alone(tmp_path, run):
 
 
 @pytest.mark.usefixtures("estimate_alone", "in_this_process")
-def test_a_long_recording_is_identified_in_parts_that_are_merged(tmp_path):
-    dynid.simulate("ur5e", duration=34.0, rate=50.0, seed=1).save(tmp_path / "week.h5")
+def test_a_long_recording_is_identified_in_parts_that_are_merged(tmp_path, three_joint):
+    dynid.simulate(three_joint, duration=34.0, rate=50.0, seed=1).save(tmp_path / "week.h5")
     out = tmp_path / "out"
-    text = "arms: [{name: a, recordings: [week.h5], parts: 11}]\nmethods: [ols]"
+    options = "{friction: coulomb-viscous, delay: 0}"
+    text = f"arms: [{{name: a, recordings: [week.h5], parts: 11}}]\nmethods: [ols]\noptions: {options}"
     fleet = identify_fleet(written(tmp_path, text), out)
     assert [outcome.name for outcome in fleet.outcomes] == [
         *(f"a/week-part-000{number}/ols" for number in (1, 2, 3)), "a/merged/ols",

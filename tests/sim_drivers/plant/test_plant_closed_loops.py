@@ -87,7 +87,7 @@ def test_the_truth_is_found_from_ten_seconds_of_the_controlled_arm() -> None:
     robot_file = four_bar_arm()
     base = base_parameters(build_model(robot_file))
     truth = base.projection @ truth_vector(robot_file)
-    recording = follow(robot_file, 1, 10.0, rate=200.0)
+    recording = follow(robot_file, 1, 10.0, rate=150.0)
     found = identify([recording], [], IdentifyChoices(split=8.5, search_delay=False))
     assert found.validation.relative_error < 0.05
     deviations = np.abs(found.solution.parameters - truth) / found.std
