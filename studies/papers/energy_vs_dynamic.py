@@ -35,6 +35,7 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.signals.pipeline import PreprocessChoices
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.papers.sr400_table4 import with_paper_load
@@ -48,7 +49,6 @@ NOISE_MOVES = 24
 MOVES = (12, 24, 48)
 FOURIER_PERIOD = 20.0
 WEAK_LOW_PASS = 80.0
-INTERVAL = 1.96
 
 
 def with_encoder_noise(recording: Recording, std: float, seed: int) -> Recording:
@@ -104,7 +104,7 @@ def compare_parameters(arm: RobotFile, seed: int = 0, moves: int = WRIST_MOVES) 
     truth = models[0].base.projection @ truth_vector(arm)
     print(f"{'':8}{'truth':>9}" + "".join(f"{fit.solution.method:>20}" for fit in models))
     for i, name in enumerate(models[0].base.names):
-        figures = (f"{fit.solution.parameters[i]:11.4f} ± {INTERVAL * fit.std[i]:.4f}" for fit in models)
+        figures = (f"{fit.solution.parameters[i]:11.4f} ± {WITHIN_95_PERCENT * fit.std[i]:.4f}" for fit in models)
         print(f"{name:8}{truth[i]:9.4f}" + "".join(f"{text:>20}" for text in figures))
     return models
 
@@ -132,7 +132,7 @@ def compare_motions(arm: RobotFile, seeds: int, rows: Sequence[int] = MOVES, fou
                 if fit is None:
                     continue
                 truth = fit.base.projection @ truth_vector(arm)
-                held = np.abs(fit.solution.parameters - truth) < INTERVAL * fit.std
+                held = np.abs(fit.solution.parameters - truth) < WITHIN_95_PERCENT * fit.std
                 essential = len(fit.pruned.solution.active)
                 condition = fit.solution.scaled_condition
                 figures[seed, column] = torque_error(arm, fit, other), condition, essential, held.mean()

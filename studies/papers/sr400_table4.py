@@ -33,6 +33,7 @@ from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.model.parameters import INERTIAL, link_parameters
 from ident.model.true_parameters import truth_vector
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.systematic_errors import gain_sensitivity, relative_gain_std
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
@@ -53,8 +54,6 @@ PAPER = {
     "Fsm6": (0.92, None, None),
 }  # fmt: skip
 """Table 4 as printed: X̂, Z_L, X̂_L."""
-
-INTERVAL = 1.96
 
 
 @dataclass(frozen=True)
@@ -149,7 +148,7 @@ def print_table(table: Table) -> None:
         for fit, std, column in ((free, table.std, None), (loaded, table.loaded_std, table.predicted)):
             values += [] if column is None else [f"{column[i]:.3f}"]
             pruned = "" if i in fit.pruned.solution.active else " (pruned)"
-            values.append(f"{fit.solution.parameters[i]:.3f} ± {INTERVAL * std[i]:.3f}{pruned}")
+            values.append(f"{fit.solution.parameters[i]:.3f} ± {WITHIN_95_PERCENT * std[i]:.3f}{pruned}")
         values.append(f"{table.apart[i]:.2f}")
         values += ["" if value is None else f"{value:g}" for value in PAPER[name]]
         print(f"| {name} | {' | '.join(values)} |".replace(" -", " −"))
@@ -164,13 +163,14 @@ def print_table(table: Table) -> None:
         ("free", free, table.truth, table.std), ("loaded", loaded, table.loaded_truth, table.loaded_std),
     ):  # fmt: skip
         error = np.abs(fit.solution.parameters - truth)
+        held, by_noise = (np.sum(error < WITHIN_95_PERCENT * deviations) for deviations in (std, fit.std))
         print(
-            f"{label}: 95 % intervals hold the truth in {np.sum(error < INTERVAL * std)} of {len(truth)} parameters "
-            f"({np.sum(error < INTERVAL * fit.std)} by noise alone)"
+            f"{label}: 95 % intervals hold the truth in {held} of {len(truth)} parameters ({by_noise} by noise alone)"
         )
+    near = np.sum(np.abs(table.apart) < WITHIN_95_PERCENT)
     print(
-        f"Z_L and X_L: {np.sum(np.abs(table.apart) < INTERVAL)} of {len(table.apart)} within {INTERVAL:g} standard "
-        f"deviations of each other, at most {np.abs(table.apart).max():.1f} apart"
+        f"Z_L and X_L: {near} of {len(table.apart)} within {WITHIN_95_PERCENT:g} standard deviations of each other, at "
+        f"most {np.abs(table.apart).max():.1f} apart"
     )
 
 

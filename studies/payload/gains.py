@@ -25,11 +25,11 @@ from ident.experiments.run_pair import LOADED, widened
 from ident.linear_algebra.triangular import triangular
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, load_effect
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.synthetic.altered_arms import with_gains
 
-INTERVAL = 1.96
 DURATION = 20.0
 RATE = 125.0
 SLOW_DURATION = 400.0
@@ -118,7 +118,7 @@ def main(seeds: int = 20) -> None:
 def print_errors(names: tuple[str, ...], true: FloatArray, results: list[DriveGains]) -> None:
     """A line for each joint; seeds in which its gain got no value are left out (all columns: any gain)."""
     error = np.array([100.0 * (each.values / true - 1.0) for each in results])
-    held = np.array([np.abs(each.values - true) <= INTERVAL * each.std for each in results])
+    held = np.array([np.abs(each.values - true) <= WITHIN_95_PERCENT * each.std for each in results])
     std = np.array([100.0 * each.std / np.abs(each.values) for each in results])
     alike = np.array([100.0 * (columns_alike(each) / true - 1.0) for each in results])
     print(f"{'joint':20} told   mean    RMS  worst  σ told   held   columns alike: mean, RMS")

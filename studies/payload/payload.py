@@ -22,10 +22,10 @@ from ident.experiments.load.payload import Payload, identify_payload
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad, moved_origin
 from ident.model.parameters import MASS
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-INTERVAL = 1.96
 FIGURES = ("mass", "x", "y", "z", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 DURATION = 20.0
 RATE = 125.0
@@ -81,7 +81,7 @@ def bodies(seeds: int) -> list[str]:
     lines.append(f"error of the loaded run's torque: {np.median(costs):+.2%} median, {max(costs):+.2%} at most")
     for kind, found in values.items():
         error = np.array(found) - true
-        held = np.abs(error) <= INTERVAL * np.array(deviations[kind])
+        held = np.abs(error) <= WITHIN_95_PERCENT * np.array(deviations[kind])
         lines.append(f"{kind}: RMS error, share of 95 % intervals that hold the truth (all {held.mean():.1%})")
         for name, rms, share in zip(FIGURES, np.sqrt(np.mean(error**2, axis=0)), held.mean(axis=0), strict=True):
             lines.append(f"  {name:5} {rms:9.5f} {share:6.0%}")
@@ -104,7 +104,7 @@ def gain_errors(seeds: int) -> list[str]:
             load = identify_payload(*recordings(seed), None, wrong).load
             errors.append(load.standard[MASS] - LOAD.mass)
             deviations.append(load.standard_deviations(np.eye(10))[MASS])
-        held = np.mean(np.abs(errors) <= INTERVAL * np.array(deviations))
+        held = np.mean(np.abs(errors) <= WITHIN_95_PERCENT * np.array(deviations))
         lines.append(
             f"errors of the gains {kind}: mass off by {np.sqrt(np.mean(np.square(errors))):.3f} kg (RMS), σ "
             f"{np.median(deviations):.3f} kg, 95 % intervals hold the truth {held:.0%}"
@@ -117,7 +117,7 @@ def main(seeds: int = 40) -> None:
     results = [identified(seed, LOAD) for seed in range(seeds)]
     values = np.array([each.load.values for each in results])
     std = np.array([np.sqrt(np.diag(each.load.covariance)) for each in results])
-    held = np.abs(values - LOAD.values) <= INTERVAL * std
+    held = np.abs(values - LOAD.values) <= WITHIN_95_PERCENT * std
     columns = results[0].load.columns
     print(f"{'':6} {'true':>9} {'mean':>9} {'σ':>9} {'held':>6}   ({seeds} seeds; noise alone, gains as in the file)")
     for i, name in enumerate(columns.names):

@@ -35,12 +35,12 @@ from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.plant.altered_arm import with_load
 from sim_drivers.synthetic.measurement import simulate_recording
 from studies.payload.gains import HIDDEN, LOAD, SLOW_DURATION, slow_motion
 from studies.synthetic.altered_arms import with_gains
 
-INTERVAL = 1.96
 RATE = 25.0
 SWING = 1.2
 MOVE = 20.0
@@ -116,7 +116,7 @@ def with_friction(arm: RobotFile, recording: Recording, motion: Motion, friction
             more[joint, start:stop] = coulomb[joint] * generator.uniform(-1.0, 1.0)
     gains = np.array([arm.robot.drive(name).gain for name in names])
     channel = stream.channels["current"]
-    channels = stream.channels | {"current": replace(channel, values=channel.values + (more / gains[:, None]).T)}
+    channels = {**stream.channels, "current": replace(channel, values=channel.values + (more / gains[:, None]).T)}
     return replace(recording, streams={JOINTS_STREAM: replace(stream, channels=channels)})
 
 
@@ -133,7 +133,7 @@ def cells(results: list[Any]) -> list[str]:
             texts.append("no value")
             continue
         rms = 100.0 * np.sqrt(np.mean(np.square(errors[good]))) / abs(true[joint])
-        held = np.mean(np.abs(errors[good]) < INTERVAL * std[good])
+        held = np.mean(np.abs(errors[good]) < WITHIN_95_PERCENT * std[good])
         some = "" if good.sum() == len(results) else f" ({good.sum()} of {len(results)})"
         texts.append(f"{rms:.2f}, {100 * held:.0f} %{some}")
     return texts

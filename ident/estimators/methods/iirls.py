@@ -20,11 +20,10 @@ from drivers.core.errors import UsageError
 from drivers.core.text import percent_text
 from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method, within
-from ident.estimators.methods.irls import RobustEstimator, estimation, reweighting
+from ident.estimators.methods.irls import IrlsOptions, RobustEstimator, estimation, reweighting
 from ident.estimators.robust.friction_bounds import FrictionBounds, friction_bounds
 from ident.estimators.robust.reweighting import PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
 from ident.estimators.robust.sensitivities import ShapeSystem
-from ident.estimators.robust.weight_functions import WeightName
 from ident.friction.solver import SHAPE_TOLERANCE, Value, moved_shapes, settle_nested, shape_change, shape_step
 from ident.friction.table import FRICTION_KINDS
 from ident.friction.terms import FrictionTerms
@@ -222,15 +221,9 @@ def friction_columns(setup: Setup) -> frozenset[int]:
 
 
 @dataclass(frozen=True)
-class IirlsOptions:
+class IirlsOptions(IrlsOptions):
     """Options of I-IRLS."""
 
-    weights: Annotated[WeightName, Field(description="how residuals that are too large count: not at all, or less")] = (
-        "hard"
-    )
-    consistent: Annotated[bool, Field(description="weigh by the residuals of the physically consistent parameters")] = (
-        False
-    )
     decoupled: Annotated[bool, Field(description="estimate inertial and friction parameters in turn (ID-IRLS)")] = False
     largest_friction: Annotated[
         float | None,
