@@ -99,13 +99,13 @@ def chosen_methods(names: tuple[str, ...]) -> dict[str, str]:
     Raises:
         UsageError: there is no such method.
     """
-    known = all_methods()
+    methods = all_methods()
     chosen = {}
-    for name in names or tuple(known):
-        if name not in known and ":" not in name:
-            hint = did_you_mean(name, known) or "a function of yours: module:function"
-            raise UsageError(f"no method is called '{name}'; there are {', '.join(known)}", hint=hint)
-        chosen[name] = known.get(name, name)
+    for name in names or tuple(methods):
+        if name not in methods and ":" not in name:
+            hint = did_you_mean(name, methods) or "a function of yours: module:function"
+            raise UsageError(f"no method is called '{name}'; there are {', '.join(methods)}", hint=hint)
+        chosen[name] = methods.get(name, name)
     return chosen
 
 

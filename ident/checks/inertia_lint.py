@@ -203,7 +203,7 @@ def bodies_of_urdf(robot_file: RobotFile) -> tuple[LintedBody, ...]:
             above = link_of(by_child[above], "parent")
         if not moved:
             continue
-        element = next(one for one in root.findall("link") if one.get("name") == link)
+        element = next(candidate for candidate in root.findall("link") if candidate.get("name") == link)
         mass, com, inertia = _inertial(element)
         fixed = by_child[link].get("type") == "fixed"
         if fixed and mass == 0.0 and not inertia.any():  # a frame
@@ -213,7 +213,7 @@ def bodies_of_urdf(robot_file: RobotFile) -> tuple[LintedBody, ...]:
         while above not in places and above in by_child:
             above = link_of(by_child[above], "parent")
         places[link] = len(bodies)
-        reach = max((float(np.linalg.norm(one)) for one in carried), default=0.0)
+        reach = max((float(np.linalg.norm(offset)) for offset in carried), default=0.0)
         bodies.append(LintedBody(link, places.get(above, -1), mass, com, inertia, _box(element, folders), reach))
     return tuple(bodies)
 
@@ -412,7 +412,7 @@ def _placeholders(bodies: Sequence[LintedBody]) -> dict[str, None]:
     """Links whose three moments are one round number; or whose mass is, as several links' masses are."""
 
     def is_round(value: float) -> bool:
-        return any(math.isclose(value, one, rel_tol=1e-9) for one in ROUND)
+        return any(math.isclose(value, figure, rel_tol=1e-9) for figure in ROUND)
 
     names: dict[str, None] = {}
     ones = [body for body in bodies if math.isclose(body.mass, 1.0, rel_tol=1e-12)]

@@ -123,8 +123,8 @@ def _chirp(reach: float, velocity: float, acceleration: float, generator: np.ran
     return np.asarray(_quintic(ends) * size * np.sin(angle + generator.uniform(0.0, np.pi)), dtype=np.float64)
 
 
-def _quintic(part: FloatArray) -> FloatArray:
-    return np.asarray(part**3 * (10.0 - 15.0 * part + 6.0 * part**2), dtype=np.float64)
+def _quintic(share: FloatArray) -> FloatArray:
+    return np.asarray(share**3 * (10.0 - 15.0 * share + 6.0 * share**2), dtype=np.float64)
 
 
 def _move_time(distance: FloatArray, velocity: FloatArray | float, acceleration: FloatArray | float) -> FloatArray:

@@ -70,13 +70,13 @@ class ExportedArm:
         """Friction of the joints: motors that move one joint alone, and what turns with a coupled joint itself."""
         pairs, motors = self._terms(of_pairs=True), self.motors
         single = self.coupling[[not several for several in self.coupled]]
-        one = JointTerms(*(values[[not several for several in self.coupled]] for values in vars(motors).values()))
+        own = JointTerms(*(values[[not several for several in self.coupled]] for values in vars(motors).values()))
         return JointTerms(
-            inertia=pairs.inertia + one.inertia @ single**2,
+            inertia=pairs.inertia + own.inertia @ single**2,
             # Friction of a coupled joint itself brakes where it is negative (SR400 eq. 8).
-            viscous=-pairs.viscous + one.viscous @ single**2,
-            coulomb=-pairs.coulomb + one.coulomb @ np.abs(single),
-            offset=one.offset @ single,
+            viscous=-pairs.viscous + own.viscous @ single**2,
+            coulomb=-pairs.coulomb + own.coulomb @ np.abs(single),
+            offset=own.offset @ single,
         )
 
     def _terms(self, *, of_pairs: bool) -> JointTerms:

@@ -152,21 +152,21 @@ def identify_fleet(
     stages = [jobs, *merges(jobs)]
     names = [job.name for stage in stages for job in stage]
     folder.mkdir(parents=True, exist_ok=True)
-    known = {job.name: outcome for job in jobs if (outcome := finished(job, folder)) is not None}
+    by_name = {job.name: outcome for job in jobs if (outcome := finished(job, folder)) is not None}
     repeated = 0
 
     def fleet() -> Fleet:
-        return Fleet(folder, tuple(known[name] for name in names if name in known), len(names), repeated)
+        return Fleet(folder, tuple(by_name[name] for name in names if name in by_name), len(names), repeated)
 
     written = SYSTEM_CLOCK.now()
-    fleet().write(running=len(known) < len(jobs))
-    progress(f"{len(jobs) - len(known)} of {len(jobs)} results to do")
+    fleet().write(running=len(by_name) < len(jobs))
+    progress(f"{len(jobs) - len(by_name)} of {len(jobs)} results to do")
     for stage in stages:
-        missing = [job for job in (_of_what_stands(job, known) for job in stage) if not _kept(job, folder, known)]
+        missing = [job for job in (_of_what_stands(job, by_name) for job in stage) if not _kept(job, folder, by_name)]
         repeated += len(missing)
         for outcome in outcomes(missing, str(folder.resolve()), count, scheduler):
-            known[outcome.name] = outcome
-            progress(f"{100 * len(known) // len(names)} %: {outcome.name} {outcome.failure or outcome.grade}")
+            by_name[outcome.name] = outcome
+            progress(f"{100 * len(by_name) // len(names)} %: {outcome.name} {outcome.failure or outcome.grade}")
             if SYSTEM_CLOCK.now() - written > REFRESH:
                 written = SYSTEM_CLOCK.now()
                 fleet().write(running=True)
@@ -177,18 +177,18 @@ def identify_fleet(
     return ended
 
 
-def _of_what_stands(job: Job, known: Mapping[str, JobOutcome]) -> Job:
+def _of_what_stands(job: Job, by_name: Mapping[str, JobOutcome]) -> Job:
     """A merge of those parts that have a result; another job as it is."""
     if job.merged is None:
         return job
-    return replace(job, merged=tuple(name for name in job.merged if name in known and not known[name].failure))
+    return replace(job, merged=tuple(name for name in job.merged if name in by_name and not by_name[name].failure))
 
 
-def _kept(job: Job, folder: Path, known: dict[str, JobOutcome]) -> bool:
+def _kept(job: Job, folder: Path, by_name: dict[str, JobOutcome]) -> bool:
     """Whether an earlier call has done a job already; its outcome is then among those known."""
-    outcome = known.get(job.name) or finished(job, folder)
+    outcome = by_name.get(job.name) or finished(job, folder)
     if outcome is not None:
-        known[job.name] = outcome
+        by_name[job.name] = outcome
     return outcome is not None
 
 

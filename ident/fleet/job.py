@@ -102,9 +102,9 @@ def _identified(job: Job, folder: Path) -> dict[str, Any]:
     if job.merged is not None:
         top = folder.parents[job.name.count("/")]
         held_out = Path(job.validation[0]) if job.validation else None
-        found = merge([top / name for name in job.merged], validation=held_out)
-        found.save(folder, overwrite=True)
-        return _figures(found)
+        result = merge([top / name for name in job.merged], validation=held_out)
+        result.save(folder, overwrite=True)
+        return _figures(result)
     with local_copies((*job.recordings, *job.validation)) as paths:
         runs, validation = paths[: len(job.recordings)], paths[len(job.recordings) :]
         if job.method == "servo":
@@ -113,15 +113,15 @@ def _identified(job: Job, folder: Path) -> dict[str, Any]:
             servo = identify_servo(runs, validation=validation, robot=job.robot)
             servo.save(folder, overwrite=True)
             return {"grade": servo.result.verdict.grade, "headline": servo.verdict.split("\n")[0]}
-        found = identify(
+        result = identify(
             runs if job.part is None else [read_recording(path, job.part) for path in runs],
             validation=validation,
             robot=job.robot,
             method=job.method,
             **dict(job.options),
         )
-        found.save(folder, overwrite=True)
-    return _figures(found)
+        result.save(folder, overwrite=True)
+    return _figures(result)
 
 
 def _figures(found: IdentificationResult) -> dict[str, Any]:

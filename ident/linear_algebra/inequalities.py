@@ -18,17 +18,17 @@ def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatAr
         matrix: A (m, k).
         target: b (m,).
     """
-    found, positive = np.zeros(matrix.shape[1]), np.zeros(matrix.shape[1], dtype=np.bool_)
+    solution, positive = np.zeros(matrix.shape[1]), np.zeros(matrix.shape[1], dtype=np.bool_)
     lengths = np.linalg.norm(matrix, axis=0)
     lengths[lengths == 0.0] = 1.0
     matrix = matrix / lengths
     noise = 10.0 * max(matrix.shape) * np.finfo(np.float64).eps * float(np.linalg.norm(target))
     steps = ITERATIONS_PER_ROW * len(matrix)
     while True:
-        slope = np.where(positive, -np.inf, matrix.T @ (target - matrix @ found))
+        slope = np.where(positive, -np.inf, matrix.T @ (target - matrix @ solution))
         while True:  # the steepest whose value becomes positive
             if not np.any(slope > noise):
-                return np.asarray(found / lengths)
+                return np.asarray(solution / lengths)
             entering = int(np.argmax(slope))
             positive[entering] = True
             ahead = _solved_by(matrix, target, positive)
@@ -39,15 +39,15 @@ def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatAr
             steps -= 1
             if steps < 0:
                 return None
-            share = found[blocked] / (found[blocked] - ahead[blocked])
-            found += share.min() * (ahead - found)
+            share = solution[blocked] / (solution[blocked] - ahead[blocked])
+            solution += share.min() * (ahead - solution)
             positive[np.flatnonzero(blocked)[share == share.min()]] = False
-            found[~positive] = 0.0
+            solution[~positive] = 0.0
             ahead = _solved_by(matrix, target, positive)
         steps -= 1
         if steps < 0:
             return None
-        found = ahead
+        solution = ahead
 
 
 def _solved_by(matrix: FloatArray, target: FloatArray, chosen: BoolArray) -> FloatArray:

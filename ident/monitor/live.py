@@ -195,8 +195,8 @@ class LiveMonitor:
         torque = np.zeros_like(position)
         for quantity, shares in self._maps.items():
             torque += joints.channels[quantity].values @ shares
-        known = np.isfinite(self._celsius).any()
-        celsius = np.broadcast_to(self._celsius, position.shape) if known else None
+        measured = np.isfinite(self._celsius).any()
+        celsius = np.broadcast_to(self._celsius, position.shape) if measured else None
         return JointSamples(time, position, torque, celsius)
 
     def events(self) -> Sequence[tuple[float, str]]:

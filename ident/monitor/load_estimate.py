@@ -137,8 +137,8 @@ class LoadEstimator:
         if seconds < FEWEST_SECONDS:
             return None
         covariance = np.linalg.inv(self._information)
-        found = covariance @ self._moment
+        estimate = covariance @ self._moment
         at = INERTIAL.index("M")
-        mass, margin = float(found[at]), WITHIN_95_PERCENT * float(np.sqrt(covariance[at, at]))
-        centre = found[[INERTIAL.index(name) for name in ("MX", "MY", "MZ")]] / mass if mass > margin else None
+        mass, margin = float(estimate[at]), WITHIN_95_PERCENT * float(np.sqrt(covariance[at, at]))
+        centre = estimate[[INERTIAL.index(name) for name in ("MX", "MY", "MZ")]] / mass if mass > margin else None
         return ToolLoad(mass, margin, centre, seconds)

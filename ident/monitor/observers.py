@@ -53,14 +53,14 @@ class Observer:
                 continue
             if restarted[start]:
                 self._state[:] = 0.0
-            part = external[start:stop]
+            batch = external[start:stop]
             if self._alike:
                 b, a = self._numerator[0], self._denominator[0]
-                result[start:stop], self._state = lfilter(b, a, part, axis=0, zi=self._state)
+                result[start:stop], self._state = lfilter(b, a, batch, axis=0, zi=self._state)
                 continue
             for joint, (b, a) in enumerate(zip(self._numerator, self._denominator, strict=True)):
                 result[start:stop, joint], self._state[:, joint] = lfilter(
-                    b, a, part[:, joint], zi=self._state[:, joint]
+                    b, a, batch[:, joint], zi=self._state[:, joint]
                 )
         if len(result):
             self.output = result[-1]

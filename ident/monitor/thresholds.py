@@ -263,8 +263,8 @@ def _spreads(size: FloatArray, way: IndexArray, fewest: int) -> FloatArray:
             seen = size[way[:, joint] == kind, joint]
             if len(seen) >= fewest:
                 spread[kind, joint] = max(np.quantile(seen, QUANTILE) / NORMAL_QUANTILE, np.finfo(float).tiny)
-        known = spread[np.isfinite(spread[:, joint]), joint]
-        largest = known.max() if len(known) else np.quantile(size[:, joint], QUANTILE) / NORMAL_QUANTILE
+        finite = spread[np.isfinite(spread[:, joint]), joint]
+        largest = finite.max() if len(finite) else np.quantile(size[:, joint], QUANTILE) / NORMAL_QUANTILE
         spread[np.isnan(spread[:, joint]), joint] = max(largest, np.finfo(float).tiny)
     return spread
 

@@ -124,8 +124,8 @@ def same_noise(time: FloatArray, torque: FloatArray, other_time: FloatArray, oth
 
 def _copied(slopes: FloatArray) -> bool:
     """Whether slopes, shares of noise and deviations of the slopes (K, 3) are those of a copy."""
-    known = slopes[slopes[:, 2] < UNCERTAIN]
-    noisy = known[known[:, 1] >= NOISY]
+    certain = slopes[slopes[:, 2] < UNCERTAIN]
+    noisy = certain[certain[:, 1] >= NOISY]
     least = max(1.0, COUNTED * len(slopes))
     if len(noisy) >= least:
         weights = np.ones(len(noisy))
@@ -140,9 +140,9 @@ def _copied(slopes: FloatArray) -> bool:
 
 def _same_motion(first: FloatArray, second: FloatArray) -> bool:
     """Whether the torques (N, n) of most joints agree but for a factor."""
-    one, other = (values - values.mean(axis=0) for values in (first, second))
-    power = np.sum(one**2, axis=0) * np.sum(other**2, axis=0)
-    shared = np.sum(one * other, axis=0)[power > 0.0] ** 2 / power[power > 0.0]
+    centred, centred_other = (values - values.mean(axis=0) for values in (first, second))
+    power = np.sum(centred**2, axis=0) * np.sum(centred_other**2, axis=0)
+    shared = np.sum(centred * centred_other, axis=0)[power > 0.0] ** 2 / power[power > 0.0]
     return bool(len(shared) and np.median(shared) >= SAME_MOTION)
 
 

@@ -116,15 +116,15 @@ def diff(
         return _servo_difference(servos[0], servos[1])
     if any(servos):
         raise UsageError("a servo model cannot be compared with a model of torques")
-    one, other = result_of(first), result_of(second)  # type: ignore[arg-type]
-    _check_comparable(one, other)
+    first_result, second_result = result_of(first), result_of(second)  # type: ignore[arg-type]
+    _check_comparable(first_result, second_result)
     return ModelDifference(
-        parameters=_parameters(one, other),
-        errors=_errors(one, other),
-        purposes=_purposes(one, other),
-        checks=_checks(one, other),
-        test=_test(one, other),
-        shared=_shared(one, other),
+        parameters=_parameters(first_result, second_result),
+        errors=_errors(first_result, second_result),
+        purposes=_purposes(first_result, second_result),
+        checks=_checks(first_result, second_result),
+        test=_test(first_result, second_result),
+        shared=_shared(first_result, second_result),
     )
 
 

@@ -34,12 +34,12 @@ def identify_gravity_command(
     return identified
 
 
-def print_gravity(found: IdentifiedGravity, folder: Path, *, verbose: bool, as_json: bool) -> None:
+def print_gravity(identified: IdentifiedGravity, folder: Path, *, verbose: bool, as_json: bool) -> None:
     """The verdict and the errors; with `verbose` every parameter; or the JSON object alone."""
     from ident.commands.printing.graded import print_identified
 
     use = f'dynid export {folder} --c arm; in Python dynid.load_model("{folder}").gravity(q)'
-    print_identified(found, folder, use, verbose=verbose, as_json=as_json)
+    print_identified(identified, folder, use, verbose=verbose, as_json=as_json)
 
 
 def validate_gravity_command(path: Path, runs: object, *, as_json: bool) -> None:

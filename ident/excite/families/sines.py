@@ -161,8 +161,8 @@ class SinesFamily(Family):
 
     @cached_property
     def _band(self) -> tuple[float, float]:
-        one = 2.0 * np.pi / self.duration
-        return self.band if self.band is not None else (0.5 * one, self.sines * one)
+        fundamental = 2.0 * np.pi / self.duration
+        return self.band if self.band is not None else (0.5 * fundamental, self.sines * fundamental)
 
     @cached_property
     def _scale(self) -> FloatArray:

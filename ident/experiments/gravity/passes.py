@@ -171,17 +171,17 @@ def _visit(
     if np.any(np.sign(slow_pass.way[moving]) == np.sign(other.way[moving])) or not np.any(moving):
         return None
     main = int(np.argmax(np.abs(slow_pass.way) / shortest))
-    ends = [np.sort(signals.position[part.samples][[0, -1], main]) for part in (slow_pass, other)]
+    ends = [np.sort(signals.position[slow.samples][[0, -1], main]) for slow in (slow_pass, other)]
     low, high = max(end[0] for end in ends), min(end[1] for end in ends)
     if high - low < max(shortest[main], 0.5 * min(abs(slow_pass.way[main]), abs(other.way[main]))):
         return None
     share = (np.arange(GRID) + 0.5) / GRID
     grid, weight = low + (high - low) * share, _weight(share)
-    along = [_along(signals.position[part.samples], main, grid) for part in (slow_pass, other)]
+    along = [_along(signals.position[slow.samples], main, grid) for slow in (slow_pass, other)]
     length = np.abs(np.ptp(along[0], axis=0))
     if np.any(np.abs(along[0] - along[1]).max(axis=0) > np.maximum(shortest, SAME_WAY * length)):
         return None
-    means = [_mean_torque(signals, part, main, low, high) for part in (slow_pass, other)]
+    means = [_mean_torque(signals, slow, main, low, high) for slow in (slow_pass, other)]
     rows = np.stack([np.einsum("k,kmb->mb", weight / weight.sum(), gravity_rows(model, base, path)) for path in along])
     common = slow_pass.way * (length / np.maximum(np.abs(slow_pass.way), 1e-12))
     return Visit(

@@ -177,12 +177,12 @@ class Expression:
 
     def __add__(self, other: Expression | float) -> Expression:
         right = self._expression(other)
-        one, two = self.constant, right.constant
-        if one is not None and two is not None:
-            return self.graph.constant(one + two)
-        if one == 0.0:
+        mine, theirs = self.constant, right.constant
+        if mine is not None and theirs is not None:
+            return self.graph.constant(mine + theirs)
+        if mine == 0.0:
             return right
-        if two == 0.0:
+        if theirs == 0.0:
             return self
         (factor, node), (other_factor, other_node) = self._coefficient(), right._coefficient()
         if node == other_node:
@@ -200,13 +200,13 @@ class Expression:
 
     def __mul__(self, other: Expression | float) -> Expression:
         right = self._expression(other)
-        one, two = self.constant, right.constant
-        if one is not None and two is not None:
-            return self.graph.constant(one * two)
-        if one is not None:
-            return right._scaled(one)
-        if two is not None:
-            return self._scaled(two)
+        mine, theirs = self.constant, right.constant
+        if mine is not None and theirs is not None:
+            return self.graph.constant(mine * theirs)
+        if mine is not None:
+            return right._scaled(mine)
+        if theirs is not None:
+            return self._scaled(theirs)
         nodes = sorted((self.node, right.node))
         return Expression(
             self.graph, self.graph.operation("multiply", nodes[0], nodes[1]), self.negative != right.negative

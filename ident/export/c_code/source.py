@@ -141,11 +141,11 @@ def source(
         _deviation_table(description, dialect),
     ]
     if kinds & {"inverse", "inverse_negated"}:
-        one = dialect.number(1.0)
+        unity = dialect.number(1.0)
         parts.append(
             f"/* 1/x of what a positive definite matrix leaves positive; not a number where it is none. */\n"
             f"static {dialect.type_name} {dialect.inverse}({dialect.type_name} x)\n"
-            f"{{\n    return x > 0 ? {one} / x : ({dialect.type_name})NAN;\n}}"
+            f"{{\n    return x > 0 ? {unity} / x : ({dialect.type_name})NAN;\n}}"
         )
     if "sign" in kinds:
         parts.append(

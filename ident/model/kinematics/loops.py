@@ -224,9 +224,9 @@ def _check_closed(
     apart = turned = 0.0
     for position in positions.T:
         frames = [*place_tree(joints, position), (np.eye(3), np.zeros(3))]  # the base's is number BASE_INDEX
-        (one, other) = (_compose(frames[index], placement) for index, placement in loop_ends(loop, joint_index))
-        apart = max(apart, float(np.linalg.norm(one[1] - other[1])))
-        turned = max(turned, float(np.linalg.norm(np.cross(one[0][:, 2], other[0][:, 2]))))
+        (first, second) = (_compose(frames[index], placement) for index, placement in loop_ends(loop, joint_index))
+        apart = max(apart, float(np.linalg.norm(first[1] - second[1])))
+        turned = max(turned, float(np.linalg.norm(np.cross(first[0][:, 2], second[0][:, 2]))))
     if apart > CLOSING_TOLERANCE:
         raise RobotFileError(
             f"{name} does not close: its closing frames are up to {length(apart)} apart",
