@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -11,11 +10,10 @@ from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
+from drivers.core.blas import one_blas_thread
 from drivers.core.cluster import cluster_executor
 from ident.fleet.job import JobOutcome, run_job
 from ident.fleet.plan import Job
-
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 def outcomes(jobs: Sequence[Job], out: str, workers: int, scheduler: str) -> Iterator[JobOutcome]:
@@ -41,7 +39,7 @@ Submit = Callable[[Job, str], Future[JobOutcome]]
 @contextmanager
 def _submitter(workers: int, scheduler: str) -> Iterator[Submit]:
     if not scheduler:
-        with _one_thread(), ThreadPoolExecutor(workers) as pool:
+        with ThreadPoolExecutor(workers) as pool:
             context = multiprocessing.get_context("forkserver")
             context.set_forkserver_preload(["ident.fleet.job", "ident.tasks.identification"])
             yield lambda job, out: pool.submit(_in_a_process, context, job, out)
@@ -67,7 +65,7 @@ def _in_a_process(context: Any, job: Job, out: str) -> JobOutcome:
 
 
 def _work(sending: Connection, job: Job, out: str) -> None:
-    with sending:
+    with sending, one_blas_thread():
         sending.send(run_job(job, out))
 
 
@@ -83,18 +81,3 @@ def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
 def _failed(job: Job, why: str) -> JobOutcome:
     empty = JobOutcome(job.name, job.arm, job.method, job.recordings, job.key())
     return replace(empty, failure=f"{why}; run the fleet again to repeat it")
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """One thread of BLAS in each process started meanwhile."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
