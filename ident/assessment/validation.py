@@ -25,6 +25,9 @@ HELD_OUT_SHARE = 0.3
 MUCH_LARGER = 2.0
 """Ratio of the validation's errors to the identification's beyond which there is a check."""
 
+LEAST_DIFFERENCE = 0.005
+"""Difference of two relative errors that does not matter, whatever their ratio: half a percent of the torque."""
+
 
 class Fit(Stored):
     """Errors of filtered torques; the lists have one entry per joint.
@@ -86,7 +89,7 @@ def overfitting_checks(fitted: Fit, held_out: Fit) -> list[Check]:
     N·m are compared, each joint's with its own.
     """
     ratio = _times_larger(fitted.rmse, held_out.rmse)
-    if not ratio > MUCH_LARGER:
+    if not ratio > MUCH_LARGER or held_out.relative_error - fitted.relative_error < LEAST_DIFFERENCE:
         return []
     larger = f"the validation's torque errors are {ratio:.1f} times the identification's"
     if np.isfinite(fitted.relative_error) and np.isfinite(held_out.relative_error):

@@ -451,6 +451,9 @@ def _reversal_checks(identification: Identification) -> list[Check]:
     std = identification.std
     if random is not None:
         std[list(identification.solution.active)] = random
+    # The variance of the difference is that of what is left, less that of all (Hausman 1978).
+    ratio = np.divide(after.std, before.std, out=np.ones(len(std)), where=np.isfinite(before.std) & (before.std > 0.0))
+    std = std * np.sqrt(np.maximum(1.0, ratio**2 - 1.0))
     changed = _friction_changes(identification, before.parameters, after.parameters, std)
     if changed and identification.consistent is not None:
         again = found_consistent(

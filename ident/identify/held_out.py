@@ -12,7 +12,7 @@ from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from drivers.core.units import joint_unit
-from ident.assessment.validation import Fit, fit_errors, overfitting_checks
+from ident.assessment.validation import LEAST_DIFFERENCE, Fit, fit_errors, overfitting_checks
 from ident.identify.data_split import distinct, labelled
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel
@@ -27,7 +27,7 @@ from ident.stored import finite_or_none
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 from ident.verdict.evidence import Evidence, MotionError, TorqueError
-from ident.verdict.verdict import Verdict, judge, together
+from ident.verdict.verdict import GOOD_ERROR, GOOD_JOINT_ERROR, Verdict, judge, together
 
 CHECKS_OF_VALIDATION = (
     "consistency-costs",
@@ -42,9 +42,6 @@ CHECKS_OF_VALIDATION = (
 COSTLY_RATIO = 1.2
 COSTLY_DIFFERENCE = 0.02
 """Held-out error of the delivered model over the full one's, and minus it, beyond which a user has to choose."""
-
-LEAST_DIFFERENCE = 0.005
-"""Difference of the two errors that does not matter, whatever their ratio: half a percent of the torque."""
 
 RATED_SHARE = 0.03
 """Of a joint's rated torque: with less torque than that, its error is compared with this much."""
@@ -171,7 +168,7 @@ def consistency_cost(joints: Sequence[str], delivered: Fit, full: Fit) -> list[C
     worse = [
         joint
         for joint, ours, free in zip(joints, delivered.joint_relative_error, full.joint_relative_error, strict=True)
-        if _costly(ours, free)
+        if _costly(ours, free, LEAST_DIFFERENCE * GOOD_JOINT_ERROR / GOOD_ERROR)
     ]
     if not worse and not _costly(delivered.relative_error, full.relative_error):
         return []
@@ -313,12 +310,12 @@ def _not_held_out(data: HeldOutData) -> Check:
     return raised("not-held-out", text)
 
 
-def _costly(delivered: float | None, full: float | None) -> bool:
-    """Whether the difference of two relative errors is one that a user has to know."""
+def _costly(delivered: float | None, full: float | None, least: float = LEAST_DIFFERENCE) -> bool:
+    """Whether two relative errors differ by what a user has to know, at `least` by so much."""
     if delivered is None or full is None:
         return False
     difference = delivered - full
-    return difference > COSTLY_DIFFERENCE or (difference > LEAST_DIFFERENCE and delivered > COSTLY_RATIO * full)
+    return difference > COSTLY_DIFFERENCE or (difference > least and delivered > COSTLY_RATIO * full)
 
 
 def _fit(series: Sequence[TorqueSeries], data: HeldOutData) -> Fit:

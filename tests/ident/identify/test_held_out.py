@@ -17,6 +17,7 @@ from ident.assessment.validation import Fit
 from ident.identify.held_out import COSTLY_RATIO, consistency_cost
 from ident.model.dynamic_model import build_model
 from ident.result.delivered import delivered_parameters
+from ident.verdict.catalogue import CATALOGUE
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 pytestmark = pytest.mark.usefixtures("stated_friction")
@@ -161,7 +162,7 @@ def test_a_verdict_never_rests_on_data_of_the_identification(runs, identified):
     assert alone.delivered.runs[0].overlap == 1.0
     assert alone.delivered.validation.held_out is False
     assert all(judged.grade != "good" for judged in alone.verdict.purposes.values())
-    assert "were used in the identification" in alone.verdict.headline
+    assert CATALOGUE["not-held-out"].meaning in alone.verdict.headline
     beside = dynid.validate(identified, [runs[1], runs[0]])
     assert beside.verdict.purposes == dynid.validate(identified, runs[1]).verdict.purposes
     accepted = dynid.validate(identified, runs[0], accept={"relative_error": 0.9}).acceptance
