@@ -27,7 +27,7 @@ from drivers.canopen402.samples.alignment import REST_LATENESS, Aligned, Aligner
 from drivers.canopen402.samples.sync import BEHIND, KernelSync, SyncProducer
 from drivers.canopen402.samples.temperature import TemperaturePoll, read_temperature
 from drivers.canopen402.settings import MODES, parse_settings
-from drivers.canopen402.setup.configuration import Configured, Identity, configure
+from drivers.canopen402.setup.configuration import Configured, Identity, configure, map_torque
 from drivers.canopen402.setup.drive_limits import at_joints
 from drivers.canopen402.setup.error_control import check_own_id, release
 from drivers.canopen402.setup.readiness import masters_heartbeats, require_alone
@@ -223,6 +223,44 @@ class Canopen402Driver(LifeCycle):
                     raise
                 raise DriverStateError(f"{error.message}: {cause}", hint=error.hint) from error
 
+    def guiding_refusal(self, *, pushed: bool) -> str:
+        """Why the arm cannot be led by hand: limp, or where drives would not notice that this computer is gone."""
+        if not pushed:
+            return "drives without power are held by their brakes: their arm is led with --model only"
+        if self._mode is None:
+            return "this connection only records (mode: none)"
+        pairs = () if self._state == "closed" else zip(self._joints, self._configured.controls, strict=True)
+        stops = tuple(objects.AbortOption)[1:]
+        blind = [joint for joint, own in pairs if own.watching is None or own.abort_option not in stops]
+        return f"the last torque would stay where this computer is gone: {', '.join(blind)}" if blind else ""
+
+    def guiding_cautions(self, *, pushed: bool) -> Sequence[str]:
+        """What to mind before the arm is led by hand, and of the drives' own stops."""
+        self._require_open("tell cautions")
+        carried = "while you hold the key, the drives carry the arm's weight as the model has it: it drifts, and falls"
+        return [f"{carried} where the model is wrong", *self._configured.cautions]
+
+    def release(self, torque: FloatArray | None) -> None:
+        """Go over to cyclic torques (n,) [N·m], which drives take by a second RPDO (see `drivers.base.Guidable`)."""
+        if torque is None:
+            raise DriverStateError(self.guiding_refusal(pushed=False))
+        with self._motion_lock:
+            motion = self._require_movable()
+            if self._poll is not None:  # it asks the same drives
+                self._poll.stop()
+            try:
+                for drive in self._drives:
+                    map_torque(drive)
+            finally:
+                if self._poll is not None:
+                    self._poll.start()
+            motion.release(self._scaling.per_mille(torque))
+
+    def push(self, torque: FloatArray) -> None:
+        """Command joint torques (n,) [N·m] of an arm that is let go (see `drivers.base.Guidable`)."""
+        with self._motion_lock:
+            self._require_movable().push(self._scaling.per_mille(finite_position(torque, self._joints)))
+
     def stop(self) -> None:
         """Quick-stop the drives that this driver moves, then end the samples; safe in every state, never raises.
 
@@ -345,7 +383,7 @@ class Canopen402Driver(LifeCycle):
     def _moved_in(self) -> int | None:
         """The mode of operation in which the drives are being moved; None where they are not."""
         motion = self._motion
-        return self._mode if motion is not None and motion.active else None
+        return motion.mode if motion is not None and motion.active else None
 
     def _at_rest(self) -> bool:
         """Whether the arm stands still, and nothing here moves it."""

@@ -17,6 +17,7 @@ from drivers.canopen402.protocol.objects import (
     MAX_TORQUE,
     MODE,
     MODE_CYCLIC_POSITION,
+    MODE_CYCLIC_TORQUE,
     MODE_DISPLAY,
     MODE_PROFILE_POSITION,
     POSITION,
@@ -27,6 +28,7 @@ from drivers.canopen402.protocol.objects import (
     QUICK_STOP_OPTION,
     STATUSWORD,
     TARGET_POSITION,
+    TARGET_TORQUE,
     TORQUE,
     VELOCITY,
     DriveObject,
@@ -95,6 +97,14 @@ class Axis:
         share = self.objects.number(MAX_TORQUE.index)
         return math.inf if share == NO_TORQUE_LIMIT else PER_MILLE * share * self.setup.rated_torque
 
+    @property
+    def pushed(self) -> float | None:
+        """Torque [N·m], joint side, that its master commands; None where it controls its position."""
+        if self.machine.state is not State.OPERATION_ENABLED or self._active_mode != MODE_CYCLIC_TORQUE:
+            return None
+        torque = PER_MILLE * self.setup.direction * self.setup.rated_torque * self.objects.number(TARGET_TORQUE.index)
+        return min(max(torque, -self.largest_torque), self.largest_torque)
+
     def position_of(self, counts: int) -> float:
         """Joint position [rad] of position counts."""
         return self.setup.zero + counts / self.setup.counts_per_radian
@@ -147,7 +157,10 @@ class Axis:
             self._begin_profile(self._next_setpoint)
             self._next_setpoint = None
             self._acknowledge()
-        self.reference = self._motion.step(duration)
+        if self.pushed is None:
+            self.reference = self._motion.step(duration)
+        else:  # from where it is, its control goes on once it is no longer pushed
+            self.reference = AxisReference(actual, self.feedback.velocity)
         state = self.machine.state
         if state in (State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE) and self._motion.finished:
             self.machine.stopped()
@@ -262,7 +275,7 @@ class Axis:
             self._motion = Standstill(self.reference, BRAKE_DECELERATION)
 
     def _set_mode(self, mode: int) -> None:
-        if mode not in (0, MODE_PROFILE_POSITION, MODE_CYCLIC_POSITION):
+        if mode not in (0, MODE_PROFILE_POSITION, MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE):
             raise SdoAbortError(Abort.VALUE_RANGE)
 
     def _set_quick_stop_option(self, option: int) -> None:
@@ -279,7 +292,7 @@ class Axis:
             word |= WARNING
         if self.machine.state is State.OPERATION_ENABLED:
             word |= INTERNAL_LIMIT_BIT if self._limited else 0
-            if self._active_mode == MODE_CYCLIC_POSITION:
+            if self._active_mode in (MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE):
                 word |= MODE_BIT_12
             elif self._active_mode == MODE_PROFILE_POSITION:
                 word |= MODE_BIT_12 if self._acknowledged else 0

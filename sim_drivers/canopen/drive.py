@@ -73,7 +73,7 @@ class SimulatedDrive:
         self.objects.on_write(ABORT_OPTION.index, 0, lambda value: _allow(value, tuple(AbortOption)))
         self.objects.on_write(ERROR_BEHAVIOUR.index, 1, lambda value: _allow(value, (0, 1, 2)))
         self.transmitted = tuple(TransmitPdo(self.objects, number) for number in range(3))
-        self.received = (ReceivePdo(self.objects, 0),)
+        self.received = tuple(ReceivePdo(self.objects, number) for number in range(2))
         self._sdo = SdoServer(self.objects)
         self.nmt = STATE_BOOT_UP
         self.powered_at: float = -math.inf

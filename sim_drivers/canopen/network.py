@@ -136,6 +136,7 @@ class DriveNetwork:
         self._by_heartbeat = {HEARTBEAT + drive.node: drive for drive in self.drives}
         self.own_identifiers = self._identifiers()
         self._torque_limits: list[float] = []
+        self._pushed: list[float | None] = [None] * len(self.drives)
         self._sync_clock = SyncClock()
         self._now = self._tick_time = start
         self._ticks, self._clock_shift = 0, start
@@ -242,6 +243,10 @@ class DriveNetwork:
             self._torque_limits = torque_limits
             self._arm.limit_torque(np.array(torque_limits))
         self._arm.set_target(position, velocity, acceleration)
+        pushed = [drive.axis.pushed for drive in self.drives]
+        if pushed != self._pushed:
+            self._pushed = pushed
+            self._arm.push(np.array(pushed, dtype=np.float64))
         self._arm.advance(LOOP_PERIOD)
         if self._ticks % TICKS_PER_CHORE == 0:
             if self._sync_clock.age(self._tick_time) > TICKS_PER_CHORE * LOOP_PERIOD:

@@ -50,5 +50,8 @@ class DrivenArm(SimulatedArm, Protocol):
     def velocity(self) -> FloatArray:
         """True velocity of the motors [rad/s]."""
 
+    def push(self, torque: FloatArray) -> None:
+        """Let the motors give these torques [N·m] from now on, within their limits; NaN where they are controlled."""
+
     def limit_torque(self, limit: FloatArray) -> None:
         """Let the motors give no more than this [N·m] from now on."""

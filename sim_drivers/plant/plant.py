@@ -151,6 +151,7 @@ class Plant:
             believed = friction_parameters(robot, settings.nominal_share)
             self._controller = ComputedTorque(nominal, believed, settings.bandwidth, period, self._torque_limit)
         self._target = Reference.at_rest(self.position)
+        self._pushed = np.full(robot.dof, np.nan)
         self._braking: tuple[Braking, int] | None = None
 
         self._generator = np.random.default_rng(seed)
@@ -198,6 +199,10 @@ class Plant:
             raise ValueError(f"a deceleration must be positive, not {deceleration}")
         start = Reference(self.position, self.velocity, np.zeros(self.robot.dof))
         self._braking = Braking(start, rates), self._steps
+
+    def push(self, torque: FloatArray) -> None:
+        """Let the motors give torques (n,) [N·m] from now on, within their limits; NaN: controlled as before."""
+        self._pushed = np.clip(torque, -self._torque_limit, self._torque_limit)
 
     def limit_torque(self, limit: FloatArray) -> None:
         """Let the motors give no more than (n,) [N·m], and no more than the robot file allows, from now on."""
@@ -334,7 +339,8 @@ class Plant:
             self._update_conditions()
         if self._controller is not None:
             encoder = quantised(self.position, self._resolution)
-            self.drive_torque = self._controller.torque(self._target, encoder, self._speed.velocity)
+            controlled = self._controller.torque(self._target, encoder, self._speed.velocity)
+            self.drive_torque = np.where(np.isnan(self._pushed), controlled, self._pushed)
 
     def _step(self) -> None:
         kick = self._half_step * self.acceleration

@@ -1,10 +1,11 @@
 """How far a released arm drifts whose weight an identified model carries; simulated arms in simulated time.
 
-    python -m studies.motors.hand_guiding [SECONDS]
+    python -m studies.motors.hand_guiding [SECONDS] [ARM…]
 
 The model is identified from a simulated recording of 20 s. The arm is held at a pose, compared with the model, let go
 for so many seconds while nobody touches it, and then holds; and an arm without dry friction, which hides errors of the
-model. About a CPU minute for each arm.
+model. About a CPU minute for each arm. The
+UR5e has CiA 402 drives.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import yaml
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "support"))
 
-from recorded_session import opened, record_session
+from recorded_session import record_session
 from simulated_clock import SimulatedClock, simulated_time
 
 import dynid
@@ -29,11 +30,18 @@ from daq.recording.recording import HAND_GUIDED
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.session.connections import driver_settings
 from daq.session.guiding import Guiding, load_compensation
+from drivers.base import Driver
 from drivers.can_motors.driver import CanMotorDriver
 from drivers.can_motors.settings import parse_settings
+from drivers.canopen402.driver import Canopen402Driver
+from drivers.canopen402.settings import parse_settings as drives_settings
 from sim_drivers.can_motors.server import CanMotorServer
+from sim_drivers.canopen.server import CanopenServer
+from sim_drivers.plant.plant import Plant
 
-ARMS = {"moteus_rig": ([-1.0, 0.5], [-0.3, -1.0]), "openarm": ([0.4, 0.3, 0.2, 0.8, 0.1, 0.2, 0.1],)}
+ARMS = {"moteus_rig": ([-1.0, 0.5], [-0.3, -1.0]), "openarm": ([0.4, 0.3, 0.2, 0.8, 0.1, 0.2, 0.1],)} | {
+    "ur5e": ([0.0, -1.57, 1.2, 0.0, 1.0, 0.0], [0.0, -0.6, 0.8, -1.0, 0.5, 0.0])
+}
 """Poses [rad]."""
 
 
@@ -71,17 +79,27 @@ def slippery(file: RobotFile) -> RobotFile:
 def drift(file: RobotFile, model: Path, pose: Sequence[float], seconds: float) -> tuple[str, np.ndarray]:
     """How it ended, and the largest way of each joint from where it was let go [rad]."""
     robot, start = file.robot, np.array(pose)
-    connection = next(iter(robot.connections.values()))
+    connection = robot.connections.get("canopen", next(iter(robot.connections.values())))
     keys = dict(connection.model_extra or {}) | {"interface": "virtual", "channel": f"led-{robot.name}", "options": {}}
     with TemporaryDirectory() as folder, simulated_time() as clock:
         path = Path(folder) / "led.h5"
         settings = replace(driver_settings(robot, keys), clock=clock)
-        server = CanMotorServer(
-            file, parse_settings(keys, robot.joint_names, connection.driver), start, clock, held=True
-        )
-        with server, opened(CanMotorDriver(settings, connection.driver)) as driver:
+        server: CanopenServer | CanMotorServer
+        driver: Driver
+        if connection.driver == "canopen402":
+            own = drives_settings(keys, robot.joint_names)
+            server = CanopenServer(Plant(file, position=start), robot, own, clock=clock)
+            driver = Canopen402Driver(settings)
+        else:
+            served = parse_settings(keys, robot.joint_names, connection.driver)
+            server = CanMotorServer(file, served, start, clock, held=True)
+            driver = CanMotorDriver(settings, connection.driver)
+        with server:
+            clock.sleep(1.5)  # drives boot
+            driver.open()
             guiding = Guiding(robot, Nobody(clock, seconds), load_compensation(file, model))
             report = record_session(path, file, driver, clock=clock, guiding=guiding)
+            driver.close()
         if report.file is None:
             return str(report.stopped_by), np.full(robot.dof, np.nan)
         run = read_recording(report.file)
@@ -96,7 +114,8 @@ def main() -> None:
     seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 10.0
     print("| arm | pose [rad] | released for [s] | largest drift of a joint [rad] | with dry friction | it ended by |")
     print("|---|---|---|---|---|---|")
-    for name, poses in ARMS.items():
+    for name in sys.argv[2:] or ("moteus_rig", "openarm"):
+        poses = ARMS[name]
         real = load_robot(name)
         for file, words in ((real, "yes"), (slippery(real), "no")):
             with TemporaryDirectory() as folder:

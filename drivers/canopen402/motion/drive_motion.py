@@ -18,7 +18,16 @@ import numpy as np
 from drivers.can.bus import Frame, Sender
 from drivers.canopen402.motion.target_path import BRIDGED, SdoStop, TargetPath
 from drivers.canopen402.protocol.emcy import HOW_TO_RESET
-from drivers.canopen402.protocol.objects import MODE_PROFILE_POSITION, RPDO1, SYNC, TPDO1, TPDO2, mode_words
+from drivers.canopen402.protocol.objects import (
+    MODE_CYCLIC_TORQUE,
+    MODE_PROFILE_POSITION,
+    RPDO1,
+    RPDO2,
+    SYNC,
+    TPDO1,
+    TPDO2,
+    mode_words,
+)
 from drivers.canopen402.protocol.state_machine import (
     CHANGE_AT_ONCE,
     DISABLE_VOLTAGE,
@@ -44,13 +53,18 @@ SLOWER = 0.9
 """Share of the speed before, from which on drives are slowing down."""
 OFF_LIMIT = 0.3
 """How long [s] they may take to switch off."""
+PUSH_LIMIT = 0.1
+"""Longest time [s] without a new torque of an arm that is led by hand: the last one may no longer carry it."""
+MODE_CHANGE = 0.2
+"""How long [s] drives may take to go over to torques."""
 _POLL = 0.002
 
 _TARGET = struct.Struct("<Hbi")
 _STATE = struct.Struct("<Hbi")
+_TORQUE = struct.Struct("<h")
 _SPEED_BYTES = 4
 
-Phase = Literal["idle", "enabling", "moving", "stopping", "off"]
+Phase = Literal["idle", "enabling", "moving", "led", "stopping", "off"]
 
 
 @dataclass(frozen=True)
@@ -122,6 +136,8 @@ class DriveMotion:
             STALL_LIMIT if mode == MODE_PROFILE_POSITION else min((BRIDGED + 0.5) * period, STALL_LIMIT)
         )
         self._stood: list[tuple[float, float]] = []
+        self._pushed: tuple[float, list[int]] = (-math.inf, [])
+        self._led_since = -math.inf
         self._left: str | None = None
         self._dropped_out: int | None = None
 
@@ -138,7 +154,12 @@ class DriveMotion:
     @property
     def active(self) -> bool:
         """Whether the drives follow targets, or did until one of them left the motion by itself."""
-        return self._phase == "moving" or self._left is not None
+        return self._phase in ("moving", "led") or self._left is not None
+
+    @property
+    def mode(self) -> int:
+        """Of operation, in which the drives are to be."""
+        return self._mode
 
     @property
     def ended_by(self) -> str | None:
@@ -168,7 +189,7 @@ class DriveMotion:
         if phase == "idle":
             return ()
         stalled, self._last_moment = moment - self._last_moment - (0 if left_out else self._period), moment
-        if phase == "moving":
+        if phase in ("moving", "led"):
             self._watch_for_drop_outs()
             if stalled > self._longest_stall and self._left is None:  # the drives have had no target meanwhile
                 self._left = f"this computer stalled for {stalled:.3f} s, more than {self._longest_stall:g} s"
@@ -176,7 +197,13 @@ class DriveMotion:
         wanted = self._path.at(moment, 0 if self._mode == MODE_PROFILE_POSITION else left_out)
         if self._phase == "moving" and self._mode != MODE_PROFILE_POSITION and self._path.run_out:
             self._phase = "stopping"  # along their ramp; whoever commands them knows why
-        return [self._output(index, wanted[index]) for index in range(len(self._ids))]
+        if self._phase == "led" and self._clock.now() - self._pushed[0] > PUSH_LIMIT:
+            self._left, self._phase = f"no torque was commanded for {PUSH_LIMIT:g} s", "stopping"
+        targets = [self._output(index, wanted[index]) for index in range(len(self._ids))]
+        if self._phase != "led":
+            return targets
+        pairs = zip(self._ids, self._pushed[1], strict=True)
+        return [*((RPDO2 + node, _TORQUE.pack(torque)) for node, torque in pairs), *targets]
 
     def enable(self, timeout: float) -> None:
         """Bring all drives to operation enabled, each holding its position.
@@ -219,10 +246,35 @@ class DriveMotion:
             raise ValueError("a target does not fit into 32 bits of counts")
         self._path.put(self._clock.now() if due is None else due, [int(count) for count in counts])
 
+    def release(self, torque: IntArray) -> None:
+        """Let the drives give torques (n,) [‰ of their rated ones] from the next SYNC on.
+
+        Raises:
+            DriverStateError: they are not enabled.
+            ValueError: a torque that does not fit into 16 bits.
+        """
+        if self._phase != "moving":
+            raise DriverStateError(f"the arm is not let go: {self._left or 'the drives are not enabled'}")
+        self._push(torque)
+        self._longest_stall = min((BRIDGED + 0.5) * self._period, STALL_LIMIT)
+        self._mode, self._led_since = MODE_CYCLIC_TORQUE, self._clock.now()
+        self._phase = "led"
+
+    def push(self, torque: IntArray) -> None:
+        """Take torques (n,) [‰ of the rated ones] of an arm that is let go; raises as `release`."""
+        if self._phase != "led":
+            raise DriverStateError(f"the arm takes no torques: {self._left or 'it is not let go'}")
+        self._push(torque)
+
+    def _push(self, torque: IntArray) -> None:
+        if np.any(np.abs(torque) > 2**15 - 1):
+            raise ValueError("a torque does not fit into 16 bits")
+        self._pushed = self._clock.now(), torque.tolist()
+
     def halt(self) -> None:
         """Quick-stop all drives with the next SYNC, without waiting; safe at any time."""
         self._halted.set()
-        if self._phase in ("enabling", "moving"):
+        if self._phase in ("enabling", "moving", "led"):
             self._phase = "stopping"
 
     def stop(self, sync_runs: Callable[[], bool]) -> list[str]:
@@ -312,8 +364,10 @@ class DriveMotion:
         controlword = self._controlword
         if self._phase == "moving":
             controlword = ENABLE_OPERATION | self._follow(index, wanted, heard)
-        elif self._phase == "enabling":
-            if heard is not None and heard.state is not DriveState.ENABLED:
+        elif self._phase in ("enabling", "led"):
+            if self._phase == "led":
+                controlword = ENABLE_OPERATION
+            if heard is not None and (self._phase == "led" or heard.state is not DriveState.ENABLED):
                 self._targets[index] = heard.position  # so that enabling moves nothing
         elif self._phase == "stopping":
             controlword = QUICK_STOP
@@ -334,9 +388,10 @@ class DriveMotion:
         return CHANGE_AT_ONCE | (NEW_SET_POINT if self._offered[index] else 0)
 
     def _watch_for_drop_outs(self) -> None:
+        changing = self._clock.now() - self._led_since < MODE_CHANGE
         for index, joint in enumerate(self._joints):
             heard = self.heard(index)
-            if heard is None or (heard.state is DriveState.ENABLED and heard.mode == self._mode):
+            if heard is None or (heard.state is DriveState.ENABLED and (changing or heard.mode == self._mode)):
                 continue
             self._dropped_out = index
             said = f"operation enabled: {heard.state.value}"

@@ -71,6 +71,7 @@ MODE_DISPLAY = DriveObject(0x6061, 0, 1, True, "mode of operation display")
 FOLLOWING_ERROR_WINDOW = DriveObject(0x6065, 0, 4, False, "following error window")
 POSITION = DriveObject(0x6064, 0, 4, True, "actual position")
 VELOCITY = DriveObject(0x606C, 0, 4, True, "actual velocity")
+TARGET_TORQUE = DriveObject(0x6071, 0, 2, True, "target torque")
 MAX_TORQUE = DriveObject(0x6072, 0, 2, False, "max torque")
 RATED_CURRENT = DriveObject(0x6075, 0, 4, False, "rated current")
 RATED_TORQUE = DriveObject(0x6076, 0, 4, False, "rated torque")
@@ -108,6 +109,7 @@ PROFILE_402 = 402
 
 MODE_PROFILE_POSITION = 1
 MODE_CYCLIC_POSITION = 8
+MODE_CYCLIC_TORQUE = 10
 MODE_NAMES = {
     0: "none",
     MODE_PROFILE_POSITION: "profile position",
@@ -117,7 +119,7 @@ MODE_NAMES = {
     7: "interpolated position",
     MODE_CYCLIC_POSITION: "cyclic synchronous position",
     9: "cyclic synchronous velocity",
-    10: "cyclic synchronous torque",
+    MODE_CYCLIC_TORQUE: "cyclic synchronous torque",
 }
 """CiA 402-2, object 0x6060."""
 
@@ -134,7 +136,8 @@ EMCY = 0x080
 TPDO1 = 0x180
 RPDO1 = 0x200
 TPDO2 = 0x280
-RPDO_BASES = (RPDO1, 0x300, 0x400, 0x500)
+RPDO2 = 0x300
+RPDO_BASES = (RPDO1, RPDO2, 0x400, 0x500)
 SDO_ANSWER = 0x580
 SDO_REQUEST = 0x600
 HEARTBEAT = 0x700

@@ -70,6 +70,11 @@ class Scaling:
         motors = position if self.coupling is None else self.coupling @ position
         return np.asarray(np.rint((motors - self.zero) / self.radians_per_count), dtype=np.int64)
 
+    def per_mille(self, torque: FloatArray) -> IntArray:
+        """Joint torques (n,) [N·m] as the drives count them: in thousandths of their rated ones."""
+        motors = torque if self.coupling is None else np.linalg.solve(self.coupling.T, torque)
+        return np.asarray(np.rint(motors / (PER_MILLE * self.direction * self.rated_torque)), dtype=np.int64)
+
     def position(self, counts: npt.ArrayLike) -> FloatArray:
         """Joint positions (…, n) [rad] of counts (…, n)."""
         return self._at_joints(np.asarray(np.asarray(counts) * self.radians_per_count + self.zero))

@@ -62,6 +62,19 @@ def configure_pdos(drive: RemoteDrive, *, commanded: bool) -> None:
         _map_pdo(drive, 0x1400, 0x1600, objects.RPDO1 + drive.node, objects.RPDO_OBJECTS)
 
 
+def map_torque(drive: RemoteDrive) -> None:
+    """A second RPDO with the target torque, applied at SYNC; for a drive that may be enabled.
+
+    Raises:
+        ConnectionFailedError: it has no cyclic torque, does not answer, or does not keep what is written.
+    """
+    supported = drive.read_optional(objects.SUPPORTED_MODES)
+    if supported is not None and not supports_mode(supported, objects.MODE_CYCLIC_TORQUE):
+        words = objects.mode_words(objects.MODE_CYCLIC_TORQUE)
+        raise ConnectionFailedError(f"the drive does not support mode {words}", where=drive.where)
+    _map_pdo(drive, 0x1401, 0x1601, objects.RPDO2 + drive.node, (objects.TARGET_TORQUE,))
+
+
 def _map_pdo(
     drive: RemoteDrive, communication: int, mapping: int, identifier: int, carried: Sequence[DriveObject]
 ) -> None:
