@@ -50,15 +50,10 @@ def run_benchmark(
     scheduler: str = "",
     progress: Progress = lambda step: None,
 ) -> Benchmark:
-    """Every method on every data set.
+    """Every method, by its name and `module:function`, on every data set in the folder.
 
-    Args:
-        datasets: to be judged on.
-        methods: name → `module:function`.
-        folder: the mirror with the data sets' files.
-        fetch: download what the folder lacks and has an address.
-        scheduler: of a Dask cluster (tcp://host:8786), whose workers see the folder; empty for this computer.
-        progress: called with what is being done.
+    With `fetch` what the folder lacks and has an address is downloaded. The workers of a Dask scheduler
+    (tcp://host:8786) must see the folder; without one this computer works.
 
     Raises:
         DataError: the folder has none of the data sets.

@@ -65,15 +65,9 @@ def check_connections(
     reset_faults: bool = False,
     configure: bool = False,
 ) -> list[CheckedConnection]:
-    """Open a connection, and those that it is recorded with, one after the other, and listen.
+    """Open a connection, the robot file's first where None, and those that it is recorded with, in turn, and listen.
 
-    Args:
-        robot_file: names the connections.
-        wire: which of them; the first where None.
-        host: in place of the connection's own.
-        clock: the host's.
-        reset_faults: whether faults of the first one's drives are reset; its driver must declare how.
-        configure: whether the permanent memory of its devices is written; its driver must declare how.
+    Faults of its drives are reset, and the permanent memory of its devices is written, as its driver declares.
 
     Raises:
         UsageError: no such connection, or its keys are wrong.

@@ -41,11 +41,7 @@ TORQUE_FREE = 0.02
 
 
 def guess_of_urdf(robot_file: RobotFile, *, limited: bool) -> ArmGuess:
-    """Bodies, friction and poses of an arm that is described by a URDF.
-
-    Args:
-        robot_file: with the URDF and limits.
-        limited: whether its position limits are the arm's; there are no poses where they are not.
+    """Bodies, friction and poses of an arm that is described by a URDF; no poses where the limits are not the arm's.
 
     Raises:
         RobotFileError: the URDF and the file's joints do not fit together.

@@ -121,14 +121,9 @@ def forecast(
     prior: PriorKnowledge,
     active: Sequence[int] | None = None,
 ) -> Forecast:
-    """Expected precision with rows of a regressor, whatever their torque.
+    """Expected precision with rows of a regressor at their rate per joint [Hz], whatever their torque.
 
-    Args:
-        base: their columns.
-        model: of the arm.
-        reduction: the rows, and their rate per joint [Hz].
-        prior: of parameters and noise.
-        active: indices of the base columns that count; those that the rows make identifiable where None.
+    Of the base columns in `active`; of those that the rows make identifiable where None.
     """
     reduced, row_rate = reduction
     active = list(excited_columns(reduced) if active is None else active)

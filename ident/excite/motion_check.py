@@ -60,12 +60,7 @@ class ArmMotionCheck:
     """Keeps an arm clear of its mounting surface, obstacles and itself, and within its torque limits."""
 
     def __init__(self, robot_file: RobotFile, prior: Path | None = None, *, self_collision: bool = True) -> None:
-        """Prepare for an arm.
-
-        Args:
-            robot_file: the arm.
-            prior: result.json whose parameters predict torque; those of the file's truth where None.
-            self_collision: whether links are kept apart; a design may leave that to its user.
+        """Prepare for an arm; the parameters of the result.json `prior`, or of the file's truth, predict its torque.
 
         Raises:
             DynidError: the geometry or the result cannot be used.

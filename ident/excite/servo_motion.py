@@ -71,13 +71,7 @@ class ServoExcitation:
 def servo_excitation(
     robot_file: RobotFile, check: ArmMotionCheck, result: ServoResult | None, choices: ServoMotionChoices
 ) -> ServoExcitation:
-    """Design the motion.
-
-    Args:
-        robot_file: the arm.
-        check: of its motions.
-        result: of the identification so far; None for a first motion.
-        choices: length, margin, seed.
+    """Design the motion that follows on the identification so far; a first one where there is none.
 
     Raises:
         UsageError: no pose or no motion is clear of everything, or the model is of another arm.

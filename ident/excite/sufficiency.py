@@ -58,11 +58,8 @@ class TimesNeeded:
 def motion_sufficiency(motion: RecordedMotion, choices: PreprocessChoices | None = None) -> Sufficiency | None:
     """Expected error bars of a recorded motion; None without knowledge of parameters and noise.
 
-    Both come from a quick identification of the recording, or from the robot file where no torque is known.
-
-    Args:
-        motion: of a recording.
-        choices: its preprocessing; as `motion` was prepared where None.
+    Both come from a quick identification of the recording, or from the robot file where no torque is known. The
+    recording is preprocessed as `motion` was where no choices are given.
     """
     if motion.measured is not None:
         with suppress(DynidError):  # too short to identify anything from

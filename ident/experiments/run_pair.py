@@ -108,14 +108,7 @@ def prepare_pair(
     robot_file: RobotFile | None = None,
     delay: float | None = None,
 ) -> RunPair:
-    """Preprocess and reduce both runs with the same filters.
-
-    Args:
-        free: recording without the load.
-        loaded: recording with it.
-        motion_of: reads the right-hand side.
-        robot_file: in place of the free recording's.
-        delay: of the torque [s]; searched in the free run where None.
+    """Preprocess and reduce both runs with the same filters; the torque's delay [s] is the free run's where None.
 
     Raises:
         DynidError: the recordings are of different arms, or one of them lacks something.
@@ -164,13 +157,7 @@ def pair_warnings(pair: RunPair, recordings: Sequence[Recording]) -> list[str]:
 def block_grams(
     pair: RunPair, parameters: tuple[FloatArray, FloatArray], joints: Sequence[int] | None = None
 ) -> BlockGrams:
-    """Gram matrices of both runs' blocks.
-
-    Args:
-        pair: the runs.
-        parameters: base parameters (b,) of each run, whose residuals determine the length of a block.
-        joints: those whose residuals do; all where None.
-    """
+    """Gram matrices of both runs' blocks, whose length follows from the residuals of these joints."""
     series = [_series(pair, run, values) for run, values in zip(pair.runs, parameters, strict=True)]
     everything = [torques for of_run in series for torques in of_run]
     blocks = motion_blocks(everything, joints)
@@ -207,16 +194,7 @@ def weighted_blocks(
     change: tuple[FloatArray, FloatArray],
     chosen: Sequence[int],
 ) -> FloatArray:
-    """(B, c, c) Gram matrices of one run's blocks over all joints, in the chosen columns of `widened`.
-
-    Args:
-        pair: the runs.
-        grams: of their blocks.
-        run: `FREE` or `LOADED`.
-        weights: (n,) of each joint's rows.
-        change: effect (b, k) and shift (b,), as of `widened`.
-        chosen: (c,) columns.
-    """
+    """(B, c, c) Gram matrices of one run's blocks over all joints, weighted, in the chosen columns of `widened`."""
     summed = np.zeros((grams.count, len(chosen), len(chosen)))
     for joint, gram, weight in zip(pair.kernel.joint_rows, grams.grams[run], weights, strict=True):
         wide = widened(joint.columns, pair.base.count, *change)[:, chosen]

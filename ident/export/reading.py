@@ -137,13 +137,8 @@ def largest_share(difference: FloatArray, torque: FloatArray) -> float:
 def tree_torque_error(arm: ExportedArm, tree: FloatArray, active: tuple[FloatArray, FloatArray, FloatArray]) -> float:
     """How far a URDF's torques are from the model's, what a URDF cannot hold added: motors, offsets, coupling, loops.
 
-    Args:
-        arm: what was exported.
-        tree: (n, N) torques of the tree's joints, with their friction.
-        active: (a, N) position, velocity and acceleration of the joints with a motor.
-
-    Returns:
-        The largest difference over the largest torque.
+    The largest difference over the largest torque. The tree's torques (n, N) hold its friction; `active` are position,
+    velocity and acceleration (a, N) of the joints with a motor.
     """
     _, velocity, acceleration = active
     follow = arm.model.tree_motion(*active).follow

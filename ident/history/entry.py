@@ -66,12 +66,7 @@ class HistoryEntry:
 
 
 def read_entry(content: Mapping[str, Any], path: Path, recorded: datetime | None = None) -> HistoryEntry:
-    """What to keep of a result.
-
-    Args:
-        content: the object of its result.json.
-        path: of that file, for messages.
-        recorded: when its data were recorded, in place of what the result says.
+    """What to keep of the object of a result.json, whose path is for messages; recorded when it says, or as told.
 
     Raises:
         ResultFileError: no result, one without times or with impossible ones, one of several arms, or without values.

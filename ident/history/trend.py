@@ -89,9 +89,7 @@ class Trend:
 def estimate_trend(series: Series, step_level: float) -> Trend | None:
     """The trend; None with fewer than `LEAST_RESULTS` results, of one time, or where temperature and time go together.
 
-    Args:
-        series: of the parameter.
-        step_level: probability of a step where there is none, at any place of the series.
+    A step is seen where there is none with probability `step_level`.
     """
     if len(series) < LEAST_RESULTS or series.time[-1] <= series.time[0]:
         return None

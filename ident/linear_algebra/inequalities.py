@@ -10,13 +10,9 @@ ITERATIONS_PER_ROW = 30
 
 
 def nonnegative_least_squares(matrix: FloatArray, target: FloatArray) -> FloatArray | None:
-    """The x (k,) of least ‖A·x − b‖ with x ≥ 0; None where rounding keeps it from being found.
+    """The x (k,) of least ‖A·x − b‖ with x ≥ 0, for A (m, k); None where rounding keeps it from being found.
 
     As `scipy.optimize.nnls`, whose import takes longer than what is solved here.
-
-    Args:
-        matrix: A (m, k).
-        target: b (m,).
     """
     solution, positive = np.zeros(matrix.shape[1]), np.zeros(matrix.shape[1], dtype=np.bool_)
     lengths = np.linalg.norm(matrix, axis=0)
@@ -60,12 +56,8 @@ def _solved_by(matrix: FloatArray, target: FloatArray, chosen: BoolArray) -> Flo
 def least_squares_within(factor: FloatArray, target: FloatArray, conditions: FloatArray) -> FloatArray | None:
     """The x of least ‖R·x − d‖ among those with G·x ≥ 0; None where rounding keeps it from being found.
 
-    With y = R·x − d this is a least-distance problem, whose dual is a non-negative least-squares problem.
-
-    Args:
-        factor: R (b, b), triangular, of full rank.
-        target: d (b,).
-        conditions: G (c, b).
+    R (b, b) is triangular, of full rank. With y = R·x − d this is a least-distance problem, whose dual is one of
+    non-negative least squares.
     """
     from scipy.linalg import solve_triangular
 

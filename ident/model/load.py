@@ -122,12 +122,7 @@ def moved_origin(offset: FloatArray) -> FloatArray:
 
 
 def load_columns(effect: FloatArray, without: Sequence[int] = ()) -> LoadColumns:
-    """The identifiable combinations of a load's parameters; `without` are known ones that need no column.
-
-    Args:
-        effect: (b, 10) of `load_effect`.
-        without: indices of known parameters.
-    """
+    """The identifiable combinations of a load's parameters; `without` are known ones that need no column."""
     lengths = np.linalg.norm(effect, axis=0)
     present = [i for i in range(10) if i not in without]
     acting = [i for i in present if lengths[i] > INDEPENDENT * max(float(lengths.max()), np.finfo(float).tiny)]

@@ -41,12 +41,7 @@ class ReturnLevel:
 
 
 def require_time(seconds: float, block: float, per_hour: float) -> None:
-    """Refuse what is too short for a rate.
-
-    Args:
-        seconds: observed [s].
-        block: length of a block [s].
-        per_hour: passes per hour.
+    """Refuse an observed time [s], in blocks [s], that is too short for a rate of passes per hour.
 
     Raises:
         DataError: says how much is needed.

@@ -44,11 +44,7 @@ class OperatingPoint:
 
 
 def read_contacts(path: Path, first: float) -> tuple[LabelledContact, ...]:
-    """Read contacts from a CSV file with columns start and end.
-
-    Args:
-        path: of the file.
-        first: stamp of the recording's first sample [s].
+    """Read contacts from a CSV file with columns start and end [s], both after the recording's `first` stamp.
 
     Raises:
         UsageError: it cannot be read, lacks a column, or a line is no contact.
@@ -81,15 +77,7 @@ def read_contacts(path: Path, first: float) -> tuple[LabelledContact, ...]:
 def operating_point(
     time: FloatArray, ratio: FloatArray, contacts: Sequence[LabelledContact], threshold: float, hours: float
 ) -> OperatingPoint:
-    """What a detector does at one threshold.
-
-    Args:
-        time: (N,) [s].
-        ratio: (N,) what the detector compares with its threshold.
-        contacts: labelled.
-        threshold: of the detector.
-        hours: watched without contact [h].
-    """
+    """What a detector does whose ratio (N,) passes one threshold, with so many hours watched without contact."""
     passed = time[ratio > threshold]
     free = np.ones(len(passed), dtype=bool)
     delays = []

@@ -232,15 +232,10 @@ def earned_thresholds(
     per_hour: float = 1.0,
     period: float | None = None,
 ) -> Thresholds:
-    """Thresholds from recordings without contact.
+    """Thresholds that recordings without contact give for so many false alarms per hour.
 
-    Args:
-        model: of the whole arm.
-        quiet: recording → its samples.
-        kind: of the observer.
-        bandwidth: of it, K [1/s].
-        per_hour: false alarms [1/h].
-        period: of the samples that will be watched [s]; the first recording's where None.
+    The observer's bandwidth K is in 1/s. The samples that will be watched have this period [s]; the first recording's
+    where None.
 
     Raises:
         DataError: the recordings are too short for this rate.

@@ -27,14 +27,7 @@ LONG_TEXT = 20
 
 
 def table_html(table: Table, name: str, muted: Sequence[bool] = (), style: str = "") -> Markup:
-    """The table as HTML.
-
-    Args:
-        table: what it shows; it can be sorted by every column.
-        name: of the file that it can be saved to.
-        muted: (rows,) whether a row is in pale print; none where empty.
-        style: further classes.
-    """
+    """The table as HTML, sorted by any column and saved to a file of this name; muted rows are in pale print."""
     groups = _groups(table.columns)
     classes = [_class(group[0]) for group in groups]
     head = Markup("").join(_heading(group, own) for group, own in zip(groups, classes, strict=True))

@@ -21,12 +21,7 @@ ROLLOUT_CAPTION = (
 
 
 def servo_page(result: ServoResult, identification: ServoIdentification | None) -> str:
-    """The page: verdict, errors beside the references, roll-outs, parameters.
-
-    Args:
-        result: of the identification.
-        identification: motions and roll-outs; None for a result that was read from a file.
-    """
+    """The page: verdict, errors beside the references, roll-outs, parameters; a result that was read has no motions."""
     return (
         page_templates()
         .get_template("servo_page.html.j2")

@@ -151,12 +151,7 @@ REPEATED_KINDS: tuple[str, ...] = ("viscous", "coulomb", "offset")
 
 
 def friction_note(runs: int, repeatability: FloatArray | None) -> str:
-    """What the intervals of friction hold of changes between runs.
-
-    Args:
-        runs: how many were identified together.
-        repeatability: (b,) σ between them; None where it is unknown.
-    """
+    """What the intervals of friction hold of changes between the runs that were identified together."""
     if repeatability is not None:
         return (
             f"Intervals of friction hold for its mean over the {runs} runs and count how much it changed between them; "
@@ -209,16 +204,9 @@ def friction_results(
     shape_std: Mapping[tuple[str, int], float],
     repeatability: FloatArray | None = None,
 ) -> list[JointFrictionResult]:
-    """Friction of each joint with a motor.
+    """Friction of each joint with a motor, from the full model's solution, corrected std (b,) and covariance (a, a).
 
-    Args:
-        model: the arm.
-        base: its base parameters (b).
-        solution: of the full model.
-        std: (b,) corrected standard deviations.
-        covariance: (a, a) corrected, of the active parameters.
-        shape_std: σ of the estimated shapes, by kind of their sensitivity and motor.
-        repeatability: (b,) σ between runs; None where it is unknown.
+    The σ of the estimated shapes is by kind of their sensitivity and motor; repeatability (b,) is the σ between runs.
     """
     position = {(kind, joint): i for i, (kind, joint) in enumerate(zip(base.kinds, base.joints, strict=True))}
 

@@ -95,14 +95,7 @@ def copied_run(
 
 
 def same_noise(time: FloatArray, torque: FloatArray, other_time: FloatArray, other_torque: FloatArray) -> bool:
-    """Whether one of two signals holds the other's noise.
-
-    Args:
-        time: (N,) [s], rising.
-        torque: (N, n) [N·m or N].
-        other_time: (M,) of the other one.
-        other_torque: (M, n).
-    """
+    """Whether one of two signals, with rising times [s] and torques (N, n), holds the other's noise."""
     pair = _aligned(time, torque, other_time, other_torque)
     if pair is None:
         return False

@@ -29,18 +29,13 @@ class Cutoffs:
 
 
 def choose_cutoffs(band: float, rate: float, choices: PreprocessChoices) -> Cutoffs:
-    """Cut-offs from the motion's band and the data's rate, where the user gives none.
+    """Cut-offs from the motion's band and the data's rate [Hz], where the user gives none.
 
     The parallel filter's is ten times the band: τ also holds the harmonics of q̇², of sin(q) over wide swings and of dry
     friction's reversals. It is kept between 2 Hz and 20 Hz (but at least three times the band), above which gears and
     links bend and the rigid model ends. The positions' is twice that: a zero-phase Butterworth 4 then differs from 1
     by (1/2)⁸ = 0.4 % at the parallel filter's edge and by nothing within the band, so q̇ and q̈ are undistorted wherever
     τ is compared; at most 0.4 of the rate. The parallel filter keeps 4.5 samples a period of its cut-off.
-
-    Args:
-        band: of the motion [Hz], 0 where nothing moves.
-        rate: of the data [Hz].
-        choices: the user's.
 
     Raises:
         UsageError: a cut-off above the Nyquist frequency, before or after decimation.

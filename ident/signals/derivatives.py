@@ -59,13 +59,9 @@ def choose_smoother(
 def smooth_motion(
     segments: Sequence[UniformSegment], smoother: Smoother, joint_names: Sequence[str], *, measured: bool
 ) -> tuple[list[SmoothMotion], Step]:
-    """Step 'derivatives': the motion of each segment, recorded velocities compared with derived ones.
+    """Step 'derivatives': the motion of each segment, all at one rate, recorded velocities compared with derived ones.
 
-    Args:
-        segments: at one rate.
-        smoother: of positions and of recorded velocities.
-        joint_names: (n,).
-        measured: take the recorded velocities, and accelerations from them.
+    With `measured` the recorded velocities are taken, and accelerations from them.
     """
     derived = [SmoothMotion(*smoother.apply(segment.position, 2)) for segment in segments]
     if any(segment.velocity is None for segment in segments):

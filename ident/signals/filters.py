@@ -121,11 +121,7 @@ def no_filter(factor: int = 1) -> ZeroPhaseFilter:
 def butterworth(cutoff_hz: float, rate_hz: float, order: int = 4, factor: int = 1) -> ZeroPhaseFilter:
     """Butterworth low-pass, run forward and backward; its gain is 1/(1 + (f/f_c)^(2·order)): one half at the cut-off.
 
-    Args:
-        cutoff_hz: cut-off f_c [Hz].
-        rate_hz: sampling rate [Hz].
-        order: of one direction.
-        factor: every factor-th sample is kept.
+    The order is of one direction; every factor-th sample is kept.
 
     Raises:
         UsageError: a cut-off that is not between 0 and half the rate, an order or a factor below 1.

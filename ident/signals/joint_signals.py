@@ -282,11 +282,6 @@ def joint_target(joints: Stream, joint_names: tuple[str, ...], position: FloatAr
 
     None where none was recorded or not of every joint, and where those of a moving joint are its very positions: a
     controller that copies them has no reference of its own. No error, for few methods need targets.
-
-    Args:
-        joints: the joint stream.
-        joint_names: (n,).
-        position: (N, n) recorded [rad or m].
     """
     channel = joints.channels.get(TARGET)
     if channel is None or any(name not in channel.columns for name in joint_names):

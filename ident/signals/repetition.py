@@ -42,13 +42,9 @@ class _Known:
 
 
 def motion_phases(velocities: Sequence[FloatArray]) -> tuple[IntArray, ...]:
-    """Phase of every sample, an integer: samples at the same place of the same motion share it.
+    """Phases (M,) of segments with velocities (n, M), integers: samples at the same place of the same motion share one.
 
-    Args:
-        velocities: of each segment (n, M), all at one rate.
-
-    Returns:
-        Phases (M,) of each segment; consecutive along a motion, disjoint for different motions.
+    They are consecutive along a motion, and disjoint for different motions.
     """
     known: list[_Known] = []
     following = 0

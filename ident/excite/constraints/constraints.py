@@ -30,13 +30,7 @@ from ident.model.dynamic_model import DynamicModel
 def constraints_of(
     robot_file: RobotFile, model: DynamicModel, parameters: FloatArray | None, self_collision: bool
 ) -> tuple[Constraint, ...]:
-    """Constraints on a motion of this arm, those with no value left out.
-
-    Args:
-        robot_file: with the limits and the section `workspace`.
-        model: of the same file.
-        parameters: base parameters (b,) known beforehand, for the torque; None where there are none.
-        self_collision: whether the links must stay clear of each other.
+    """Constraints on a motion of this arm, those with no value left out; on torque where parameters (b,) are known.
 
     Raises:
         RobotFileError: the URDF and the file's joints do not fit together; the workspace leaves no room for any motion.

@@ -127,12 +127,7 @@ class MovingJoints:
         return factor, offset
 
     def check_same(self, joints: int, position: FloatArray, travel: FloatArray) -> None:
-        """Refuse an earlier motion of other joints.
-
-        Args:
-            joints: their number.
-            position: (n,) a position of each on the path [rad or m].
-            travel: (n,) largest distance of each from it [rad or m].
+        """Refuse an earlier motion of other joints, by a position on it and the travel from there (n,) [rad or m].
 
         Raises:
             UsageError: names the joint that moves, or rests elsewhere.

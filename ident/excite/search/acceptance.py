@@ -45,10 +45,7 @@ def dense_use(problem: DesignProblem, variables: FloatArray) -> float:
 def accepted(problem: DesignProblem, variables: FloatArray, *, final: bool = False) -> Accepted | None:
     """The motion of x (size,) as it is played; None where it exceeds a limit, however long its ramp.
 
-    Args:
-        problem: with family and limits.
-        variables: x (size,).
-        final: whether the check before a motion is played is asked, too; it always is where it knows more.
+    With `final` the check before a motion is played is asked, too, as it always is where it knows more.
     """
     if float(problem.use(variables).max(initial=0.0)) > problem.allowed + UTILISATION_TOLERANCE:
         return None
@@ -89,15 +86,7 @@ def shrunk_to_fit(
 ) -> FloatArray | None:
     """The x of the same motion about another pose, with the largest accepted amplitude, up to its own, by bisection.
 
-    Args:
-        problem: with family and limits.
-        variables: x (size,).
-        pose: (moving joints,) its new middle [rad or m].
-        tick: called before every check; what it raises ends the bisection.
-        final: see `accepted`.
-
-    Returns:
-        None where not even a thousandth of the amplitude is accepted.
+    None where not even a thousandth of the amplitude is accepted. What `tick` raises before a check ends the bisection.
     """
 
     def fits(share: float) -> FloatArray | None:

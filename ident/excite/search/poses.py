@@ -50,11 +50,7 @@ def feasible_pose(
 ) -> CandidatePose:
     """A pose with margin to all limits: the first descent of the largest utilisation that ends at a feasible one.
 
-    Args:
-        problem: with the limits.
-        first: (moving joints,) where the first descent begins [rad or m].
-        seed: of the poses where the others begin.
-        tick: called before every evaluation of the limits; what it raises ends the search.
+    The first descent begins at `first` [rad or m], the others at random. What `tick` raises ends all.
 
     Raises:
         NoFeasiblePoseError: there is none; names the limit that excludes all candidates, if one does.

@@ -209,16 +209,9 @@ def search(
     """Search from `choices.starts` random starts, or for `choices.time`; Ctrl-C ends it with the best so far.
 
     This process searches too: it has a feasible motion while the others are still being started. Start 0 has one
-    whatever the time limit.
-
-    Args:
-        problem: to solve.
-        make: builds the same problem in another process, so it must be picklable for several.
-        choices: see there. One of `starts` and `seconds` must be given.
-        first: variables of start 0, in place of random ones.
-        progress: called after each better candidate, and a few times per second.
-        clock: the host's.
-        begun: when `choices.time` began, by that clock; now where None.
+    whatever the time limit; it begins at `first` where given. `make`, which must be picklable, builds the problem in
+    another process. `progress` is called after each better candidate, and a few times per second. `choices.time` counts
+    from `begun` by the clock, from now where None.
 
     Raises:
         NoFeasiblePoseError: no pose was found that keeps all limits; names the one that excludes them.

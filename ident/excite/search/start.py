@@ -113,14 +113,8 @@ def run_start(  # noqa: C901 — the steps, in their order
 ) -> None:
     """Report a feasible motion near `begin` first, then every accepted iterate that is better than those before.
 
-    Args:
-        problem: to solve.
-        start: its index.
-        begin: (size,) where it begins.
-        seed: of the candidate poses where `begin` does not keep the limits.
-        solver: "slsqp" of local problems, or "sfla" of all motions at once.
-        report: called with the start's results.
-        tick: called before every evaluation; what it raises ends the start.
+    The seed is of the candidate poses where `begin` does not keep the limits. What `tick` raises ends the start; it is
+    called before every evaluation.
 
     Raises:
         NoFeasiblePoseError: no pose was found that keeps all limits; names the one that excludes them.

@@ -36,15 +36,7 @@ class JointExperiment:
 def friction_signal(
     model: DynamicModel, kind: str, shape: float, velocity: FloatArray, conditions: FrictionConditions
 ) -> FloatArray:
-    """Signal (N,) of a friction column of one joint.
-
-    Args:
-        model: says how the sign of the velocity is smoothed.
-        kind: of the column.
-        shape: exponent or Stribeck velocity.
-        velocity: (N,) [rad/s or m/s].
-        conditions: load torque and temperature, (1, N) each.
-    """
+    """Signal (N,) of a friction column of one joint; its shape is an exponent or a Stribeck velocity."""
     column = JointColumn(kind, ALONE, ALONE, shape)
     signal = column_signal(model, column, velocity[None], np.zeros_like(velocity)[None], conditions)
     return np.broadcast_to(np.asarray(signal), velocity.shape)

@@ -67,15 +67,7 @@ class Panel:
 def panel_figure(
     anchor: str, rows: Sequence[Sequence[Panel]], caption: str, *, linked: bool = False, **layout: Any
 ) -> Figure:
-    """A figure of rows of panels.
-
-    Args:
-        anchor: its id within the page.
-        rows: of panels; the first one says how many columns there are.
-        caption: what is shown.
-        linked: zooming one horizontal axis zooms all.
-        layout: further keys of the layout.
-    """
+    """A figure of rows of panels, as wide as the first row; `linked` zooms all horizontal axes with one."""
     panels = [panel for row in rows for panel in row]
     data = [
         {**trace, "xaxis": axis_ref("x", k), "yaxis": axis_ref("y", k), "meta": {"panel": panel.name}}

@@ -37,11 +37,7 @@ class Timeline:
 
 
 def lay_out(times: Sequence[FloatArray]) -> Timeline:
-    """Keep short gaps as they are; draw side by side what another recording or a long pause separates.
-
-    Args:
-        times: (M,) of each series [s].
-    """
+    """Keep short gaps of times [s] as they are; draw side by side what another recording or a long pause separates."""
     length = sum(float(time[-1] - time[0]) for time in times if len(time))
     offsets, borders = [], []
     offset, end = 0.0, None

@@ -66,11 +66,7 @@ class ClosedLoops(Transmission):
         return self.motion_at(self.pose(position), velocity, acceleration)
 
     def pose(self, position: FloatArray, last: ClosedPose | None = None) -> ClosedPose:
-        """The closed tree for active positions (a, N).
-
-        Args:
-            position: [rad or m].
-            last: one shortly before, of as many samples, which saves looking for a start.
+        """The closed tree for active positions (a, N) [rad or m]; a pose shortly before saves looking for a start.
 
         Raises:
             DataError: a loop does not close there.
