@@ -5,34 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from drivers.canopen402.protocol.objects import (
-    CONTROLWORD,
-    CURRENT,
-    ERROR_CODE,
-    FOLLOWING_ERROR_WINDOW,
-    HIGHEST_POSITION,
-    HOME_OFFSET,
-    LOWEST_POSITION,
-    MAX_PROFILE_VELOCITY,
-    MAX_TORQUE,
-    MODE,
-    MODE_CYCLIC_POSITION,
-    MODE_CYCLIC_TORQUE,
-    MODE_DISPLAY,
-    MODE_PROFILE_POSITION,
-    POSITION,
-    PROFILE_ACCELERATION,
-    PROFILE_DECELERATION,
-    PROFILE_VELOCITY,
-    QUICK_STOP_DECELERATION,
-    QUICK_STOP_OPTION,
-    STATUSWORD,
-    TARGET_POSITION,
-    TARGET_TORQUE,
-    TORQUE,
-    VELOCITY,
-    DriveObject,
-)
+from drivers.canopen402.protocol import objects
 from drivers.canopen402.protocol.state_machine import INTERNAL_LIMIT_BIT
 from drivers.canopen402.samples.alignment import PER_MILLE
 from drivers.canopen402.setup.drive_limits import NO_TORQUE_LIMIT, NO_WINDOW
@@ -51,7 +24,7 @@ FAULTY = (State.FAULT_REACTION_ACTIVE, State.FAULT)
 
 OVER_TEMPERATURE, FOLLOWING_ERROR = 0x4310, 0x8611
 """Error codes."""
-TEMPERATURE = DriveObject(0x2031, 1, 2, True, "housing temperature")
+TEMPERATURE = objects.DriveObject(0x2031, 1, 2, True, "housing temperature")
 
 NEW_SET_POINT, CHANGE_AT_ONCE, RELATIVE, HALT = 0x10, 0x20, 0x40, 0x100
 """Bits of the controlword in profile position mode; halt in every mode."""
@@ -71,9 +44,9 @@ class Axis:
     """
 
     def __init__(
-        self, setup: DriveSetup, feedback: DriveFeedback, objects: ObjectDictionary, emergency: Callable[[int], None]
+        self, setup: DriveSetup, feedback: DriveFeedback, dictionary: ObjectDictionary, emergency: Callable[[int], None]
     ) -> None:
-        self.setup, self.feedback, self.objects = setup, feedback, objects
+        self.setup, self.feedback, self.objects = setup, feedback, dictionary
         self._emergency = emergency
         self.machine = StateMachine()
         self.reference = AxisReference(feedback.position)
@@ -94,15 +67,15 @@ class Axis:
     @property
     def largest_torque(self) -> float:
         """Max torque (0x6072) of the motor, joint side [N·m]; infinite where it limits nothing."""
-        share = self.objects.number(MAX_TORQUE.index)
+        share = self._number(objects.MAX_TORQUE)
         return math.inf if share == NO_TORQUE_LIMIT else PER_MILLE * share * self.setup.rated_torque
 
     @property
     def pushed(self) -> float | None:
         """Torque [N·m], joint side, that its master commands; None where it controls its position."""
-        if self.machine.state is not State.OPERATION_ENABLED or self._active_mode != MODE_CYCLIC_TORQUE:
+        if self.machine.state is not State.OPERATION_ENABLED or self._active_mode != objects.MODE_CYCLIC_TORQUE:
             return None
-        torque = PER_MILLE * self.setup.direction * self.setup.rated_torque * self.objects.number(TARGET_TORQUE.index)
+        torque = PER_MILLE * self.setup.direction * self.setup.rated_torque * self._number(objects.TARGET_TORQUE)
         return min(max(torque, -self.largest_torque), self.largest_torque)
 
     def position_of(self, counts: int) -> float:
@@ -125,14 +98,14 @@ class Axis:
         """Fall into fault, with an emergency message."""
         moving = self.enabled
         self.machine.fault()
-        self.objects.set(ERROR_CODE.index, 0, code)
+        self.objects.set(objects.ERROR_CODE.index, 0, code)
         self._emergency(code)
-        ramp = self._deceleration(QUICK_STOP_DECELERATION.index) if moving else BRAKE_DECELERATION
+        ramp = self._deceleration(objects.QUICK_STOP_DECELERATION) if moving else BRAKE_DECELERATION
         self._motion = Standstill(self.reference, ramp)
 
     def command(self, controlword: int) -> None:
         """Do as if the master had sent a controlword; the one that it sent last must not come into force again."""
-        self.objects.set(CONTROLWORD.index, 0, controlword)
+        self.objects.set(objects.CONTROLWORD.index, 0, controlword)
         self.obey()
 
     def check_temperature(self) -> None:
@@ -144,7 +117,7 @@ class Axis:
         """Apply the cyclic set-point of a SYNC at a time [s]; `cycle` [s] from the last one, 0 where unknown."""
         if not isinstance(self._motion, CyclicPosition) or self.machine.state is not State.OPERATION_ENABLED:
             return
-        target = self._within_range(self.position_of(self.objects.number(TARGET_POSITION.index)))
+        target = self._within_range(self.position_of(self._number(objects.TARGET_POSITION)))
         if abs(target - self.reference.position) > self._following_error_window():
             self.fault(FOLLOWING_ERROR)
         else:
@@ -172,20 +145,20 @@ class Axis:
 
     def obey(self) -> None:
         """Follow mode and controlword, once all values received with them are in the objects."""
-        if self.objects.number(MODE.index) != self._active_mode:
+        if self._number(objects.MODE) != self._active_mode:
             self._take_mode()
-        word = self.objects.number(CONTROLWORD.index)
+        word = self._number(objects.CONTROLWORD)
         before, self._controlword = self._controlword, word
         state = self.machine.state
-        self.machine.quick_stop_option = self.objects.number(QUICK_STOP_OPTION.index)
+        self.machine.quick_stop_option = self._number(objects.QUICK_STOP_OPTION)
         self.machine.control(word)
         if self.machine.state is not state:
             self._entered(state)
         elif state is State.OPERATION_ENABLED:
-            if self._active_mode == MODE_PROFILE_POSITION:
+            if self._active_mode == objects.MODE_PROFILE_POSITION:
                 self._control_profile(word, word & ~before)
             if word & ~before & HALT:
-                self._motion = Standstill(self.reference, self._deceleration(PROFILE_DECELERATION.index))
+                self._motion = Standstill(self.reference, self._deceleration(objects.PROFILE_DECELERATION))
             elif before & ~word & HALT:
                 self._go_on()
         self._acknowledge()
@@ -193,7 +166,7 @@ class Axis:
     def _control_profile(self, word: int, rising: int) -> None:
         if not rising & NEW_SET_POINT or self._next_setpoint is not None:
             return
-        counts = self.objects.number(TARGET_POSITION.index)
+        counts = self._number(objects.TARGET_POSITION)
         target = self.position_of(counts)
         if word & RELATIVE:
             start = self._setpoint if self._setpoint is not None else self.reference.position
@@ -207,10 +180,10 @@ class Axis:
 
     def _within_range(self, target: float) -> float:
         """A target within the software position limits (0x607D), which lie the home offset off; nearer where beyond."""
-        ends = [self.objects.number(entry.index, entry.subindex) for entry in (LOWEST_POSITION, HIGHEST_POSITION)]
+        ends = [self._number(entry) for entry in (objects.LOWEST_POSITION, objects.HIGHEST_POSITION)]
         if ends[0] >= ends[1]:
             return target
-        home = self.objects.number(HOME_OFFSET.index)
+        home = self._number(objects.HOME_OFFSET)
         lowest, highest = sorted(self.position_of(end - home) for end in ends)
         within = min(max(target, lowest), highest)
         self._limited = within != target
@@ -218,7 +191,7 @@ class Axis:
 
     def _following_error_window(self) -> float:
         """The largest following error [rad]; infinite where it is not supervised."""
-        window = self.objects.number(FOLLOWING_ERROR_WINDOW.index)
+        window = self._number(objects.FOLLOWING_ERROR_WINDOW)
         return math.inf if window == NO_WINDOW else window / abs(self.setup.counts_per_radian)
 
     def _go_on(self) -> None:
@@ -235,13 +208,13 @@ class Axis:
 
     def _begin_profile(self, target: float) -> None:
         self._setpoint = target
+        speed = min(self._number(objects.PROFILE_VELOCITY), self._number(objects.MAX_PROFILE_VELOCITY))
         self._motion = Profile(
             self.reference,
             target,
-            max(min(self.objects.number(entry.index) for entry in (PROFILE_VELOCITY, MAX_PROFILE_VELOCITY)), 1)
-            / abs(self.setup.counts_per_radian),
-            self._deceleration(PROFILE_ACCELERATION.index),
-            self._deceleration(PROFILE_DECELERATION.index),
+            max(speed, 1) / abs(self.setup.counts_per_radian),
+            self._deceleration(objects.PROFILE_ACCELERATION),
+            self._deceleration(objects.PROFILE_DECELERATION),
         )
 
     def _entered(self, before: State) -> None:
@@ -254,37 +227,38 @@ class Axis:
             self._take_mode()
         elif state is State.QUICK_STOP_ACTIVE:
             slow = self.machine.quick_stop_option in (1, 5)
-            self._motion = Standstill(
-                self.reference,
-                self._deceleration(PROFILE_DECELERATION.index if slow else QUICK_STOP_DECELERATION.index),
-            )
+            ramp = objects.PROFILE_DECELERATION if slow else objects.QUICK_STOP_DECELERATION
+            self._motion = Standstill(self.reference, self._deceleration(ramp))
         elif before in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
             self._motion = Standstill(self.reference, BRAKE_DECELERATION)
         elif before is State.FAULT:
-            self.objects.set(ERROR_CODE.index, 0, 0)
+            self.objects.set(objects.ERROR_CODE.index, 0, 0)
             self._emergency(0)
 
     def _take_mode(self) -> None:
         """Follow the mode of operation; set-points of another mode are void."""
-        self._active_mode = self.objects.number(MODE.index)
+        self._active_mode = self._number(objects.MODE)
         if self.machine.state is not State.OPERATION_ENABLED:
             return
-        if self._active_mode == MODE_CYCLIC_POSITION:
+        if self._active_mode == objects.MODE_CYCLIC_POSITION:
             self._motion = CyclicPosition(self.reference, self._time)
         else:
             self._motion = Standstill(self.reference, BRAKE_DECELERATION)
 
     def _set_mode(self, mode: int) -> None:
-        if mode not in (0, MODE_PROFILE_POSITION, MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE):
+        if mode not in (0, objects.MODE_PROFILE_POSITION, objects.MODE_CYCLIC_POSITION, objects.MODE_CYCLIC_TORQUE):
             raise SdoAbortError(Abort.VALUE_RANGE)
 
     def _set_quick_stop_option(self, option: int) -> None:
         if option not in QUICK_STOP_OPTIONS:
             raise SdoAbortError(Abort.VALUE_RANGE)
 
-    def _deceleration(self, index: int) -> float:
-        """An acceleration object in rad/s²; at least one count/s², so that every ramp ends."""
-        return max(self.objects.number(index), 1) / abs(self.setup.counts_per_radian)
+    def _number(self, item: objects.DriveObject) -> int:
+        return self.objects.number(item.index, item.subindex)
+
+    def _deceleration(self, item: objects.DriveObject) -> float:
+        """An acceleration in rad/s²; at least one count/s², so that every ramp ends."""
+        return max(self._number(item), 1) / abs(self.setup.counts_per_radian)
 
     def _statusword(self) -> int:
         word = self.machine.statusword
@@ -292,12 +266,12 @@ class Axis:
             word |= WARNING
         if self.machine.state is State.OPERATION_ENABLED:
             word |= INTERNAL_LIMIT_BIT if self._limited else 0
-            if self._active_mode in (MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE):
+            if self._active_mode in (objects.MODE_CYCLIC_POSITION, objects.MODE_CYCLIC_TORQUE):
                 word |= MODE_BIT_12
-            elif self._active_mode == MODE_PROFILE_POSITION:
+            elif self._active_mode == objects.MODE_PROFILE_POSITION:
                 word |= MODE_BIT_12 if self._acknowledged else 0
                 word |= TARGET_REACHED if self._motion.finished and self._next_setpoint is None else 0
-        elif self.objects.number(ERROR_CODE.index) == FOLLOWING_ERROR:
+        elif self._number(objects.ERROR_CODE) == FOLLOWING_ERROR:
             word |= FOLLOWING_ERROR_BIT
         return word
 
@@ -307,20 +281,20 @@ class Axis:
         return min(max(round(share), -32768), 32767)
 
     def _connect_objects(self) -> None:
-        objects, setup = self.objects, self.setup
-        live: tuple[tuple[DriveObject, Callable[[], int]], ...] = (
-            (STATUSWORD, self._statusword),
-            (MODE_DISPLAY, lambda: objects.number(MODE.index)),
-            (POSITION, lambda: _int32(self.counts_of(self.feedback.position))),
-            (VELOCITY, lambda: _int32(round(self.feedback.velocity * setup.counts_per_radian))),
-            (TORQUE, lambda: self._per_mille(self.feedback.torque, setup.rated_torque)),
-            (CURRENT, lambda: self._per_mille(self.feedback.current, setup.rated_current)),
+        dictionary, setup = self.objects, self.setup
+        live: tuple[tuple[objects.DriveObject, Callable[[], int]], ...] = (
+            (objects.STATUSWORD, self._statusword),
+            (objects.MODE_DISPLAY, lambda: dictionary.number(objects.MODE.index)),
+            (objects.POSITION, lambda: _int32(self.counts_of(self.feedback.position))),
+            (objects.VELOCITY, lambda: _int32(round(self.feedback.velocity * setup.counts_per_radian))),
+            (objects.TORQUE, lambda: self._per_mille(self.feedback.torque, setup.rated_torque)),
+            (objects.CURRENT, lambda: self._per_mille(self.feedback.current, setup.rated_current)),
             (TEMPERATURE, lambda: min(max(round(10.0 * self.feedback.temperature), -32768), 32767)),
         )
         for item, read in live:
-            objects.live(item.index, item.subindex, read)
-        objects.on_write(MODE.index, 0, self._set_mode)
-        objects.on_write(QUICK_STOP_OPTION.index, 0, self._set_quick_stop_option)
+            dictionary.live(item.index, item.subindex, read)
+        dictionary.on_write(objects.MODE.index, 0, self._set_mode)
+        dictionary.on_write(objects.QUICK_STOP_OPTION.index, 0, self._set_quick_stop_option)
 
 
 def _int32(value: int) -> int:

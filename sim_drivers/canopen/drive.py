@@ -6,21 +6,8 @@ import math
 import struct
 from collections.abc import Callable
 
+from drivers.canopen402.protocol import objects
 from drivers.canopen402.protocol.emcy import MASTER_MISSED
-from drivers.canopen402.protocol.objects import (
-    ABORT_OPTION,
-    EMCY,
-    ERROR_BEHAVIOUR,
-    ERROR_REGISTER,
-    HEARTBEAT,
-    SDO_ANSWER,
-    SDO_REQUEST,
-    STATE_BOOT_UP,
-    STATE_OPERATIONAL,
-    STATE_PRE_OPERATIONAL,
-    STATE_STOPPED,
-    AbortOption,
-)
 from drivers.canopen402.protocol.state_machine import DISABLE_VOLTAGE, QUICK_STOP
 from sim_drivers.canopen.axis import FAULTY, FOLLOWING_ERROR, OVER_TEMPERATURE, Axis
 from sim_drivers.canopen.error_control import NodeErrorControl
@@ -29,7 +16,7 @@ from sim_drivers.canopen.object_dictionary import Abort, ObjectDictionary, SdoAb
 from sim_drivers.canopen.pdo import ReceivePdo, TransmitPdo
 from sim_drivers.canopen.setup import DriveFeedback, DriveSetup, fixed_values
 
-_NMT_STATES = {0x01: STATE_OPERATIONAL, 0x02: STATE_STOPPED, 0x80: STATE_PRE_OPERATIONAL}
+_NMT_STATES = {0x01: objects.STATE_OPERATIONAL, 0x02: objects.STATE_STOPPED, 0x80: objects.STATE_PRE_OPERATIONAL}
 """NMT command → state."""
 NMT_RESET_NODE, NMT_RESET_COMMUNICATION = 0x81, 0x82
 
@@ -46,9 +33,9 @@ _REGISTER = {
     FOLLOWING_ERROR: 0x21,
 }
 """Error code → error register (0x1001)."""
-AFTER_SILENCE = {0: STATE_PRE_OPERATIONAL, 2: STATE_STOPPED}
+AFTER_SILENCE = {0: objects.STATE_PRE_OPERATIONAL, 2: objects.STATE_STOPPED}
 """Error behaviour (0x1029) → NMT state of an operational node after a communication error; 1 changes nothing."""
-_COMMANDS = {AbortOption.DISABLE_VOLTAGE: DISABLE_VOLTAGE, AbortOption.QUICK_STOP: QUICK_STOP}
+_COMMANDS = {objects.AbortOption.DISABLE_VOLTAGE: DISABLE_VOLTAGE, objects.AbortOption.QUICK_STOP: QUICK_STOP}
 
 
 class SimulatedDrive:
@@ -70,12 +57,12 @@ class SimulatedDrive:
         self.objects = ObjectDictionary(node, fixed_values(setup))
         self.axis = Axis(setup, feedback, self.objects, self._emergency)
         self.error_control = NodeErrorControl(self.objects, node, send)
-        self.objects.on_write(ABORT_OPTION.index, 0, lambda value: _allow(value, tuple(AbortOption)))
-        self.objects.on_write(ERROR_BEHAVIOUR.index, 1, lambda value: _allow(value, (0, 1, 2)))
+        self.objects.on_write(objects.ABORT_OPTION.index, 0, lambda value: _allow(value, tuple(objects.AbortOption)))
+        self.objects.on_write(objects.ERROR_BEHAVIOUR.index, 1, lambda value: _allow(value, (0, 1, 2)))
         self.transmitted = tuple(TransmitPdo(self.objects, number) for number in range(3))
         self.received = tuple(ReceivePdo(self.objects, number) for number in range(2))
         self._sdo = SdoServer(self.objects)
-        self.nmt = STATE_BOOT_UP
+        self.nmt = objects.STATE_BOOT_UP
         self.powered_at: float = -math.inf
 
     @property
@@ -85,7 +72,7 @@ class SimulatedDrive:
 
     def network_command(self, content: bytes) -> None:
         """Obey an NMT command."""
-        if len(content) < 2 or content[1] not in (0, self.node) or self.nmt == STATE_BOOT_UP:
+        if len(content) < 2 or content[1] not in (0, self.node) or self.nmt == objects.STATE_BOOT_UP:
             return
         command = content[0]
         if command in _NMT_STATES:
@@ -94,22 +81,22 @@ class SimulatedDrive:
             self._restart()
             self._boot()
         elif command == NMT_RESET_COMMUNICATION:
-            self._change_nmt(STATE_PRE_OPERATIONAL)
+            self._change_nmt(objects.STATE_PRE_OPERATIONAL)
             self.objects.reset_communication()
             self._reconfigure()
             self._boot()
 
     def receive(self, identifier: int, content: bytes) -> None:
         """Process a frame that is neither NMT nor SYNC, nor for error control."""
-        if self.nmt in (STATE_BOOT_UP, STATE_STOPPED):
+        if self.nmt in (objects.STATE_BOOT_UP, objects.STATE_STOPPED):
             return
-        if identifier == SDO_REQUEST + self.node:
+        if identifier == objects.SDO_REQUEST + self.node:
             answer = self._sdo.answer(content)
             self._reconfigure()
             self.axis.obey()
             if answer is not None:
-                self._send(SDO_ANSWER + self.node, answer, False)
-        elif self.nmt == STATE_OPERATIONAL:
+                self._send(objects.SDO_ANSWER + self.node, answer, False)
+        elif self.nmt == objects.STATE_OPERATIONAL:
             for pdo in self.received:
                 if pdo.identifier != identifier:
                     continue
@@ -120,12 +107,12 @@ class SimulatedDrive:
 
     def heartbeat(self, producer: int, time: float) -> None:
         """Process the heartbeat of another node at a time [s]."""
-        if self.nmt != STATE_BOOT_UP and self.error_control.heartbeat(producer, time):
+        if self.nmt != objects.STATE_BOOT_UP and self.error_control.heartbeat(producer, time):
             self._found()
 
     def guard_request(self, time: float) -> None:
         """Answer the master's request for the NMT state at a time [s]."""
-        if self.nmt != STATE_BOOT_UP and self.error_control.guard_request(time, self.nmt):
+        if self.nmt != objects.STATE_BOOT_UP and self.error_control.guard_request(time, self.nmt):
             self._found()
 
     def sync(self, time: float, cycle: float) -> None:
@@ -137,7 +124,7 @@ class SimulatedDrive:
             time: of the SYNC in the drives' own clock [s].
             cycle: distance of two SYNCs [s]; 0 where that is unknown.
         """
-        if self.nmt != STATE_OPERATIONAL:
+        if self.nmt != objects.STATE_OPERATIONAL:
             return
         for received in self.received:
             if received.synchronous:
@@ -151,16 +138,16 @@ class SimulatedDrive:
 
     def tick(self, time: float) -> None:
         """Timed work at a time [s]: booting, error control, event-driven PDOs, temperature supervision."""
-        if self.nmt == STATE_BOOT_UP:
+        if self.nmt == objects.STATE_BOOT_UP:
             if time >= self.powered_at:
                 self._boot()
             return
         self.axis.check_temperature()
         if self.error_control.tick(time, self.nmt):
             self._lose_connection(MASTER_MISSED)
-            if self.nmt == STATE_OPERATIONAL:
-                self.nmt = AFTER_SILENCE.get(self.objects.number(ERROR_BEHAVIOUR.index, 1), self.nmt)
-        if self.nmt == STATE_OPERATIONAL:
+            if self.nmt == objects.STATE_OPERATIONAL:
+                self.nmt = AFTER_SILENCE.get(self.objects.number(objects.ERROR_BEHAVIOUR.index, 1), self.nmt)
+        if self.nmt == objects.STATE_OPERATIONAL:
             for pdo in self.transmitted:
                 content = pdo.on_time(time)
                 if content is not None and pdo.identifier is not None:
@@ -174,7 +161,7 @@ class SimulatedDrive:
 
     def fault(self, code: int) -> None:
         """Fall into fault, with an emergency message."""
-        if self.nmt != STATE_BOOT_UP:
+        if self.nmt != objects.STATE_BOOT_UP:
             self.axis.fault(code)
 
     def step(self, duration: float, actual: float) -> AxisReference:
@@ -183,13 +170,13 @@ class SimulatedDrive:
 
     def _lose_connection(self, code: int) -> None:
         """Send an emergency, and apply the abort connection option (0x6007) of a drive that is enabled."""
-        option = self.objects.number(ABORT_OPTION.index)
-        if self.enabled and option == AbortOption.FAULT:
+        option = self.objects.number(objects.ABORT_OPTION.index)
+        if self.enabled and option == objects.AbortOption.FAULT:
             self.fault(code)
             return
         self._emergency(code)
         if self.enabled and option in _COMMANDS:
-            self.axis.command(_COMMANDS[AbortOption(option)])
+            self.axis.command(_COMMANDS[objects.AbortOption(option)])
 
     def _found(self) -> None:
         """A watched node that had fallen silent is present again."""
@@ -198,27 +185,27 @@ class SimulatedDrive:
 
     def _emergency(self, code: int) -> None:
         register = _REGISTER.get(code, 0x01) if code else 0x00
-        self.objects.set(ERROR_REGISTER.index, 0, register)
-        self._send(EMCY + self.node, struct.pack("<HB5x", code, register), False)
+        self.objects.set(objects.ERROR_REGISTER.index, 0, register)
+        self._send(objects.EMCY + self.node, struct.pack("<HB5x", code, register), False)
 
     def _change_nmt(self, state: int) -> None:
         before, self.nmt = self.nmt, state
-        if state == STATE_OPERATIONAL != before:
+        if state == objects.STATE_OPERATIONAL != before:
             for pdo in (*self.transmitted, *self.received):
                 pdo.restart()
-        if before == STATE_OPERATIONAL != state and self.enabled:
+        if before == objects.STATE_OPERATIONAL != state and self.enabled:
             self._lose_connection(LEFT_OPERATIONAL)
 
     def _boot(self) -> None:
-        self.nmt = STATE_PRE_OPERATIONAL
+        self.nmt = objects.STATE_PRE_OPERATIONAL
         self.error_control.restart()
         self._sdo.reset()
-        self._send(HEARTBEAT + self.node, bytes([STATE_BOOT_UP]), False)
+        self._send(objects.HEARTBEAT + self.node, bytes([objects.STATE_BOOT_UP]), False)
         self.axis.machine.initialised()
 
     def _restart(self) -> None:
         """Start as after power on."""
-        self.nmt = STATE_BOOT_UP
+        self.nmt = objects.STATE_BOOT_UP
         self.objects.reset()
         self.axis.restart()
         self._reconfigure()

@@ -19,23 +19,12 @@ from drivers.canopen402.protocol.objects import STATE_OPERATIONAL, TPDO1
 from drivers.canopen402.settings import CanopenSettings
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.text import percent_text
+from sim_drivers import faults
 from sim_drivers.can.bus_load import Frame, exact_bits
 from sim_drivers.can.bus_server import BusServer, frame_of, message_of
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.axis import OVER_TEMPERATURE
 from sim_drivers.canopen.network import DriveNetwork, NetworkCounts
-from sim_drivers.faults import (
-    BlockJoint,
-    Fault,
-    Garbage,
-    HeartbeatStop,
-    Heat,
-    OverTemperature,
-    PowerCycle,
-    Stick,
-    Truncate,
-    Unplug,
-)
 from sim_drivers.plant.arm import DrivenArm
 from sim_drivers.server import with_troubles
 
@@ -175,27 +164,27 @@ class CanopenServer(BusServer):
     def _spread(self, bus: can.BusABC, frame: Frame, now: float) -> None:
         self._transmit(bus, frame)
 
-    def _cause(self, bus: can.BusABC, fault: Fault, now: float) -> None:
+    def _cause(self, bus: can.BusABC, fault: faults.Fault, now: float) -> None:
         match fault:
-            case Heat(joint, celsius):
+            case faults.Heat(joint, celsius):
                 self._arm.heat(joint, celsius)
-            case BlockJoint(joint):
+            case faults.BlockJoint(joint):
                 self._arm.block(joint)
-            case Stick(quantity, joint):
+            case faults.Stick(quantity, joint):
                 self.network.stick(joint, quantity)
-            case PowerCycle(joint):
+            case faults.PowerCycle(joint):
                 self.network.power_cycle(joint)
-            case HeartbeatStop(joint):
+            case faults.HeartbeatStop(joint):
                 self.network.drives[joint].error_control.muted = True
-            case OverTemperature(joint):
+            case faults.OverTemperature(joint):
                 self.network.drives[joint].fault(OVER_TEMPERATURE)
-            case Truncate(frames) if self.adapter is not None:
+            case faults.Truncate(frames) if self.adapter is not None:
                 self.adapter.truncate(frames)
-            case Garbage(frames) if self.adapter is not None:
+            case faults.Garbage(frames) if self.adapter is not None:
                 self.adapter.garbage(frames)
-            case Unplug() if self.adapter is not None:
+            case faults.Unplug() if self.adapter is not None:
                 self.adapter.unplug()
-            case Unplug():
+            case faults.Unplug():
                 self.messages.append("there is no adapter to unplug; only --wire slcan has one")
             case _:
                 super()._cause(bus, fault, now)

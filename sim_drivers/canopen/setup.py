@@ -5,24 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drivers.canopen402.protocol.objects import (
-    ENCODER_INCREMENTS,
-    ENCODER_TURNS,
-    FOLLOWING_ERROR_WINDOW,
-    GEAR_MOTOR_TURNS,
-    GEAR_SHAFT_TURNS,
-    HIGHEST_POSITION,
-    LOWEST_POSITION,
-    MAX_PROFILE_VELOCITY,
-    MAX_TORQUE,
-    PROFILE_ACCELERATION,
-    PROFILE_DECELERATION,
-    PROFILE_VELOCITY,
-    QUICK_STOP_DECELERATION,
-    RATED_CURRENT,
-    RATED_TORQUE,
-    SERIAL,
-)
+from drivers.canopen402.protocol import objects
 
 QUICK_STOP_RAMP = 20.0
 """Default of object 0x6085 [rad/s²]."""
@@ -86,20 +69,20 @@ def fixed_values(setup: DriveSetup) -> dict[tuple[int, int], int | str]:
     limited = math.isfinite(setup.lowest) and math.isfinite(setup.highest)
     ends = [round((end - setup.zero) * setup.counts_per_radian) for end in (setup.lowest, setup.highest) if limited]
     return {
-        (LOWEST_POSITION.index, LOWEST_POSITION.subindex): max(min(ends, default=0), -(1 << 31)),
-        (HIGHEST_POSITION.index, HIGHEST_POSITION.subindex): min(max(ends, default=0), (1 << 31) - 1),
-        (MAX_PROFILE_VELOCITY.index, 0): round(min(setup.largest_velocity * scale, 2**32 - 1)),
-        (MAX_TORQUE.index, 0): round(min(1e3 * setup.largest_torque / setup.rated_torque, 2**16 - 1)),
-        (FOLLOWING_ERROR_WINDOW.index, 0): round(LARGEST_FOLLOWING_ERROR * scale),
-        (SERIAL.index, SERIAL.subindex): setup.serial,
-        (ENCODER_INCREMENTS.index, 1): setup.increments,
-        (ENCODER_TURNS.index, 2): 1,
-        (GEAR_MOTOR_TURNS.index, 1): setup.gear,
-        (GEAR_SHAFT_TURNS.index, 2): 1,
-        (RATED_CURRENT.index, 0): round(1e3 * setup.rated_current),
-        (RATED_TORQUE.index, 0): round(1e3 * setup.rated_torque),
-        (PROFILE_VELOCITY.index, 0): round(setup.velocity * scale),
-        (PROFILE_ACCELERATION.index, 0): round(setup.acceleration * scale),
-        (PROFILE_DECELERATION.index, 0): round(setup.acceleration * scale),
-        (QUICK_STOP_DECELERATION.index, 0): round(QUICK_STOP_RAMP * scale),
+        (objects.LOWEST_POSITION.index, objects.LOWEST_POSITION.subindex): max(min(ends, default=0), -(1 << 31)),
+        (objects.HIGHEST_POSITION.index, objects.HIGHEST_POSITION.subindex): min(max(ends, default=0), (1 << 31) - 1),
+        (objects.MAX_PROFILE_VELOCITY.index, 0): round(min(setup.largest_velocity * scale, 2**32 - 1)),
+        (objects.MAX_TORQUE.index, 0): round(min(1e3 * setup.largest_torque / setup.rated_torque, 2**16 - 1)),
+        (objects.FOLLOWING_ERROR_WINDOW.index, 0): round(LARGEST_FOLLOWING_ERROR * scale),
+        (objects.SERIAL.index, objects.SERIAL.subindex): setup.serial,
+        (objects.ENCODER_INCREMENTS.index, 1): setup.increments,
+        (objects.ENCODER_TURNS.index, 2): 1,
+        (objects.GEAR_MOTOR_TURNS.index, 1): setup.gear,
+        (objects.GEAR_SHAFT_TURNS.index, 2): 1,
+        (objects.RATED_CURRENT.index, 0): round(1e3 * setup.rated_current),
+        (objects.RATED_TORQUE.index, 0): round(1e3 * setup.rated_torque),
+        (objects.PROFILE_VELOCITY.index, 0): round(setup.velocity * scale),
+        (objects.PROFILE_ACCELERATION.index, 0): round(setup.acceleration * scale),
+        (objects.PROFILE_DECELERATION.index, 0): round(setup.acceleration * scale),
+        (objects.QUICK_STOP_DECELERATION.index, 0): round(QUICK_STOP_RAMP * scale),
     }

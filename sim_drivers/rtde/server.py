@@ -20,20 +20,7 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import JointLimits
 from drivers.core.clock import SYSTEM_CLOCK, Clock, HasFileno
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
-from sim_drivers.faults import (
-    BlockJoint,
-    ClockJump,
-    Cut,
-    Drift,
-    Drop,
-    Fault,
-    Freeze,
-    Heat,
-    LocalControl,
-    ProtectiveStop,
-    Refuse,
-    Stick,
-)
+from sim_drivers import faults
 from sim_drivers.plant.arm import SimulatedArm
 from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.control_script import ScriptSession
@@ -248,33 +235,33 @@ class RtdeServer(FaultyServer):
         status.faulted += withheld
         status.safety_mode, status.playing = self.controller.safety_mode, self.controller.script is not None
 
-    def _cause(self, fault: Fault) -> None:  # noqa: C901, PLR0912 — a branch per kind of fault
+    def _cause(self, fault: faults.Fault) -> None:  # noqa: C901, PLR0912 — a branch per kind of fault
         match fault:
-            case Drop(count):
+            case faults.Drop(count):
                 for connection in self._connections:
                     if isinstance(connection.session, RtdeSession):
                         connection.session.withhold += count
-            case Freeze(duration):
+            case faults.Freeze(duration):
                 self._frozen_until = self._clock.now() + duration
-            case Cut():
+            case faults.Cut():
                 for connection in self._connections:
                     if isinstance(connection.session, RtdeSession):
                         connection.close()
-            case ProtectiveStop():
+            case faults.ProtectiveStop():
                 self.controller.protective_stop("on request")
-            case LocalControl():
+            case faults.LocalControl():
                 self.controller.remote_control = False
-            case Heat(joint, celsius):
+            case faults.Heat(joint, celsius):
                 self.controller.arm.heat(joint, celsius)
-            case BlockJoint(joint):
+            case faults.BlockJoint(joint):
                 self.controller.arm.block(joint)
-            case Stick(quantity, joint):
+            case faults.Stick(quantity, joint):
                 self.controller.arm.stick(joint, quantity)
-            case Refuse(variable):
+            case faults.Refuse(variable):
                 self.controller.refused.add(variable)
-            case ClockJump(seconds):
+            case faults.ClockJump(seconds):
                 self.controller.clock_ahead += seconds
-            case Drift(joint, velocity):
+            case faults.Drift(joint, velocity):
                 self.controller.drift(joint, velocity)
 
     def _attend(self, timeout: float) -> None:

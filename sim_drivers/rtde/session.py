@@ -9,18 +9,7 @@ from collections import deque
 from typing import Protocol
 
 from drivers.core.errors import ConnectionLostError
-from drivers.rtde.protocol import (
-    DATA_PACKAGE,
-    GET_CONTROL_VERSION,
-    PAUSE,
-    PROTOCOL_VERSION,
-    REQUEST_PROTOCOL_VERSION,
-    SETUP_INPUTS,
-    SETUP_OUTPUTS,
-    START,
-    PackageSplitter,
-    encode_package,
-)
+from drivers.rtde import protocol as wire
 from sim_drivers.rtde.controller import Controller
 from sim_drivers.rtde.variables import (
     IN_USE,
@@ -143,7 +132,7 @@ class RtdeSession:
         self.withhold = 0
         self._controller = controller
         self._owners = owners
-        self._splitter = PackageSplitter()
+        self._splitter = wire.PackageSplitter()
         self._negotiated = False
         self._outputs = output_variables(controller.version)
         self._inputs = input_variables(controller.version)
@@ -191,26 +180,26 @@ class RtdeSession:
         return recipe.encode(self._controller.values) if due else b""
 
     def _answer(self, kind: int, payload: bytes) -> bytes:
-        if kind == REQUEST_PROTOCOL_VERSION:
-            accepted = payload == struct.pack(">H", PROTOCOL_VERSION)
+        if kind == wire.REQUEST_PROTOCOL_VERSION:
+            accepted = payload == struct.pack(">H", wire.PROTOCOL_VERSION)
             self._negotiated = self._negotiated or accepted
-            return encode_package(kind, bytes([accepted]))
-        if kind == GET_CONTROL_VERSION:
+            return wire.encode_package(kind, bytes([accepted]))
+        if kind == wire.GET_CONTROL_VERSION:
             version = self._controller.version
-            return encode_package(
+            return wire.encode_package(
                 kind, struct.pack(">IIII", version.major, version.minor, version.bugfix, version.build)
             )
         if not self._negotiated:
             raise ConnectionLostError("the client did not agree on protocol version 2")
-        if kind == SETUP_OUTPUTS:
+        if kind == wire.SETUP_OUTPUTS:
             return self._set_up_outputs(payload)
-        if kind == SETUP_INPUTS:
+        if kind == wire.SETUP_INPUTS:
             return self._set_up_inputs(payload)
-        if kind in (START, PAUSE):
-            accepted = kind == PAUSE or self._recipe is not None or bool(self._input_recipes)
-            self.running = kind == START and accepted
-            return encode_package(kind, bytes([accepted]))
-        if kind == DATA_PACKAGE:
+        if kind in (wire.START, wire.PAUSE):
+            accepted = kind == wire.PAUSE or self._recipe is not None or bool(self._input_recipes)
+            self.running = kind == wire.START and accepted
+            return wire.encode_package(kind, bytes([accepted]))
+        if kind == wire.DATA_PACKAGE:
             return self._write_inputs(payload)
         return b""  # a text message of the client
 
@@ -230,7 +219,7 @@ class RtdeSession:
             share = frequency / rate if math.isfinite(frequency) else 1.0
             self._recipe, self._share, self._ticks = recipe, min(max(share, 1.0 / rate), 1.0), 0
         recipe_id = 0 if self._recipe is None else OUTPUT_RECIPE
-        return _recipe_answer(SETUP_OUTPUTS, recipe_id, types, trailing)
+        return _recipe_answer(wire.SETUP_OUTPUTS, recipe_id, types, trailing)
 
     def _set_up_inputs(self, payload: bytes) -> bytes:
         names, trailing = split_names(payload)
@@ -243,7 +232,7 @@ class RtdeSession:
             recipe_id = len(self._input_recipes) + 1
             self._input_recipes[recipe_id] = PackageRecipe(recipe_id, list(zip(names, types, strict=True)))
             self._owners.update(dict.fromkeys(names, self))
-        return _recipe_answer(SETUP_INPUTS, recipe_id, types, trailing)
+        return _recipe_answer(wire.SETUP_INPUTS, recipe_id, types, trailing)
 
     def _write_inputs(self, payload: bytes) -> bytes:
         recipe = self._input_recipes.get(payload[0]) if payload else None

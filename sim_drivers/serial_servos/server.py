@@ -31,24 +31,7 @@ from drivers.serial_servos.packets import (
     Packet,
 )
 from drivers.serial_servos.settings import ServoSettings
-from sim_drivers.faults import (
-    BlockJoint,
-    Die,
-    Drop,
-    Echo,
-    Fault,
-    Freeze,
-    Garbage,
-    Heat,
-    Latency,
-    OverTemperature,
-    PowerCycle,
-    Sag,
-    SameId,
-    Truncate,
-    Unplug,
-    WrongSum,
-)
+from sim_drivers import faults
 from sim_drivers.plant.clocked_arm import start_position
 from sim_drivers.pseudo_terminal import PollableLineEnd, PseudoTerminal
 from sim_drivers.serial_servos.arm import NOMINAL_VOLTAGE, ServoPlant
@@ -312,39 +295,39 @@ class SerialServoServer(FaultyServer):
             return answer[:-1] + bytes([answer[-1] ^ 1])
         return answer
 
-    def _apply(self, fault: Fault, now: float) -> None:  # noqa: C901, PLR0912 — one case a fault
+    def _apply(self, fault: faults.Fault, now: float) -> None:  # noqa: C901, PLR0912 — one case a fault
         match fault:
-            case Drop(count):
+            case faults.Drop(count):
                 self._drop += count
-            case Freeze(duration):
+            case faults.Freeze(duration):
                 self._frozen_until = now + duration
-            case Garbage(count):
+            case faults.Garbage(count):
                 self._garbage += count
-            case Truncate(count):
+            case faults.Truncate(count):
                 self._truncate += count
-            case WrongSum(count):
+            case faults.WrongSum(count):
                 self._wrong += count
-            case Latency(seconds):
+            case faults.Latency(seconds):
                 self._latency = seconds
-            case Echo():
+            case faults.Echo():
                 self._echo = True
-            case Sag(duration):
+            case faults.Sag(duration):
                 self._sag_until = now + duration
                 for servo in self.servos:
                     servo.errors |= 1 << VOLTAGE
-            case Heat(joint, celsius):
+            case faults.Heat(joint, celsius):
                 self.plant.heat(joint, celsius)
-            case BlockJoint(joint):
+            case faults.BlockJoint(joint):
                 self.plant.arm.block(joint)
-            case Die(joint):
+            case faults.Die(joint):
                 self.servos[joint].dead = True
-            case SameId(joint):
+            case faults.SameId(joint):
                 self._twice.add(self.servos[joint].motor.id)
-            case PowerCycle(joint):
+            case faults.PowerCycle(joint):
                 self.servos[joint].restart(now)
-            case OverTemperature(joint):
+            case faults.OverTemperature(joint):
                 self.servos[joint].protect(HEAT)
-            case Unplug():
+            case faults.Unplug():
                 self._plugged = False
                 self._line.pull_out()
         self.plant.changed()

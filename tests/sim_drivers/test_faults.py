@@ -7,75 +7,42 @@ from pathlib import Path
 import pytest
 
 from drivers.core.errors import UsageError
-from sim_drivers.faults import (
-    FAULTS,
-    BlockJoint,
-    BusOff,
-    ClockJump,
-    Cut,
-    Die,
-    Drift,
-    Drop,
-    Echo,
-    Fault,
-    Freeze,
-    Garbage,
-    HeartbeatStop,
-    Heat,
-    Latency,
-    LocalControl,
-    Mute,
-    Noise,
-    OverTemperature,
-    PowerCycle,
-    ProtectiveStop,
-    Refuse,
-    Replug,
-    Sag,
-    SameId,
-    ServerKind,
-    Stick,
-    Truncate,
-    Unplug,
-    WrongSum,
-    parse_fault,
-    usage,
-)
+from sim_drivers import faults
 
 JOINTS = ("pan", "elbow")
-TYPED: dict[str, tuple[str, Fault]] = {
-    "drop N": ("drop 5", Drop(5)),
-    "freeze SECONDS": ("  freeze 0.5 ", Freeze(0.5)),
-    "cut": ("cut", Cut()),
-    "protective-stop": ("protective-stop", ProtectiveStop()),
-    "local-control": ("local-control", LocalControl()),
-    "mute IDENTIFIER SECONDS": ("mute 0x182 0.5", Mute(0x182, 0.5)),
-    "clock-jump JUMP": ("clock-jump -0.5", ClockJump(-0.5)),
-    "power-cycle JOINT": ("power-cycle 2", PowerCycle(1)),
-    "heartbeat-stop JOINT": ("heartbeat-stop pan", HeartbeatStop(0)),
-    "over-temperature JOINT": ("over-temperature elbow", OverTemperature(1)),
-    "bus-off SECONDS": ("bus-off 2", BusOff(2.0)),
-    "truncate N": ("truncate 1", Truncate(1)),
-    "garbage N": ("garbage 2", Garbage(2)),
-    "heat JOINT CELSIUS": ("heat elbow 12.5", Heat(1, 12.5)),
-    "block JOINT": ("block 2", BlockJoint(1)),
-    "drift JOINT RAD/S": ("drift 1 -0.5", Drift(0, -0.5)),
-    "stick QUANTITY JOINT": ("stick current elbow", Stick("current", 1)),
-    "stick": ("stick", Stick()),
-    "refuse VARIABLE": ("refuse safety_mode", Refuse("safety_mode")),
-    "silent SECONDS": ("silent 3", Freeze(3.0)),
-    "garbage SECONDS": ("garbage 0.5", Noise(0.5)),
-    "unplug": ("unplug", Unplug()),
-    "unplug SECONDS": ("unplug 2.5", Unplug(2.5)),
-    "replug": ("replug", Replug()),
-    "die JOINT": ("die pan", Die(0)),
-    "same-id JOINT": ("same-id 2", SameId(1)),
-    "sag SECONDS": ("sag 0.5", Sag(0.5)),
-    "wrong-sum N": ("wrong-sum 3", WrongSum(3)),
-    "latency SECONDS": ("latency 0.016", Latency(0.016)),
-    "echo": ("echo", Echo()),
+TYPED: dict[str, tuple[str, faults.Fault]] = {
+    "drop N": ("drop 5", faults.Drop(5)),
+    "freeze SECONDS": ("  freeze 0.5 ", faults.Freeze(0.5)),
+    "cut": ("cut", faults.Cut()),
+    "protective-stop": ("protective-stop", faults.ProtectiveStop()),
+    "local-control": ("local-control", faults.LocalControl()),
+    "mute IDENTIFIER SECONDS": ("mute 0x182 0.5", faults.Mute(0x182, 0.5)),
+    "clock-jump JUMP": ("clock-jump -0.5", faults.ClockJump(-0.5)),
+    "power-cycle JOINT": ("power-cycle 2", faults.PowerCycle(1)),
+    "heartbeat-stop JOINT": ("heartbeat-stop pan", faults.HeartbeatStop(0)),
+    "over-temperature JOINT": ("over-temperature elbow", faults.OverTemperature(1)),
+    "bus-off SECONDS": ("bus-off 2", faults.BusOff(2.0)),
+    "truncate N": ("truncate 1", faults.Truncate(1)),
+    "garbage N": ("garbage 2", faults.Garbage(2)),
+    "heat JOINT CELSIUS": ("heat elbow 12.5", faults.Heat(1, 12.5)),
+    "block JOINT": ("block 2", faults.BlockJoint(1)),
+    "drift JOINT RAD/S": ("drift 1 -0.5", faults.Drift(0, -0.5)),
+    "stick QUANTITY JOINT": ("stick current elbow", faults.Stick("current", 1)),
+    "stick": ("stick", faults.Stick()),
+    "refuse VARIABLE": ("refuse safety_mode", faults.Refuse("safety_mode")),
+    "silent SECONDS": ("silent 3", faults.Freeze(3.0)),
+    "garbage SECONDS": ("garbage 0.5", faults.Noise(0.5)),
+    "unplug": ("unplug", faults.Unplug()),
+    "unplug SECONDS": ("unplug 2.5", faults.Unplug(2.5)),
+    "replug": ("replug", faults.Replug()),
+    "die JOINT": ("die pan", faults.Die(0)),
+    "same-id JOINT": ("same-id 2", faults.SameId(1)),
+    "sag SECONDS": ("sag 0.5", faults.Sag(0.5)),
+    "wrong-sum N": ("wrong-sum 3", faults.WrongSum(3)),
+    "latency SECONDS": ("latency 0.016", faults.Latency(0.016)),
+    "echo": ("echo", faults.Echo()),
 }
-SERVERS: tuple[ServerKind, ...] = (
+SERVERS: tuple[faults.ServerKind, ...] = (
     "UR controller",
     "CANopen drives",
     "signal-table arm",
@@ -87,17 +54,17 @@ SERVERS: tuple[ServerKind, ...] = (
 
 
 @pytest.mark.parametrize("server", SERVERS)
-def test_a_server_obeys_the_faults_of_its_usage_text_and_no_others(server: ServerKind) -> None:
-    assert {entry.usage for entry in FAULTS} == set(TYPED)
-    obeyed = usage(server).removeprefix("thermometer ").split(" | ")
+def test_a_server_obeys_the_faults_of_its_usage_text_and_no_others(server: faults.ServerKind) -> None:
+    assert {entry.usage for entry in faults.FAULTS} == set(TYPED)
+    obeyed = faults.usage(server).removeprefix("thermometer ").split(" | ")
     words = {(row.split()[0], len(row.split())) for row in obeyed}
     for row, (line, fault) in TYPED.items():
         if row in obeyed:
-            assert parse_fault(line, server, JOINTS) == fault
+            assert faults.parse_fault(line, server, JOINTS) == fault
         elif (row.split()[0], len(row.split())) not in words:
             with pytest.raises(UsageError, match=f"'{line.strip()}' is not a fault of the {server}") as refused:
-                parse_fault(line, server, JOINTS)
-            assert refused.value.hint == usage(server)
+                faults.parse_fault(line, server, JOINTS)
+            assert refused.value.hint == faults.usage(server)
 
 
 OUT_OF_BOUNDS = [
@@ -134,10 +101,10 @@ OUT_OF_BOUNDS = [
 
 
 @pytest.mark.parametrize("server", SERVERS)
-def test_a_word_or_an_argument_out_of_its_bounds_is_refused(server: ServerKind) -> None:
+def test_a_word_or_an_argument_out_of_its_bounds_is_refused(server: faults.ServerKind) -> None:
     for line in OUT_OF_BOUNDS:
         with pytest.raises(UsageError):
-            pytest.fail(f"{line!r} is taken: {parse_fault(line, server, JOINTS)}")
+            pytest.fail(f"{line!r} is taken: {faults.parse_fault(line, server, JOINTS)}")
 
 
 def test_the_docs_have_every_fault():
@@ -150,5 +117,5 @@ def test_the_docs_have_every_fault():
         if row.startswith("| `")
         for cell in row.split("|")[1].split(", ")
     }
-    for entry in FAULTS:
+    for entry in faults.FAULTS:
         assert {entry.usage, f"thermometer {entry.usage}"} & typed, entry.usage
