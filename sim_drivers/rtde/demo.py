@@ -20,6 +20,7 @@ from drivers.core.errors import UsageError, WorkError
 from ident.commands.printing.result import print_result
 from ident.excite.choices import DesignChoices
 from ident.excite.design import design
+from ident.excite.path import trajectory_of
 from ident.excite.prior import find_prior
 from ident.excite.search.search import SearchChoices
 from ident.identify.identification import Identification, IdentifyChoices
@@ -179,7 +180,7 @@ def _excitation(robot_file: RobotFile, choices: DesignChoices, seed: int, progre
         robot_file, find_prior(robot_file), choices, search, progress=lambda result: progress(search_state(result))
     )
     comment = f"designed by dynid demo, condition number {designed.condition:.3g}"
-    return dump_trajectory(designed.family.trajectory(designed.variables, robot_file.robot.name, comment))
+    return dump_trajectory(trajectory_of(designed.motion, robot_file.robot.name, comment))
 
 
 def print_demo(demo: Demo, as_json: bool, *, verbose: bool = False) -> None:
