@@ -177,7 +177,7 @@ def _check_folder(folder: Path, where: str) -> None:
         said = "is not a folder" if os.path.lexists(folder) else "there is no such folder"
         raise UsageError(said, where=where, hint="create it, or choose another one")
     if not os.access(folder, os.W_OK | os.X_OK):
-        raise UsageError("may not be written by you", where=where, hint="choose another place")
+        raise UsageError("is not writable by you", where=where, hint="choose another place")
 
 
 def unfinished_name(path: Path) -> Path:
@@ -275,8 +275,8 @@ def warn_of_strange_files(path: Path, content: Mapping[str, object]) -> None:
     """Warn (`DynidWarning`) of the files that `strange_files` finds."""
     for strange in strange_files(path, content):
         warnings.warn(
-            f"{strange} was not written with {path.name}, or was changed: a command that wrote both may have been "
-            f"killed; run it again with --force",
+            f"{strange} was not written with {path.name}, or was changed: the command that wrote both may have been "
+            "killed; run it again with --force",
             DynidWarning,
             stacklevel=3,
         )
@@ -428,4 +428,4 @@ def _refused(error: OSError, path: Path) -> DynidError:
     said = f"cannot be written: {error.strerror}"
     if error.errno in DISK_ERRORS:
         return DiskError(said, where=str(path))
-    return UsageError(said, where=str(path), hint="name a folder that exists and is yours")
+    return UsageError(said, where=str(path), hint="name an existing folder that you may write to")

@@ -52,7 +52,7 @@ class Identified(Protocol):
 def require_motor_per_joint(motors: Mapping[str, Identified], joints: Sequence[str], device: str) -> None:
     """Refuse a mapping of joint → keys of its motor that leaves a joint out, or has others or an id twice."""
     if strange := [name for name in motors if name not in joints]:
-        raise refused(f"{strange[0]!r} is no joint", f"joints: {', '.join(joints)}")
+        raise refused(f"{strange[0]!r} is not a joint", f"joints: {', '.join(joints)}")
     if missing := [name for name in joints if name not in motors]:
         raise refused(f"joint(s) {', '.join(missing)} have no motor")
     used: dict[int, str] = {}

@@ -61,5 +61,5 @@ def gives_torque(gains: Sequence[DriveGain], joints: Sequence[str]) -> bool:
 
 def torque_channel(joints: Sequence[str], coupling: FloatArray | None) -> ChannelLayout:
     """The channel that `joint_torque` fills from currents."""
-    at_joints = "" if coupling is None else ", brought from the coupled motors to the joints"
+    at_joints = "" if coupling is None else ", transformed from the coupled motors to the joints"
     return ChannelLayout("torque", tuple(joints), "", f"current times the robot file's drive gains{at_joints}")

@@ -34,8 +34,8 @@ def not_at_rest(silent: Sequence[str], *, limp: bool) -> str:
     """What is wrong with a stop after which an arm did not show that it is at rest, or motors were silent, in words."""
     state = "limp" if limp else "held"
     if silent:
-        return f"{', '.join(silent)} did not answer when the arm was {state}: where it is, is unknown"
-    return f"the arm did not show within {STOP_LIMIT:g} s that it stands still, {state}"
+        return f"{', '.join(silent)} did not answer when the arm was {state}: its position is unknown"
+    return f"the arm did not show within {STOP_LIMIT:g} s that it is at rest, {state}"
 
 
 class MotorsControl(Protocol):
@@ -150,7 +150,7 @@ class PolledArm(LifeCycle):
             raise ConnectionLostError(
                 f"no complete row of the {self._device}s for {limit:g} s{f': {why}' if why else ''}",
                 where=self._where,
-                hint=f"power, cables, and ids: two {self._device}s with one id garble each other's answers",
+                hint=f"check power, cables and ids: two {self._device}s with one id garble each other's answers",
             )
         return batches
 
@@ -236,7 +236,7 @@ class PolledArm(LifeCycle):
         heard = self._cycle.answered
         newest = max(heard.values(), default=-math.inf)
         if self._clock.now() - newest > limit:
-            return f"no {self._device} answers: look at the power and the cable, or this computer was late"
+            return f"no {self._device} answers: check the power and the cable; this computer may also have been late"
         silent = [name for motor, name in self._names.items() if newest - heard.get(motor, -math.inf) > limit / 2]
         return f"no answer of {', '.join(silent)}" if silent else ""
 
@@ -251,5 +251,5 @@ class PolledArm(LifeCycle):
 
     def _running_cycle(self) -> PolledRows:
         if self._cycle is None:
-            raise DriverStateError("no samples flow", hint="start the driver first")
+            raise DriverStateError("no samples arrive", hint="start the driver first")
         return self._cycle

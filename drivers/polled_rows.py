@@ -159,12 +159,10 @@ class PolledRows(ABC):
     def _report_fault(self, name: str, words: Sequence[str], *, moving: bool) -> None:
         """Tell which fault a device reports; without words, that it reports none any more."""
         if not words:
-            self._tell("info", f"{name} reports no fault any more")
+            self._tell("info", f"{name} no longer reports a fault")
             return
         said = f"{name} reports {', '.join(words)}"
-        self._tell(
-            "error" if moving else "warning", said, "let it cool down; look at its supply, its load and what it touches"
-        )
+        self._tell("error" if moving else "warning", said, "let it cool down; check its supply, its load and contacts")
 
     def _tell(self, level: Level, message: str, hint: str = "") -> None:
         self.notices.append(Notice(self._clock.now(), level, message, hint))

@@ -35,7 +35,7 @@ def sim(
     options: SimOptions,
     force: bool = FORCE,
     realtime: bool = REALTIME,
-    no_ui: bool = typer.Option(False, "--no-ui", help="No status line on standard error."),
+    no_ui: bool = typer.Option(False, "--no-ui", help="Print no status line on standard error."),
     as_json: bool = typer.Option(False, "--json", help="As --no-ui; ports and pid are printed as JSON in any case."),
 ) -> None:
     """Serve a simulated arm over RTDE or CAN until Ctrl-C; or play a motion on a simulated servo arm.
@@ -84,7 +84,7 @@ def drivers(context: typer.Context, as_json: bool = JSON) -> None:
 
 
 @driver_app.command("new")
-def new(name: str = typer.Argument(metavar="NAME", help="Of the driver and its package, such as my_bus.")) -> None:
+def new(name: str = typer.Argument(metavar="NAME", help="Name of the driver and its package, such as my_bus.")) -> None:
     """Write the package of a driver into a new folder: driver, simulated back end, and tests that it passes.
 
     It speaks a toy bus; docs/drivers.md goes through it.

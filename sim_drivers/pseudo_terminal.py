@@ -55,7 +55,7 @@ class PseudoTerminal:
             self._folder = tempfile.TemporaryDirectory(prefix="dynid-serial-")
             path = str(Path(self._folder.name) / "port")
         elif os.path.exists(path):
-            raise UsageError("there is something already", where=path, hint="choose another path, or remove it")
+            raise UsageError("the path exists already", where=path, hint="choose another path, or remove it")
         self.path = path
         self._master: int | None = None
 

@@ -34,19 +34,19 @@ class SimOptions(Options):
         None, "rtde, canopen, slcan (CANopen), can, thermometer, or as dynid driver lists; default: its robot file's."
     )
     host: str = option("127.0.0.1", "Address to listen on; several arms: 127.0.0.2, 127.0.0.3.")
-    version: str = option("5.22", "Of the controller: 3.15 (125 Hz), 5.22, 5.23, 10.10.")
+    version: str = option("5.22", "Controller version: 3.15 (125 Hz), 5.22, 5.23, 10.10.")
     interface: str | None = option(None, "CAN interface; default: the robot file's.")
     channel: str | None = option(None, "CAN channel; default: the robot file's.")
     swap: str | None = option(None, "Two joints, j1,j2, whose drives have swapped node ids.")
-    worst_stuffing: bool = option(False, "Stuff every CAN frame to the maximum.")
-    thermometer: bool = option(False, "Serve its serial thermometer, too.")
+    worst_stuffing: bool = option(False, "Give every CAN frame the maximum of stuff bits.")
+    thermometer: bool = option(False, "Also serve its serial thermometer.")
     payload: str | None = option(None, "MASS@X,Y,Z: kg, and m in the flange frame.")
     contact: str | None = option(
-        None, "What touches it, separated by ';': push LINK FX FY FZ for S after S; wall …; pick MASS after S."
+        None, "Contacts, separated by ';': push LINK FX FY FZ for S after S; wall …; pick MASS after S."
     )
-    position: str | None = option(None, "Where it stands at first, joint after joint, rad or m; default: mid-range.")
+    position: str | None = option(None, "Initial position of each joint [rad or m]; default: mid-range.")
     seed: int = option(1, "Of the noise.")
-    play: Path | None = option(None, "Of servo arms: motion to play and record, not to serve.")
+    play: Path | None = option(None, "Servo arms: motion to play and record instead of serving.")
     out: Path | None = option(None, "With --play: recording to write (.h5).", short="-o")
 
 

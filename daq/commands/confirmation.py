@@ -37,9 +37,9 @@ def motion_lines(figures: MotionFigures) -> list[str]:
             f"(link {clearance.link}, at {clearance.time:.1f} s)"
         )
     if not figures.clearances:
-        lines.append("clearance: the robot file names nothing that this arm's motion could come nearer to")
+        lines.append("clearance: the robot file names nothing to keep clear of")
     if figures.torque_share is None:
-        lines.append("torque: not predicted, the arm's parameters or torque limits are not known")
+        lines.append("torque: not predicted, since the arm's parameters or torque limits are unknown")
     else:
         share = f"{percent_text(figures.torque_share, 2)} of its limit"
         lines.append(f"torque: predicted to be at most {share} ({figures.torque_joint})")
@@ -91,7 +91,7 @@ class Confirmation:
         if self._screen is not None:
             tell("while it moves, the arm is stopped as soon as", _held(self._limits), self._screen)
             if self.to_mind:
-                tell("mind of this arm's controller or drives:", self.to_mind, self._screen)
+                tell("note about this arm's controller or drives:", self.to_mind, self._screen)
         if self._question is not None:
             ask_on(self._question, "Move the arm? [y/N] ")
 

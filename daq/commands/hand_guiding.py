@@ -30,7 +30,7 @@ class KeyAtTerminal:
         try:
             import termios
         except ImportError as error:  # Windows
-            raise UsageError("leading an arm by hand needs a terminal that tells single keys") from error
+            raise UsageError("leading an arm by hand needs a terminal that reports single keys") from error
         self._terminal, self._asks, self._clock = terminal, asks, clock
         self._descriptor = terminal[0].fileno()
         self._before = termios.tcgetattr(self._descriptor)
@@ -55,12 +55,12 @@ class KeyAtTerminal:
         """Say what will happen, then ask."""
         lines = [
             *self._to_mind,
-            f"it is stopped as soon as a joint is faster than {HAND_SPEED:g} rad/s (m/s) or leaves its range, a limit "
-            "is passed, or samples or the connection fail",
+            f"it is stopped as soon as a joint moves faster than {HAND_SPEED:g} rad/s (m/s) or leaves its range, a "
+            "limit is passed, or samples or the connection fail",
         ]
-        tell("the arm will be let go, to be led by hand:", lines, self._terminal[1])
+        tell("the arm will be released, to be led by hand:", lines, self._terminal[1])
         if self._asks:
-            ask_on(self._terminal, "Let the arm go while you hold the space bar? [y/N] ")
+            ask_on(self._terminal, "Release the arm while you hold the space bar? [y/N] ")
 
     def answer(self) -> bool | None:
         """As `daq.commands.confirmation.answer_of`; then single keys are read."""
@@ -69,7 +69,7 @@ class KeyAtTerminal:
             import tty
 
             tty.setcbreak(self._descriptor)
-            print("hold the space bar; its release ends the recording", file=self._terminal[1], flush=True)
+            print("hold the space bar; releasing it ends the recording", file=self._terminal[1], flush=True)
         return said
 
     def held(self) -> bool:

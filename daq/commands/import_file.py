@@ -21,7 +21,7 @@ def import_recording(
     robot: str = typer.Option(..., "--robot", help="Built-in robot or robot file."),
     out: Path = typer.Option(..., "-o", "--out", help="Recording to write (.h5); of a LeRobot dataset a folder."),
     options: ImportChoices,
-    comment: str = typer.Option("", "--comment", help="Your words, kept in the recording."),
+    comment: str = typer.Option("", "--comment", help="Comment, kept in the recording."),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:

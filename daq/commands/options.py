@@ -52,10 +52,10 @@ COMPLETIONS: dict[str, Callable[[str], list[str]]] = {
 Given = TypeVar("Given")
 
 FORCE = typer.Option(False, "--force", help="Overwrite files that exist.")
-JSON = typer.Option(False, "--json", help="One JSON object on standard output, nothing else there.")
+JSON = typer.Option(False, "--json", help="Print one JSON object on standard output and nothing else.")
 ROBOT = typer.Argument(help="Built-in robot or robot file.", autocompletion=COMPLETIONS["robot"])
-REALTIME = typer.Option(False, "--realtime", help="Real-time priority (Linux; needs permission).")
-VERBOSE = typer.Option(False, "--verbose", "-v", help="Everything that was computed, not the outcome alone.")
+REALTIME = typer.Option(False, "--realtime", help="Ask for real-time priority (Linux; needs permission).")
+VERBOSE = typer.Option(False, "--verbose", "-v", help="Print everything that was computed, not only the outcome.")
 
 ROBOT_ARGUMENT = argument("robot", "Built-in robot or robot file.")
 """Metadata of a field of options."""
@@ -66,7 +66,7 @@ _TYPES = {"bool": bool, "int": int, "float": float, "Path": Path}
 
 def host_option() -> str | None:
     """A field of options."""
-    return option(None, "Address in place of the connection's own.")
+    return option(None, "Address instead of the connection's own.")
 
 
 def takes(options: type[Given], **more: dict[str, Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:

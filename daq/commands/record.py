@@ -37,15 +37,17 @@ class SessionOptions(Options):
     """Options of a session: a trajectory to play, or how long to watch what moves by itself."""
 
     robot: str = field(metadata=ROBOT_ARGUMENT)
-    wire: str | None = option(None, "Connection of the robot file; its first one if absent.")
+    wire: str | None = option(None, "Connection of the robot file; default: its first.")
     host: str | None = host_option()
     trajectory: Path | None = option(None, "Trajectory file to play; the arm will move.")
-    speed_scale: float = option(1.0, "Share of the trajectory's speed, such as 0.2 for a first run; at most 1.")
+    speed_scale: float = option(1.0, "Fraction of the trajectory's speed, such as 0.2 for a first run; at most 1.")
     yes: bool = option(False, "Move the arm without asking.", short="-y")
-    without_safety_status: bool = option(False, "Move a UR arm whose controller does not tell of its stops.")
+    without_safety_status: bool = option(False, "Move a UR arm whose controller does not report its stops.")
     prior: Path | None = option(None, "Model folder or result.json whose parameters predict the torque.")
-    duration: float | None = option(None, "Record for so many seconds without moving the arm.", allowed=RECORDING_TIME)
-    comment: str = option("", "Your words, kept in the recording.")
+    duration: float | None = option(
+        None, "Record for this many seconds without moving the arm.", allowed=RECORDING_TIME
+    )
+    comment: str = option("", "Comment, kept in the recording.")
 
     def __post_init__(self) -> None:
         """Check every option, and that they go together."""
@@ -63,15 +65,15 @@ class RecordOptions(SessionOptions):
     """Options of `record`: a session, and its file."""
 
     out: Path = field(metadata=required("Recording to write (.h5).", short="-o"))
-    hand_guided: bool = option(False, "Let the arm go while you hold a key, and record how you lead it by hand.")
-    model: Path | None = option(None, "Model folder or result.json: its torques carry the arm that you lead.")
+    hand_guided: bool = option(False, "Release the arm while you hold a key, and record how you lead it by hand.")
+    model: Path | None = option(None, "Model folder or result.json that carries the arm's weight while you lead it.")
 
     def __post_init__(self) -> None:
         """Check every option, and that there is one thing to do."""
         if self.hand_guided and self.trajectory is not None:
             raise UsageError("give either --trajectory or --hand-guided")
         if self.model is not None and not self.hand_guided:
-            raise UsageError("--model is for --hand-guided", hint="a motion's torques are predicted with --prior")
+            raise UsageError("--model needs --hand-guided", hint="a motion's torques are predicted with --prior")
         if self.trajectory is None and self.duration is None and not self.hand_guided:
             raise UsageError("give either --trajectory or --duration, or --hand-guided")
         super().__post_init__()
@@ -105,7 +107,7 @@ def record_command(
     options: RecordOptions,
     force: bool = FORCE,
     realtime: bool = REALTIME,
-    browser: bool = typer.Option(False, "--browser", help="Show the joints live on a page of this computer."),
+    browser: bool = typer.Option(False, "--browser", help="Show the joints live on a web page of this computer."),
     no_ui: bool = typer.Option(False, "--no-ui", help="No live status on stderr."),
     as_json: bool = JSON,
 ) -> None:
@@ -150,7 +152,7 @@ def _key(options: RecordOptions, clock: Clock) -> KeyAtTerminal:
 
     place = terminal()
     if place is None:
-        raise UsageError("--hand-guided needs a terminal: the arm is let go only while a key is held there")
+        raise UsageError("--hand-guided needs a terminal: the arm is released only while a key is held there")
     return KeyAtTerminal(place, clock, asks=not options.yes)
 
 

@@ -15,10 +15,10 @@ app = CommandApp("Record")
 @app.command("recover")
 def recover_command(
     file: Path = typer.Argument(
-        help="Recording whose writer died, or the name that it was to have: `dynid record` writes into "
+        help="Recording whose writer crashed, or its intended name: `dynid record` writes into "
         "FILE.unfinished-….h5 until it closes the recording."
     ),
-    out: Path = typer.Option(None, "-o", "--out", help="Recording to write; FILE-recovered.h5 if absent."),
+    out: Path = typer.Option(None, "-o", "--out", help="Recording to write; default: FILE-recovered.h5."),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:
@@ -50,4 +50,4 @@ def recover_command(
         print_json({"file": str(target), "streams": streams, "cut": cut})
         return
     for name, quality in qualities.items():
-        print(f"{target}: {name}: {quality.samples} samples rescued, {cut[name]} announced but not written")
+        print(f"{target}: {name}: {quality.samples} samples recovered, {cut[name]} announced but not written")

@@ -49,12 +49,12 @@ def arrays_of_frame(frame: Any) -> NamedArrays:
     """The columns of a pandas or polars data frame; the index where it holds times and no column does.
 
     Raises:
-        UsageError: it is no data frame.
+        UsageError: it is not a data frame.
         ImportFileError: two columns have one name, or a column holds no numbers.
     """
     where = "Recording.from_dataframe"
     if not hasattr(frame, "columns") or not hasattr(frame, "shape"):
-        raise UsageError(f"a {type(frame).__name__} is no data frame", where=where, hint=_other_door(frame))
+        raise UsageError(f"a {type(frame).__name__} is not a data frame", where=where, hint=_other_door(frame))
     names = [_name(column) for column in frame.columns]
     if all(isinstance(column, (int, np.integer)) for column in frame.columns):  # nobody named them
         names = [f"column {place}" for place in range(1, len(names) + 1)]
@@ -76,12 +76,12 @@ def arrays_of_dict(given: Mapping[str, npt.ArrayLike]) -> NamedArrays:
     """The arrays of a dictionary.
 
     Raises:
-        UsageError: it is no dictionary.
+        UsageError: it is not a dictionary.
         ImportFileError: an array does not consist of numbers.
     """
     where = "Recording.from_dict"
     if not isinstance(given, Mapping):
-        raise UsageError(f"a {type(given).__name__} is no dictionary", where=where, hint=_other_door(given))
+        raise UsageError(f"a {type(given).__name__} is not a dictionary", where=where, hint=_other_door(given))
     units: dict[str, str] = {}
     return NamedArrays(
         "dictionary", where, {_name(name): _array(_name(name), of, where, units) for name, of in given.items()}, units
@@ -102,7 +102,7 @@ def recording_of_arrays(options: ArrayOptions) -> Recording:
     if not roles:
         numbers = f'"2-{1 + len(joints)}"'
         raise ImportFileError(
-            f"has no column whose name is understood; it has: {listed(given.arrays) or 'none'}",
+            f"has no column with a recognised name; it has: {listed(given.arrays) or 'none'}",
             where=where,
             hint=f'name them t, q1, q2, …, torque1, …, or number them: columns={{"t": "1", "q": {numbers}, …}}',
         )

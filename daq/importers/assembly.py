@@ -68,12 +68,12 @@ def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, wher
     notes = list(table.notes)
     foreign = _decide_effort(dict(table.quantities), choices, where)
     if "position" not in foreign:
-        others = f"; not understood: {listed(table.unused, limit=20)}" if table.unused else ""
+        others = f"; not recognised: {listed(table.unused, limit=20)}" if table.unused else ""
         pattern = _numbered(table.unused, len(robot.robot.joints))
         raise ImportFileError(
-            f"has no joint positions; understood were: {listed(foreign) or 'none'}{others}",
+            f"has no joint positions; recognised: {listed(foreign) or 'none'}{others}",
             where=where,
-            hint=f"--column q={pattern} if these are they"
+            hint=f"--column q={pattern} if these are the positions"
             if pattern
             else "map them: --column q1=NAME (or q=NAME for a whole array)",
         )
@@ -94,7 +94,7 @@ def assemble(table: ForeignTable, robot: RobotFile, choices: ImportChoices, wher
         quantities[quantity] = replace(in_si, magnitude=_is_magnitude(quantity, given, in_si, robot.robot, notes))
     if "torque" not in quantities and "current" not in quantities:
         commanded = "target_position" in quantities
-        use = "it serves a servo model" if commanded else "nothing can be identified from it"
+        use = "it is good for a servo model" if commanded else "nothing can be identified from it"
         beside = "" if commanded else ", nor commanded positions"
         level: Level = "info" if commanded else "warning"
         notes.append(Note(level, f"neither torque nor current{beside} in the file: {use}"))
@@ -138,7 +138,7 @@ def _decide_effort(
     if effort is None:
         if choices.effort is not None and choices.effort not in quantities:
             raise ImportFileError(
-                f"has neither effort nor {choices.effort}; understood were: {listed(quantities) or 'none'}",
+                f"has neither effort nor {choices.effort}; recognised: {listed(quantities) or 'none'}",
                 where=where,
                 hint=f"leave --effort {choices.effort} out, or map the columns with --column",
             )
@@ -182,9 +182,9 @@ def _is_magnitude(quantity: str, given: QuantityColumns, in_si: Quantity, robot:
         return False
     if np.any(in_si.values < 0):
         says = "its name" if given.magnitude else "the robot file (signal: magnitude)"
-        notes.append(Note("warning", f"{quantity} has negative values, so it is no magnitude as {says} says"))
+        notes.append(Note("warning", f"{quantity} has negative values, so it is not a magnitude as {says} says"))
         return False
-    notes.append(Note("info", f"{quantity} is a magnitude: it has lost its sign"))
+    notes.append(Note("info", f"{quantity} is a magnitude: its sign is lost"))
     return True
 
 
@@ -231,9 +231,9 @@ def _in_si(
     silent = [label for label, unit in zip(given.labels, given.units, strict=True) if not unit]
     if stated and silent:
         raise ImportFileError(
-            f"mixed units of {quantity}: {listed(stated)} state one, {listed(silent)} don't",
+            f"mixed units of {quantity}: {listed(stated)} state one, {listed(silent)} do not",
             where=where,
-            hint="state the unit of all of them or of none",
+            hint="state the unit of all or of none",
         )
     kind = quantity.removeprefix("target_")
     angular = kind in ("position", "velocity")
@@ -255,7 +255,7 @@ def _in_si(
         conversion = to_si(quantity, unit, prismatic=prismatic)
         if conversion is None:
             raise ImportFileError(
-                f"unit '{printable(unit)}' is none of {quantity}: {allowed_units(quantity, prismatic=prismatic)}",
+                f"unit '{printable(unit)}' is not one of {quantity}: {allowed_units(quantity, prismatic=prismatic)}",
                 where=f"{where}: {printable(label)}",
             )
         factor, offset = conversion

@@ -59,7 +59,7 @@ def _checked_commands(
             f"the stamps, {commands.time[0]:.6g} to {commands.time[-1]:.6g} s, are all outside those of the samples, "
             f"{time[0]:.6g} to {time[-1]:.6g} s",
             where=where,
-            hint="commands and samples need stamps of one clock; see their units, too",
+            hint="commands and samples need stamps of one clock; check their units, too",
         )
     longer = (commands.time[-1] - commands.time[0]) / (time[-1] - time[0])
     for unit in get_args(TimeUnit)[1:]:
@@ -85,7 +85,7 @@ def _finite(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
         if empty and "position" not in empty:
             kept = {name: entry for name, entry in samples.quantities.items() if name not in empty}
             samples = replace(samples, quantities=kept)
-            notes.append(Note("warning", f"{DROP_NAN}: left out without any finite value: {', '.join(empty)}"))
+            notes.append(Note("warning", f"{DROP_NAN}: dropped, without any finite value: {', '.join(empty)}"))
     good: npt.NDArray[np.bool_] = np.isfinite(samples.time)
     for entry in samples.quantities.values():
         good &= np.isfinite(entry.values).all(axis=1)
@@ -97,12 +97,12 @@ def _finite(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
         raise ImportFileError(
             f"{len(bad)} of {len(good)} samples have NaN or infinite values, the first in {_culprit(samples, first)}",
             where=sample_place(samples, first, where),
-            hint=f"leave them out: --repair {DROP_NAN}, in Python repair=['{DROP_NAN}']",
+            hint=f"drop them: --repair {DROP_NAN}, in Python repair=['{DROP_NAN}']",
         )
     if good.sum() < 2:
         raise ImportFileError(f"--repair {DROP_NAN} would leave {good.sum()} of {len(good)} samples", where=where)
     place = sample_place(samples, first, "first")
-    notes.append(Note("warning", f"{DROP_NAN}: {len(bad)} of {len(good)} samples left out, {place}"))
+    notes.append(Note("warning", f"{DROP_NAN}: {len(bad)} of {len(good)} samples dropped, {place}"))
     return replace(rows(samples, np.flatnonzero(good)), notes=(*samples.notes, *notes))
 
 
@@ -125,9 +125,9 @@ def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
             raise ImportFileError(
                 f"time goes backward by {range_of_counter:.6g} s, at the end of a counter's range",
                 where=sample_place(samples, first, where),
-                hint=f"let the stamps go on: --repair {UNWRAP}, in Python repair=['{UNWRAP}']",
+                hint=f"continue the stamps: --repair {UNWRAP}, in Python repair=['{UNWRAP}']",
             )
-        text = f"{UNWRAP}: the counter of the stamps began anew {len(backward)} times, first at sample {first}"
+        text = f"{UNWRAP}: the counter of the stamps restarted {len(backward)} times, first at sample {first}"
         samples = replace(samples, time=unwrapped(samples.time), notes=(*samples.notes, Note("warning", text)))
         backward = np.flatnonzero(np.diff(samples.time) < 0) + 1
     if len(backward):
@@ -136,16 +136,16 @@ def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
         restart = _restart(samples.time)
         if restart is not None:
             raise ImportFileError(
-                f"time jumps back by {samples.time[restart - 1] - samples.time[restart]:.6g} s and goes on from there:"
-                " two runs in one file",
+                f"time jumps back by {samples.time[restart - 1] - samples.time[restart]:.6g} s and continues from "
+                "there: two runs in one file",
                 where=sample_place(samples, restart, where),
-                hint="cut the file there and import the runs one by one",
+                hint="split the file there and import the runs separately",
             )
         if SORT not in choices.repair:
             raise ImportFileError(
                 f"time goes backward {len(backward)} times, first by {back:.6g} s",
                 where=sample_place(samples, first, where),
-                hint=f"put the samples in order: --repair {SORT}, in Python repair=['{SORT}']",
+                hint=f"sort the samples: --repair {SORT}, in Python repair=['{SORT}']",
             )
         text = f"{SORT}: time went backward {len(backward)} times, first at sample {first} by {back:.6g} s"
         samples = rows(samples, np.argsort(samples.time, kind="stable"))
@@ -158,7 +158,7 @@ def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
             hint = f"keep the first of each: --repair {DROP_DUPLICATES}, in Python repair=['{DROP_DUPLICATES}']"
             if len(repeated) >= COARSE * count and (span := float(np.ptp(samples.time))) > 0:
                 hint = (
-                    f"the clock is coarser than the samples: leave its column out and give their rate, about --rate "
+                    "the clock is coarser than the samples: omit its column and give the rate, about --rate "
                     f"{(count - 1) / span:.4g}; or {hint}"
                 )
             raise ImportFileError(
@@ -170,7 +170,7 @@ def _rising(samples: ImportedSamples, choices: ImportChoices, where: str) -> Imp
         if len(keep) < 2:
             raise ImportFileError(f"all {count} samples have the same time stamp", where=where)
         place = sample_place(samples, first, "first")
-        note = Note("warning", f"{DROP_DUPLICATES}: {len(repeated)} of {count} samples left out, {place}")
+        note = Note("warning", f"{DROP_DUPLICATES}: {len(repeated)} of {count} samples dropped, {place}")
         samples = rows(samples, keep)
         samples = replace(samples, notes=(*samples.notes, note))
     return samples
@@ -200,7 +200,7 @@ def _fresh(samples: ImportedSamples, choices: ImportChoices) -> ImportedSamples:
     if not repeats.any():
         return samples
     place = sample_place(samples, int(np.argmax(repeats)), "first")
-    note = Note("info", f"{DROP_REPEATS}: {int(repeats.sum())} of {len(repeats)} samples left out, {place}")
+    note = Note("info", f"{DROP_REPEATS}: {int(repeats.sum())} of {len(repeats)} samples dropped, {place}")
     return replace(rows(samples, np.flatnonzero(~repeats)), notes=(*samples.notes, note))
 
 
@@ -220,11 +220,11 @@ def _opposite(samples: ImportedSamples, choices: ImportChoices) -> ImportedSampl
 def _plausible_rate(samples: ImportedSamples, choices: ImportChoices, where: str) -> None:
     period = float(np.median(np.diff(samples.time)))
     if not np.isfinite(period) or period <= 0:
-        raise ImportFileError("time stamps are too large to tell samples apart", where=where)
+        raise ImportFileError("time stamps are too large to distinguish samples", where=where)
     rate = 1.0 / period
     if SAMPLING_RATE.holds(rate):
         return
-    outside = f"{rate:.4g} samples per second is no plausible rate of a robot arm ({SAMPLING_RATE})"
+    outside = f"{rate:.4g} samples per second is not a plausible rate for a robot arm ({SAMPLING_RATE})"
     if choices.rate is not None:
         raise ImportFileError(f"--rate: {outside}", where=where)
     fitting = [unit for unit in get_args(TimeUnit)[1:] if SAMPLING_RATE.holds(rate / REVOLUTE["time"][unit])]

@@ -37,9 +37,10 @@ class ImportChoices(Options):
     columns: Mapping[str, str] = option(
         {},
         "NAME=COLUMN: q1=JointPos1; position='q{}' for all joints; position=2-7 by number (CSV).",
-        meaning="our name (`t`, `q1`, `qd1`, `torque3`, `current2`, `temperature4`, or `q` for a whole array) → the "
+        meaning="dynid's name (`t`, `q1`, `qd1`, `torque3`, `current2`, `temperature4`, or `q` for a whole array) → "
+        "the "
         "file's name. For a whole quantity also a pattern, `q{}` with the joints' numbers or names in place of {}, or "
-        "numbers of CSV columns, `2-7`. A quantity that is named here is taken from these names only.",
+        "numbers of CSV columns, `2-7`. A quantity named here is taken from these names only.",
         flag="--column",
         command_type=list[str],
         read=_read_columns,
@@ -66,7 +67,7 @@ class ImportChoices(Options):
     repair: Collection[str] = option(
         (),
         "Repair to make: drop-nan, drop-duplicates, drop-repeats, opposite-torque, sort.",
-        meaning='of "drop-nan", "drop-duplicates", "drop-repeats", "opposite-torque" and "sort"; none is made unasked.',
+        meaning='of "drop-nan", "drop-duplicates", "drop-repeats", "opposite-torque" and "sort"; none by default.',
         command_type=list[str],
     )
     episode: int | None = option(None, "Episode of a LeRobot dataset, from 0; all without it.", allowed=Range(0, 1e9))
@@ -77,8 +78,8 @@ class ImportChoices(Options):
     )
     by_order: bool = option(
         False,
-        "Match joints by their order, whatever their names.",
-        meaning="take joints of other names in the file's order.",
+        "Match joints by order, whatever their names.",
+        meaning="match joints by the file's order, whatever their names.",
     )
 
     def __post_init__(self) -> None:

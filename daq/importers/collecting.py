@@ -196,7 +196,7 @@ def _from_columns(
                 f"has {len(numbered)} columns of {quantity}, but the robot has {len(joints)} joints;"
                 f" too many: {listed(surplus)}",
                 where=where,
-                hint="is it another robot's file? if not, choose the columns with --column",
+                hint="is it another robot's file? If not, choose the columns with --column",
             )
         by_index = {int(role.number or 0) - first: index for index, (role, _) in enumerate(members)}
         order = [by_index[joint_index] for joint_index in sorted(by_index)]

@@ -72,7 +72,7 @@ _MAGIC = (
 )
 
 
-_FROM_MEMORY = "dynid.Recording.from_dataframe(robot, frame) and from_dict take what is read already"
+_FROM_MEMORY = "dynid.Recording.from_dataframe(robot, frame) and from_dict take data that are already in memory"
 
 
 def import_file(
@@ -98,7 +98,7 @@ def import_file(
             raise UsageError(
                 f"holds {len(episodes)} episodes, each a recording of its own",
                 where=str(path),
-                hint="name one: episode=0",
+                hint="choose one: episode=0",
             )
         return next(iter(episodes.values()))
     if choices.episode is not None or choices.calibration is not None:

@@ -68,7 +68,7 @@ def match_joints(names: Sequence[str], joints: Sequence[str], *, by_order: bool,
         raise ImportFileError(
             f"holds the robot's joints under several prefixes: {listed(fitting)}",
             where=where,
-            hint="write the prefix of the arm that you mean into the robot file's joint names",
+            hint="add the prefix of the intended arm to the robot file's joint names",
         )
     stripped = [prefix for prefix in _own_prefixes(joints) if all(joint[len(prefix) :] in index for joint in joints)]
     if stripped:
@@ -81,7 +81,7 @@ def match_joints(names: Sequence[str], joints: Sequence[str], *, by_order: bool,
     if by_order:
         hint = f"by order needs {len(joints)} joints, the file has {len(names)}"
     elif len(names) == len(joints):
-        hint = "rename the robot file's joints, or take the file's order with --by-order"
+        hint = "rename the robot file's joints, or use the file's order with --by-order"
     else:
         hint = did_you_mean(missing[0], names) or "is it another robot's file? see --robot"
     raise ImportFileError(f"has no joint {listed(missing)}; it has: {listed(names) or 'none'}", where=where, hint=hint)
@@ -100,7 +100,7 @@ def _matched(names: Sequence[str], columns: list[int], notes: tuple[Note, ...]) 
     matched = set(columns)
     ignored = [name for column, name in enumerate(names) if column not in matched]
     if ignored:
-        notes = (*notes, Note("info", f"joints that the robot doesn't have were left out: {listed(ignored)}"))
+        notes = (*notes, Note("info", f"joints that the robot does not have were dropped: {listed(ignored)}"))
     return JointMatch(tuple(columns), notes)
 
 

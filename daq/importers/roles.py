@@ -63,9 +63,9 @@ def _meant(key: str, joints: Sequence[str]) -> Role:
     role = parse_name(key, joints)
     if role is None or role.unit:
         raise UsageError(
-            f"'{printable(key)}' is none of our column names",
+            f"'{printable(key)}' is not one of dynid's column names",
             where="--column",
-            hint="they are t, q1, qd1, torque1, current1, effort1, temperature1, target_position1, target_time and so "
+            hint="these are t, q1, qd1, torque1, current1, effort1, temperature1, target_position1, target_time and so "
             "on; q alone is a whole array",
         )
     return role

@@ -35,7 +35,7 @@ def sample_times(
     else:
         if choices.rate is not None:
             raise ImportFileError(
-                f"has time stamps; --rate {choices.rate:g} would throw them away", where=where, hint="leave --rate out"
+                f"has time stamps; --rate {choices.rate:g} would discard them", where=where, hint="leave --rate out"
             )
         factor = _factor(table.time_unit, choices, where, notes)
         finite = table.time[np.isfinite(table.time)]

@@ -92,9 +92,9 @@ def check_count(values: int, path: Path) -> None:
     """
     if values > MOST_VALUES:
         raise ImportFileError(
-            f"holds {values / 1e6:.3g} million numbers; at most {MOST_VALUES / 1e6:g} million are read",
+            f"holds {values / 1e6:.3g} million numbers; at most {MOST_VALUES / 1e6:g} million can be read",
             where=str(path),
-            hint="cut it into several files, or leave arrays out that are not needed",
+            hint="split it into several files, or omit arrays that are not needed",
         )
 
 
@@ -121,5 +121,5 @@ def parsing(path: Path, kind: str, hint: str = "") -> Iterator[None]:
         raise ImportFileError(
             f"cannot be read as {kind}: {first_line}",
             where=str(path),
-            hint=hint or "the file is damaged, cut off or of another kind; copy it again from its source",
+            hint=hint or "the file is damaged, truncated or of another kind; copy it again from its source",
         ) from error

@@ -236,7 +236,7 @@ def page_view(
         return
     layout = next((layout for layout in layouts if layout.name == JOINTS_STREAM), None)
     if layout is None:
-        raise UsageError("the connection has no stream of joints to show", hint="leave out --browser")
+        raise UsageError("the connection has no joint stream to show", hint="leave out --browser")
     channels = [f"{channel.quantity}/{column}" for channel in layout.channels for column in channel.columns]
     units = {channel.quantity: channel.unit for channel in layout.channels}
     with browser_page(robot_file, channels, units=units) as page:

@@ -54,7 +54,7 @@ def checked_approach(
             refusal = refusal or error
     assert refusal is not None
     raise MotionRefusedError(
-        refusal.message, where=refusal.where, hint="bring the arm nearer to the start pose by its own means"
+        refusal.message, where=refusal.where, hint="move the arm nearer to the start pose with its own controller"
     )
 
 

@@ -154,7 +154,7 @@ def check_limits(motion: Motion, limits: Sequence[JointLimits], where: str) -> N
                 f"joint {limit.name}: {quantity} {seen} {extremes.times[row, joint]:.3f} s "
                 f"passes its limit of {sign * allowed[row, joint]:.5g} {limit.unit(unit)}",
                 where=where,
-                hint="reduce the amplitude or slow the motion down",
+                hint="reduce the amplitude or slow down the motion",
             )
 
 

@@ -18,7 +18,7 @@ from drivers.core.errors import MotionRefusedError
 MOTION_CHECK_GROUP = "dynid.motion_check"
 """Entry-point group of exactly one `MakeMotionCheck`."""
 
-UNCHECKED = "links that are not kept apart, as they touch in nearly every pose or may by the robot file"
+UNCHECKED = "pairs of links that are not checked, since they touch in nearly every pose or may touch by the robot file"
 """What is said before the pairs of `MotionFigures.unchecked`."""
 
 

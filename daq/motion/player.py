@@ -248,7 +248,7 @@ class Player:
         if self._behind > BEHIND:
             share = f"last {KEPT_UP:g} s was spent on positions that" if self._held else "last positions"
             raise SafetyStopError(
-                f"the bus, or this computer, does not keep up: more than a quarter of the {share} took longer than "
+                f"the bus or this computer does not keep up: more than a quarter of the {share} took longer than "
                 f"{1e3 * slow:.3g} ms to send",
                 hint="lower the connection's rate (sync_rate), end other programs, or use --realtime",
             )
@@ -272,7 +272,7 @@ class Player:
                     return
                 ramp *= 2.0
         raise SafetyStopError(
-            "after a stall of this computer the motion cannot go on within the acceleration limits",
+            "after a stall of this computer the motion cannot continue within the acceleration limits",
             hint="end other programs, or use --realtime, and play the motion again",
         )
 

@@ -193,7 +193,7 @@ class SamplesTrajectory(_Trajectory):
             raise ValueError(f"{len(self.time)} times, but {len(self.position)} positions")
         if np.any(np.diff(self.time) <= 0):
             row = int(np.argmax(np.diff(self.time) <= 0)) + 1
-            raise ValueError(f"'time' does not rise at sample {row}: {self.time[row - 1]:g}, {self.time[row]:g}")
+            raise ValueError(f"'time' does not increase at sample {row}: {self.time[row - 1]:g}, {self.time[row]:g}")
         steps = np.diff(np.array(self.time) - self.time[0])
         if not SAMPLE_STEP.holds(float(steps.min())):
             row = int(np.argmin(steps)) + 1
@@ -273,7 +273,7 @@ def _plausible(trajectory: Trajectory, where: str) -> Motion:
     refusal = UsageError(
         f"has a position, velocity or acceleration that is not below {_LARGEST:g}",
         where=where,
-        hint="look at its times and at its largest and smallest numbers",
+        hint="check its times and its largest and smallest numbers",
     )
     with np.errstate(all="ignore"):
         try:
@@ -303,7 +303,7 @@ def _read_csv(path: Path, joints: tuple[str, ...]) -> tuple[FloatArray, FloatArr
     try:
         rows = list(csv.reader(io.StringIO(read_text(path, TRAJECTORY_SAMPLES, UsageError))))
     except csv.Error as error:  # a field of more than 128 KiB
-        raise UsageError(f"is no CSV file: {error}", where=str(path)) from error
+        raise UsageError(f"is not a CSV file: {error}", where=str(path)) from error
     header = [name.strip() for name in rows[0]] if rows else []
     missing = [name for name in ("time", *joints) if name not in header]
     if missing:

@@ -79,7 +79,7 @@ def commanded_motion(recording: Recording, robot: Robot) -> CommandedMotion:
         backward = np.flatnonzero(~(np.diff(stream.time) > 0))
         if len(backward):
             raise DataError(
-                f"{len(backward)} stamps do not rise, the first at sample {backward[0] + 1}",
+                f"{len(backward)} stamps do not increase, first at sample {backward[0] + 1}",
                 where=f"{recording.label}: {stream.name}",
                 hint="import the source again with the repair sort or drop-duplicates (--repair, in Python repair=)",
             )

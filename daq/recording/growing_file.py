@@ -161,7 +161,7 @@ class GrowingFile:
             self._reserved = end
         except OSError as error:
             raise DiskError(
-                f"cannot be written: {error.strerror}", hint="make room on the disk, or choose another place"
+                f"cannot be written: {error.strerror}", hint="free some space on the disk, or choose another place"
             ) from error
 
     def close(self) -> None:

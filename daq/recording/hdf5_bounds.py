@@ -77,7 +77,7 @@ class Hdf5Bounds:
         """
         plist = dataset.id.get_create_plist()
         if plist.get_external_count() or dataset.is_virtual:
-            raise self._refused(dataset, "its values stand in another file, which is not read")
+            raise self._refused(dataset, "its values are in another file, which is not read")
         self.check_attributes(dataset)
         count = math.prod(dataset.shape or ())
         stored = dataset.id.get_storage_size()

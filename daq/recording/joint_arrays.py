@@ -43,7 +43,7 @@ def joint_arrays(robot_file: RobotFile, time: npt.ArrayLike, given: Mapping[str,
         units = {unit: rate * factor for unit, factor in (("ms", 1e3), ("µs", 1e6), ("ns", 1e9))}
         fitting = next((unit for unit, there in units.items() if SAMPLING_RATE.holds(there)), None)
         hint = f"the stamps look like {fitting}; give seconds" if fitting else "give seconds"
-        raise _refusal("time", f"{rate:.4g} samples per second is no plausible rate of a robot arm", hint)
+        raise _refusal("time", f"{rate:.4g} samples per second is not a plausible rate for a robot arm", hint)
     _check_units(robot_file, arrays.time, arrays.values)
     return arrays
 
@@ -153,7 +153,7 @@ def _remedy(time: FloatArray, sample: int, repeats: bool) -> str:
         return "keep the first of each"
     range_of_counter = counter_range(time, sample)
     if range_of_counter is not None:
-        return f"the counter began anew: add its range of {range_of_counter:.6g} s from there on"
+        return f"the counter restarted: add its range of {range_of_counter:.6g} s from there on"
     return "sort all arrays by time, or give each run as its own recording"
 
 

@@ -44,10 +44,12 @@ def read_recording(path: str | Path, part: tuple[float, float] | None = None) ->
         drivers.core.errors.RecordingError: nowhere.h5: no such file
     """
     if not isinstance(path, (str, PathLike)):
-        raise UsageError(f"a {type(path).__name__} is no path of a recording", hint='dynid.read_recording("run.h5")')
+        raise UsageError(f"a {type(path).__name__} is not a path of a recording", hint='dynid.read_recording("run.h5")')
     path = Path(path)
     hint = (
-        f"one of this name was not closed: dynid recover {path}" if not path.exists() and unfinished_files(path) else ""
+        f"a recording of this name was not closed: dynid recover {path}"
+        if not path.exists() and unfinished_files(path)
+        else ""
     )
     _check_file(path, RECORDING_FILE if part is None else LONG_RECORDING_FILE, hint)
     return read_apart(
@@ -159,7 +161,7 @@ def _read(file: Any, path: Path, part: tuple[float, float] | None) -> Recording:
         raise RecordingError(f"has the unreadable schema version {schema!r}", where=where)
     if schema > SCHEMA_VERSION:
         raise RecordingError(
-            f"was written with schema version {schema}, this dynid reads up to {SCHEMA_VERSION}",
+            f"was written with schema version {schema}, this version of dynid reads up to {SCHEMA_VERSION}",
             where=where,
             hint="update dynid",
         )
@@ -167,7 +169,7 @@ def _read(file: Any, path: Path, part: tuple[float, float] | None) -> Recording:
     bounds.check_attributes(file)
     members = bounds.items(file)
     if "streams" not in members or not isinstance(members["streams"], h5py.Group) or len(members["streams"]) == 0:
-        raise RecordingError("holds no stream: its writer stopped before the first one", where=where)
+        raise RecordingError("contains no stream: its writer stopped before the first one", where=where)
     for group in bounds.items(members["streams"]).values():
         for dataset in bounds.items(group).values() if isinstance(group, h5py.Group) else ():
             if isinstance(dataset, h5py.Dataset):

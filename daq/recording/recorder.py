@@ -40,7 +40,7 @@ def require_room(path: Path) -> None:
     free = shutil.disk_usage(path.parent).free
     if free < RESERVE:
         raise DiskError(
-            f"the disk is full: {free / 2**20:.0f} MiB are free", where=str(path), hint="make room on the disk"
+            f"the disk is full: {free / 2**20:.0f} MiB are free", where=str(path), hint="free some space on the disk"
         )
 
 
@@ -224,7 +224,9 @@ class Recorder:
         size = text_length(level, source, message)
         self._events, self._text = self._events + 1, self._text + size
         if self._events > MOST_EVENTS or self._text > MOST_TEXT // 2:
-            raise DiskError(f"has {self._events} events, as many as are read of one recording", where=str(self.path))
+            raise DiskError(
+                f"has {self._events} events, the most that can be read of one recording", where=str(self.path)
+            )
         self._writer.reserve({}, texts=size)
         self._writer.event(time, level, source, message)
         self._writer.flush()
@@ -257,7 +259,7 @@ class Recorder:
         self._writer.append(stream, batch.time, batch.host_time, batch.values)
 
     def _disk_error(self, error: RecordingError) -> DiskError:
-        rescue = f"rescue what was written: dynid recover {self.file}"
+        rescue = f"save what was written: dynid recover {self.file}"
         return DiskError(error.message, where=str(self.path), hint=rescue)
 
 

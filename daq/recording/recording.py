@@ -263,7 +263,7 @@ class Recording:
 
         Raises:
             ImportFileError: columns that are wrong, incomplete or ambiguous; names the column and what to do.
-            UsageError: it is no data frame, or options that do not apply.
+            UsageError: it is not a data frame, or options that do not apply.
             RobotFileError: no such robot.
 
         Example:
@@ -326,7 +326,7 @@ class Recording:
 
         Raises:
             ImportFileError: arrays that are wrong, incomplete or ambiguous; names the array and what to do.
-            UsageError: it is no dictionary, or options that do not apply.
+            UsageError: it is not a dictionary, or options that do not apply.
             RobotFileError: no such robot.
 
         Example:

@@ -50,7 +50,7 @@ def _followed(path: Path, read: Callable[[Any], _Read]) -> _Read:
         with h5py.File(path, "r", libver="latest", swmr=True) as file:
             return read(file)
     except (OSError, RuntimeError) as error:
-        raise RecordingError(f"nothing can be rescued: {hdf5_reason(error)}", where=str(path)) from error
+        raise RecordingError(f"nothing can be recovered: {hdf5_reason(error)}", where=str(path)) from error
 
 
 def half_written(path: Path) -> Path:

@@ -11,11 +11,11 @@ OPPOSITE_TORQUE = "opposite-torque"
 SORT = "sort"
 UNWRAP = "unwrap"
 REPAIRS: Mapping[str, str] = {
-    DROP_NAN: "leave out samples with NaN or infinite values, and quantities that have no finite value at all",
-    DROP_DUPLICATES: "of samples with the same time stamp keep the first",
-    DROP_REPEATS: "leave out samples that repeat the one before while the arm moves",
-    OPPOSITE_TORQUE: "change the sign of all torques, currents and voltages",
+    DROP_NAN: "drop samples with NaN or infinite values, and quantities without any finite value",
+    DROP_DUPLICATES: "keep the first of samples with the same time stamp",
+    DROP_REPEATS: "drop samples that repeat the previous one while the arm moves",
+    OPPOSITE_TORQUE: "reverse the sign of all torques, currents and voltages",
     SORT: "sort samples that arrived out of order by their time stamp",
-    UNWRAP: "let stamps of a counter of 16, 31 or 32 bits that began anew go on",
+    UNWRAP: "continue the stamps of a counter of 16, 31 or 32 bits that overflowed",
 }
 """Repairs by name, with what each one does; none is made without a request."""

@@ -295,7 +295,7 @@ class RecordingWriter:
             take_place(self.unfinished, self.path, overwrite=overwrite)
         except FileExistsError as error:
             raise DiskError(
-                "exists by now, and stays as it is", where=str(self.path), hint=f"the recording is {self.unfinished}"
+                "exists by now and was not replaced", where=str(self.path), hint=f"the recording is {self.unfinished}"
             ) from error
         except OSError as error:
             raise DiskError(
@@ -413,7 +413,7 @@ def layouts_of(recording: Recording) -> list[StreamLayout]:
 def _refused(error: OSError, path: Path) -> DynidError:
     said = f"cannot be written: {error.strerror}"
     if error.errno in DISK_ERRORS:
-        return DiskError(said, where=str(path), hint="make room on the disk; nothing was changed")
+        return DiskError(said, where=str(path), hint="free some space on the disk; nothing was changed")
     return RecordingError(said, where=str(path), hint="choose another place")
 
 

@@ -45,7 +45,7 @@ class RobotFile(BaseModel):
     robot: Robot
     text: str = Field(description="the YAML as it was read")
     where: str = Field(description="what error messages call the file: its path, or the built-in robot's name")
-    folder: Path | None = Field(description="what relative paths resolve against; None for a text without a place")
+    folder: Path | None = Field(description="folder that relative paths start from; None for a text without one")
     urdf_text: str | None = Field(default=None, description="the URDF's XML, where the model names one")
     assumed: tuple[str, ...] = Field(default=(), description="what was assumed where a URDF was read as a robot")
 
@@ -105,7 +105,7 @@ def load_robot(name_or_path: str | Path | RobotFile) -> RobotFile:
     if isinstance(name_or_path, RobotFile):
         return name_or_path
     if not isinstance(name_or_path, (str, PathLike)):
-        raise RobotFileError(f"{given_kind(name_or_path)} is no robot, and no path of one", hint='such as "ur5e"')
+        raise RobotFileError(f"{given_kind(name_or_path)} is neither a robot nor a path of one", hint='such as "ur5e"')
     given = str(name_or_path)
     path = Path(given)
     urdf = path.suffix.lower() in URDF_SUFFIXES
@@ -197,9 +197,7 @@ def _read_urdf(urdf: str, folder: Path | None, where: str) -> str:
     path = Path(urdf)
     if not path.is_absolute() and not urdf.startswith("~"):
         if folder is None:
-            raise RobotFileError(
-                f"the relative path '{urdf}' has nothing to be relative to", where=f"{where}: model.urdf"
-            )
+            raise RobotFileError(f"the relative path '{urdf}' has no base folder", where=f"{where}: model.urdf")
         path = folder / path
     try:
         return urdf_file_text(path.expanduser())

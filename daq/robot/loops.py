@@ -25,7 +25,7 @@ SINGULAR_CONDITION = 1e10
 class ClosingFrame(Section):
     """A frame that is fixed on a link, in the notation of an `mdh` row (SR400 .2: two frames on each opened joint)."""
 
-    antecedent: str = Field(description="joint behind which the link lies; of loops with `passive` also 'base'")
+    antecedent: str = Field(description="joint that moves the link; for loops with `passive` also 'base'")
     gamma: TableAngle = Field(default=0.0, description="[rad]")
     b: Finite = Field(default=0.0, description="[m]")
     alpha: TableAngle = Field(default=0.0, description="[rad]")
@@ -61,7 +61,7 @@ class Loop(Section):
     def _one_kind(self) -> Self:
         kinds = [kind for kind in (self.joint, self.parallelogram, self.passive) if kind is not None]
         if len(kinds) != 1:
-            raise ValueError("a loop is either 'joint' with its 'equation', or 'parallelogram', or 'passive'")
+            raise ValueError("a loop has either 'joint' with 'equation', or 'parallelogram', or 'passive'")
         if self.joint is not None:
             if self.equation is None:
                 raise ValueError(f"joint '{self.joint}' needs its 'equation'; {{}} keeps it at 'offset'")
@@ -86,7 +86,7 @@ class Loop(Section):
         if not self.passive:
             raise ValueError("'passive' names no joint; name those that follow, each with its position at the start")
         if self.closing is not None and self.closing[0].antecedent == self.closing[1].antecedent:
-            raise ValueError("the closing frames lie on one link: between them is no joint to close")
+            raise ValueError("the closing frames lie on one link: there is no joint between them to close")
 
     @property
     def following(self) -> tuple[str, ...]:
@@ -129,7 +129,7 @@ def passive_joints(loops: Iterable[Loop], active: tuple[str, ...]) -> tuple[str,
                 )
         for name in following:
             if name in passive:
-                raise ValueError(f"'model.loops' says twice how joint '{name}' follows")
+                raise ValueError(f"'model.loops' defines joint '{name}' twice")
             passive.append(name)
     joints = (*active, *passive)
     for loop in loops:
@@ -185,8 +185,7 @@ def check_pairs(named: Iterable[str], coupling: Mapping[str, Mapping[str, float]
     for name in named:
         if sum(factor != 0.0 for factor in coupling.get(name, {}).values()) < 2:
             raise ValueError(
-                f"'pair' and 'pair_inertia' are for motors that several joints move, and '{name}' is none of "
-                "'model.coupling'"
+                f"'pair' and 'pair_inertia' are for coupled motors, and '{name}' is not in 'model.coupling'"
             )
 
 

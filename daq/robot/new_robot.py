@@ -207,8 +207,8 @@ def _urdf_model(arm: UrdfArm, urdf: str, *, free: bool) -> str:
 
 def _acceleration_note() -> str:
     return (
-        f"  # {TODO} (move): acceleration of each joint [rad/s², m/s²]; {ASSUMED_ACCELERATION:g} is assumed. A torque "
-        "that is not stated is not supervised."
+        f"  # {TODO} (move): acceleration of each joint [rad/s², m/s²]; {ASSUMED_ACCELERATION:g} is assumed. Torques "
+        "that are not stated are not supervised."
     )
 
 
@@ -227,7 +227,7 @@ def _joint(joint: UrdfJoint, truth: JointTruth | None) -> str:
     unit, notes = _unit(joint), []
     position = _position(joint)
     if joint.kind == "continuous":
-        notes.append("continuous: a turn to either side was written")
+        notes.append("continuous: limited to one turn either way")
     if position is None and joint.position is not None:
         notes.append(f"the URDF says {list(joint.position)}, which cannot be limits in {unit}")
     velocity = joint.velocity if joint.velocity is None or VELOCITY_LIMIT.holds(joint.velocity) else None

@@ -64,7 +64,7 @@ class PriorLink(Section):
         if isinstance(content, str) and content != "urdf":
             raise ValueError(f"'{content}': write 'urdf', or a list of points")
         if isinstance(content, list | tuple) and len(content) < LEAST_POINTS:
-            raise ValueError(f"{len(content)} points enclose nothing: give {LEAST_POINTS} or more")
+            raise ValueError(f"{len(content)} points enclose no volume: give {LEAST_POINTS} or more")
         return content
 
     @model_validator(mode="after")
@@ -94,19 +94,19 @@ def known_problems(known: Mapping[str, Known]) -> list[str]:
     high = {name: number.max if number.value is None else number.value for name, number in known.items()}
     links = sorted({int(match[1]) for name in known if (match := OF_LINK.fullmatch(name))})
     problems = [
-        f"known.M{link}: a mass of {most:g} kg or less is no body's"
+        f"known.M{link}: no body has a mass of {most:g} kg or less"
         for link in links
         if (most := high.get(f"M{link}")) is not None and most <= 0
     ]
     masses = {f"M{link}": least for link in links if (least := low.get(f"M{link}")) is not None and least > 0}
     total = high.get(TOTAL_MASS)
     if total is not None and total <= 0:
-        problems.append(f"known.{TOTAL_MASS}: {total:g} kg is no mass")
+        problems.append(f"known.{TOTAL_MASS}: {total:g} kg is not a mass")
     elif total is not None and sum(masses.values()) >= total:
         named = ", ".join(f"known.{name}" for name in masses)
         problems.append(
-            f"no body satisfies these at once: {named}, known.{TOTAL_MASS}: links of {sum(masses.values()):g} kg or "
-            f"more in an arm of {total:g} kg or less"
+            f"no body satisfies all of: {named}, known.{TOTAL_MASS}: links of {sum(masses.values()):g} kg or more in "
+            f"an arm of {total:g} kg or less"
         )
     for link in links:
         problems += _moment_problems(link, low, high)
@@ -124,7 +124,7 @@ def _moment_problems(link: int, low: Mapping[str, float | None], high: Mapping[s
         most, others = low.get(name), (high.get(first), high.get(second))
         if most is not None and others[0] is not None and others[1] is not None and most >= others[0] + others[1]:
             yield (
-                f"no body satisfies these at once: known.{name}, known.{first}, known.{second}: a moment of inertia of "
+                f"no body satisfies all of: known.{name}, known.{first}, known.{second}: a moment of inertia of "
                 f"{most:g} kg·m² is not below the sum of the other two, {others[0]:g} and {others[1]:g}"
             )
         moment, mass = high.get(name), high.get(f"M{link}")
@@ -135,8 +135,8 @@ def _moment_problems(link: int, low: Mapping[str, float | None], high: Mapping[s
         least = sum(_least_square(low.get(value), high.get(value)) for value in across) / mass
         if moment <= least:
             yield (
-                f"no body satisfies these at once: {', '.join(f'known.{key}' for key in named)}: the mass at its "
-                f"centre alone has a moment of inertia of {least:g} kg·m²"
+                f"no body satisfies all of: {', '.join(f'known.{key}' for key in named)}: the mass at its centre alone "
+                f"has a moment of inertia of {least:g} kg·m²"
             )
 
 

@@ -104,7 +104,7 @@ class ModelSection(Section):
             if self.locked:
                 raise ValueError("'locked' works with 'urdf' only; leave the joint out of 'mdh' instead")
         if max(abs(component) for component in self.gravity) > 30:
-            raise ValueError(f"gravity {list(self.gravity)} m/s² is larger than any planet's surface; check the unit")
+            raise ValueError(f"gravity {list(self.gravity)} m/s² is larger than on any planet; check the unit")
         upward = self._upward
         if self.mounting in _UPWARD and upward is not None:
             low, high = _UPWARD[self.mounting]

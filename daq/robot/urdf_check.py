@@ -119,7 +119,7 @@ def _check_joint(joint: ElementTree.Element) -> None:
     if axis is not None and joint.get("type") in MOVING:
         values = _numbers(axis, "xyz", NUMBER, count=3)
         if values and sum(value * value for value in values) < LEAST_AXIS**2:
-            raise _UrdfError("has an axis of length 0, which is no direction")
+            raise _UrdfError("has an axis of length 0, which is not a direction")
     for tag in ("limit", "mimic", "dynamics"):
         element = joint.find(tag)
         for name in () if element is None else element.keys():

@@ -231,7 +231,7 @@ def _mimics(joints: list[ElementTree.Element], driven: set[str], where: str) -> 
             multiplier, offset = multiplier * next_multiplier, offset + multiplier * next_offset
         if follows not in driven:
             raise RobotFileError(
-                f"follows '{follows}' (<mimic>), which is no joint that moves by itself",
+                f"follows '{follows}' (<mimic>), which is not a joint that moves by itself",
                 where=f"{where}: joint {name}",
                 hint="name a movable joint there, or make this one fixed",
             )

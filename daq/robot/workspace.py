@@ -104,7 +104,7 @@ def _parse_link_radius(value: Any) -> float | dict[str, float]:
     if isinstance(value, Mapping):
         for joint, radius in value.items():
             if not isinstance(joint, str):
-                raise ValueError(f"found the key {describe(joint)}, but it should be the name of a joint")
+                raise ValueError(f"found the key {describe(joint)}, but expected the name of a joint")
             _check_radius(radius, f"of joint '{joint}' ")
         return {str(joint): float(radius) for joint, radius in value.items()}
     _check_radius(value, "")

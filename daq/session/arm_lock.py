@@ -45,7 +45,7 @@ def only_mover(robot: Robot, wire: str | None = None, host: str | None = None) -
         for place in places:
             if not held.enter_context(held_lock(place)):
                 raise MotionRefusedError(
-                    "another program on this computer moves this arm", where=place, hint="wait until it has ended"
+                    "another program on this computer is moving this arm", where=place, hint="wait until it has ended"
                 )
         yield
 

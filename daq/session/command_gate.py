@@ -27,7 +27,7 @@ FRESH = 0.1
 a stall of this computer that the gate tolerates, after which the command may be sent before the samples are read."""
 MARGIN = 0.01
 """Share by which a step or its change may pass its limit: rounding, and the differences of times near 2 ms."""
-_CLOCK_CURE = "the motion jumps, or this computer's clock does: look at the trajectory; is this a virtual machine?"
+_CLOCK_CURE = "the motion jumps, or this computer's clock does: check the trajectory; is this a virtual machine?"
 _ROUNDING = 1e-9
 """[rad or m]: of a position, and of the steps between positions."""
 

@@ -103,7 +103,8 @@ def bus_budget(robot_file: RobotFile, name: str, *, moves: bool = True) -> Budge
         budget = declared(robot.connections[name].driver).budget_of(driver_settings(robot, keys, robot_file.folder))
     if budget is not None and budget.load > 1.0:
         raise RobotFileError(
-            f"{budget.rate:g} Hz do not fit on a bus of {budget.bitrate:.0f} bit/s: {percent_text(budget.load)} of it",
+            f"{budget.rate:g} Hz does not fit on a bus of {budget.bitrate:.0f} bit/s: {percent_text(budget.load)} of "
+            "it",
             where=where,
             hint=f"at most {budget.highest_rate():.0f} Hz, better {budget.highest_rate(TIGHT_SHARE):.0f} Hz",
         )

@@ -53,9 +53,9 @@ def require_same_arm(robot_file: RobotFile, driver: Driver) -> None:
         if abs(length - own_length) >= LENGTH_AGREEMENT
     ]
     raise UsageError(
-        f"the controller says that its arm is another than {robot_file.robot.name}: {'; '.join(pairs)}",
+        f"the controller's arm is not {robot_file.robot.name}: {'; '.join(pairs)}",
         where=robot_file.where,
-        hint="take the robot file of this arm, or --host of the right one",
+        hint="use the robot file of this arm, or --host of the right one",
     )
 
 
@@ -85,7 +85,9 @@ def looser_limits(robot: Robot, own: DeviceLimits) -> list[str]:
             lines.append(f"{name} limits above the controller's own ({own.sources[name.replace(' ', '_')]}): {listed}")
     if own.stopping is not None and (slow := own.stopping < acceleration * (1.0 - AGREEMENT)).any():
         listed = _listed(robot, slow, acceleration, own.stopping, "rad/s²")
-        lines.append(f"a stop slows down less than the acceleration limits allow ({own.sources['stopping']}): {listed}")
+        lines.append(
+            f"a stop decelerates less than the acceleration limits allow ({own.sources['stopping']}): {listed}"
+        )
     return lines
 
 

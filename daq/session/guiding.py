@@ -118,8 +118,8 @@ def require_guidable(driver: Driver, guiding: Guiding) -> Guidable:
     pushed = guiding.compensation is not None
     if not isinstance(main, Guidable):
         raise UsageError(
-            "dynid does not lead arms of this connection by hand",
-            hint="where its controller can, let it, and record with --duration",
+            "arms on this connection cannot be led by hand with dynid",
+            hint="use the controller's own free drive, and record with --duration",
         )
     if said := main.guiding_refusal(pushed=pushed):
         raise UsageError(said, hint="without --model the arm is limp, and you carry it" if pushed else "")
@@ -172,14 +172,14 @@ class HandGate:
             self._refuse(f"the measured position is {self._now() - when:.3f} s old", CURES["stale data"])
         beyond = ~((position >= self._low) & (position <= self._high))
         if beyond.any():
-            self._refuse(f"{self._name(beyond)} left its range", "keep the arm off its limits while you lead it")
+            self._refuse(f"{self._name(beyond)} left its range", "keep the arm away from its limits while you lead it")
         if (fast := ~(np.abs(self.velocity) <= self._fastest)).any():
             joint = int(np.argmax(fast))
             unit = joint_unit("rad/s", sliding=self._joints[joint].sliding)
             self._refuse(
                 f"{self._name(fast)} moves at {abs(self.velocity[joint]):.3g} {unit}, more than "
                 f"{self._fastest[joint]:.3g} {unit} by hand",
-                "lead it more slowly; where it ran by itself, the model does not carry it",
+                "lead it more slowly; if it moved by itself, the model does not compensate its weight",
             )
 
     def push(self, torque: FloatArray) -> None:
@@ -262,19 +262,19 @@ def _wait_for_key(cycle: Callable[[], None], course: Course, hand: Hand) -> None
     while (answer := hand.answer()) is None and course.interrupted is None:
         cycle()
     if answer is False:
-        raise MotionRefusedError("not confirmed, so the arm was not let go")
+        raise MotionRefusedError("not confirmed, so the arm was not released")
     limit = course.clock.now() + KEY_PATIENCE
     while not hand.held() and course.interrupted is None:
         cycle()
         if course.clock.now() > limit:
-            raise MotionRefusedError(f"the key was not held within {KEY_PATIENCE:g} s, so the arm was not let go")
+            raise MotionRefusedError(f"the key was not held within {KEY_PATIENCE:g} s, so the arm was not released")
 
 
 def _require_carried(course: Course, carrying: Compensation, robot: Robot) -> None:
     """Compare what the drives give, of an arm that they hold, with what the model would."""
     if course.torque is None or course.position is None:
         raise MotionRefusedError(
-            "this connection delivers no torques: whether the model carries the arm cannot be seen"
+            "this connection delivers no torques, so the model cannot be compared with what holds the arm"
         )
     asked = carrying.torque(course.position, np.zeros_like(course.position))
     bound = carrying.leaning + LEANING_SHARE * np.array([joint.torque or 0.0 for joint in robot.joints])
@@ -284,5 +284,5 @@ def _require_carried(course: Course, carrying: Compensation, robot: Robot) -> No
         raise MotionRefusedError(
             f"{robot.joint_names[joint]} is held by {course.torque[joint]:.3g} {robot.joints[joint].unit('N·m')}, and "
             f"the model asks for {asked[joint]:.3g}",
-            hint="is it the model of this arm, with this tool, and does nothing else carry it?",
+            hint="check that the model is of this arm with this tool, and that nothing else supports it",
         )

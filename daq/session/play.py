@@ -102,8 +102,8 @@ def unreported_safety(driver: Driver, without_safety_status: bool) -> str:
             hint="--without-safety-status moves it nevertheless; recording works as it is",
         )
     return (
-        f"the controller does not deliver {', '.join(names)}: its protective and emergency stops, and other programs "
-        "that move the arm, are noticed by what the arm does alone"
+        f"the controller does not deliver {', '.join(names)}: its protective and emergency stops, and other programs, "
+        "are noticed only by what the arm does"
         if names
         else ""
     )
@@ -133,8 +133,8 @@ def wait_for_rest(cycle: Callable[[], None], course: Course) -> None:
         cycle()
         if course.clock.now() > limit:
             raise MotionRefusedError(
-                f"the arm, or what its controller aims at, was not at rest for {REST_TIME:g} s",
-                hint="something else moves it: end that first",
+                f"the arm or its controller's target was not at rest for {REST_TIME:g} s",
+                hint="something else moves it: stop that first",
             )
 
 
@@ -254,7 +254,8 @@ def follow_motion(
             recorder.event(course.source_time(), "info", "player", "motion begins")
         if player.delayed > delayed:
             said = (
-                f"this computer stalled: the arm was held, and goes on from rest {player.delayed - delayed:.3f} s later"
+                f"this computer stalled: the arm was held, and continues from rest {player.delayed - delayed:.3f} s "
+                "later"
             )
             recorder.event(course.source_time(), "warning", "player", said)
             delayed, course.resumed = player.delayed, course.clock.now()

@@ -31,8 +31,8 @@ SPEED = 0.25
 SHARE = 0.2
 """Of velocity and acceleration limits at most."""
 RETRACTING = (
-    f"after a contact it goes back by itself, by {WAY:g} rad ({SLIDING_WAY:g} m) and at {SPEED:g} rad/s at most; "
-    "then it holds"
+    f"after a contact it retracts by itself, by {WAY:g} rad ({SLIDING_WAY:g} m) at no more than {SPEED:g} rad/s; then "
+    "it holds"
 )
 """What a person should know of it before the arm moves."""
 LOOKING_BACK = 0.005
@@ -55,7 +55,7 @@ def way_back(here: FloatArray, path: MotionSequence, elapsed: float, limits: Seq
     passed = path.positions(times)
     far = np.abs(here - passed).max(axis=1)
     if far.min() > TRACKING_ERROR:
-        raise MotionRefusedError(f"the arm stands {far.min():.3g} rad (m) from the motion that it came by")
+        raise MotionRefusedError(f"the arm is {far.min():.3g} rad (m) away from its path")
     way = np.array([SLIDING_WAY if limit.sliding else WAY for limit in limits])
     share = (np.abs(passed - passed[0]) / way).max(axis=1)
     last = int(np.argmax(share >= 1.0)) if np.any(share >= 1.0) else len(times) - 1

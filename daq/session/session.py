@@ -339,7 +339,7 @@ def _heed(course: Course, recorder: SampleKeeper) -> None:
     anew = not course.retracting or np.isfinite(noticed)
     if course.moves and anew and (reason := course.watch.stop_reason()):
         course.breach_time, course.touched = noticed, True
-        raise SafetyStopError(reason, hint="look at what the arm touched; nothing starts it again by itself")
+        raise SafetyStopError(reason, hint="see what the arm touched; it does not start again by itself")
 
 
 def _note(notices: Sequence[Notice], recorder: SampleKeeper) -> Notice | None:

@@ -32,13 +32,13 @@ VALUE_AGES = {"position": (0.0, 1.0), "velocity": (0.0, 1.0), "torque": (0.0, 1.
 
 OTHER_VELOCITY = "velocity channel"
 CURES = {
-    "position": "keep the motion off the joint's limits, or correct them or the joint's zero in the robot file",
+    "position": "keep the motion away from the joint's limits, or correct them or the joint's zero in the robot file",
     "velocity": "lower --speed-scale, or correct the limit in the robot file",
-    "torque": "lower --speed-scale; look for a contact, a load or friction that the plan does not know of",
+    "torque": "lower --speed-scale; look for a contact, a load or friction that was not planned for",
     "temperature": "let it cool down, and pause between motions",
-    "tracking error": "is the arm blocked, its brake closed, or slower than this motion? then lower --speed-scale",
-    "stale data": "look at cables and power; where this computer stalled, end other programs or use --realtime",
-    "stuck": "look at the sensor, its cable and its drive",
+    "tracking error": "check for a blocked joint or a closed brake, or lower --speed-scale",
+    "stale data": "check cables and power; if this computer stalled, end other programs or use --realtime",
+    "stuck": "check the sensor, its cable and its drive",
     OTHER_VELOCITY: "correct the unit, scale or sign of the velocity: in the drive, or in the connection's signals",
 }
 """What passed a limit, or was stuck → what to do about it."""
@@ -244,7 +244,7 @@ class Supervisor:
                 breaches += self._other_velocities(batch, values)
             way, cause = self._speed.position, "while the joint moves"
             if quantity == "temperature":
-                way, cause = np.full(len(self._limits.joints), time), "although it changed all the time before"
+                way, cause = np.full(len(self._limits.joints), time), "although it changed continuously before"
             elif quantity == "position":
                 way, cause = self._aimed_at(batch), "while it is commanded on: its sensor hangs, or it is jammed"
             key = batch.stream, quantity

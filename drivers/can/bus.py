@@ -106,7 +106,7 @@ def why_not_opened(error: Exception, interface: str, channel: str | int) -> tupl
     if number == errno.ENETDOWN:
         return f"{channel} is down", f"sudo ip link set {channel} up type can bitrate …"
     if number == errno.EAFNOSUPPORT:
-        return "this computer knows no CAN sockets", "socketcan needs Linux with its CAN modules"
+        return "this computer has no CAN sockets", "socketcan needs Linux with its CAN modules"
     return (
         f"cannot be opened: {reason(error)}",
         "see 'interface', 'channel', 'bitrate' and 'options' of the connection",
@@ -244,7 +244,7 @@ class Sender:
 
     def _refused(self, error: Exception) -> ConnectionLostError:
         return ConnectionLostError(
-            f"the CAN adapter does not take frames: {reason(error)}",
+            f"the CAN adapter does not accept frames: {reason(error)}",
             where=str(self._bus.channel_info),
             hint="is another device on the bus, at this bit rate, and the bus terminated?",
         )

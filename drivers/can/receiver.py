@@ -202,7 +202,7 @@ class Receiver:
             self._drained = arrived
             return True
         if not self._fd and (message.is_fd or message.dlc > CLASSICAL_BYTES):
-            self._trouble("CAN FD frame(s) left out", arrived)
+            self._trouble("CAN FD frame(s) dropped", arrived)
             self._drained = arrived
             return True
         identifier, data = message.arbitration_id, bytes(message.data)
@@ -211,7 +211,7 @@ class Receiver:
         if not message.is_rx and self._own is not None and self._own(identifier):
             pass
         elif len(data) != message.dlc:
-            self._trouble("truncated frame(s) left out", arrived)
+            self._trouble("truncated frame(s) dropped", arrived)
         elif self._stored is None or identifier in self._stored:
             self._store((arrived, identifier, data))
         elif self._other is not None:
@@ -228,7 +228,7 @@ class Receiver:
             if len(self._ring) >= BUFFER_FRAMES:
                 self._ring.popleft()
                 if not self.overflow:
-                    self._report("warning", "CAN frames are not read for too long: the oldest are dropped")
+                    self._report("warning", "CAN frames were not read for too long: the oldest were dropped")
                 self.overflow += 1
             self._ring.append(frame)
             if len(self._ring) >= self._wanted:
@@ -254,7 +254,7 @@ class Receiver:
         if flush is not None:
             with contextlib.suppress(can.CanError, OSError):
                 flush()
-        self._trouble("unreadable frame(s) left out", self._clock.now())
+        self._trouble("unreadable frame(s) dropped", self._clock.now())
         return faulty + 1
 
     def _trouble(self, what: str, now: float) -> None:

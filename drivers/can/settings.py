@@ -14,5 +14,5 @@ class CanSettings(ConnectionSettings):
     channel: Text | int = Field(description="what the interface calls a bus: can0, /dev/ttyACM0, 239.74.163.2, …")
     bitrate: int = Field(1_000_000, ge=1000, le=1_000_000, description="[bit/s]")
     options: dict[str, object] = Field(
-        default_factory=dict, max_length=100, description="a mapping of python-can's further arguments of the interface"
+        default_factory=dict, max_length=100, description="a mapping of further python-can arguments of the interface"
     )

@@ -106,7 +106,7 @@ class MotorCodec(ABC):
 
     def torque(self, torque: float) -> Sequence[CanFrame]:
         """Frames by which it gives a torque [N·m], where it takes any; then they are answered as goals are."""
-        raise NotImplementedError(f"{self.motor.family.name} takes no torques")
+        raise NotImplementedError(f"{self.motor.family.name} accepts no torque commands")
 
     def released(self) -> Sequence[CanFrame]:
         """Frames by which it carries nothing and is still read."""

@@ -84,7 +84,7 @@ class MotorControl:
             DriverStateError: it is not released.
         """
         if not self.led:
-            raise DriverStateError("the arm is not released: it takes no torques")
+            raise DriverStateError("the arm is not released: it accepts no torque commands")
         self._pushed = self._clock.now(), torque.copy()
 
     def _prepare(self, codecs: Sequence[MotorCodec]) -> None:
@@ -95,7 +95,7 @@ class MotorControl:
                 words = ", ".join(motor.address.family.fault_words(state.fault))
                 raise DriverStateError(
                     f"{motor.name} is in fault: {words}",
-                    hint="let it cool down, look at its supply and load; then dynid check --connect --reset-faults",
+                    hint="let it cool down, check its supply and load; then dynid check --connect --reset-faults",
                 )
             if state.enabled:  # held by a program before: a time-out would count from that one's last command
                 self._bus.send(codec.goal(_holding_goal(motor, state)))
@@ -115,7 +115,7 @@ class MotorControl:
             if self._clock.now() > end:
                 raise DriverStateError(
                     f"{', '.join(lazy)} did not begin to obey within {ENABLING:g} s",
-                    hint="power, calibration of the motor, and what its own tool says of it",
+                    hint="check its power, its calibration, and what the manufacturer's tool reports",
                 )
             self._clock.sleep(ENABLING / 25.0)
         self._bus.forget_surplus()
@@ -133,7 +133,7 @@ class MotorControl:
                 there = motor.goal(position)
                 raise DriverStateError(
                     f"{position:.4g} rad are {there:.4g} rad of {motor.name}: its frames end at {most:g}",
-                    hint="look at its zero, direction and ratio",
+                    hint="check its zero, direction and ratio",
                 )
         self.goal, self.commanded = target.copy(), self._clock.now()
         self.fresh()

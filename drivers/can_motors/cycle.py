@@ -28,7 +28,7 @@ MEANINGS = {
     "temperature": "of the motor's windings",
     "drive_temperature": "of the drive's power stage",
     "supply_voltage": "of the motor's supply",
-    GOAL_AGE: "for which the goal that made this torque had been in force",
+    GOAL_AGE: "time for which the goal behind this torque had been in force",
 }
 
 
@@ -50,8 +50,8 @@ class MotorCycle(PolledRows):
         """Why rows were lost, in words; empty where none were."""
         said = [
             super().losses(),
-            f"{self._overdue} answers came after they had been given up" if self._overdue else "",
-            f"{self._strange} frames were no motor's" if self._strange else "",
+            f"{self._overdue} answers came too late" if self._overdue else "",
+            f"{self._strange} frames came from no known motor" if self._strange else "",
             f"answered twice: {', '.join(self._doubled)}" if self._doubled else "",
         ]
         return "; ".join(filter(None, said))
@@ -70,14 +70,14 @@ class MotorCycle(PolledRows):
             if state.enabled is False and self._control.obeying and not state.fault:
                 self._tell(
                     "error",
-                    f"{self._motors[index].name} does not drive any more",
-                    "was its power interrupted, or does another program command it?",
+                    f"{self._motors[index].name} no longer drives",
+                    "check its power, and whether another program commands it",
                 )
             if state.surplus >= TWICE and not self._bus.codecs[index].unasked:
                 self._note_twice(index)
         missing = [motor.name for index, motor in enumerate(self._motors) if index not in feedback.states]
         if missing:
-            strange = f", {feedback.strange} frames were no motor's" if feedback.strange else ""
+            strange = f", {feedback.strange} frames came from no known motor" if feedback.strange else ""
             self._lose(missing, feedback.received, strange)
         else:
             self._add(feedback.time, feedback.received, self._row(feedback))
@@ -129,7 +129,7 @@ class MotorCycle(PolledRows):
         self._tell(
             level,
             f"{name} answers twice: two motors have this id, or another program commands it",
-            "give every motor an id of its own with its manufacturer's tool",
+            "give each motor its own id with the manufacturer's tool",
         )
 
 

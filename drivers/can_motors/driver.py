@@ -116,10 +116,10 @@ class CanMotorDriver(PolledArm):
         codec = CODECS[self._settings.family]
         said = [f"first the motors are switched on: the arm stiffens where it is; then, {self._stop_words()}"]
         if codec.times_out:
-            said.append(f"where this computer dies or the cable is cut in a motion: {self._control.left_alone()}")
+            said.append(f"if this computer dies or the cable is cut during a motion: {self._control.left_alone()}")
         elif self._settings.family == "odrive":
             said.append(
-                "where this computer dies or the cable is cut in a motion, each axis holds its last goal, torque on, "
+                "if this computer dies or the cable is cut during a motion, each axis holds its last goal, torque on, "
                 "unless its own configuration has its watchdog on (then it is limp)"
             )
         else:
@@ -128,7 +128,7 @@ class CanMotorDriver(PolledArm):
                 "cut in a motion, each holds its last goal with torque on until it is switched off"
             )
         if "torque_limit" not in codec.keeps:
-            said.append(f"{self._settings.family} motors keep no torque limit of a program's: stiff goals press hard")
+            said.append(f"{self._settings.family} motors accept no torque limit: stiff goals press hard")
         return said
 
     def guiding_refusal(self, *, pushed: bool) -> str:
@@ -139,7 +139,7 @@ class CanMotorDriver(PolledArm):
         if not codec.takes_torque:
             return f"dynid commands no torques of {family} motors"
         if not codec.times_out:
-            return f"{family} motors have no command time-out: of a dead computer's last torque they would not let go"
+            return f"{family} motors have no command time-out: they would keep a dead computer's last torque"
         return ""
 
     def _stop_words(self) -> str:
@@ -147,7 +147,7 @@ class CanMotorDriver(PolledArm):
             return "when the motion ends or is stopped, the motors are switched off: THE ARM FALLS (on_stop: limp)"
         if self._settings.when_lost == "limp":
             return (
-                "when the motion ends or is stopped, the arm holds while dynid runs, and goes limp with its end: "
+                "when the motion ends or is stopped, the arm holds while dynid runs, and goes limp when dynid ends: "
                 "THE ARM FALLS THEN (on_stop: hold, when_lost: limp)"
             )
         return (
@@ -175,7 +175,7 @@ class CanMotorDriver(PolledArm):
         if not names:
             return
         said = f"{', '.join(names)}: two motors answer to this id, or another program commands it"
-        hint = "give every motor an id of its own with its manufacturer's tool"
+        hint = "give each motor its own id with the manufacturer's tool"
         if not self._settings.keys.read_only:
             raise ConnectionFailedError(said, where=self._settings.where, hint=hint)
         if self._bus.codecs[0].unasked:  # the others' answers are counted while they are read
@@ -190,14 +190,14 @@ class CanMotorDriver(PolledArm):
             told = {name: self._bus.read(index, f"{name}_range") for name in TOLD_RANGES}
             if not all(math.isfinite(value) and value > 0.0 for value in told.values()):
                 raise ConnectionFailedError(
-                    f"{motor.name} tells {told} as full scale of its frames", where=self._settings.where
+                    f"{motor.name} reports {told} as the full scale of its frames", where=self._settings.where
                 )
             other = {name: value for name, value in told.items() if not math.isclose(value, getattr(scale, name))}
             if other:
                 said = ", ".join(
                     f"{name} {getattr(scale, name):g}, the motor {value:g}" for name, value in other.items()
                 )
-                self._tell("info", f"{motor.name}: the table of {motor.model} says {said}: the motor's is taken")
+                self._tell("info", f"{motor.name}: the table of {motor.model} says {said}: the motor's value is used")
             address = replace(motor.address, model=replace(scale, **told))
             motors.append(replace(motor, address=address))
         self._settings = replace(self._settings, motors=tuple(motors))

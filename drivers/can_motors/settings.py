@@ -41,16 +41,18 @@ class MotorKeys(ConnectionSettings):
         None, ge=0, le=0x7FF, description="identifier that it answers on (Damiao: its master id; CubeMars)"
     )
     model: str | None = Field(None, description="of the motor; the connection's `model` if absent")
-    zero: float = Field(0.0, ge=-1e4, le=1e4, description="[rad] that it reports where the joint is at 0")
-    direction: Literal[1, -1] = Field(1, description="-1 where it counts against the joint")
-    ratio: float = Field(1.0, ge=1e-3, le=1e4, description="turns of the motor's output shaft in one of the joint")
+    zero: float = Field(0.0, ge=-1e4, le=1e4, description="[rad] that it reports when the joint is at 0")
+    direction: Literal[1, -1] = Field(1, description="-1 if it counts against the joint")
+    ratio: float = Field(1.0, ge=1e-3, le=1e4, description="turns of the motor's output shaft per turn of the joint")
     kp: float | None = Field(None, ge=0.0, le=1e6, description="[N·m/rad] of the joint: the spring to its goal")
     kd: float | None = Field(None, ge=0.0, le=1e5, description="[N·m·s/rad] of the joint: the damper")
     torque_limit: float | None = Field(None, ge=0.01, le=1e4, description="[N·m] of the joint, set in the motor")
     speed_limit: float | None = Field(None, ge=0.01, le=1e3, description="[rad/s] of the joint, set in the motor")
     current_limit: float | None = Field(None, ge=0.01, le=1e3, description="[A], set in the motor")
-    velocity_range: float | None = Field(None, ge=0.1, le=1e3, description="[rad/s] of full scale, for the table's")
-    torque_range: float | None = Field(None, ge=0.1, le=1e4, description="[N·m] of full scale, for the table's")
+    velocity_range: float | None = Field(
+        None, ge=0.1, le=1e3, description="[rad/s] of full scale, instead of the table's"
+    )
+    torque_range: float | None = Field(None, ge=0.1, le=1e4, description="[N·m] of full scale, instead of the table's")
     thermistor: bool = Field(False, description="whether a moteus reads one in the motor's windings")
 
 
@@ -58,14 +60,14 @@ class CanMotorKeys(CanSettings):
     """The bus, the motors on it, and how they move the arm."""
 
     rate: float = Field(200.0, ge=1.0, le=2000.0, description="[Hz] at which the motors are read and commanded")
-    model: str | None = Field(None, description="of motors that name none")
+    model: str | None = Field(None, description="of motors without their own")
     motors: dict[str, MotorKeys] = Field(description="a mapping of joint → {id: …}")
     host_id: int | None = Field(None, ge=0, le=0xFF, description="this computer's id (RobStride, moteus)")
-    kp: float | None = Field(None, ge=0.0, le=1e6, description="[N·m/rad] of joints that name none")
-    kd: float | None = Field(None, ge=0.0, le=1e5, description="[N·m·s/rad] of joints that name none")
+    kp: float | None = Field(None, ge=0.0, le=1e6, description="[N·m/rad] of joints without their own")
+    kd: float | None = Field(None, ge=0.0, le=1e5, description="[N·m·s/rad] of joints without their own")
     on_stop: OnStop = Field("hold", description="what the arm does when a motion ends or is stopped")
     when_lost: OnStop | None = Field(
-        None, description="what it does where commands fail to come, by a command time-out of the motors; as on_stop"
+        None, description="what it does when commands stop, by the motors' command time-out; as on_stop"
     )
     watchdog: float = Field(0.1, ge=0.01, le=10.0, description="[s] without a command after which motors go limp")
     temperature_offset: float = Field(0.0, ge=-100.0, le=100.0, description="[°C] added to a CubeMars' temperature")
@@ -99,9 +101,9 @@ class CanMotorKeys(CanSettings):
             for limit in ("torque_limit", "speed_limit", "current_limit"):
                 if getattr(motor, limit) is not None and limit not in codec.keeps:
                     kept = ", ".join(codec.keeps) or "none"
-                    raise refused(f"{name}: a {family.name} motor keeps no {limit} of a program's", f"it keeps: {kept}")
+                    raise refused(f"{name}: a {family.name} motor accepts no {limit}", f"it accepts: {kept}")
             if motor.thermistor and family.name != "moteus":
-                raise refused(f"{name}: 'thermistor' is of moteus controllers")
+                raise refused(f"{name}: only moteus controllers have 'thermistor'")
             scale = family.models[model]
             for gain, most in (("kp", scale.kp), ("kd", scale.kd)):
                 value = getattr(motor, gain) if getattr(motor, gain) is not None else getattr(self, gain)
@@ -110,12 +112,10 @@ class CanMotorKeys(CanSettings):
                     raise refused(f"key 'motors.{name}.{gain}' is missing", whose)
                 if value is not None and most is not None and value / motor.ratio**2 > most:
                     raise refused(
-                        f"{name}: {gain} {value:g} is more than its motor takes", f"{model}: at most {most:g}"
+                        f"{name}: {gain} {value:g} is more than its motor allows", f"{model}: at most {most:g}"
                     )
         if self.when_lost == "limp" and not codec.times_out:
-            raise refused(
-                f"when_lost: limp is not in the power of a program: {family.name} motors have no time-out that it sets"
-            )
+            raise refused(f"when_lost: limp cannot be commanded: {family.name} motors have no programmable time-out")
         return self
 
 
@@ -127,7 +127,7 @@ def _require_own_answers(motors: Mapping[str, MotorKeys]) -> None:
         if answer in told:
             raise refused(
                 f"answers of {told[answer]} and {name} are alike: on {answer[0]}, ids that end in the same four bits",
-                "another master id (answers_on) for one of them",
+                "give one of them another master id (answers_on)",
             )
         told[answer] = name
 
@@ -141,7 +141,7 @@ class CanMotor:
         model: of its table.
         zero: [rad] that the motor reports where the joint is at 0.
         direction: 1, or −1 where it counts against the joint.
-        ratio: turns of the motor's output shaft in one of the joint.
+        ratio: turns of the motor's output shaft per turn of the joint.
         address: what its protocol needs, at the motor's output shaft.
     """
 

@@ -80,7 +80,7 @@ class CanFramesDriver(LifeCycle):
         self._streams.joints.expect(order, 1.0 / settings.rate, self._streams.clock)
         if order.first and settings.cycle is None:
             label = settings.frame_layouts("joints")[order.first].label
-            self._tell("info", f"a cycle begins with {label}: before it is the longest pause")
+            self._tell("info", f"a cycle begins with {label}: the longest pause precedes it")
 
     def streams(self) -> tuple[StreamLayout, ...]:
         """`joints` at the nominal rate, and as the table has them `thermal`, `status` and streams of its own."""
@@ -127,10 +127,10 @@ class CanFramesDriver(LifeCycle):
         """What happens to the arm where nothing commands it any more."""
         watchdog = self._settings.watchdog
         if watchdog is None:
-            said = "no watchdog of the arm's own is known (key 'watchdog')"
-            return (f"{said}: where this computer dies or the bus is cut in a motion, it may not stop by itself",)
+            said = "the arm is not known to have a watchdog (key 'watchdog')"
+            return (f"{said}: if this computer dies or the bus is cut during a motion, it may not stop by itself",)
         if watchdog > LONGEST_WATCHDOG:
-            return (f"where this computer dies in a motion, the arm stops by itself only after {watchdog:g} s",)
+            return (f"if this computer dies during a motion, the arm stops by itself only after {watchdog:g} s",)
         return ()
 
     def take_control(self) -> None:
@@ -264,7 +264,7 @@ class CanFramesDriver(LifeCycle):
                 standstill.add(host_time, row)
             if standstill.at_rest:
                 return ""
-        return f"the arm did not show within {STOP_LIMIT:g} s of the stop frames that it stands still"
+        return f"the arm did not show within {STOP_LIMIT:g} s of the stop frames that it is at rest"
 
     def _disconnect(self) -> None:
         if self._poller is not None:

@@ -47,7 +47,7 @@ class PollKeys(FrameKeys):
 class CommandKeys(ConnectionSettings):
     """Where joint positions stand in frames that command the arm."""
 
-    quantity: Literal["position"] = Field("position", description="dynid commands nothing else")
+    quantity: Literal["position"] = Field("position", description="dynid commands positions only")
     signals: Entries[SignalEntry] = Field(
         max_length=MOST_SIGNALS, description="a list of where each joint's position goes"
     )
@@ -72,7 +72,7 @@ class CommandKeys(ConnectionSettings):
             if named.count(joint) != 1:
                 raise refused(
                     f"{named.count(joint) or 'no'} position of joint '{joint}'",
-                    "each joint needs exactly one; an arm is moved as a whole",
+                    "each joint needs exactly one; an arm moves as a whole",
                 )
         require_no_overlap(signals)
         return entries
@@ -89,7 +89,9 @@ class CanFramesKeys(CanSettings):
     """The connection's keys, as the file has them."""
 
     rate: float = Field(ge=0.1, le=10_000, description="[Hz] of the cycles")
-    timeout: float = Field(2.0, ge=0.1, le=300, description="[s] until all of the arm's frames must have come once")
+    timeout: float = Field(
+        2.0, ge=0.1, le=300, description="[s] within which all of the arm's frames must have arrived once"
+    )
     dbc: Text | None = Field(None, description="the path of a DBC file")
     signals: Entries[SignalEntry] = Field(
         max_length=MOST_SIGNALS,
@@ -108,7 +110,7 @@ class CanFramesKeys(CanSettings):
     stop: Entries[FrameKeys] = Field((), description=f"{_FRAMES}, that halt the arm")
     command: CommandKeys | None = Field(None, description="a mapping of keys with the list 'signals'")
     watchdog: float | None = Field(
-        None, ge=1e-3, le=60, description="[s] without a command after which the arm stops by itself; left out, unknown"
+        None, ge=1e-3, le=60, description="[s] without a command after which the arm stops by itself; default: unknown"
     )
 
     @field_validator("signals")
@@ -242,7 +244,7 @@ def parse_settings(
         entries = entries_named_by_rule(dbc, joints)
         if not entries:
             raise UsageError(
-                "no signal of the DBC file is called after a quantity and a joint",
+                "no signal of the DBC file is named after a quantity and a joint",
                 where=str(dbc.path),
                 hint=f"such as position_{joints[0]}; or list the names of its signals under 'signals'",
             )

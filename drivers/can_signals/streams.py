@@ -219,13 +219,13 @@ class Troubles:
         if rows.incomplete and essential:
             self._lacked[self.missing or "another frame"] += rows.incomplete
         self._count("incomplete row(s)", rows.incomplete)
-        self._count("frame(s) that came twice", rows.duplicates)
+        self._count("frame(s) received twice", rows.duplicates)
         self._count("frame(s) too short for the table", rows.short)
         self._report()
 
     def note_clock(self, repeated: int, restarted: int) -> None:
         """Note rows whose time or counter was not new, and jumps of it."""
-        self._count("row(s) left out whose time or counter was not new", repeated)
+        self._count("row(s) dropped whose time or counter was not new", repeated)
         self._count("jump(s) of the arm's clock; was it restarted?", restarted)
 
     def _count(self, what: str, more: int) -> None:

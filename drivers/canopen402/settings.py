@@ -48,18 +48,18 @@ class NodeSettings(ConnectionSettings):
 
     id: int = Field(ge=1, le=HIGHEST_ID, description="the node id")
     counts_per_turn: float | None = Field(
-        None, ge=SMALLEST, le=LARGEST, description="[position counts per joint revolution]; left out, the drive's own"
+        None, ge=SMALLEST, le=LARGEST, description="[position counts per joint revolution]; default: the drive's"
     )
     direction: int = Field(1, description="1 or -1, the sign of the drive's position, velocity, torque and current")
     zero: float = Field(0.0, ge=-1e3, le=1e3, description="[rad], the joint position at count 0")
-    rated_current: float | None = Field(None, ge=SMALLEST, le=LARGEST, description="[A]; left out, the drive's own")
-    rated_torque: float | None = Field(None, ge=SMALLEST, le=LARGEST, description="[N·m]; left out, the drive's own")
+    rated_current: float | None = Field(None, ge=SMALLEST, le=LARGEST, description="[A]; default: the drive's")
+    rated_torque: float | None = Field(None, ge=SMALLEST, le=LARGEST, description="[N·m]; default: the drive's")
     serial: int | None = Field(None, ge=0, le=2**32 - 1, description="the serial number that the drive must have")
     velocity: float | None = Field(
-        None, ge=SMALLEST, le=LARGEST, description="[rad/s] in mode 'profile'; left out, the drive's own"
+        None, ge=SMALLEST, le=LARGEST, description="[rad/s] in mode 'profile'; default: the drive's"
     )
     acceleration: float | None = Field(
-        None, ge=SMALLEST, le=LARGEST, description="[rad/s²] in mode 'profile'; left out, the drive's own"
+        None, ge=SMALLEST, le=LARGEST, description="[rad/s²] in mode 'profile'; default: the drive's"
     )
     temperature: TemperatureSource | None = Field(
         None, description="a mapping such as {index: 0x2031, subindex: 1, scale: 0.1}"
@@ -69,7 +69,7 @@ class NodeSettings(ConnectionSettings):
     @classmethod
     def _sign(cls, direction: int) -> int:
         if direction not in {1, -1}:
-            raise refused(f"{direction} is no sign")
+            raise refused(f"{direction} is not a sign")
         return direction
 
 
@@ -102,7 +102,7 @@ class CanopenSettings(CanSettings):
         False, description="whether opening resets the faults of drives; they stay without power"
     )
     own_id: int = Field(
-        0, ge=1, le=HIGHEST_ID, description="dynid's own node id; left out, the highest that no drive has"
+        0, ge=1, le=HIGHEST_ID, description="dynid's own node id; default: the highest that no drive has"
     )
 
     @property
@@ -116,7 +116,7 @@ class CanopenSettings(CanSettings):
         joints: Sequence[str] = (info.context or {})["joints"]
         for joint in drives:
             if joint not in joints:
-                raise refused(f"'{joint}' is no joint", f"allowed: {', '.join(joints)}")
+                raise refused(f"'{joint}' is not a joint", f"allowed: {', '.join(joints)}")
         missing = [joint for joint in joints if joint not in drives]
         if missing:
             raise refused(f"no drive for {', '.join(missing)}", f"add nodes: {missing[0]}: {{id: …}}")
@@ -144,7 +144,7 @@ class CanopenSettings(CanSettings):
         if self.own_id in holder:
             raise refused(
                 f"key 'own_id' is {self.own_id}, which is the node id of {holder[self.own_id]}'s drive",
-                "choose a node id that no device on the bus has",
+                "choose a free node id",
             )
         if self.own_id:
             return self
@@ -162,7 +162,7 @@ class CanopenSettings(CanSettings):
         allowed = f"{lowest:.3g} to {highest:.3g} s" if lowest <= highest else "a smaller factor"
         raise refused(
             f"key '{key}': with {period:g} s the drives stop {patience:.3g} s after they last heard of dynid",
-            f"to move the arm, mode '{self.mode}' needs a period of {allowed}: longer than stalls of a computer, and "
+            f"to move the arm, mode '{self.mode}' needs a period of {allowed}: longer than a computer stalls, yet "
             "short enough to stop an arm; with 'mode: none' any will do",
         )
 

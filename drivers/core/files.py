@@ -64,7 +64,7 @@ def path_of(given: object, hint: str = "") -> Path:
         UsageError: it is none.
     """
     if not isinstance(given, (str, PathLike)):
-        raise UsageError(f"{given_kind(given)} is no path", hint=hint or "give it as text, or as a pathlib.Path")
+        raise UsageError(f"{given_kind(given)} is not a path", hint=hint or "give it as text, or as a pathlib.Path")
     return Path(given)
 
 
@@ -92,7 +92,7 @@ def check_input(path: Path, kind: InputKind, refusal: type[InputError], hint: st
     if not stat.S_ISREG(about.st_mode):
         is_folder = stat.S_ISDIR(about.st_mode)
         raise refusal(
-            "is not a file, but a folder" if is_folder else f"is not a regular file, so it is not read as {kind.name}",
+            "is a folder, not a file" if is_folder else f"is not a regular file, so it is not read as {kind.name}",
             where=where,
         )
     if about.st_size > kind.largest:

@@ -75,7 +75,9 @@ class Option:
             UsageError: names the option, its value and what is allowed.
         """
         if self.read is read_names and isinstance(value, str):  # a string is a sequence of letters
-            raise UsageError(f"'{value}' is one text; a list of joint names is needed", where=flag, hint=f"['{value}']")
+            raise UsageError(
+                f"'{value}' is a single string; a list of joint names is needed", where=flag, hint=f"['{value}']"
+            )
         if self.one_of and value is not None and value not in self.one_of:
             raise UsageError(
                 f"{flag} '{value}' does not exist", hint=" or ".join([", ".join(self.one_of[:-1]), self.one_of[-1]])
@@ -136,10 +138,10 @@ _KINDS: dict[str, tuple[type | tuple[type, ...], str]] = {
     "str": (str, "a text"),
     "bool": (bool, "True or False"),
     "Progress": (Callable, "a function of a step's name"),  # type: ignore[dict-item]
-    "Sequence[str]": (Iterable, "a list of texts"),
-    "Collection[str]": (Iterable, "a list of texts"),
-    "tuple[str, ...]": (Iterable, "a list of texts"),
-    "Mapping[str, str]": (Mapping, "a dictionary of texts"),
+    "Sequence[str]": (Iterable, "a list of strings"),
+    "Collection[str]": (Iterable, "a list of strings"),
+    "tuple[str, ...]": (Iterable, "a list of strings"),
+    "Mapping[str, str]": (Mapping, "a dictionary of strings"),
     "tuple[float, float]": (Sequence, "two numbers"),
 }
 """What the values of fields of these types are instances of, and in words."""
@@ -316,7 +318,7 @@ def read_names(text: str, flag: str) -> tuple[str, ...]:
     """
     names = tuple(name for entry in text.split(",") if (name := entry.strip()))
     if not names:
-        raise UsageError(f"{flag} '{text}' holds no name")
+        raise UsageError(f"{flag} '{text}' contains no name")
     return names
 
 

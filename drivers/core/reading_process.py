@@ -106,7 +106,7 @@ def read_apart(
         )
     if ended_by == signal.SIGALRM:
         raise refusal(
-            f"cannot be read within {waiting_limit:.2g} s; it is damaged, or its disk too slow", where=str(path)
+            f"cannot be read within {waiting_limit:.2g} s; it is damaged, or its disk is too slow", where=str(path)
         )
     if kind == "memory" or ended_by <= 0:
         raise refusal(

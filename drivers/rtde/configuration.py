@@ -78,7 +78,7 @@ def read_configuration(
 def _received(connection: socket.socket, pending: bytes, deadline: float, clock: Clock) -> bytes:
     readable, _ = clock.select([connection], [], max(0.0, deadline - clock.now()))
     if not readable:
-        raise OSError("it sends none in time")
+        raise OSError("it sent none in time")
     chunk = connection.recv(LARGEST_PACKAGE)
     if not chunk:
         raise OSError("it closed the connection")

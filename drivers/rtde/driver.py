@@ -53,11 +53,11 @@ _REQUIRED = (
     _Source("current", "actual_current", "VECTOR6D", "measured motor current, raw"),
 )
 _TARGETS = (
-    _Source("target_position", "target_q", "VECTOR6D", "joint position that the controller aims at"),
-    _Source("target_velocity", "target_qd", "VECTOR6D", "joint velocity that the controller aims at"),
-    _Source("target_acceleration", "target_qdd", "VECTOR6D", "joint acceleration that the controller aims at"),
-    _Source("target_current", "target_current", "VECTOR6D", "motor current that the controller's model expects"),
-    _Source("target_torque", "target_moment", "VECTOR6D", "joint torque that the controller's model expects"),
+    _Source("target_position", "target_q", "VECTOR6D", "target joint position of the controller"),
+    _Source("target_velocity", "target_qd", "VECTOR6D", "target joint velocity of the controller"),
+    _Source("target_acceleration", "target_qdd", "VECTOR6D", "target joint acceleration of the controller"),
+    _Source("target_current", "target_current", "VECTOR6D", "motor current expected by the controller's model"),
+    _Source("target_torque", "target_moment", "VECTOR6D", "joint torque expected by the controller's model"),
 )
 _THERMAL = (_Source("temperature", "joint_temperatures", "VECTOR6D", "motor temperature"),)
 _MODES = (
@@ -156,8 +156,8 @@ class RtdeDriver(LifeCycle):
         self._receiver.connect()
         if (expected := self._settings.serial) is not None and (own := self.serial_number()) != expected:
             raise ConnectionFailedError(
-                f"the controller {f'has serial number {own}' if own else 'tells no serial number'}, but the robot file "
-                f"expects {expected}",
+                f"the controller {f'has serial number {own}' if own else 'reports no serial number'}, but the robot "
+                f"file expects {expected}",
                 where=self._settings.host,
                 hint="is this the right arm? The key 'serial' is the connection's; port 29999 gives the number",
             )

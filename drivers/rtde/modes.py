@@ -101,15 +101,15 @@ _SOUND: Mapping[str, frozenset[int]] = {"robot_mode": frozenset({7}), "safety_mo
 _HINTS: Mapping[str, Mapping[int, str]] = {
     "robot_mode": {},
     "safety_mode": {
-        3: "look for what it touched, release the stop on the pendant, and lower --speed-scale",
-        5: "close what the safeguard input watches",
+        3: "find out what it touched, release the stop on the pendant, and lower --speed-scale",
+        5: "close the safeguard that the input monitors",
         6: "release the emergency stop",
         7: "release the emergency stop",
     },
 }
 _OTHERWISE = {
     "robot_mode": "switch the arm on and release its brakes on the pendant",
-    "safety_mode": "the pendant's log says why",
+    "safety_mode": "see the pendant's log",
 }
 
 

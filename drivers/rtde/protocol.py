@@ -217,7 +217,7 @@ def decode_data(recipe: Recipe, packages: bytes) -> npt.NDArray[np.void]:
     rows = np.frombuffer(packages, dtype=dtype)
     wrong = (rows["size"] != dtype.itemsize) | (rows["type"] != DATA_PACKAGE) | (rows["recipe"] != recipe.number)
     if wrong.any():
-        raise _broken(f"package {int(np.argmax(wrong)) + 1} of {len(rows)} is not of the recipe that was asked for")
+        raise _broken(f"package {int(np.argmax(wrong)) + 1} of {len(rows)} does not match the requested recipe")
     return rows
 
 

@@ -143,7 +143,7 @@ class RtdeReceiver:
                 message = f"no answer within {self._timeout:g} s"
             else:
                 message = f"cannot connect: {getattr(error, 'strerror', None) or error}"
-            hint = "is the arm on, and is this its address?"
+            hint = "check that the arm is on, and its address"
             raise ConnectionFailedError(message, where=self.where, hint=hint) from error
         except BaseException:
             self.close()
@@ -185,7 +185,7 @@ class RtdeReceiver:
             failure = self._failure
             repeated, self._repeated = self._repeated, 0
         if repeated:
-            self._report("warning", f"{repeated} repeated data package(s) left out")
+            self._report("warning", f"{repeated} repeated data package(s) dropped")
         if not batch:
             if failure is not None:
                 raise ConnectionLostError(failure[0], where=self.where, hint=failure[1])
@@ -334,7 +334,7 @@ class RtdeReceiver:
         except ConnectionLostError as error:
             failure = (error.message, error.hint)
         except TimeoutError:
-            failure = (f"no data for {SILENCE_LIMIT:g} s", "is the arm still on, and the cable plugged?")
+            failure = (f"no data for {SILENCE_LIMIT:g} s", "check the arm's power and the cable")
         except OSError as error:
             failure = (f"the connection broke: {error.strerror or error}", "")
         with self._arrival:
@@ -379,7 +379,7 @@ class RtdeReceiver:
             return False
         raw = package.raw
         if package.kind != wire.DATA_PACKAGE or len(raw) != self.recipe.dtype.itemsize or raw[3] != self.recipe.number:
-            raise ConnectionLostError("a package came that is not of the recipe that was asked for")
+            raise ConnectionLostError("a package arrived that does not match the requested recipe")
         (clock,) = _TIMESTAMP_AT.unpack_from(raw, _TIMESTAMP_OFFSET)
         if clock == self._last_stored:
             self._repeated += 1
@@ -390,7 +390,7 @@ class RtdeReceiver:
         if len(self._ring) >= BUFFER_SECONDS * self.rate:
             self._ring.popleft()
             if not self.overflow:
-                self._report("warning", f"not read for {BUFFER_SECONDS:g} s: the oldest samples are dropped")
+                self._report("warning", f"not read for {BUFFER_SECONDS:g} s: the oldest samples were dropped")
             self.overflow += 1
         self._ring.append((raw, arrived))
         return True
@@ -398,7 +398,7 @@ class RtdeReceiver:
     def _count_lost(self, clock: FloatArray) -> int:
         before, self._last_taken = self._last_taken, float(clock[-1])
         if clock[0] < before:
-            self._report("warning", "the controller's clock started again; what was lost in between is unknown")
+            self._report("warning", "the controller's clock started again; the loss in between is unknown")
             before = math.nan
         steps = np.diff(clock, prepend=clock[:1] if math.isnan(before) else before)
         return int(np.maximum(np.rint(steps * self.rate) - 1, 0).sum())

@@ -148,7 +148,7 @@ class ServoProgram:
 
     def _negotiate(self, rate: float) -> None:
         if not wire.decode_accepted(self._ask(wire.encode_protocol_request())):
-            raise self._failed("it does not speak RTDE version 2", "which software does it run?")
+            raise self._failed("it does not speak RTDE version 2", "check its software version")
         inputs = (*_INTEGERS, *_DOUBLES)
         payload = self._ask(wire.encode_package(wire.SETUP_INPUTS, ",".join(inputs).encode("ascii")))
         self._inputs, types = payload[0] if payload else 0, payload[1:].decode("ascii", errors="replace")

@@ -16,9 +16,9 @@ class RtdeSettings(ConnectionSettings):
     host: Text = Field(description="the controller's name or address, such as 192.168.56.101")
     port: int = Field(wire.PORT, ge=1, le=65535, description=f"of RTDE, usually {wire.PORT}")
     rate: float | None = Field(
-        None, ge=1, le=500, description="[Hz] of the samples, usually 500 or 125; left out, the controller's maximum"
+        None, ge=1, le=500, description="[Hz] of the samples, usually 500 or 125; default: the controller's maximum"
     )
-    serial: Text | None = Field(None, description="the serial number that the controller must have; left out, any")
+    serial: Text | None = Field(None, description="the serial number that the controller must have; default: any")
     timeout: float = Field(5.0, ge=0.1, le=300, description="[s] for connecting, and for taking control of the arm")
 
 

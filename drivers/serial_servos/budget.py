@@ -48,11 +48,11 @@ def servo_advice(connection: DriverSettings, driver: str) -> list[str]:
     settings, said = _parsed(connection, driver), []
     timer = ServoLine(settings.url, settings.keys.baudrate, ServoBus(settings).line.protocol).latency_timer()
     if timer is not None and timer > USUAL_TIMER:
-        said.append(f"the adapter at {settings.url} hands bytes on every {timer} ms: write 1 into its latency_timer")
-    if any(motor.assumed_zero for motor in settings.motors):
         said.append(
-            "no calibration: the middle of a servo's turn is taken for its joint's zero (docs/serial-servos.md)"
+            f"the adapter at {settings.url} delivers bytes only every {timer} ms: write 1 into its latency_timer"
         )
+    if any(motor.assumed_zero for motor in settings.motors):
+        said.append("no calibration: the middle of a servo's turn is used as its joint's zero (docs/serial-servos.md)")
     return said
 
 

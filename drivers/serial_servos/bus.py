@@ -138,7 +138,7 @@ class ServoBus:
         protocol = self.line.protocol
         answer = self._asked(motor, protocol.read(motor.id, address, size), size, hurried=hurried)
         if len(answer.data) < size:
-            raise ConnectionFailedError(f"{called(motor)} refuses to tell address {address}", where=self.line.url)
+            raise ConnectionFailedError(f"{called(motor)} does not report address {address}", where=self.line.url)
         return answer.data
 
     def write(self, motor: ServoMotor, name: str, counts: int, *, configure: bool = False) -> None:
@@ -220,9 +220,13 @@ class ServoBus:
         if strange:
             said, hint = "answers garbled", "two servos with this id, another baud rate, or a bad cable"
         elif others:
-            said, hint = "does not answer, another id does in its place", "is anything else on this bus?"
+            said, hint = "does not answer; another id answers instead", "is anything else on this bus?"
         else:
-            said, hint = "does not answer", "power, cable, id and baud rate; a servo keeps its id when it is moved"
+            said, hint = (
+                "does not answer",
+                "check check power, cable, id and baud rate; a servo keeps its id when it is moved to another joint "
+                "to another joint",
+            )
         raise ConnectionFailedError(f"{called(motor)} {said}", where=self.line.url, hint=hint)
 
 

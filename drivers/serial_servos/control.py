@@ -59,7 +59,7 @@ class ServoControl:
             if faults := motor.table.error_words(self._bus.read(motor, "status")):
                 raise DriverStateError(
                     f"{called(motor)} is in fault: {', '.join(faults)}",
-                    hint="let it cool down, look at its supply and load, then switch its power off and on",
+                    hint="let it cool down, check its supply and load, then switch its power off and on",
                 )
             if "bus_watchdog" in registers:
                 self._bus.write(motor, "bus_watchdog", 0)  # one that has fired refuses goals
@@ -71,7 +71,7 @@ class ServoControl:
         self._bus.write_all("goal_position", here)
         for motor in self._motors:
             if abs(self._bus.read(motor, "goal_position") - here[motor.id]) > 1:
-                raise ConnectionFailedError(f"{called(motor)} does not take a goal", where=self._bus.line.url)
+                raise ConnectionFailedError(f"{called(motor)} does not accept a goal", where=self._bus.line.url)
         self.goal = np.array([motor.scale.position(here[motor.id]) for motor in self._motors])
         try:
             for motor in self._motors:
@@ -103,7 +103,7 @@ class ServoControl:
         Raises:
             DriverStateError: always.
         """
-        raise DriverStateError("these servos follow positions, and take no torques")
+        raise DriverStateError("these servos follow positions and accept no torques")
 
     def command(self, target: FloatArray) -> None:
         """Send goals (n,) [rad]; the nearest steps are what is noted as sent.
@@ -117,8 +117,8 @@ class ServoControl:
             least, most = motor.table.registers["goal_position"].bounds
             if not least <= steps <= most:
                 raise DriverStateError(
-                    f"{position:.4g} rad are {steps} steps, and {called(motor)} takes {least} to {most}",
-                    hint="look at its zero and direction, or its calibration",
+                    f"{position:.4g} rad is {steps} steps, but {called(motor)} allows {least} to {most}",
+                    hint="check its zero and direction, or its calibration",
                 )
         self._bus.write_all("goal_position", counts)
         self.goal = np.array([motor.scale.position(counts[motor.id]) for motor in self._motors])
@@ -141,7 +141,7 @@ class ServoControl:
             why = f": {', '.join(faults)}" if faults else ""
             raise DriverStateError(
                 f"the torque of {called(motor)} is off{why}",
-                hint="was its power interrupted, or did it protect itself? look at supply, heat and load",
+                hint="its power was interrupted, or it protected itself: check supply, temperature and load",
             )
 
     def stop(self) -> str:

@@ -39,7 +39,7 @@ class ServoCycle(PolledRows):
         if watched and self._bus.gathered and (off := [m for m in self._motors if self._is_off(m, feedback)]):
             said = f"the torque of {', '.join(map(called, off))} is off"
             self._tell(
-                "error", said, "was its power interrupted, or did it protect itself? look at supply, heat and load"
+                "error", said, "its power was interrupted, or it protected itself: check supply, temperature and load"
             )
             return  # whose power was interrupted shows other bytes than those asked for
         self._garbled += feedback.strange

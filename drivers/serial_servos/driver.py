@@ -79,7 +79,7 @@ class SerialServoDriver(PolledArm):
         said = [f"first the servos' torque is switched on: the arm stiffens where it is; then, {self._stop_words()}"]
         if motors[0].table.protocol == "feetech":
             said.append(
-                "Feetech servos have no watchdog: where this computer dies or the cable is cut in a motion, the arm "
+                "Feetech servos have no watchdog: if this computer dies or the cable is cut during a motion, the arm "
                 "holds its last goal with torque on until it is switched off"
             )
         else:
@@ -88,14 +88,14 @@ class SerialServoDriver(PolledArm):
             )
         if assumed := [motor for motor in motors if motor.assumed_zero]:
             said.append(
-                f"no calibration: {assumed[0].table.steps // 2} steps are taken for the zero of "
+                f"no calibration: {assumed[0].table.steps // 2} steps are used as the zero of "
                 f"{', '.join(motor.joint for motor in assumed)} (keys `calibration`, or `zero` of a motor)"
             )
         return said
 
     def guiding_refusal(self, *, pushed: bool) -> str:
         """Why the arm cannot be led by hand: not with torques."""
-        return "these servos follow positions, and take no torques" if pushed else ""
+        return "these servos follow positions and accept no torques" if pushed else ""
 
     def _stop_words(self) -> str:
         if self._settings.keys.on_stop == "limp":
@@ -116,7 +116,7 @@ class SerialServoDriver(PolledArm):
                     f"{called(motor)} has homing offset {told.homing_offset}, and {expected.homing_offset} in "
                     f"{self._settings.keys.calibration}: its positions would be wrong",
                     where=self._settings.url,
-                    hint="take the calibration of this arm, or write it: dynid check --connect --configure",
+                    hint="use the calibration of this arm, or write it: dynid check --connect --configure",
                 )
 
 

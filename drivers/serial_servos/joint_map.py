@@ -72,7 +72,7 @@ def read_calibration(path: Path) -> dict[str, MotorCalibration]:
     except (ValueError, RecursionError) as error:
         raise UsageError(f"is not JSON: {error}", where=str(path), hint=hint) from None
     if not isinstance(content, dict) or not content:
-        raise UsageError("is no calibration: an object with a motor a key is expected", where=str(path), hint=hint)
+        raise UsageError("is not a calibration: an object with a key per motor is expected", where=str(path), hint=hint)
     return {name: _entry(entry, f"{path}: {name}") for name, entry in content.items()}
 
 
@@ -85,7 +85,7 @@ def _entry(entry: object, where: str) -> MotorCalibration:
         raise UsageError(
             f"cannot be: id {number}, drive_mode {mode}, range {lowest} to {highest}",
             where=where,
-            hint="an id from 0 to 252, a drive_mode of 0 or 1, and a range that rises",
+            hint="an id from 0 to 252, a drive_mode of 0 or 1, and an increasing range",
         )
     return MotorCalibration(number, bool(mode), offset, lowest, highest)
 

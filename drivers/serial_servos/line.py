@@ -196,4 +196,4 @@ class ServoLine:
         return self._port
 
     def _lost(self, error: Exception) -> ConnectionLostError:
-        return ConnectionLostError(f"the port has gone: {reason(error)}", where=self.url, hint="look at its cable")
+        return ConnectionLostError(f"the port is gone: {reason(error)}", where=self.url, hint="check its cable")

@@ -22,8 +22,8 @@ class ServoMotorKeys(ConnectionSettings):
 
     id: int = Field(ge=0, le=252, description="of the servo on the bus")
     model: str | None = Field(None, description="of the servo; the connection's `model` if absent")
-    zero: float | None = Field(None, description="[steps] that it reports where the joint is at 0")
-    direction: Literal[1, -1] | None = Field(None, description="-1 where it counts against the joint")
+    zero: float | None = Field(None, description="[steps] that it reports when the joint is at 0")
+    direction: Literal[1, -1] | None = Field(None, description="-1 if it counts against the joint")
     at_lowest: float | None = Field(None, description="[rad] of the joint at the lowest steps of its calibration")
 
 
@@ -34,7 +34,7 @@ class ServoKeys(ConnectionSettings):
     host: Text | None = Field(None, description="the device in place of url; --host gives it")
     baudrate: int = Field(1_000_000, ge=9600, le=10_500_000, description="[bit/s]")
     rate: float = Field(100.0, ge=1.0, le=1000.0, description="[Hz] at which the servos are read and commanded")
-    model: str | None = Field(None, description="of servos that name none")
+    model: str | None = Field(None, description="of servos without their own")
     motors: dict[str, ServoMotorKeys] = Field(description="a mapping of joint → {id: …}")
     calibration: Text | None = Field(None, description="a calibration file of LeRobot, from the robot file's folder")
     turn: float = Field(TURN, ge=0.1, le=10 * TURN, description="[rad] that the steps of a turn cover")
@@ -135,7 +135,7 @@ def parse_settings(
         if calibration is not None and calibration.motor != motor.id:
             raise UsageError(
                 f"{name} has id {motor.id} here, and {calibration.motor} in {keys.calibration}",
-                hint="take the calibration of this arm",
+                hint="use the calibration of this arm",
             )
         scale = scale_of(table.steps, calibration, motor.zero, motor.direction, motor.at_lowest, keys.turn)
         motors.append(ServoMotor(name, motor.id, table, scale, calibration, calibration is None and motor.zero is None))

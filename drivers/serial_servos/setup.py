@@ -99,11 +99,11 @@ def slow_reading(bus: ServoBus, settings: ServoSettings, lasted: float) -> list[
     """What to do where readings of so long [s] leave no room at the connection's rate; nothing where they do."""
     if lasted < TIGHT / settings.keys.rate:
         return []
-    said = [f"one reading of all servos takes {1e3 * lasted:.1f} ms: {settings.keys.rate:g} Hz are not reached"]
+    said = [f"one reading of all servos takes {1e3 * lasted:.1f} ms: {settings.keys.rate:g} Hz cannot be reached"]
     timer = bus.line.latency_timer()
     if timer is not None and timer > USUAL_TIMER:
         said.append(
-            f"the adapter hands bytes on every {timer} ms: write 1 into its latency_timer "
+            f"the adapter delivers bytes only every {timer} ms: write 1 into its latency_timer "
             "(/sys/bus/usb-serial/devices/…; with ROBOTIS' U2D2 see its manual)"
         )
     delays = [

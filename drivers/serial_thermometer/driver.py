@@ -124,7 +124,8 @@ class SerialThermometerDriver(LifeCycle):
     def take_control(self) -> None:
         """Refuse: a thermometer moves nothing."""
         raise DriverStateError(
-            "a thermometer cannot move an arm", hint="choose the arm's own connection, and record this one `with` it"
+            "a thermometer cannot move an arm",
+            hint="choose the arm's own connection, and record this one beside it (`with`)",
         )
 
     def command(self, position: FloatArray) -> None:
@@ -149,7 +150,7 @@ class SerialThermometerDriver(LifeCycle):
                         self._parser.take_rejected()  # a thermometer that has just started may greet
                         return
                 elif isinstance(arrival, Lost):
-                    raise ConnectionFailedError(f"the port went away: {arrival.reason}", where=self._settings.url)
+                    raise ConnectionFailedError(f"the port is gone: {arrival.reason}", where=self._settings.url)
         raise ConnectionFailedError(self._no_temperature(received), where=self._settings.url, hint=self._hint(received))
 
     def _no_temperature(self, received: int) -> str:
@@ -164,7 +165,7 @@ class SerialThermometerDriver(LifeCycle):
 
     def _hint(self, received: int) -> str:
         if not received:
-            return "is it switched on, and is this its port?"
+            return "check its power and the port"
         return f"is {self._settings.baudrate} its baud rate, and does 'pattern' match its lines?"
 
     def _hear(self, when: float) -> None:
@@ -176,7 +177,7 @@ class SerialThermometerDriver(LifeCycle):
         self._parser.restart(cut=True)
         self._lost_since = self._reported_gone = lost.time
         self._tell(
-            self._loss_level, f"the port has gone: {lost.reason}; it is opened again when it is back", time=lost.time
+            self._loss_level, f"the port is gone: {lost.reason}; it is opened again when it is back", time=lost.time
         )
 
     def _restore(self, restored: Restored) -> None:
@@ -207,7 +208,7 @@ class SerialThermometerDriver(LifeCycle):
         texts = [self._parser.take_rejected()]
         if new := self._parser.unknown - self._reported_unknown:
             self._reported_unknown |= new
-            texts.append(f"channel(s) {_list(new)} come, but 'channels' does not name them")
+            texts.append(f"channel(s) {_list(new)} arrive, but 'channels' does not name them")
         if (dropped := self._port.dropped - self._reported_dropped) > 0:
             self._reported_dropped += dropped
             texts.append(f"{dropped} characters were dropped because they were not read")

@@ -35,8 +35,8 @@ _LINE_END = re.compile(rb"[\r\n]+")
 _NUMBER = re.compile(r"\s*[+-]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][+-]?[0-9]+)?\s*")
 
 NO_MATCH = "do not match the pattern"
-NOT_A_NUMBER = "hold no number where the value should be"
-OUT_OF_RANGE = "hold a temperature outside the believed range"
+NOT_A_NUMBER = "have no number for the value"
+OUT_OF_RANGE = "have a temperature outside the accepted range"
 TOO_LONG = f"are longer than {LONGEST_LINE} characters"
 CUT = "were cut off"
 

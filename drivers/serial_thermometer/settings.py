@@ -40,15 +40,15 @@ class ThermometerSettings(ConnectionSettings):
     channels: dict[str, str] = Field(
         description="a mapping of what the group 'channel' matches → joint, such as {1: j1}"
     )
-    rate: float = Field(ge=1e-3, le=1e4, description="[Hz], how often each channel comes")
+    rate: float = Field(ge=1e-3, le=1e4, description="[Hz] of each channel")
     baudrate: int = Field(9600, ge=50, le=4_000_000, description="[bit/s], such as 9600 or 115200")
     unit: Literal["degC", "degF", "K"] = Field("degC", description="the unit of the values")
     range: Annotated[tuple[float, float], Strict(strict=False)] = Field(
         # Outside, a digital sensor reports its own trouble (-127, 999).
         (-60.0, 250.0),
-        description=f"[lowest, highest] in °C that is believed, in rising order, from {COLDEST:g} to {HOTTEST:g}",
+        description=f"[lowest, highest] in °C that is accepted, in increasing order, from {COLDEST:g} to {HOTTEST:g}",
     )
-    required: bool = Field(False, description="whether its loss stops the session")
+    required: bool = Field(False, description="whether losing it stops the session")
     timeout: float = Field(
         0.0,
         ge=0.1,
@@ -69,7 +69,7 @@ class ThermometerSettings(ConnectionSettings):
                 raise refused(f"channel {channel!r} is neither an integer nor a text")
             if not isinstance(joint, str) or joint not in joints:
                 raise refused(
-                    f"channel {channel} is given to {joint!r}, which is no joint", f"joints: {', '.join(joints)}"
+                    f"channel {channel} is given to {joint!r}, which is not a joint", f"joints: {', '.join(joints)}"
                 )
             if joint in named.values():
                 raise refused(f"joint '{joint}' has two channels", "one channel per joint")

@@ -38,14 +38,14 @@ MOST_SHOWN = 4
 _JUMPS: dict[Cause, tuple[str, str]] = {
     "zero": (
         "position-jump",
-        "its encoder lost counts or its zero there, and on one side of it the angles are wrong: identify from the "
-        "other (--start, --stop)",
+        "its encoder lost counts or its zero there, so the angles on one side are wrong: identify from the other side "
+        "(--start, --stop)",
     ),
-    "turn": ("position-wraps", "a whole turn, as of angles that are wrapped: no velocity is taken across it"),
+    "turn": ("position-wraps", "a full turn, as for wrapped angles: no velocity is derived across it"),
     "rows": (
         "rows-missing",
-        "with other joints at the same time, while the stamps go on: rows are missing there or stand twice; no "
-        "velocity is taken across it",
+        "together with other joints, while the stamps go on: rows are missing or duplicated there; no velocity is "
+        "derived across it",
     ),
 }
 
@@ -81,21 +81,21 @@ def column_checks(recording: Recording, of: str = "") -> list[Check]:
             same = [j for j, (a, b) in enumerate(zip(values[signal].T, values[name].T, strict=True)) if _is(a, b)]
             if same:
                 names = [joints[joint] for joint in same]
-                text = f"{of}the {signal} of {', '.join(names)} is the {name}: see which column was taken for it"
+                text = f"{of}the {signal} of {', '.join(names)} is the {name}: check which column was used"
                 checks.append(raised("motion-as-torque", text, names))
         moving = np.ptp(values["position"], axis=0) > MOVES if "position" in values else np.zeros(0, dtype=bool)
         with np.errstate(over="ignore"):  # torques of 1e200, which others refuse
             level, change = np.abs(values[signal].mean(axis=0)), values[signal].std(axis=0)
         if np.sum(moving) >= FEW_MOVE and np.all(level > STEADY * change) and np.any(change > 0.0):
             text = (
-                f"{of}the {signal} of all joints hardly changes while they move: see which column was taken for it, "
-                "as a temperature or a voltage"
+                f"{of}the {signal} of all joints hardly changes while they move: check which column was used: it may "
+                "be a temperature or a voltage"
             )
             checks.append(raised("steady-torque", text))
         for one, other in combinations(range(len(joints)), 2):
             first, second = values[signal][:, one], values[signal][:, other]
             if np.array_equal(first, second) and np.ptp(first):
-                text = f"{of}{joints[one]} and {joints[other]} have the same {signal}: one column was taken for both"
+                text = f"{of}{joints[one]} and {joints[other]} have the same {signal}: one column was used for both"
                 checks.append(raised("same-column", text, [joints[one], joints[other]]))
     if len(motion) == 2 and np.all(np.isfinite(stream.time)):
         position, velocity = values["position"], values["velocity"]
@@ -107,7 +107,8 @@ def column_checks(recording: Recording, of: str = "") -> list[Check]:
             if right is None and turned is not None and abs(turned - 1.0) < AGREE
         ]
         if names:
-            text = f"{of}position and velocity of {', '.join(names)} are exchanged: the position is the other's change"
+            text = f"{of}position and velocity of {', '.join(names)} are swapped: the first is the rate of change "
+            "of the second"
             checks.append(raised("position-velocity-exchanged", text, names))
     return checks
 

@@ -36,7 +36,7 @@ def refuse_unusable_commands(motion: CommandedMotion, where: str) -> None:
         if check.severity == "serious" or short:
             raise DataError(check.text, where=where, hint=CATALOGUE[check.name].remedy)
         if check.name == "encoder-stuck":
-            raise DataError(check.text, where=where, hint="record again, or leave this recording out")
+            raise DataError(check.text, where=where, hint="record again, or omit this recording")
 
 
 def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> list[Check]:
@@ -44,15 +44,15 @@ def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> l
     # First: a joint that follows its command only at times looks like one with a wrong clock or order.
     for joint, (first, last) in quality.frozen.items():
         text = (
-            f"{of}the position of {joint} does not change from {first:.4g} s to {last:.4g} s while its target goes on "
-            "to both sides of it: check the encoder and its cable"
+            f"{of}the position of {joint} does not change from {first:.4g} s to {last:.4g} s while its target moves to "
+            "both sides of it: check the encoder and its cable"
         )
         checks.append(raised("encoder-stuck", text, [joint]))
     if quality.apart:
         late = quality.delay > 0
         said = "behind" if late else "ahead of"
         why = f"a servo lags by at most {MOST_LAG:g} s" if late else f"no servo is more than {-LEAST_LAG:g} s ahead"
-        text = f"{of}positions are {abs(quality.delay):.2f} s {said} their commands, and {why}: two clocks are apart"
+        text = f"{of}positions are {abs(quality.delay):.2f} s {said} their commands, and {why}: the clocks differ"
         checks.append(raised("command-clock", text))
     if quality.swapped:
         pairs = ", ".join(f"{joint} that of {other}" for joint, other in quality.swapped.items())
@@ -64,13 +64,13 @@ def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> l
     checks += _unit_checks(quality, of)
     if quality.still:
         text = (
-            f"{of}the position of {', '.join(quality.still)} never changes while its target goes on: check the "
-            "encoder, and whether the motor is on"
+            f"{of}the position of {', '.join(quality.still)} never changes while its target moves: check the encoder, "
+            "and whether the motor is on"
         )
         checks.append(raised("encoder-stuck", text, quality.still))
     if quality.resting:
         names = ", ".join(quality.resting)
-        text = f"{of}{names}: neither commanded to move nor moving, so that nothing of it can be identified"
+        text = f"{of}{names}: neither commanded to move nor moving, so nothing about it can be identified"
         checks.append(raised("joint-at-rest", text, quality.resting))
     return checks
 
@@ -95,7 +95,9 @@ def _unit_checks(quality: CommandQuality, of: str) -> list[Check]:
         apart = {joint: ratio for joint, ratio in ratios.items() if ratio > OTHER_UNIT}
         degrees = [joint for joint, ratio in apart.items() if near(ratio, DEGREES)]
         if degrees:
-            checks.append(raised("command-unit", f"{of}by their change the {unit}: {', '.join(degrees)}", degrees))
+            checks.append(
+                raised("command-unit", f"{of}judging judging by their change the {unit}: {', '.join(degrees)}", degrees)
+            )
         others = [joint for joint in apart if joint not in degrees]
         if others:
             listed = ", ".join(f"{joint} {quality.ratios[joint]:.3g}" for joint in others)

@@ -60,14 +60,14 @@ def differing_run_checks(
         for run in range(len(runs))
     ]
     alone = int(np.argmin(freed))
-    which = f"{labels[alone]} shows other bodies than the other recordings"
+    which = f"{labels[alone]} shows different bodies from the other recordings"
     if len(runs) == 2 or freed[alone] > ALONE**2 * apart:
         which = f"{', '.join(labels)} show different bodies"
     times = np.sqrt(together / max(apart, np.finfo(float).tiny))
     text = (
         f"{which}: with common ones the residual is {times:.2g} times that with each recording's own, friction aside; "
-        "another tool or load, another gain, or another zero of a joint: do not identify from them together, nor "
-        "validate one with the other"
+        "the tool, load, a gain or a joint zero differs: do not identify from them together, or validate one with the "
+        "other"
     )
     return [raised("recordings-differ", text)]
 

@@ -303,7 +303,7 @@ def model_error_checks(model: DynamicModel, deviations: Sequence[Deviation]) -> 
     if kinds == [best.unknown.kind] and abs(np.log(1.0 + best.value)) > np.log(least):
         name = far
     remedies = "; ".join(_REMEDIES[kind] for kind in reversed(kinds))
-    text = f"the torques agree better with {clauses}: {remedies}"
+    text = f"the torques fit better with {clauses}: {remedies}"
     return [raised(name, text, [name for name in model.joint_names if name in joints])]
 
 
@@ -320,8 +320,8 @@ def unchecked_lengths(refit: Refit, independent: float) -> list[Check]:
     if not lengths:
         return []
     text = (
-        f"the lengths are the robot file's: these data do not show {percent_text(TELLING, 1)} of one, "
-        "since the other parameters fit any; check that the file is this arm's, or record a faster motion of all joints"
+        f"the lengths are the robot file's: these data do not show {percent_text(TELLING, 1)} of one, since the other "
+        "parameters can compensate; check that the file belongs to this arm, or record a faster motion of all joints"
     )
     return [raised("lengths-unchecked", text)]
 
@@ -342,11 +342,11 @@ _OF_LENGTHS = ("length", "scale")
 _REMEDIES: dict[Kind, str] = {
     "gain": "check the gain (one left at 1 gives amperes), or identify the gains with a known load (dynid gains)",
     "length": "check this length",
-    "scale": "check that the file is this arm's, not that of another size",
-    "lengths": "check these lengths, and that the file is this arm's",
-    "zero": "check the zero of its encoder against the robot file's",
+    "scale": "check that the file is for this arm, not for another size",
+    "lengths": "check these lengths, and that the file belongs to this arm",
+    "zero": "compare the encoder's zero with the robot file's",
     "late": "check how this joint's position was read and stamped",
-    "gravity": "check `model.gravity` and how the arm is mounted",
+    "gravity": "check `model.gravity` and the mounting",
 }
 
 
@@ -369,7 +369,7 @@ def _clause(model: DynamicModel, one: Deviation) -> str:
         return f"{size} added to the position of {model.joint_names[one.unknown.joint]}"
     if one.unknown.kind == "late":
         size = f"{1e3 * one.value:.0f} ± {1e3 * between:.0f} ms"
-        return f"the position of {model.joint_names[one.unknown.joint]} {size} late against its torque and all else"
+        return f"the position of {model.joint_names[one.unknown.joint]} {size} behind its torque and all other signals"
     if one.unknown.kind == "scale":
         return f"all lengths of the robot file multiplied by {1.0 + one.value:.3f} ± {between:.3f}"
     if one.unknown.kind == "length":

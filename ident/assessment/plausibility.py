@@ -83,16 +83,15 @@ def sign_checks(base: BaseParameters, parameters: FloatArray, std: FloatArray) -
     friction = [base.names[i] for i in wrong if base.kinds[i] != "motor_inertia"]
     if friction:
         text = (
-            f"{', '.join(friction)} came out negative (not dissipative): usually the sign of a drive gain, or a model "
-            "that lacks a friction term"
+            f"{', '.join(friction)} is negative (not dissipative): usually the sign of a drive gain is wrong, or a "
+            "friction term is missing"
         )
         checks.append(raised("negative-friction", text))
     motors = [base.names[i] for i in wrong if base.kinds[i] == "motor_inertia"]
     if motors:
         text = (
-            f"{', '.join(motors)} of the unconstrained parameters came out negative, which the physically consistent "
-            "ones never are: where torque sensors sit behind the gearbox they do not see the motor; set `inertia: "
-            "false` for these drives or use --no-motor-inertia"
+            f"{', '.join(motors)} of the unconstrained parameters is negative: torque sensors behind the gearbox do "
+            "not see the motor; set `inertia: false` for these drives or use --no-motor-inertia"
         )
         checks.append(raised("negative-motor-inertia", text))
     return checks
@@ -101,7 +100,7 @@ def sign_checks(base: BaseParameters, parameters: FloatArray, std: FloatArray) -
 def opposite_gravity() -> Check:
     """The check of gravity's sign, where nothing more is known of its direction."""
     text = (
-        "gravity of the opposite sign fits the data better: check `model.gravity`, how the arm is mounted, and the "
-        "signs of the drive gains"
+        "the data fit gravity with the opposite sign better: check `model.gravity`, the mounting, and the signs of "
+        "the drive gains"
     )
     return raised("gravity-opposite", text)

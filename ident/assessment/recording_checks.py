@@ -139,9 +139,9 @@ def recording_checks(
     checks += stale + unit_checks(recording, of) + column_checks(recording, of)
     for quantity, joints in unsigned_signals(recording).items():
         text = (
-            f"{of}{quantity} never changes its sign though it comes back to 0 and the joints reverse "
-            f"({', '.join(joints)}): it is a magnitude; say so in the robot file (drives: signal: magnitude) and "
-            "identify a servo model from commands and encoder (--method servo), or record it with its sign"
+            f"{of}{quantity} never changes sign although it returns to 0 and the joints reverse ({', '.join(joints)}): "
+            "it is a magnitude; state it in the robot file (drives: signal: magnitude) and identify a servo model "
+            "from commands and encoder (--method servo), or record it with its sign"
         )
         checks.append(raised("unsigned-signal", text, joints))
     for (stream, quantity), qualities in columns.items():
@@ -171,8 +171,8 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
         counts = ((stale.repeated, "rows repeat the one before"), (stale.held, "repeat only its positions"))
         what = ", ".join(f"{np.count_nonzero(rows)} {text}" for rows, text in counts if rows.any())
         text = (
-            f"{of}{what} while the arm moves ({percent_text(float(np.mean(repeats)), 2)} of all rows): they are left "
-            f"out; read the controller no faster than it measures, or import with --repair {DROP_REPEATS}"
+            f"{of}{what} while the arm moves ({percent_text(float(np.mean(repeats)), 2)} of all rows): they are "
+            f"dropped; read the controller no faster than it measures, or import with --repair {DROP_REPEATS}"
         )
         checks.append(raised("rows-repeated", text))
     if stale.encoders:
@@ -182,8 +182,8 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
             for encoder in stale.encoders
         ]
         more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
-        left = "these samples are left out" if stale.stuck[stale.left_out].any() else "too long to leave them out"
-        text = f"{of}the position stands still of {'; '.join(shown[:MOST_SHOWN])}{more}: {left}; check the encoder"
+        left = "these samples are left out" if stale.stuck[stale.left_out].any() else "too long to be left out"
+        text = f"{of}the position is stuck of {'; '.join(shown[:MOST_SHOWN])}{more}: {left}; check the encoder"
         checks.append(raised("encoder-stuck", text, sorted({encoder.joint for encoder in stale.encoders})))
     return checks + jump_checks(stale.jumps, first, of)
 
@@ -216,7 +216,7 @@ def _filled_checks(signal: str, columns: Sequence[ColumnQuality]) -> list[Check]
     figures = ", ".join(f"{column.name} {percentage_text(column.filled_percent, 2)} %" for column in filled)
     text = (
         f"{signal} is 0 between values far from 0 ({figures} of the samples): drop-outs were filled with zeros; leave "
-        "these samples out, or write nan and import with --repair drop-nan"
+        "these samples out, or write NaN and import with --repair drop-nan"
     )
     return [raised("filled-with-zeros", text, [column.name for column in filled])]
 
@@ -229,15 +229,15 @@ def _outlier_checks(signal: str, columns: Sequence[ColumnQuality]) -> list[Check
     if few:
         counts = ", ".join(f"{column.name} {column.outliers}" for column in few)
         text = (
-            f"{signal}: single samples are far from what their neighbours say ({counts}) and are replaced by that: "
-            "see the encoder, its cable and the bus"
+            f"{signal}: single outliers ({counts}) are replaced by interpolation: check the encoder, its cable and the "
+            "bus"
         )
         checks.append(raised("outliers-replaced", text, [column.name for column in few]))
     if many:
         counts = ", ".join(f"{column.name} {column.outliers}" for column in many)
         text = (
-            f"{signal}: single samples are far from what their neighbours say, and too many ({counts}) to be replaced: "
-            "the fit uses them as they are; find what disturbs the signal and record again"
+            f"{signal}: there are too many outliers ({counts}) to replace: the fit uses them as they are; find the "
+            "disturbance and record again"
         )
         checks.append(raised("many-outliers", text, [column.name for column in many]))
     return checks
@@ -307,19 +307,21 @@ def time_axis_checks(recording: Recording, of: str = "", stuck: Collection[str] 
     checks = []
     unit = axis.velocity_unit
     if unit is not None:
-        text = f"{of}by the positions the recorded velocities of all joints are in {unit}, not in rad/s: convert them"
+        text = f"{of}judging by the positions, the recorded velocities of all joints are in {unit}, not in rad/s: "
+        "convert them"
         checks.append(raised("velocity-scale", text, axis.velocity_ratios))
     elif axis.factor is not None:
         text = (
-            f"{of}in all joints, positions change by {axis.factor:.4g} times what the recorded velocities say: unless "
-            f"these have another unit, the stamps should be multiplied by {axis.factor:.4g}; check their unit and rate"
+            f"{of}in all joints, positions change {axis.factor:.4g} times as fast as recorded: unless the velocities "
+            f"have another unit, the stamps should be multiplied by {axis.factor:.4g}; check their unit and rate"
         )
         checks.append(raised("wrong-time-axis", text))
     else:
         off = {name: ratio for name, ratio in axis.velocity_ratios.items() if abs(ratio - 1.0) > SAME_FACTOR}
         if off:
             ratios = ", ".join(f"{name} {ratio:.4g}" for name, ratio in off.items())
-            text = f"{of}position changes by another factor than the recorded velocity says: {ratios}; check its unit"
+            text = f"{of}the recorded velocity differs from the change of position by a factor: {ratios}; check its "
+            "unit"
             checks.append(raised("velocity-scale", text, off))
     for name, clock in axis.clocks.items():
         if abs(clock.drift) > max(CLOCK_DRIFT, DRIFT_INTERVALS * clock.drift_error):

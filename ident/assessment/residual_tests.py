@@ -157,13 +157,14 @@ _NOTES = (
     (
         "residuals-curved",
         "linearity",
-        "residuals of {joint} bend with its torque or velocity: a curve explains {effect} of their variance ({p})",
+        "residuals of {joint} are nonlinear in its torque or velocity: a curve explains {effect} of their variance "
+        "({p})",
     ),
     (
         "residuals-autocorrelated",
         "independence",
-        "residuals of {joint} are autocorrelated beyond the memory of the parallel filter, up to {effect} ({p}); the "
-        "error bars take that into account",
+        "residuals of {joint} are autocorrelated beyond the memory of the parallel filter, up to {effect} ({p}); "
+        "the error bars allow for it",
     ),
     (
         "residuals-uneven",

@@ -88,15 +88,15 @@ def torque_level_checks(robot_file: RobotFile, model: DynamicModel, torque: Floa
             f"{names[j]} {_figure(peak[j])} of {limits[j]:.4g} {robot.joints[j].unit('N·m')}" for j in beyond
         )
         text = (
-            f"torques are far beyond the limits: {figures}; check the unit of the current (A, not mA), the drive gains "
+            f"torques are far above the limits: {figures}; check the unit of the current (A, not mA), the drive gains "
             "and the limits"
         )
         return [raised("torque-beyond-limits", text, [names[j] for j in beyond])]
     known = share[np.isfinite(share)]
     if len(known) and np.max(known) < FAR_BELOW and not _carries_stated_masses(robot_file, model, peak):
         text = (
-            f"torques reach at most {percent_text(float(np.max(known)), 2)} of the limits, too little to carry an "
-            "arm: check the unit of the current, and whether the drive gains are on the joint side, gear ratio included"
+            f"torques reach at most {percent_text(float(np.max(known)), 2)} of the limits, too little for an arm: "
+            "check the unit of the current, and that the drive gains are on the joint side, gear ratio included"
         )
         return [raised("torque-far-below-limits", text)]
     return _load_checks(names, model, peak)
@@ -169,7 +169,7 @@ def weight_checks(
     gravity = f"gravity's part of the torque of {name} reaches {_figure(float(peak[strongest]))} N·m"
     if shown >= TOO_HEAVY * mass.most:
         text = (
-            f"{gravity}, as of an arm of {_figure(shown)} kg, and arms of this size weigh about "
+            f"{gravity}, as for an arm of {_figure(shown)} kg, while arms of this size weigh about "
             f"{_figure(mass.expected)} kg: check the unit of the current (A, not mA) or torque (N·m, not N·mm), and "
             "the drive gains"
         )
@@ -206,11 +206,11 @@ def _small_beside(gravity: float, expected: float, apparent: float | None, frict
         ratio = apparent / expected
         if gravity < LITTLE and ratio < LIGHT and gravity * ratio < LITTLE_OF_BOTH:
             return (
-                f"the torques are those of an arm of {_figure(apparent)} kg, where arms of this size weigh about "
+                f"the torques imply an arm of {_figure(apparent)} kg, while arms of this size weigh about "
                 f"{_figure(expected)} kg"
             )
     elif friction is not None and HARDLY[0] < gravity < HARDLY[1] and friction < SMOOTH:
-        return f"Coulomb friction {percent_text(friction, 2)}, where gears take 4 % and more"
+        return f"Coulomb friction {percent_text(friction, 2)}, where gears lose 4 % and more"
     return ""
 
 
@@ -227,7 +227,7 @@ def _weightless_checks(
         return []
     text = (
         f"torques reach {percent_text(used, 2)} of the limits at most, and Coulomb friction "
-        f"{percent_text(friction, 2)}, where gears take 4 % and more: check the unit of torque or current, and the "
+        f"{percent_text(friction, 2)}, where gears lose 4 % and more: check the unit of torque or current, and the "
         "drive gains (left at 1 they give amperes)"
     )
     return [raised("torque-far-below-limits", text)]

@@ -103,7 +103,7 @@ def chosen_methods(names: tuple[str, ...]) -> dict[str, str]:
     chosen = {}
     for name in names or tuple(methods):
         if name not in methods and ":" not in name:
-            hint = did_you_mean(name, methods) or "a function of yours: module:function"
+            hint = did_you_mean(name, methods) or "your own function: module:function"
             raise UsageError(f"no method is called '{name}'; there are {', '.join(methods)}", hint=hint)
         chosen[name] = methods.get(name, name)
     return chosen
@@ -121,7 +121,7 @@ def load_method(place: str) -> Method:
     try:
         function = getattr(import_module(module), name, None)
     except (ImportError, ValueError) as error:
-        raise UsageError(f"the module of the method cannot be imported: {error}", where=place) from error
+        raise UsageError(f"the method's module cannot be imported: {error}", where=place) from error
     finally:
         sys.path.remove(here)
     if not callable(function):

@@ -41,18 +41,18 @@ DENSEST, LIGHTEST = 12_000.0, 15.0
 """[kg/m³] of a link's box, beyond that of lead, and below that of foam."""
 
 NEIGHBOURS = 30.0
-"""Factor between a link's mass and those of both of its neighbours that looks like a slip of the decimal point."""
+"""Factor between a link's mass and those of both of its neighbours that looks like a misplaced decimal point."""
 
 OUTSIDE = 0.25
 """Share of the box's diagonal that a centre of mass may be outside of it: covers and cables are in no mesh."""
 
 SLIPS = {
-    1e6: "mm² in place of m²",
-    1e3: "g in place of kg",
-    1e2: "a slip of the decimal point by two",
-    10.0: "a slip of the decimal point",
+    1e6: "mm² instead of m²",
+    1e3: "g instead of kg",
+    1e2: "a decimal point that is off by two places",
+    10.0: "a misplaced decimal point",
     1e-3: "g for kg·m²",
-    1e-2: "a slip of the decimal point by two",
+    1e-2: "a decimal point that is off by two places",
 }
 """Inertia over that of a uniform body, and what may have been mistaken."""
 
@@ -132,9 +132,9 @@ def lint(robot: str) -> LintReport:
     bodies = bodies_of_urdf(robot_file) if robot_file.urdf_text else bodies_of_truth(robot_file, model)
     if not any(body.mass > 0.0 for body in bodies):
         raise RobotFileError(
-            "states no mass of a link that moves",
+            "states no mass for any moving link",
             where=robot_file.where,
-            hint="take masses from CAD, or identify the arm: nothing can be said of its inertias",
+            hint="use masses from CAD, or identify the arm: its inertias cannot be judged",
         )
     findings = [*link_findings(bodies), *gravity_findings(model, _arm(robot_file, model)), *limit_findings(limits)]
     if not any(_rotor(robot_file, name) for name in robot_file.robot.joint_names):
@@ -143,7 +143,7 @@ def lint(robot: str) -> LintReport:
                 "note",
                 "rotor",
                 (robot_file.robot.name,),
-                "no rotor inertia is known",
+                "no rotor inertia is stated",
                 "behind a gear it is often more than the link's own, and a URDF cannot state it",
                 "identify it; an MJCF has armature, a robot file drives[].armature or known: {Ia1: …}",
             )
@@ -293,8 +293,8 @@ def link_findings(bodies: Sequence[LintedBody]) -> Iterator[Finding]:
             "placeholder",
             tuple(placeholders),
             "mass or inertia is a round number, the same in all axes",
-            "these were typed in where none was known",
-            "take them from CAD, or identify the arm",
+            "such values are placeholders",
+            "use values from CAD, or identify the arm",
         )
     yield from _copies(bodies, placeholders)
     for body in bodies:
@@ -305,7 +305,7 @@ def link_findings(bodies: Sequence[LintedBody]) -> Iterator[Finding]:
                 yield Finding(
                     "note", "decimal-slip", (body.name,),
                     f"{body.mass:.3g} kg between links of {' and '.join(f'{mass:.3g}' for mass in masses)} kg",
-                    "it looks like a slip of the decimal point, or g for kg", "compare it with CAD or a scale",
+                    "it looks like a misplaced decimal point, or g for kg", "compare it with CAD or a scale",
                 )  # fmt: skip
 
 
@@ -314,7 +314,7 @@ def _of_one(body: LintedBody) -> Iterator[Finding]:
     if mass <= 0.0:
         what = "has an inertia but no mass" if np.any(inertia) else "moves and has no mass"
         yield Finding(
-            "error", "mass", name, what, "simulators refuse it or let it fly off", "state mass, centre and inertia",
+            "error", "mass", name, what, "simulators reject it or become unstable", "state mass, centre and inertia",
         )  # fmt: skip
         return
     moments: FloatArray = np.asarray(np.linalg.eigvalsh(inertia), dtype=np.float64)
@@ -328,7 +328,7 @@ def _of_one(body: LintedBody) -> Iterator[Finding]:
             if not np.any(inertia)
             else f"no body has the principal moments {listed} kg·m²"
             + ("" if central is None else " (they are one's about the link's origin)"),
-            "each must be positive and below the sum of the other two, or energy comes from nowhere", hint,
+            "each must be positive and below the sum of the other two, or energy is created", hint,
         )  # fmt: skip
         return
     yield from _spread(body, moments)
@@ -352,7 +352,7 @@ def _spread(body: LintedBody, moments: FloatArray) -> Iterator[Finding]:
     sides = np.full(3, size / math.sqrt(3.0)) if body.box is None else body.box[1] - body.box[0]
     uniform = body.mass * float(sides @ sides) / 6.0
     ratio = float(moments.sum()) / uniform
-    where = "its box" if body.box is not None else "twice the way to the next joint"
+    where = "its box" if body.box is not None else "twice the distance to the next joint"
     wide = gyration > (WIDEST if body.box is not None else FARTHEST) * size
     central = _moved(body) if ratio > SPREAD and body.com @ body.com > (0.1 * size) ** 2 else None
     if central is not None and float(np.trace(central)) < SPREAD * uniform:
@@ -375,7 +375,7 @@ def _spread(body: LintedBody, moments: FloatArray) -> Iterator[Finding]:
         yield Finding(
             "note", "gyration", (body.name,),
             f"its inertia is {ratio:.1g} times that of a uniform body of {size:.3g} m",
-            f"as if it was a point; it looks like {slip}", "compare it with CAD",
+            f"as if it were a point; it looks like {slip}", "compare it with CAD",
         )  # fmt: skip
 
 
@@ -387,7 +387,7 @@ def _placed(body: LintedBody) -> Iterator[Finding]:
             yield Finding(
                 "note", "centre", (body.name,),
                 f"the centre of mass is {distance:.3g} m from the link's frame, the next joint {body.reach:.3g} m",
-                "gravity torques follow from it", "is it in m, and in the link's own frame?",
+                "gravity torques follow from it", "check that it is in m, and in the link's own frame",
             )  # fmt: skip
         return
     outside = float(np.linalg.norm(np.maximum(0.0, np.maximum(body.box[0] - body.com, body.com - body.box[1]))))
@@ -395,7 +395,7 @@ def _placed(body: LintedBody) -> Iterator[Finding]:
         yield Finding(
             "error", "centre", (body.name,),
             f"the centre of mass is {outside:.3g} m outside of the link's shapes, which are {body.size:.3g} m long",
-            "gravity torques follow from it", "is it in m, and in the link's own frame?",
+            "gravity torques follow from it", "check that it is in m, and in the link's own frame",
         )  # fmt: skip
     volume = float(np.prod(np.maximum(body.box[1] - body.box[0], 1e-3)))
     density = body.mass / volume
@@ -404,7 +404,7 @@ def _placed(body: LintedBody) -> Iterator[Finding]:
         yield Finding(
             "error" if density > DENSEST else "note", "mass", (body.name,),
             f"{body.mass:.3g} kg in a box of {volume * 1e3:.3g} l is {density:.2g} kg/m³",
-            f"that is {comparison}", "is the mass in kg, and the mesh in m (scale)?",
+            f"that is {comparison}", "check that the mass is in kg, and the mesh in m (scale)",
         )  # fmt: skip
 
 
@@ -436,7 +436,7 @@ def _copies(bodies: Sequence[LintedBody], placeholders: Collection[str]) -> Iter
             yield Finding(
                 "note", "copied", tuple(body.name for body in group),
                 "have the same mass and moments of inertia to the last digit",
-                "links that look alike hold different motors and covers", "right where the parts are the same",
+                "similar links contain different motors and covers", "correct only if the parts are identical",
             )  # fmt: skip
 
 

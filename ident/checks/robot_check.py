@@ -65,15 +65,15 @@ def check_robot(robot_file: RobotFile) -> RobotCheck:
         ]
         try:
             assumed += [
-                f"a tube along its axes in place of the shape of link {link}"
+                f"a tube along its axes instead of the shape of link {link}"
                 for link in arm_geometry(robot_file, model).unread
             ]
             if unchecked := unchecked_pairs(robot_file, model):
                 assumed.append(f"{UNCHECKED}: {'; '.join(unchecked)}")
             if by_hull := pairs_by_hull(robot_file, model):
                 assumed.append(
-                    f"a design (excite) does not keep apart {'; '.join(by_hull)}, whose capsules always touch: the "
-                    "check of a motion does, by the convex hulls of their meshes, and may refuse what was designed"
+                    f"a design (excite) does not check {'; '.join(by_hull)}, whose capsules always touch; the check of "
+                    "a motion uses the convex hulls of their meshes and may refuse the design"
                 )
             warnings += _bound_warnings(centre_bounds(model, robot_file))
         except InputError as error:
@@ -138,8 +138,8 @@ def _gain_warnings(robot_file: RobotFile) -> list[str]:
     unsigned = [drive.joint for drive in robot.drives if drive.signal == "magnitude"]
     if unsigned:
         warnings.append(
-            f"the signal of {', '.join(unsigned)} is a magnitude, which is no torque: identify a servo model from "
-            "commands and encoder (--method servo)"
+            f"the signal of {', '.join(unsigned)} is a magnitude, not a torque: identify a servo model from commands "
+            "and encoder (--method servo)"
         )
     unsure = [drive.joint for drive in robot.drives if drive.gain is not None and drive.gain_std is None]
     if unsure:

@@ -73,7 +73,7 @@ def _bodies(model: DynamicModel, robot_file: RobotFile) -> tuple[FloatArray, lis
             origins.append("assumed: the URDF states no mass")
         else:
             bodies[index] = uniform_ball(stated[0], stated[1])
-            origins.append("the URDF's mass and centre; its inertia is no body's, that of a ball is assumed")
+            origins.append("the URDF's mass and centre; its inertia is impossible, that of a ball is assumed")
     return bodies, origins
 
 

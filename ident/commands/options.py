@@ -30,7 +30,7 @@ METHOD = {"callback": _list_methods, "is_eager": True}
 """What `--method` does beside: 'help' lists the methods."""
 
 ACCEPT = typer.Option(
-    None, "--accept", help="YAML file of limits; exit status 1 where one is not kept.", rich_help_panel="Acceptance"
+    None, "--accept", help="YAML file of limits; exit status 1 if one is exceeded.", rich_help_panel="Acceptance"
 )
 MAX_ERROR = typer.Option(
     None,
@@ -38,14 +38,12 @@ MAX_ERROR = typer.Option(
     help="Limit of the held-out relative error, a ratio such as 0.08.",
     rich_help_panel="Acceptance",
 )
-MAX_JOINT_ERROR = typer.Option(
-    None, "--max-joint-error", help="The same for every joint by itself.", rich_help_panel="Acceptance"
-)
+MAX_JOINT_ERROR = typer.Option(None, "--max-joint-error", help="The same for each joint.", rich_help_panel="Acceptance")
 MAX_RMSE = typer.Option(
-    None, "--max-rmse", help="Limit of every joint's held-out RMSE [N·m or N].", rich_help_panel="Acceptance"
+    None, "--max-rmse", help="Limit of each joint's held-out RMSE [N·m or N].", rich_help_panel="Acceptance"
 )
 MODEL_FILE = typer.Option(
-    None, "--model-file", help="Of a servo model: MJCF of the arm as it came, rolled out beside the model."
+    None, "--model-file", help="Servo model: original MJCF of the arm, rolled out for comparison."
 )
 
 
@@ -94,22 +92,22 @@ class ExportOptions(Options):
 
     model: Path = field(metadata=argument("model", "Folder that identify wrote, or its result.json."))
     urdf: Path | None = option(None, "URDF to write: the robot's own, or a complete one from MDH.")
-    into: Path | None = option(None, "URDF of the same arm to put the model in, beside --urdf.")
+    into: Path | None = option(None, "URDF of the same arm to put the model into, with --urdf.")
     mjcf: Path | None = option(None, "MJCF to write, for MuJoCo.")
     ros2_inertial: Path | None = option(None, "YAML to write, as in Universal_Robots_ROS2_Description.")
     c: Path | None = option(None, "C99 code to write: `arm` for arm.h and arm.c.")
     c_float: bool = option(False, "C code in float, not double.")
-    isaaclab: Path | None = option(None, "Of a servo model: Python configuration for Isaac Lab, with events.")
-    usd: Path | None = option(None, "Of a servo model: USD stage with joint drives (.usda).")
+    isaaclab: Path | None = option(None, "Servo model: Python configuration for Isaac Lab, with events.")
+    usd: Path | None = option(None, "Servo model: USD stage with joint drives (.usda).")
     ranges: Path | None = option(
-        None, "Of a servo model: JSON of ranges for domain randomisation, boxes and covariance."
+        None, "Servo model: JSON of ranges for domain randomisation, intervals and covariance."
     )
-    unit_spread: float = option(0.0, "Of ranges and events: how much units of a type differ, as σ of logarithms.")
+    unit_spread: float = option(0.0, "Ranges and events: spread between units of a type, as σ of logarithms.")
     replay: Sequence[Path] = option(
-        (), "Of a servo model: recording to roll the files out on; repeatable.", command_type=list[Path]
+        (), "Servo model: recording to roll the files out on; repeatable.", command_type=list[Path]
     )
     parameters: Parameters | None = option(
-        None, "Of the C code: consistent, full or essential; consistent where there are any. Other formats need them."
+        None, "C code: consistent, full or essential; default: consistent if available. Other formats need these."
     )
 
     def __post_init__(self) -> None:
@@ -121,7 +119,7 @@ class ExportOptions(Options):
         super().__post_init__()
         if not self.targets:
             hint = "--urdf, --mjcf, --ros2-inertial, --c, --isaaclab, --usd or --ranges"
-            raise UsageError("names no file to write", hint=hint)
+            raise UsageError("no file to write is named", hint=hint)
         if self.c_float and self.c is None:
             raise UsageError("--c-float needs --c, the files to write")
         if self.into is not None and self.urdf is None:

@@ -57,7 +57,7 @@ def kernels() -> Kernels:
         return Kernels(None, None, f"off ({SETTING}=0)")
     compiler = next(filter(None, map(shutil.which, COMPILERS)), None)
     if compiler is None:
-        return Kernels(None, None, f"none, without a C compiler ({', '.join(COMPILERS)})")
+        return Kernels(None, None, f"none, since there is no C compiler ({', '.join(COMPILERS)})")
     if not hasattr(os, "getuid"):
         return Kernels(None, None, "none on this system")
     try:
@@ -91,7 +91,7 @@ def _refuse_shared(path: Path) -> None:
     theirs = info.st_uid != os.getuid() and (private or info.st_uid != 0)
     shared = info.st_mode & (stat.S_IWGRP | stat.S_IWOTH) and (private or not info.st_mode & stat.S_ISVTX)
     if theirs or shared or stat.S_ISLNK(info.st_mode):
-        raise OSError(f"another user could write {path}")
+        raise OSError(f"another user could write to {path}")
 
 
 def _fingerprint(compiler: str) -> str:

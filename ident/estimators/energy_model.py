@@ -252,7 +252,7 @@ def exchange_for(model: DynamicModel, segments: Sequence[Segment], duration: flo
     total = sum(float(exchange_rate(model, segment)[segment.used].sum()) for segment in segments)
     samples = sum(int(segment.used.sum()) for segment in segments)
     if not total > 0.0:
-        raise DataError("no energy is exchanged: the torque is zero wherever the arm moves", hint="use --method wls")
+        raise DataError("no energy is exchanged: the torque is zero whenever the arm moves", hint="use --method wls")
     return duration * total / samples
 
 
@@ -305,7 +305,7 @@ class EnergyEstimator:
         count, duration = describe_windows(self.equations, run.segments)
         exchange = self.equations.exchange
         text = (
-            f"{count} windows that each exchange {exchange:.3g} J between motors and arm, {duration:.3g} s long on "
+            f"{count} windows, each exchanging {exchange:.3g} J between motors and arm, {duration:.3g} s long on "
             f"average; each instant belongs to {self.equations.overlap}"
         )
         return (Step("energy windows", {"windows": count, "exchange_j": exchange, "mean_s": duration}, text),)

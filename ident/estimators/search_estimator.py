@@ -28,12 +28,7 @@ SETTLED_SHARE = 1e-3
 SHOWN = 500
 """Generations whose cost is stored at most."""
 
-ENDED = {
-    "generations": "",
-    "time": " (its time was over)",
-    "interrupted": " (Ctrl-C)",
-    "optimiser": " (its own criterion)",
-}
+ENDED = {"generations": "", "time": " (time limit)", "interrupted": " (Ctrl-C)", "optimiser": " (its own criterion)"}
 
 
 def no_penalty(points: FloatArray) -> FloatArray:
@@ -129,7 +124,7 @@ class SearchEstimator(TorqueEstimator):
         if edges:
             text += f"; {len(edges)} of {box.size} variables at a bound of the search box"
         if minimum.undefined:
-            text += f"; {minimum.undefined} costs were no number"
+            text += f"; {minimum.undefined} costs were not numbers"
         return Step("search", figures, "; ".join([text, *minimum.remarks]))
 
 

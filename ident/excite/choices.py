@@ -68,7 +68,7 @@ class DesignChoices(Options):
         read=read_names,
     )
     margin: float = option(DEFAULT_MARGIN, "Share of every limit kept free.")
-    self_collision: bool = option(True, "Keep links apart.", flag="--self-collision/--no-self-collision")
+    self_collision: bool = option(True, "Check for self-collision.", flag="--self-collision/--no-self-collision")
     moment_weights: tuple[float, float] = option((1.0, 1.0), meaning="W1, W2 of the criterion moments (AUBO eq. 21).")
 
     def __post_init__(self) -> None:
@@ -81,7 +81,7 @@ class DesignChoices(Options):
         duration = self.periods * self.period + 2.0 * self.ramp
         if not PIECE.holds(duration):
             raise UsageError(
-                f"--periods {self.periods} of {self.period:g} s last {duration:g} s; at most a day is played"
+                f"--periods {self.periods} of {self.period:g} s last {duration:g} s; at most one day can be played"
             )
         if not 0.0 <= self.margin < 1.0:
             raise UsageError(f"--margin {self.margin:g} is not between 0 and 1")
@@ -93,10 +93,10 @@ class SearchOptions(Options):
 
     PANEL: ClassVar[str] = "Search"
 
-    seed: int = option(0, "Of the random starts.", allowed=SEED)
+    seed: int = option(0, "Seed of the random starts.", allowed=SEED)
     time: float | None = option(
         None,
-        f"Search for SECONDS; {DEFAULT_SECONDS:g} without --starts.",
+        f"Search for SECONDS; default {DEFAULT_SECONDS:g} unless --starts is given.",
         meaning=f"duration of the search [s]; {DEFAULT_SECONDS:g} s without `starts`.",
         allowed=SEARCH_TIME,
     )
@@ -145,7 +145,7 @@ class MarginAndSeed(Options):
         meaning="share of every limit kept free; of position ranges at both ends together.",
         allowed=Range(0.0, 0.9),
     )
-    seed: int = option(0, "Of poses and phases.", allowed=SEED)
+    seed: int = option(0, "Seed of poses and phases.", allowed=SEED)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,18 +154,18 @@ class SweepChoices(Options):
 
     joints: Sequence[str] = option(
         (),
-        "Joints that move, separated by commas; all if absent.",
+        "Joints that move, separated by commas; default: all.",
         meaning="joints that move, one after the other; all where empty.",
         read=read_names,
     )
     pose: str | None = option(
         None,
-        "Pose of the robot file that the other joints rest in; its first.",
+        "Pose in which the other joints rest; default: the robot file's first.",
         meaning="of the other joints, by its name in the robot file; its first, or the middle of the ranges, if None.",
     )
     stroke: float = option(
         1.2,
-        "Of each joint [rad or m].",
+        "Stroke of each joint [rad or m].",
         meaning="of each joint, halved until it is free [rad or m].",
         allowed=Range(SMALLEST_STROKE, 12.0, "rad or m"),
     )

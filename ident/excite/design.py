@@ -108,11 +108,11 @@ def design(
         if fitting is None:
             said = problem.refusal(problem.family.motion(variables))
             raise IdentificationError(
-                f"the design would be refused before it is played: {said}",
+                f"dynid record would refuse the design: {said}",
                 hint="give a larger --margin, or change mounting and workspace of the robot file",
             )
         checked = accepted(problem, fitting, final=True)
-        assert checked is not None, "it has passed this check already"
+        assert checked is not None, "it has already passed this check"
     return Design(
         choices=choices,
         motion=checked.motion,

@@ -256,7 +256,7 @@ def _route(
         via.pop()
     if len(route) < min(FEWEST_POSES, len(chosen)):
         raise MotionRefusedError(
-            f"free ways lead to only {len(route)} of {len(chosen)} poses",
+            f"free paths lead to only {len(route)} of {len(chosen)} poses",
             hint="correct 'workspace' of the robot file, or give another --seed",
         )
     return route, via, len(chosen) - len(route)

@@ -161,10 +161,10 @@ class ArmMotionCheck:
             if (used - allowed)[row, sample] > TOLERANCE:
                 needed = f"{percent_text(TORQUE_SHARE * float(used[row, sample]), 2)} of its torque limit"
                 raise MotionRefusedError(
-                    f"joint {limits.joint_names[row]} is predicted to need {needed} at {path.time[sample]:.2f} s; "
-                    f"at most {percent_text(TORQUE_SHARE)} is planned",
+                    f"joint {limits.joint_names[row]} is predicted to need {needed} at {path.time[sample]:.2f} s; at "
+                    f"most {percent_text(TORQUE_SHARE)} is allowed",
                     where=where,
-                    hint="slow the motion down, with --speed-scale for example, or correct what is known of the arm",
+                    hint="slow down the motion, for example with --speed-scale, or correct the arm's parameters",
                 )
             row = int(used.max(axis=1).argmax())
             joint, share = limits.joint_names[row], TORQUE_SHARE * float(used[row].max())

@@ -104,7 +104,7 @@ def prior_of_result(result: Result, robot: Robot, base: BaseParameters, where: s
         raise UsageError(
             f"was identified for '{result.robot}' with other base parameters than '{robot.name}' has",
             where=where,
-            hint="identify this arm with the columns of its robot file, or leave --prior out",
+            hint="identify this arm with the columns of its robot file, or omit --prior",
         )
     deviations = np.array([value for value in result.residuals.joint_std if value is not None and value >= 0])
     if len(deviations) != robot.dof:
@@ -121,7 +121,7 @@ def prior_of_result(result: Result, robot: Robot, base: BaseParameters, where: s
     )
 
 
-_AGAIN = "identify again with this dynid"
+_AGAIN = "identify again with this version of dynid"
 
 
 def _filtered_rate(result: Result, where: str) -> float:
@@ -131,5 +131,5 @@ def _filtered_rate(result: Result, where: str) -> float:
     used = [use for use in result.recordings if use.role == "identification"]
     rate = filtered_rate(stored_choices(result), used[0].rate_hz) if used and used[0].rate_hz > 0 else None
     if rate is None:
-        raise ResultFileError("does not say the rate of its filtered torques", where=where, hint=_AGAIN)
+        raise ResultFileError("does not state the rate of its filtered torques", where=where, hint=_AGAIN)
     return rate

@@ -292,7 +292,7 @@ def _narrowing(
         information = [old + new for old, new in zip(information, shown[best[1]], strict=True)]
     if not chosen:
         raise MotionRefusedError(
-            "no piece of motion within the limits narrows what is still wide",
+            "no piece of motion within the limits narrows the intervals that are still wide",
             where=earlier.result.robot,
             hint="raise --wanted or --length, or the robot file's limits of velocity and acceleration",
         )

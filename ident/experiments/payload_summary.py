@@ -68,9 +68,9 @@ def payload_sentences(payload: Payload) -> list[str]:
     sentences.append(
         _sentence(
             payload.tests.load,
-            "what changed between the runs is what a load on the last link changes",
-            "what changed between the runs is not what a load on the last link changes",
-            "whether a load explains what changed",
+            "the runs differ as a load on the last link would make them differ",
+            "the runs do not differ as a load on the last link would make them differ",
+            "whether a load explains the change",
         )
     )
     if known is not None and len(known.known) == len(INERTIAL):
@@ -79,7 +79,7 @@ def payload_sentences(payload: Payload) -> list[str]:
                 payload.tests.known_load,
                 "the free run's base parameters plus the known load agree with those identified loaded",
                 "the free run's base parameters plus the known load do not agree with those identified loaded",
-                "whether the known load explains what changed",
+                "whether the known load explains the change",
             )
         )
     rest = payload.tests.unchanged
@@ -95,7 +95,7 @@ def payload_sentences(payload: Payload) -> list[str]:
 
 def _sentence(test: SignificanceTest | None, yes: str, no: str, question: str) -> str:
     if test is None:
-        return f"{question}: too few blocks of data to tell; record longer, or add other motions"
+        return f"{question}: too few blocks of data to decide; record longer, or add other motions"
     return f"{yes if test.passed else no} ({_test_text(test)})"
 
 
@@ -262,10 +262,10 @@ def consistent_load_sentences(load: ConsistentLoadResult) -> list[str]:
         cost = load.cost
         verdict = "explains the runs as well" if cost.passed else "does not explain the runs as well"
         sentences.append(
-            f"a load that can exist, on links that can exist, {verdict} as the unconstrained estimate (χ² = "
+            f"a physically consistent load on consistent links {verdict} as the unconstrained estimate (χ² = "
             f"{cost.statistic:.1f} with {cost.freedom} degrees of freedom, {cost.p_text})"
         )
     held = ["the load"] * load.on_boundary + load.boundary_links
     if held:
-        sentences.append(f"at the boundary of what can exist: {', '.join(held)}")
+        sentences.append(f"on the boundary of physical consistency: {', '.join(held)}")
     return sentences

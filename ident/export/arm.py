@@ -126,7 +126,7 @@ def refuse_unidentified_friction(names: Sequence[str], where: str) -> None:
     """
     if names:
         raise ModelError(
-            f"the recording did not identify {', '.join(names)}, and an export would hold a guess in its place",
+            f"the recording did not identify {', '.join(names)}, and an export would contain a guess instead",
             where=where,
             hint="record a motion that moves these joints, or give the value under 'known' in the robot file",
         )

@@ -92,7 +92,9 @@ def export_mjcf(arm: ExportedArm, path: str | PathLike[str], *, overwrite: bool 
     if mujoco_reading.mujoco_installed():
         readings.append(mujoco_reading.read_mjcf(arm, text))
     else:
-        checks.append(raised("export-not-read", "MuJoCo is not installed: the MJCF was not read again, nor simulated."))
+        checks.append(
+            raised("export-not-read", "MuJoCo is not installed: the MJCF was neither read again nor simulated.")
+        )
     return _written(target, "MJCF", text, left_out_of_mjcf(arm), readings, checks)
 
 

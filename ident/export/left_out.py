@@ -41,7 +41,7 @@ def left_out_of_mjcf(arm: ExportedArm) -> tuple[str, ...]:
     limits = [f"control limits of {unlimited}, whose torque limit is not known"] if unlimited else []
     return (
         "velocity and acceleration limits",
-        "collision shapes: its capsules are there to be seen and touch nothing",
+        "collision shapes: its capsules are visual only",
         *limits,
         *_unusual_friction(arm),
     )

@@ -92,8 +92,8 @@ def check_same_torque(reading: ReadBack, where: str) -> None:
     """
     if not reading.torque_error <= TORQUE_TOLERANCE:
         raise ModelError(
-            f"{reading.reader} reads another model from the file: torques differ by {reading.torque_error:.2g} of the "
-            "largest; it was not written",
+            f"{reading.reader} reads a different model from the file: torques differ by {reading.torque_error:.2g} of "
+            "the largest; it was not written",
             where=where,
         )
 

@@ -98,4 +98,6 @@ def check_ros2_inertial(arm: ExportedArm, text: str) -> None:
         values = [content[f"{name}_mass"], *(centre[axis] for axis in "xyz"), *(tensor[entry] for entry in TENSOR)]
         expected = [body.mass, *body.com, *body.inertia[np.triu_indices(3)]]
         if not np.array_equal(values, expected):
-            raise ModelError(f"the YAML reads back another body for {name}; it was not written", where=arm.model.name)
+            raise ModelError(
+                f"the YAML reads back a different body for {name}; it was not written", where=arm.model.name
+            )

@@ -89,7 +89,9 @@ def check_joints(arm: ExportedArm, xml: str, where: str) -> None:
     joints = urdf_joints(xml, model.link_names, arm.robot_file.robot.model.locked, where)
     for mine, other in zip(model.joints, joints, strict=True):
         if mine.parent != other.parent:
-            raise RobotFileError(f"joint '{mine.name}' hangs on another link than in the identified arm", where=where)
+            raise RobotFileError(
+                f"joint '{mine.name}' is attached to another link than in the identified arm", where=where
+            )
         if mine.prismatic != other.prismatic:
             raise RobotFileError(f"joint '{mine.name}' slides in one and turns in the other", where=where)
         apart = float(np.linalg.norm(mine.translation - other.translation))

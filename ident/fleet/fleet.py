@@ -145,7 +145,7 @@ def identify_fleet(
     folder = path_of(out)
     count = (os.cpu_count() or 1) if workers is None else workers
     if not isinstance(count, int) or isinstance(count, bool) or count < 1:
-        raise UsageError(f"{workers!r} workers can do nothing", where="--workers", hint="1 or more")
+        raise UsageError(f"{workers!r} workers cannot do any work", where="--workers", hint="1 or more")
     goes_on = _is_of_a_fleet(folder / FLEET_RESULT)
     check_output_folder(folder, (FLEET_RESULT, REPORT_FILE), [path_of(file)], overwrite=overwrite or goes_on)
     jobs = read_fleet(path_of(file))

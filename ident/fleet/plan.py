@@ -50,7 +50,7 @@ class FleetArm(BaseModel):
     @model_validator(mode="after")
     def _parts_alone(self) -> FleetArm:
         if self.parts is not None and self.together:
-            raise ValueError("parts are merged, and not stacked: leave out together")
+            raise ValueError("parts are merged, not stacked: omit 'together'")
         return self
 
 
@@ -116,7 +116,7 @@ def _check_options(fleet: FleetFile, where: str) -> None:
     for name in fleet.options:
         if name not in allowed:
             hint = did_you_mean(name, allowed) or f"there are {', '.join(allowed)}"
-            raise UsageError(f"options: '{name}' is no option of identify", where=where, hint=hint)
+            raise UsageError(f"options: '{name}' is not an option of identify", where=where, hint=hint)
     for method in fleet.methods:
         try:
             IdentifyOptions(runs=(), method=method, **fleet.options)

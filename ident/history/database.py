@@ -59,7 +59,7 @@ def add_entries(path: Path, entries: Sequence[HistoryEntry]) -> int:
 
     Raises:
         UsageError: the file may not be written, or another program has held it for long.
-        ResultFileError: it is no history, is damaged, or of a newer dynid.
+        ResultFileError: it is not a history, is damaged, or of a newer dynid.
         DiskError: the disk is full or fails.
     """
     check_history(path)
@@ -155,7 +155,9 @@ def _check(database: sqlite3.Connection, path: Path, *, write: bool) -> None:
         raise ResultFileError("is a database of another program", where=str(path), hint="choose another file")
     if version > SCHEMA:
         raise ResultFileError(
-            f"has schema version {version}, this dynid reads up to {SCHEMA}", where=str(path), hint="update dynid"
+            f"has schema version {version}, this version of dynid reads up to {SCHEMA}",
+            where=str(path),
+            hint="update dynid",
         )
     if tables != TABLES:
         raise _damaged(path, "its tables are not those of a history")
@@ -175,13 +177,15 @@ def _refused(error: Exception, path: Path) -> DynidError:
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
     where = str(path)
     if code == sqlite3.SQLITE_NOTADB:
-        return ResultFileError("is no history", where=where, hint="choose another file")
+        return ResultFileError("is not a history", where=where, hint="choose another file")
     if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
         return UsageError(
-            f"has been held by another program for {PATIENCE:.0f} s", where=where, hint="try again when it has ended"
+            f"has been locked by another program for {PATIENCE:.0f} s", where=where, hint="try again when it has ended"
         )
     if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR, sqlite3.SQLITE_NOMEM):
         return DiskError(f"cannot be written: {error}", where=where, hint="nothing was added; make room")
     if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM, sqlite3.SQLITE_AUTH):
-        return UsageError(f"cannot be opened: {error}", where=where, hint="choose a file and a folder that are yours")
+        return UsageError(
+            f"cannot be opened: {error}", where=where, hint="choose a file and a folder that you may write to"
+        )
     return _damaged(path, str(error))

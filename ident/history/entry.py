@@ -131,13 +131,13 @@ def _time(used: Sequence[UsedRecording], path: Path) -> float:
         except (ValueError, OverflowError):
             said = f"'{recording.started}'" if recording.started else "nothing"
             raise ResultFileError(
-                f"does not say when '{recording.file}' was recorded: {said}",
+                f"does not state when '{recording.file}' was recorded: {said}",
                 where=str(path),
-                hint="identify again with this dynid, or say it: --time 2026-05-01T12:00",
+                hint="identify again with this version of dynid, or give --time 2026-05-01T12:00",
             ) from None
     if not starts:
         raise ResultFileError(
-            "names no recording, so its time is not known", where=str(path), hint="say it: --time 2026-05-01T12:00"
+            "names no recording, so its time is not known", where=str(path), hint="give --time 2026-05-01T12:00"
         )
     return sum(starts) / len(starts)
 
@@ -146,7 +146,7 @@ def _plausible(time: datetime, path: Path) -> float:
     if not EARLIEST <= time <= datetime.now(UTC) + CLOCKS_APART:
         shown = time.isoformat(timespec="minutes")
         said = "was recorded in the future" if time > EARLIEST else "was recorded with a clock that was not set"
-        raise ResultFileError(f"{said}: {shown}", where=str(path), hint="say when it was: --time 2026-05-01T12:00")
+        raise ResultFileError(f"{said}: {shown}", where=str(path), hint="give --time 2026-05-01T12:00")
     return time.timestamp()
 
 

@@ -149,7 +149,7 @@ def refuse_denied(identification: Identification, checks: Sequence[Check]) -> No
     stated = consistent.fit.relative_error
     if stated > DENIED_FACTOR * error and stated - error > DENIED_RISE:
         raise RobotFileError(
-            f"no data fit {', '.join(consistent.parameters.contradicted)}: with it the torque error is "
+            f"no data agree with {', '.join(consistent.parameters.contradicted)}: with it the torque error is "
             f"{percent_text(stated, 2)}, without it {percent_text(error, 2)}",
             where=identification.robot_file.where,
             hint="correct 'known' or 'prior.links', or the drive gains and the geometry",
@@ -164,7 +164,7 @@ def _total_checks(
         return []
     if size is not None and not size.least / WRIST <= apparent <= size.most:
         text = (
-            f"the torques are those of an arm of about {_kilograms(apparent)}; arms of this length weigh "
+            f"the torques imply an arm of about {_kilograms(apparent)}; arms of this length weigh "
             f"{_kilograms(size.least)} to {_kilograms(size.most)}: check the unit of torque or current, the gains, "
             "and the lengths of the robot file or URDF (m, not mm)"
         )
@@ -172,7 +172,7 @@ def _total_checks(
     least, most = PER_PAYLOAD
     if payload is not None and not least / WRIST <= apparent / payload <= most:
         text = (
-            f"the torques are those of an arm of about {_kilograms(apparent)}; arms for a payload of "
+            f"the torques imply an arm of about {_kilograms(apparent)}; arms for a payload of "
             f"{_kilograms(payload)} weigh {_kilograms(least * payload)} to {_kilograms(most * payload)}: check the "
             "unit of torque or current, the gains, and 'payload' of the robot file"
         )
@@ -180,7 +180,7 @@ def _total_checks(
     sane = urdf is not None and (size is None or size.least <= urdf <= size.most)
     if sane and urdf is not None and not 1.0 / URDF_FACTOR <= apparent / urdf <= URDF_FACTOR:
         text = (
-            f"the torques are those of an arm of about {_kilograms(apparent)}, the URDF's links weigh "
+            f"the torques imply an arm of about {_kilograms(apparent)}, while the URDF's links weigh "
             f"{_kilograms(urdf)}: check the unit of torque or current and the gains, or the URDF's inertials"
         )
         return [raised("implausible-mass", text)]
@@ -196,7 +196,7 @@ def _link_checks(model: DynamicModel, masses: FloatArray) -> list[Check]:
     names = [model.link_names[link] for link in heavy]
     figures = ", ".join(f"{model.link_names[link]} {_kilograms(masses[link])}" for link in heavy)
     text = (
-        f"links are heavier than any of an arm of this length, {_kilograms(size.heaviest_link)} at most: {figures}; "
+        f"links are too heavy for an arm of this length, {_kilograms(size.heaviest_link)} at most: {figures}; "
         "the data do not fit bodies of this arm: check geometry, gains and signs, or state masses under 'prior'"
     )
     return [raised("implausible-link", text, [name for name in names if name in model.joint_names])]
@@ -241,7 +241,8 @@ def _centre_check(model: DynamicModel, far: Mapping[int, float]) -> Check:
     """The check of centres of mass that the data place far from their links."""
     figures = ", ".join(f"{model.link_names[link]} {distance:.2g} m" for link, distance in far.items())
     text = (
-        f"centres of mass lie far from their links, in an arm {arm_length(model):.2g} m long: {figures}; the data do "
+        f"centres of mass lie far outside their links, in an arm {arm_length(model):.2g} m long: {figures}; the "
+        "data do "
         "not fit bodies of this arm: check geometry, gains and signs, or state centres under 'prior' (com, com_box)"
     )
     names = [model.link_names[link] for link in far]

@@ -118,7 +118,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     if share > 0:
         text = (
             f"the inertia matrix of the unconstrained parameters is not positive definite at {percent_text(share, 2)} "
-            "of random poses; that of the physically consistent ones is everywhere"
+            "of random poses; that of the physically consistent ones always is"
         )
         checks.append(raised("indefinite-inertia", text))
     checks += _differing_run_checks(identification)
@@ -135,8 +135,8 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     checks += [] if named or levels else _weight_checks(identification)
     if consistent is not None and (sliding := weights_in_offsets(identification.model, identification.base)):
         text = (
-            f"the data hold the sum of weight and constant friction of {', '.join(sliding)}; how much is weight, "
-            "the physically consistent model says by its masses alone, which the prior decides with the data"
+            f"the data show only the sum of weight and constant friction of {', '.join(sliding)}; the physically "
+            "consistent model splits it by its masses, which depend on the prior"
         )
         checks.append(raised("weight-not-separate", text))
     if consistent is not None:
@@ -170,21 +170,21 @@ def consistency_checks(
     checks = []
     if consistent.boundary:
         names = [link_names[link] for link in consistent.boundary]
-        text = f"the links of {', '.join(names)} lie at the boundary of what can exist"
+        text = f"the links of {', '.join(names)} lie on the boundary of physical consistency"
         checks.append(raised("links-on-boundary", text))
     rises = errors is None or errors[1] > REJECTED_RISE * errors[0]
     if rises and consistent.cost is not None and consistent.cost.p_value < REJECTED:
         rise = "" if errors is None else f", {percent_text(errors[1])} of error for {percent_text(errors[0])}"
         text = (
-            f"no bodies explain the data as well as the unconstrained parameters (p = {consistent.cost.p_value:.1g}"
-            f"{rise}): what the model lacks does this, too, and so do a wrong length, gain or sign"
+            "no bodies explain the data as well as the unconstrained parameters (p = "
+            f"{consistent.cost.p_value:.1g}{rise}): missing effects also cause this, as do a wrong length, gain or sign"
         )
         checks.append(raised("consistency-rejected", text))
     if consistent.contradicted:
         text = f"the data contradict the robot file, and the fit is clearly worse: {', '.join(consistent.contradicted)}"
         checks.append(raised("known-contradicts-data", text))
     if consistent.limits_hit:
-        text = f"{', '.join(consistent.limits_hit)} of the robot file hold a parameter at their limit"
+        text = f"{', '.join(consistent.limits_hit)} of the robot file bound a parameter"
         checks.append(raised("range-hit", text))
     return checks
 
@@ -201,15 +201,15 @@ def _size_checks(identification: Identification) -> list[Check]:
     sampled_for_its_band = prepared.filtered_rate <= MOST_OVERSAMPLED * prepared.cutoffs.torque
     if sampled_for_its_band and corrected.effective_rows < INDEPENDENT_PER_PARAMETER * count:
         text = (
-            f"the residuals are worth {corrected.effective_rows:.0f} independent equations for {count} parameters; "
-            f"{INDEPENDENT_PER_PARAMETER} per parameter are needed for the error bars: record longer, and other motions"
+            f"the residuals amount to {corrected.effective_rows:.0f} independent equations for {count} parameters; "
+            f"error bars need {INDEPENDENT_PER_PARAMETER} per parameter: record longer, preferably different motions"
         )
         checks.append(raised("few-independent-samples", text))
     if corrected.blocks < FEWEST_BLOCKS:
         uncertain = 1.0 / np.sqrt(2.0 * max(1, corrected.blocks - 1))
         text = (
-            f"the standard deviations rest on {corrected.blocks} blocks of data, {FEWEST_BLOCKS} are advised: they are "
-            f"themselves uncertain by {percent_text(uncertain, 2)}; record longer"
+            f"the standard deviations are based on {corrected.blocks} blocks of data, at least {FEWEST_BLOCKS} are "
+            f"advised; they are uncertain by {percent_text(uncertain, 2)}: record longer"
         )
         checks.append(raised("few-blocks", text))
     return checks
@@ -346,7 +346,7 @@ def _convergence_checks(identification: Identification) -> list[Check]:
         text = (
             f"the search ended {percent_text(above, 3)} above the optimum of its cost, which is least squares: "
             f"{beyond} of {len(used)} parameters differ from it by more than their ±, the most "
-            f"{identification.base.names[used[worst]]}, by {distance[worst]:.3g} σ; take --method wls"
+            f"{identification.base.names[used[worst]]}, by {distance[worst]:.3g} σ; use --method wls"
         )
         return [raised("search-gap", text)]
     if solution.settled:
@@ -359,7 +359,7 @@ def _convergence_checks(identification: Identification) -> list[Check]:
         )
         return [raised("weights-not-settled", text)]
     text = (
-        f"the joints' weights did not settle in {solution.iterations - 1} iterations, the last ones are used: values "
+        f"the joints' weights did not converge in {solution.iterations - 1} iterations, the last ones are used: values "
         "and error bars depend on where they stopped; compare --method ols, or record longer"
     )
     return [raised("weights-not-settled", text)]
@@ -372,7 +372,7 @@ def _excitation_checks(identification: Identification) -> list[Check]:
     unexcited = [base.names[i] for i in range(base.count) if i not in solution.active]
     if unexcited:
         text = (
-            f"the motion does not excite {', '.join(unexcited)}: they have no value, and other parameters may have "
+            f"the motion does not excite {', '.join(unexcited)}: they get no value, and other parameters may have "
             "absorbed them"
         )
         checks.append(raised("unexcited-parameters", text))
@@ -419,8 +419,8 @@ def _experiment_checks(identification: Identification) -> list[Check]:
     if unnamed:
         text = (
             f"{', '.join(unnamed)} did not move: the base parameters are those of the arm with "
-            f"{'this joint' if len(unnamed) == 1 else 'these joints'} fixed, and hold for no other position of "
-            f"{'it' if len(unnamed) == 1 else 'them'}; name what is locked on purpose with --locked"
+            f"{'this joint' if len(unnamed) == 1 else 'these joints'} fixed, and valid for no other position of "
+            f"{'it' if len(unnamed) == 1 else 'them'}; confirm locked joints with --locked"
         )
         checks.append(raised("joints-locked", text, unnamed))
     moving = moving_motors(identification.model, experiment.locked)
@@ -469,9 +469,8 @@ def _reversal_checks(identification: Identification) -> list[Check]:
         return []
     changes = ", ".join(f"{base.names[i]} by {changed[i]:+.1f} σ" for i in largest)
     text = (
-        "Coulomb friction is not well defined near velocity reversals: with more of those equations left out the "
-        f"delivered friction changes ({changes} of the jackknife), beyond chance; compare "
-        f"--reversals {STICKING_SHARE:g}"
+        "Coulomb friction is not well defined near velocity reversals: leaving out more of those equations changes "
+        f"the delivered friction significantly ({changes} of the jackknife); compare --reversals {STICKING_SHARE:g}"
     )
     return [raised("friction-near-reversals", text)]
 

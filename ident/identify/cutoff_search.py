@@ -106,7 +106,7 @@ def cutoff_checks(lowered: LoweredCutoffs | None) -> list[Check]:
     if lowered is None:
         return []
     text = (
-        f"the positions jitter, which looks like a motion of many hertz: with their cut-off lowered from "
+        "the positions jitter, which looks like a motion of high frequency: with their cut-off lowered from "
         f"{lowered.before:.3g} to {lowered.after:.3g} Hz the error on held-out parts falls from "
         f"{percent_text(lowered.error_before, 2)} to {percent_text(lowered.error_after, 2)}; record stamps and "
         "positions of the controller, or give --position-cutoff"

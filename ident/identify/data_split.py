@@ -125,7 +125,7 @@ def split_data(
         for run in held_out:
             if run.overlap >= 1.0:
                 raise UsageError(
-                    f"{run.signals.label} holds the data of the identification: nothing is held out",
+                    f"{run.signals.label} contains the data of the identification: nothing is held out",
                     where="--validate",
                     hint="validate with another recording; without any, the last 30 % are held out",
                 )
@@ -136,7 +136,7 @@ def split_data(
     halves = [_split(run, split) for run in runs]
     share = f"last {percent_text(HELD_OUT_SHARE)}" if split is None else f"part after {split:g} s"
     each = "each recording" if len(runs) > 1 else "the recording"
-    why = "since no other recording was given to validate with" if split is None else "as --split says"
+    why = "since no other recording was given for validation" if split is None else "as --split says"
     return DataSplit(
         identification=tuple(first for first, _ in halves),
         held_out=tuple(last for _, last in halves),
@@ -201,7 +201,7 @@ def check_torques(runs: Sequence[RunWindow], torques: Sequence[int], names: Sequ
         raise DataError(
             f"the torque of {', '.join(constant)} does not change while the arm moves: it was not measured",
             where=", ".join(run.signals.label for run in runs),
-            hint=f"check the column of the torque or current, or leave it out: --torques-of {','.join(measured)}",
+            hint=f"check the column of the torque or current, or omit it: --torques-of {','.join(measured)}",
         )
 
 
@@ -218,6 +218,6 @@ def _split(run: RunWindow, split: float | None) -> tuple[RunWindow, RunWindow]:
     if not start < border < stop:
         raise UsageError(
             f"--split {border:g} s is outside the data, which last from {start:g} to {stop:g} s",
-            hint="leave it out to hold out the last 30 %",
+            hint="omit it to hold out the last 30 %",
         )
     return replace(run, start=start, stop=border), replace(run, start=border)

@@ -145,14 +145,14 @@ def hold_temperatures(
         coefficients, covariance = values[name].part(kinds)
         if not np.all(np.isfinite(covariance)) or np.linalg.eigvalsh(covariance)[0] <= 0.0:
             raise DataError(
-                f"the experiment does not know how certain the temperature terms of {name} are",
+                f"the experiment has no uncertainty for the temperature terms of {name}",
                 where="--friction-from",
                 hint="repeat the sweep, and dynid friction",
             )
         held.append(HeldJoint(motor, kinds, coefficients, covariance, span))
     spans = ", ".join(f"{model.joint_names[joint.motor]} {joint.span:.2g} K" for joint in held)
     text = (
-        "temperature terms held at the friction experiment's values, for the recordings span too little temperature "
+        "temperature terms held at the friction experiment's values, since the recordings span too little temperature "
         f"({spans}; {LEAST_TEMPERATURE_SPAN:g} K are needed, with curvature {LEAST_CURVATURE_SPAN:g}): their torque is "
         "taken off before the regression"
         if held

@@ -219,7 +219,7 @@ def model_verdict(result: Result, checks: Sequence[Check], runs: Sequence[HeldOu
     counted = [run.model_copy(update={"recording": label}) for run, label in zip(counted, labels, strict=True)]
     basis = _basis(result, counted)
     if not counted:
-        missing = raised("not-validated", "nothing was held out to validate the model with (--validate)")
+        missing = raised("not-validated", "the model was not validated on held-out data (--validate)")
         return judge([*checks, missing], _nothing(result.joints), basis)
     of_runs = [(run.recording, judge([*checks, *run.checks], _evidence(result, run), basis)) for run in counted]
     return together(of_runs)
@@ -290,7 +290,9 @@ def _basis(result: Result, runs: Sequence[HeldOutErrors]) -> str:
     )
     if any(experiment.locked or len(experiment.torques_of) < len(result.joints) for experiment in result.experiments):
         described = [step.text for step in result.preprocessing if step.name == "experiment"]
-        sentences += [f"All of this holds for the experiment as it was: {text}." for text in dict.fromkeys(described)]
+        sentences += [
+            f"All of this applies to the experiment as recorded: {text}." for text in dict.fromkeys(described)
+        ]
     return " ".join(sentences)
 
 

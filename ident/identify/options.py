@@ -34,8 +34,10 @@ class ColumnOptions(Options):
         "temperature terms where the recordings span too little temperature; the rest is estimated.",
         command_type=Path,
     )
-    offset: bool | None = option(None, "A constant torque per joint.", flag="--offset/--no-offset")
-    motor_inertia: bool | None = option(None, "Columns for motor inertia.", flag="--motor-inertia/--no-motor-inertia")
+    offset: bool | None = option(None, "Add a constant torque per joint.", flag="--offset/--no-offset")
+    motor_inertia: bool | None = option(
+        None, "Add columns for motor inertia.", flag="--motor-inertia/--no-motor-inertia"
+    )
     smoothing: float | None = option(None, "ε [rad/s] of tanh(q̇/ε) in place of sign(q̇).", allowed=SMOOTHING)
 
     def __post_init__(self) -> None:

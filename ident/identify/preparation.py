@@ -149,7 +149,7 @@ def _prepare_held_out(
         raise DataError(
             error.message,
             where=f"{run.signals.label} from {run.start:.4g} s on, which is held out",
-            hint="hold out another part: --split, or name a held-out recording: --validate",
+            hint="hold out another part (--split), or give a held-out recording (--validate)",
         ) from error
 
 

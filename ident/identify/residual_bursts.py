@@ -96,8 +96,8 @@ def burst_checks(identification: Identification) -> list[Check]:
     more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
     robust = "" if identification.choices.estimator.name in ROBUST else ", or compare --method irls"
     text = (
-        f"the residual has short bursts, {larger:.0f} times the usual residual: "
-        f"{', '.join(shown[:MOST_SHOWN])}{more}; did something touch the arm? Leave these times out{robust}"
+        f"the residual has short bursts, {larger:.0f} times the usual residual: {', '.join(shown[:MOST_SHOWN])}{more}; "
+        f"if something touched the arm, leave these times out{robust}"
     )
     return [raised("residual-bursts", text)]
 

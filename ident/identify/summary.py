@@ -218,7 +218,7 @@ def _friction_step(identification: Identification) -> tuple[Step, ...]:
     of_position: tuple[Step, ...] = ()
     if friction.by_run is not None:
         before, after = friction.by_run
-        kept = "in the model" if any(identification.model.needs("position")) else "left out: the gain is not sure"
+        kept = "in the model" if any(identification.model.needs("position")) else "left out: the gain is uncertain"
         text = "terms of the position, chosen by what predicts a run from the others, "
         text += (
             f"{kept} (error of the physically consistent model {before:.3g} σ without them, {after:.3g} σ with them)"
@@ -227,7 +227,7 @@ def _friction_step(identification: Identification) -> tuple[Step, ...]:
     if not friction.rounds:
         if friction.delivered is None:
             return of_position
-        text = "further terms left out: the physically consistent model gains too little by them on held-out blocks "
+        text = "further terms left out: the physically consistent model gains too little from them on held-out blocks "
         before, after = friction.delivered
         text += f"(error {before:.3g} σ without them, {after:.3g} σ with them)"
         return (Step("friction", {"rounds": 0}, text), *of_position)

@@ -57,7 +57,7 @@ class KnownLoad:
             for value in values or ():
                 check_option(option, value, allowed)
         if self.inertia is not None and self.com is None:
-            raise UsageError("--inertia without --com has no reference point", hint="give the centre of mass too")
+            raise UsageError("--inertia without --com has no reference point", hint="give the centre of mass, too")
         if self.inertia is not None:
             xx, xy, xz, yy, yz, zz = self.inertia
             moments = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))

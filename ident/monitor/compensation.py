@@ -41,9 +41,7 @@ class WeightCompensation:
         if said := another_arm(self._model, robot_file):
             raise UsageError(f"the robot file {said}", where=str(path), hint="give the model of this arm")
         if robot_file.robot.model.coupling or robot_file.robot.model.loops:
-            raise UsageError(
-                "an arm whose motors move several joints is not carried by torques", where=robot_file.where
-            )
+            raise UsageError("gravity compensation of coupled motors is not supported", where=robot_file.where)
         drives = [robot_file.robot.drive(name) for name in robot_file.robot.joint_names]
         self._gain = np.array([drive.gain or 1.0 if drive.signal == "torque" else 1.0 for drive in drives])
         still = np.zeros(self._model.dof)

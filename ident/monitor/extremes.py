@@ -49,9 +49,9 @@ def require_time(seconds: float, block: float, per_hour: float) -> None:
     needed = max(FEWEST_PEAKS / PEAK_SHARE * block, 3600.0 / (per_hour * FARTHEST))
     if seconds < needed:
         raise DataError(
-            f"{seconds:.3g} s without contact are too short for {per_hour:g} false alarms per hour: at least "
+            f"{seconds:.3g} s without contact is too short for {per_hour:g} false alarms per hour: at least "
             f"{needed:.3g} s of motion are needed",
-            hint="give a longer recording without contact, or ask for more false alarms per hour",
+            hint="give a longer recording without contact, or allow more false alarms per hour",
         )
 
 

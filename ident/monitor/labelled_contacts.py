@@ -56,7 +56,7 @@ def read_contacts(path: Path, first: float) -> tuple[LabelledContact, ...]:
             raise UsageError(
                 f"its first line should name the columns {' and '.join(COLUMNS)}",
                 where=str(path),
-                hint="seconds from the recording's first sample, a contact a line",
+                hint="seconds from the recording's first sample, one contact per line",
             )
         contacts = []
         for row in reader:
@@ -66,7 +66,7 @@ def read_contacts(path: Path, first: float) -> tuple[LabelledContact, ...]:
                 start = end = math.nan
             if not (math.isfinite(start) and math.isfinite(end) and end > start):
                 raise UsageError(
-                    "is no contact: its end must lie after its start", where=f"{path}: line {reader.line_num}"
+                    "is no contact: its end must be after its start", where=f"{path}: line {reader.line_num}"
                 )
             contacts.append(LabelledContact(first + start, first + end))
     if not contacts:

@@ -101,11 +101,11 @@ class LiveMonitor:
                 self._thermometers[layout.name] = [names.index(joint) for joint in heated], places
         rate = next((layout.rate for layout in layouts if layout.name == JOINTS_STREAM), None)
         if rate is None:
-            raise UsageError("this connection has no stream of joints to watch")
+            raise UsageError("this connection has no joint stream to monitor")
         learnt = 1.0 / self.monitor.thresholds.period
         if rate > 0.0 and abs(rate - learnt) > SAME_RATE * learnt:
             raise UsageError(
-                f"the connection delivers {rate:g} Hz, and the thresholds were learnt at {learnt:.4g} Hz",
+                f"the connection delivers {rate:g} Hz, but the thresholds were learnt at {learnt:.4g} Hz",
                 hint="--quiet names a recording without contact over this connection",
             )
         self._maps = self._torque_maps()
@@ -139,7 +139,7 @@ class LiveMonitor:
         try:
             residuals = self.monitor.add(self._samples(batches))
         except Exception as error:  # neither a recording nor an arm that moves may break by it; `stop_reason` says it
-            self.failure = f"contacts are not watched any more: {error}"
+            self.failure = f"contacts are no longer monitored: {error}"
             return
         if len(residuals.external):
             self.newest = residuals

@@ -50,8 +50,8 @@ def changed_load(load: ToolLoad | None) -> str:
         return ""
     what = "a load" if load.mass > 0.0 else "the lack of a load"
     return (
-        f"what is felt since the last contact fits {what} of {abs(load.mass):.2f} ± {load.margin:.2f} kg on the tool: "
-        "if that is so, it is no contact; identify the arm with this load"
+        f"the external torque since the last contact fits {what} of {abs(load.mass):.2f} ± {load.margin:.2f} kg at the "
+        "tool: if so, it is not a contact; identify the arm with this load"
     )
 
 

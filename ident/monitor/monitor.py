@@ -201,7 +201,7 @@ def another_arm(model: Model, robot_file: RobotFile) -> str:
         for part in ("rotation", "translation", "axis"):
             same = same and np.allclose(getattr(joint, part), getattr(other, part), atol=SAME_PLACE)
         if not same:
-            return f"is of {theirs.name}, whose joint {other.name} sits elsewhere than in the model's {own.name}"
+            return f"is of {theirs.name}, whose joint {other.name} is placed differently than in the model's {own.name}"
     return ""
 
 

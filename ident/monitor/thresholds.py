@@ -152,7 +152,7 @@ class Thresholds:
         if celsius is not None and self.celsius is not None and len(celsius):
             away = np.maximum(self.celsius[0] - celsius.min(axis=0), celsius.max(axis=0) - self.celsius[1])
             said += [
-                f"{name} is {value:.0f} K outside the temperatures that thresholds were learnt at"
+                f"{name} is {value:.0f} K outside the temperatures at which thresholds were learnt"
                 + (f": its threshold is {value * more:.2g} higher" if more else "")
                 for name, value, more in zip(names, away.tolist(), self.drift.tolist(), strict=True)
                 if value > WARMER

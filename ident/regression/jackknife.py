@@ -245,7 +245,7 @@ def _undetermined() -> Iterator[None]:
         yield
     except np.linalg.LinAlgError as error:
         raise IdentificationError(
-            "one short part of the motion alone determines a parameter", hint="record longer, or a richer motion"
+            "a single short part of the motion determines a parameter", hint="record longer, or a richer motion"
         ) from error
 
 

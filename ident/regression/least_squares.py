@@ -187,7 +187,7 @@ def _solved(reduction: Reduction, active: tuple[int, ...], weights: FloatArray) 
     square, right = factor[:count, :count], factor[:count, count]
     lengths = np.linalg.norm(square, axis=0)
     if count and not np.all(np.abs(np.diag(square)) > EXCITATION_TOLERANCE * lengths):
-        raise IdentificationError("the columns of the system depend on each other", hint="record a richer motion")
+        raise IdentificationError("the columns of the system are linearly dependent", hint="record a richer motion")
     parameters = np.zeros(reduction.column_count)
     parameters[list(active)] = np.linalg.solve(square / lengths, right) / lengths
     residual_sum = float(factor[count, count] ** 2) if factor.shape[0] > count else 0.0

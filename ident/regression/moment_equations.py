@@ -146,7 +146,7 @@ def moment_moves(
     if penalty is not None:
         normal = normal + penalty
     if not np.all(np.diag(normal) > 0.0):
-        raise IdentificationError("the instruments do not follow the motion that was recorded", hint="use --method wls")
+        raise IdentificationError("the instruments do not follow the recorded motion", hint="use --method wls")
     return tolerant_moves(BlockSums(sums.gram, sums.score - sums.score.mean(axis=0)), normal)
 
 

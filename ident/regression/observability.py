@@ -173,7 +173,7 @@ def _cached(key: ModelKey, experiments: tuple[Experiment, ...]) -> BaseParameter
     factor = accumulator.factor()
     if not np.any(factor):
         raise IdentificationError(
-            "nothing acts on the torques that are used", where=model.name, hint="choose others with --torques-of"
+            "no parameter acts on the torques that are used", where=model.name, hint="choose others with --torques-of"
         )
     locked = set.intersection(*(set(experiment.locked) for experiment in experiments))
     try:
@@ -256,7 +256,7 @@ def _difference(model: DynamicModel, experiment: Experiment, position: FloatArra
     if any(np.allclose(pose, other, rtol=0.0, atol=SAME_POSE) for other in experiment.poses):
         return None
     standing = ", ".join(
-        f"{model.joint_names[joint]} stands at {value:.4g} {_unit(model, joint)}"
+        f"{model.joint_names[joint]} is at {value:.4g} {_unit(model, joint)}"
         for joint, value in zip(experiment.locked, pose, strict=True)
     )
     return f"{standing}, where the model was not identified"

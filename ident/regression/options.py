@@ -38,7 +38,7 @@ class EssentialOptions(Options):
 
     essential: EssentialRule = option(
         "rsd",
-        "Which parameters leave the essential model: rsd (--significance) or f-test.",
+        "Criterion for dropping parameters from the essential model: rsd (--significance) or f-test.",
         meaning='what ends the elimination of parameters from the essential model: "rsd" removes those whose relative '
         'standard deviation reaches `significance` (SR400), "f-test" those without a significant partial F (AUBO).',
         one_of=get_args(EssentialRule),
@@ -62,7 +62,7 @@ class ExperimentChoices(Options):
     )
     torques_of: Sequence[str] = option(
         (),
-        "Joints whose motor torques are used; all moving motors if absent.",
+        "Joints whose motor torques are used; default: all moving motors.",
         meaning="names of the joints whose motors' torques are used; all moving motors where empty.",
         read=read_names,
     )
@@ -88,7 +88,7 @@ class ReversalOptions(Options):
     )
     presliding: bool = option(
         True,
-        "Dry friction that changes over a travel at velocity reversals.",
+        "Let dry friction change over a travel at velocity reversals.",
         meaning="near velocity reversals, let dry friction change over a travel that is found for each joint, where "
         "that lowers the error; `predict` and `validate` follow.",
         flag="--presliding/--no-presliding",

@@ -102,7 +102,7 @@ def null_vector(factors: Sequence[FloatArray], rows: FloatArray, noise: FloatArr
         rest = vectors[-1] * scale
         lengths = np.linalg.norm(square[:width, :width], axis=0)
         if not np.all(np.abs(np.diag(square)[:width]) > 1e-9 * lengths):
-            raise IdentificationError("the columns of the system depend on each other", hint="record a richer motion")
+            raise IdentificationError("the columns of the system are linearly dependent", hint="record a richer motion")
         unknowns = np.linalg.solve(square[:width, :width] / lengths, square[:width, width:] @ rest) / lengths
         refined, unknowns = _normalised(rest, unknowns)
         change = np.max(np.abs(np.abs(refined / factor) - 1.0))
@@ -158,7 +158,7 @@ def total_least_squares(factor: FloatArray, errors: FloatArray, torque_error: fl
     """
     lengths = np.linalg.norm(factor, axis=0)
     if not np.all(np.abs(np.diag(factor)) > 1e-12 * lengths):
-        raise IdentificationError("the columns of the system depend on each other", hint="record a richer motion")
+        raise IdentificationError("the columns of the system are linearly dependent", hint="record a richer motion")
     both = np.zeros_like(factor)
     both[:-1, :-1], both[-1, -1] = errors, torque_error
     inverse = np.linalg.solve(factor / lengths, np.eye(len(factor))) / lengths[:, None]

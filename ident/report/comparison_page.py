@@ -62,7 +62,7 @@ def comparison_figure(errors: Sequence[Errors], unit: str) -> Figure:
     caption = "Each circle is one held-out recording. Models that differ less than their circles scatter may still "
     caption += "differ significantly: compare them recording by recording, as the table of differences does."
     if not several:
-        caption = "One held-out recording does not show whether a difference is significant: name several."
+        caption = "One held-out recording does not show whether a difference is significant: give several."
     return panel_figure("rmse-plot", [[panel]], caption)
 
 

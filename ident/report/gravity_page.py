@@ -16,8 +16,8 @@ from ident.result.gravity import GravityJoint, GravityResult
 from ident.views.number_text import number
 
 CAPTION = (
-    "Torque without friction in every pose, the mean of both directions, and its prediction from the other poses. "
-    "Poses stand in the order of the recording."
+    "Torque without friction in every pose (the mean of both directions), and its prediction from the other poses, in "
+    "the order of the recording."
 )
 COLUMNS = 2
 

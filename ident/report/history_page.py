@@ -17,7 +17,7 @@ MOST_PANELS = 24
 COLUMNS = 2
 CAPTION = (
     "Each result with the 95 % interval of its identification, at the mean temperature where a line says so, and the "
-    "estimated trend. Findings come first; steps are upright lines."
+    "estimated trend. Findings come first; vertical lines are steps."
 )
 
 

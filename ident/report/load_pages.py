@@ -44,8 +44,8 @@ def _payload_tiles(result: PayloadResult) -> list[Tile]:
     weighed = DASH if result.known is None else f"{number(result.known.mass)} kg"
     tiles = [
         Tile("Mass ± 95 % [kg]", with_error(mass.value, mass.std) if mass else DASH, f"known: {weighed}"),
-        Tile("A load explains what changed", _test_word(result.tests.load), _p_value(result.tests.load)),
-        Tile("Friction and the rest stayed", _test_word(result.tests.unchanged), _p_value(result.tests.unchanged)),
+        Tile("A load explains the change", _test_word(result.tests.load), _p_value(result.tests.load)),
+        Tile("Friction and the rest unchanged", _test_word(result.tests.unchanged), _p_value(result.tests.unchanged)),
     ]
     if result.known is not None:
         tiles.insert(1, Tile("Mass agrees", _test_word(result.tests.mass), _p_value(result.tests.mass)))
@@ -57,7 +57,7 @@ def _test_word(test: SignificanceTest | None) -> str:
 
 
 def _p_value(test: SignificanceTest | None) -> str:
-    return "too little data to tell" if test is None else test.p_text
+    return "too little data to decide" if test is None else test.p_text
 
 
 def _load_figure(result: PayloadResult) -> Figure | None:
@@ -67,7 +67,7 @@ def _load_figure(result: PayloadResult) -> Figure | None:
         return None
     sets = [("identified ± 95 %", result.load, IDENTIFIED)]
     if result.load_with_known is not None:
-        sets.append(("with the known ones held fixed", result.load_with_known, COMPARED))
+        sets.append(("with known values held fixed", result.load_with_known, COMPARED))
     panels = []
     for unit in units:
         rows = [row.name for row in result.load if row.unit == unit]
@@ -103,8 +103,9 @@ def _changes_figure(changes: Sequence[BaseParameterChange]) -> Figure | None:
     ]
     panel = interval_panel("changes [σ]", "<b>base parameters</b> [σ of their difference]", list(sigma), series, "σ")
     caption = (
-        "Base parameters that a load changes: their difference between the two runs, over σ of both, and what is left "
-        f"when the identified load is added to the free run's. Within ±{WITHIN_95_PERCENT:g} nothing is left."
+        "Base parameters that a load changes: their difference between the two runs, over σ of both, and what remains "
+        f"when the identified load is added to the free run's. Within ±{WITHIN_95_PERCENT:g} nothing significant "
+        "remains."
     )
     return panel_figure("changes-plot", [[panel]], caption)
 

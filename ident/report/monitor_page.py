@@ -26,7 +26,7 @@ def monitor_page(
         ("threshold", PREDICTED, [threshold]),
         ("", PREDICTED, [-threshold]),
     ]
-    caption = "External torque that acts on the arm, through the observer. Red: beyond it, a contact is noticed."
+    caption = "External torque that acts on the arm, through the observer. Red: threshold of a contact."
     return rendered(
         "monitor_page",
         robot=robot.name,

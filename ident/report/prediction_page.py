@@ -61,7 +61,7 @@ def prediction_page(robot: Robot, recording: str, summary: Table, predicted: Rec
                 joints,
                 _stamps(segments),
                 [(part, PART_COLOURS[part], [segment.parts[part] for segment in segments]) for part in PARTS],
-                "The parts of the predicted torque; together they are its whole.",
+                "The parts whose sum is the predicted torque.",
             ),
         },
     )

@@ -15,8 +15,8 @@ from ident.servo.identify import ServoIdentification
 from ident.servo.result import ServoResult
 
 ROLLOUT_CAPTION = (
-    "Measured positions of the held-out motions, and the model's on the same commands alone; the first second does not "
-    "count. Motions stand side by side."
+    "Measured positions of the held-out motions, and the model's on the same commands alone; the first second does "
+    "not count. Motions are shown side by side."
 )
 
 
@@ -48,7 +48,7 @@ def _tiles(result: ServoResult) -> list[Tile]:
         Tile("Delay and lag", mean(references.delay_and_lag), "one for all joints"),
     ]
     if references.model_file is not None:
-        tiles.append(Tile("Model file", mean(references.model_file), "MJCF as it came, in MuJoCo"))
+        tiles.append(Tile("Model file", mean(references.model_file), "original MJCF in MuJoCo"))
     return tiles
 
 

@@ -28,7 +28,7 @@ class LinkResult(Stored):
     mass: Value = Field(description="[kg]")
     com: list[Value] = Field(description="centre of mass [m]", min_length=3, max_length=3)
     inertia: dict[str, Value] = Field(description="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²]")
-    prior: str = Field(description="where the body comes from that fills in what the data leave open")
+    prior: str = Field(description="source of the prior body for what the data leave open")
     identified: float = Field(description="share of its ten parameters that the data determine")
 
 

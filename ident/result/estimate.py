@@ -46,7 +46,9 @@ class ExperimentResult(Stored):
         names = model.joint_names
         unknown = [name for name in (*self.locked, *self.torques_of) if name not in names]
         if unknown:
-            raise ResultFileError(f"names joints that the robot has not: {', '.join(unknown)}", where=where, hint=AGAIN)
+            raise ResultFileError(
+                f"names joints that the robot does not have: {', '.join(unknown)}", where=where, hint=AGAIN
+            )
         if len({len(positions) for positions in self.locked.values()}) > 1:
             raise ResultFileError("holds different numbers of positions", where=f"{where}.locked", hint=AGAIN)
         if not self.torques_of or not all(np.all(np.isfinite(positions)) for positions in self.locked.values()):

@@ -56,7 +56,7 @@ class JointFrictionExperiment(JointFrictionResult):
     samples: int = Field(description="equations")
     periods: int = Field(description="in which this joint moves and all others rest")
     settled: bool = Field(description="whether shapes and load torque converged")
-    notes: list[str] = Field(description="what the recordings do not tell")
+    notes: list[str] = Field(description="what the recordings do not determine")
 
     @model_validator(mode="after")
     def _whole(self) -> Self:

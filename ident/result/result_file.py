@@ -56,7 +56,7 @@ def read_result(path: Path) -> Result:
         )
     if content.get("kind") == GRAVITY:
         raise ResultFileError(
-            "is a model of gravity, which knows no torque of a motion",
+            "is a model of gravity, which cannot predict torques of a motion",
             where=str(path),
             hint="dynid validate and dynid export --c take it, and in Python dynid.load_model(…).gravity(q)",
         )
@@ -73,7 +73,9 @@ def checked(form: type[Kind], content: Mapping[str, Any], path: Path, kind: str,
     schema = content.get("dynid_schema")
     if not isinstance(schema, int) or schema > newest:
         raise ResultFileError(
-            f"has schema version {schema}, this dynid reads up to {newest}", where=str(path), hint="update dynid"
+            f"has schema version {schema}, this version of dynid reads up to {newest}",
+            where=str(path),
+            hint="update dynid",
         )
     warn_of_strange_files(path, content)
     return stored(form, content, path, "identify again")
@@ -174,14 +176,16 @@ def stored_model(result: Result) -> StoredModel:
         raise ResultFileError("names no Coulomb parameter of this model", where="presliding.travels", hint=AGAIN)
     load = options.terms.load_torque
     if load is not None and not all(0 <= column < len(INERTIAL) * len(model.joints) for column in load.columns):
-        raise ResultFileError("names columns of no link", where="model_options.terms.load_torque", hint=AGAIN)
+        raise ResultFileError(
+            "names columns that belong to no link", where="model_options.terms.load_torque", hint=AGAIN
+        )
     experiments = tuple(
         stored.restored(model, f"experiments.{index}") for index, stored in enumerate(result.experiments)
     )
     experiments = experiments or (whole_arm(model),)
     base = experiment_base(model, experiments)
     if {parameter.name for parameter in result.base_parameters} != set(base.names):
-        raise ResultFileError("the base parameters do not belong to the robot file beside them", hint=AGAIN)
+        raise ResultFileError("the base parameters do not belong to the robot file stored with them", hint=AGAIN)
     return StoredModel(robot_file, model, experiments, base)
 
 

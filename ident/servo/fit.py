@@ -227,9 +227,9 @@ def _settle_terms(
     """
     (centre, weighted, moving), held = joints, state.held
     chosen, judged = parts
-    progress("are the servos alike?")
+    progress("comparing the servos")
     _like_the_others(state, chosen, judged, centre, held, moving, least)
-    progress("does the arm touch something?")
+    progress("testing for a contact surface")
     state.contact = find_contact(state.lanes, state.values, *tool, least)
     chosen, judged = _coupled_again(state, motions, links, tool[0])
     scale = error_scale(chosen, state.values, least)
@@ -243,7 +243,7 @@ def _settle_terms(
         able = np.flatnonzero(offered & ~(held | state.free)[:, members(group)].any(axis=1))
         if not len(able):
             continue
-        progress(f"is there a {group}?")
+        progress(f"testing the term {group}")
         share = ZERO_GAIN if group == "zero" else LATE_GAIN
         # as many steps without the term: what a longer search saves is not the term's
         scale = error_scale(chosen, state.values, least)

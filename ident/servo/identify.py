@@ -296,8 +296,8 @@ def verdict(
     far = [f"{name} by {value:.2g} rad" for name, value in zeros.items() if abs(value) > FAR_ZERO]
     if far:
         checks.append(
-            f"for gravity the encoder's zero is not that of the URDF: {', '.join(far)}; compare a pose of the arm with "
-            "its picture"
+            f"gravity shows another encoder zero than the URDF's: {', '.join(far)}; compare a pose of the arm with its "
+            "model"
         )
     if contact is not None:
         checks.append(_contact_words(contact, judged.contacts))
@@ -309,10 +309,10 @@ def verdict(
         if (limit := joint.parameters.get("torque_limit")) is not None and limit.origin == "data"
     ]
     if limited:
-        checks.append(f"drives that saturate: {', '.join(limited)}; beyond it a joint follows its commands no longer")
+        checks.append(f"drives that saturate: {', '.join(limited)}; beyond it a joint no longer follows its commands")
     resting = [joint.joint for joint in joints if joint.note]
     if resting:
-        checks.append(f"{', '.join(resting)}: never commanded to move, so that all parameters are those of the others")
+        checks.append(f"{', '.join(resting)}: never commanded to move, so all its parameters are those of the others")
     loose = [joint.joint for joint in joints if joint.parameters["stiffness"].origin == "assumed" and not joint.note]
     if loose:
         checks.append(
@@ -332,13 +332,13 @@ def _contact_words(contact: Contact, stretches: Sequence[ContactStretch]) -> str
     """What the arm touches, and when."""
     text = f"the arm touches something at a height of {contact.height:.3f} m"
     if not stretches:
-        return f"{text} in other motions; the joints are fitted without these stretches"
+        return f"{text} in other motions; the joints are fitted without these times"
     longest = max(stretches, key=lambda stretch: stretch.end - stretch.begin)
     seconds = sum(stretch.end - stretch.begin for stretch in stretches)
-    others = f" and {len(stretches) - 1} more stretches" if len(stretches) > 1 else ""
+    others = f" and {len(stretches) - 1} more times" if len(stretches) > 1 else ""
     return (
         f"{text}: in {longest.recording} from {longest.begin:.1f} s to {longest.end:.1f} s{others}, {seconds:.0f} s in "
-        "all; the joints are fitted without such stretches"
+        "all; the joints are fitted without such times"
     )
 
 

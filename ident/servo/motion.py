@@ -96,9 +96,9 @@ def servo_motions(recorded: CommandedMotion, label: str) -> list[ServoMotion]:
     if max(late, early) > SETTLING:
         side = f"begin {late:.2f} s after" if late > early else f"end {early:.2f} s before"
         raise DataError(
-            f"its commands {side} its positions do: are both of one clock and one motion?",
+            f"its commands {side} its positions do: check that both have one clock and belong to one motion",
             where=label,
-            hint="cut the recording to where both are, or import it again with both stamps of one clock",
+            hint="cut the recording to where both exist, or import it again with stamps of one clock",
         )
     step = period / max(1, round(period / STEP))
     motions = []

@@ -27,7 +27,7 @@ class ServoParameter(Stored):
     value: Value
     unit: str
     interval: tuple[Value, Value] | None = Field(default=None, description="95 %; null where it was not searched")
-    unidentifiable: bool = Field(default=False, description="the data do not tell it; the value only fits them")
+    unidentifiable: bool = Field(default=False, description="the data do not determine it; the value merely fits them")
     origin: Literal["data", "given", "assumed"] = "data"
 
 
@@ -48,7 +48,7 @@ class References(Stored):
     command: list[Value] = Field(description="the command itself")
     delay_and_lag: list[Value] = Field(description="the best delay and first-order lag for all joints together")
     model_file: list[Value] | None = Field(
-        default=None, description="an MJCF of the arm as it came, rolled out in MuJoCo; null where none was given"
+        default=None, description="the original MJCF of the arm, rolled out in MuJoCo; null if none was given"
     )
 
 
@@ -108,11 +108,13 @@ class ServoResult(Stored):
     joints: list[str]
     sliding: list[bool]
     method: Literal["servo"] = "servo"
-    links: str = Field(description="where the links' masses are from")
+    links: str = Field(description="source of the links' masses")
     resolution: list[Value] = Field(description="steps of the encoders [rad or m]")
     step: Value = Field(description="of the roll-out [s]")
     servo: list[ServoJoint]
-    contact: ServoContact | None = Field(default=None, description="what the arm touches; null without a sign of it")
+    contact: ServoContact | None = Field(
+        default=None, description="the surface that the arm touches; null if there is none"
+    )
     covariance: list[list[list[Value]]] = Field(
         default=[],
         description="per joint, of its searched terms in the order of `searched`; logarithms of positive ones",

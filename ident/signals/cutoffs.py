@@ -45,7 +45,7 @@ def choose_cutoffs(band: float, rate: float, choices: PreprocessChoices) -> Cuto
             raise UsageError(
                 f"a cut-off of {value:g} Hz is not below half the sampling rate, {rate / 2:g} Hz",
                 where=name,
-                hint="leave it out to have it chosen from the motion",
+                hint="omit it to choose it from the motion",
             )
     torque = choices.torque_cutoff
     if torque is None:
@@ -68,9 +68,9 @@ def choose_cutoffs(band: float, rate: float, choices: PreprocessChoices) -> Cuto
     if decimate > 1 and torque >= rate / decimate / 2:
         most_decimate = max(1, int(rate / (OUTPUT_RATE_PER_CUTOFF * torque)))
         raise UsageError(
-            f"every {decimate}th sample of {rate:g} Hz cannot hold frequencies up to the cut-off of {torque:g} Hz",
+            f"every {decimate}th sample of {rate:g} Hz cannot represent frequencies up to the cut-off of {torque:g} Hz",
             where="decimate, torque_cutoff",
-            hint=f"decimate by {most_decimate} or less, or leave one of them out",
+            hint=f"decimate by {most_decimate} or less, or omit one of them",
         )
     return Cutoffs(band, position, torque, decimate)
 

@@ -132,7 +132,7 @@ def butterworth(cutoff_hz: float, rate_hz: float, order: int = 4, factor: int = 
     if not 0 < cutoff_hz < rate_hz / 2:
         raise UsageError(
             f"the cut-off {cutoff_hz:g} Hz is not between 0 and half the sampling rate ({rate_hz / 2:g} Hz)",
-            hint="leave it out to have it chosen from the motion",
+            hint="omit it to choose it from the motion",
         )
     sos = low_pass_sections(order, cutoff_hz / rate_hz)
     return ZeroPhaseFilter(sos, factor, f"zero-phase Butterworth {order}, {cutoff_hz:.4g} Hz" + _keeping(factor))

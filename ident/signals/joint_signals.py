@@ -238,7 +238,7 @@ def _joint_torque(stream: Stream, robot: Robot, label: str, hint: str) -> tuple[
             )
     if recorded is None and (unsigned or any(drive.signal == "magnitude" for drive in drives)):
         raise DataError(
-            f"its {' and '.join(sorted(unsigned)) or 'current'} is a magnitude: without its sign it is no torque",
+            f"its {' and '.join(sorted(unsigned)) or 'current'} is a magnitude: without its sign it is not a torque",
             where=label,
             hint=SERVO_HINT,
         )

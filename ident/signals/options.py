@@ -99,9 +99,7 @@ class FilterOptions(Options):
             return
         if self.differentiation != "kalman":
             raise UsageError(
-                "Q and R have no meaning without the Kalman smoother",
-                where="--kalman-noise",
-                hint="--differentiation kalman",
+                "Q and R need the Kalman smoother", where="--kalman-noise", hint="--differentiation kalman"
             )
         if self.position_cutoff is not None:
             raise UsageError(
@@ -128,7 +126,7 @@ class WindowOptions(Options):
     )
     keep_rest: bool = option(
         False,
-        "Keep samples at rest: segments in which no joint moves, motors at rest.",
+        "Keep samples at rest: segments in which no joint moves, and motors at rest.",
         meaning="keep segments in which no joint moves, and torques of motors at rest.",
     )
 

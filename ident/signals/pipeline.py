@@ -55,7 +55,7 @@ def prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
 
 def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     if choices.measured_velocity and signals.velocity is None:
-        raise UsageError("the recording holds no velocity", hint="leave the measured velocity out; it is derived then")
+        raise UsageError("the recording holds no velocity", hint="omit the measured velocity; it is then derived")
     check_stamps(signals.time)
     windowed, window_step = _windowed(signals, choices)
     irregularity = measure_irregularity(windowed.time)
@@ -196,8 +196,8 @@ def _stale_step(signals: JointSignals) -> Step | None:
     counts = {"repeated": signals.stale.repeated, "held": signals.stale.held, "stuck": signals.stale.stuck}
     settings = {name: int(np.count_nonzero(rows)) for name, rows in counts.items()}
     text = (
-        f"rows that were not measured anew left out: {settings['repeated']} repeat the one before, "
-        f"{settings['held']} its positions, {settings['stuck']} while an encoder was stuck"
+        f"repeated rows left out: {settings['repeated']} repeat the previous one, {settings['held']} its positions, "
+        f"{settings['stuck']} while an encoder was stuck"
     )
     if signals.stale.jumps:
         settings["jumps"] = len(signals.stale.jumps)
@@ -210,7 +210,7 @@ def _outlier_step(signals: JointSignals) -> Step | None:
     if not signals.replaced:
         return None
     counts = ", ".join(f"{replaced.quantity} of {replaced.joint} {replaced.count}" for replaced in signals.replaced)
-    text = f"single samples far from what their neighbours say, replaced by that: {counts}"
+    text = f"single outliers replaced by interpolation: {counts}"
     return Step(
         "outliers", {f"{replaced.quantity}_{replaced.joint}": replaced.count for replaced in signals.replaced}, text
     )
@@ -223,7 +223,7 @@ def _uniform(recorded: UniformSegment, irregularity: Irregularity) -> tuple[tupl
     time = recorded.time
     if irregularity.regular:
         rate = float(f"{(len(time) - 1) / (time[-1] - time[0]):.9g}")
-        text = f"stamps are regular, {rate:.6g} Hz; taken as they are"
+        text = f"stamps are regular, {rate:.6g} Hz; used as they are"
         segments = [replace(recorded, rate=rate)] if len(time) >= SHORTEST_SEGMENT else []
     else:
         rate = irregularity.rate
@@ -303,11 +303,11 @@ def _aligned(
         raise UsageError(f"a delay of {longest:g} s is longer than the recording", where="delay", hint="give seconds")
     if choices.joint_delays is None:
         sign = "later" if choices.delay > 0 else "earlier"
-        text = f"position compared with the torque {1e3 * abs(choices.delay):.4g} ms {sign}, ends cut off"
+        text = f"position compared with the torque {1e3 * abs(choices.delay):.4g} ms {sign}, ends dropped"
         return aligned, Step("delay", {"delay_s": choices.delay}, text)
     of_joints = ", ".join(f"{name} {1e3 * delay:.4g} ms" for name, delay in zip(joint_names, delays, strict=True))
     settings = {f"delay_s_{name}": delay for name, delay in zip(joint_names, delays, strict=True)}
-    return aligned, Step("delay", settings, f"position compared with the torque later by {of_joints}; ends cut off")
+    return aligned, Step("delay", settings, f"position compared with the torque later by {of_joints}; ends dropped")
 
 
 def _shifted(segment: UniformSegment, delays: Sequence[float]) -> FloatArray:

@@ -55,7 +55,7 @@ def check_stamps(time: FloatArray) -> None:
         raise DataError(
             f"time goes backwards, from {time[first]:.6f} s to {time[first + 1]:.6f} s",
             where=f"sample {first + 1}",
-            hint="sort the samples by their stamps, or cut the recording there",
+            hint="sort the samples by their stamps, or split the recording there",
         )
 
 
@@ -67,7 +67,7 @@ def check_rate(rate: float, where: str = "") -> None:
     """
     if np.isfinite(rate) and not SAMPLING_RATE.holds(rate):
         raise DataError(
-            f"{rate:.4g} samples per second is no plausible rate of a robot arm ({SAMPLING_RATE})",
+            f"{rate:.4g} samples per second is not a plausible rate for a robot arm ({SAMPLING_RATE})",
             where=where,
             hint="the time stamps are probably not in seconds",
         )

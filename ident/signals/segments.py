@@ -109,7 +109,7 @@ def without_ends(segments: Sequence[Segment], cutoffs: Cutoffs) -> tuple[tuple[S
     ends = cut + uncounted
     if not shortened:
         raise DataError(
-            f"nothing with motion is left once {ends:.3g} s at both ends are left out, where the filters are not valid",
+            f"no motion remains after leaving out {ends:.3g} s at both ends, where the filters are not valid",
             hint="record longer, or give higher cut-offs",
         )
     text = f"the first and the last {ends:.3g} s of every segment left out, where the filters are not valid"

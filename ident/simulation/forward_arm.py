@@ -195,7 +195,8 @@ def _check_dissipative(model: DynamicModel, directions: FloatArray, dry: FloatAr
     ]
     if wrong:
         raise ModelError(
-            f"negative Coulomb friction (not dissipative) of {', '.join(wrong)}: a joint at rest would never stay so",
+            f"negative Coulomb friction (not dissipative) of {', '.join(wrong)}: a joint at rest would not stay at "
+            "rest",
             where=model.name,
             hint='simulate the physically consistent model (parameters="consistent", the default)',
         )

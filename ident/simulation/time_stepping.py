@@ -67,7 +67,7 @@ def divergence(
     if not (np.isfinite(inertia).all() and np.isfinite(arm.bias(position, velocities[-2])).all()):
         return ModelError(
             f"the model gives no finite inertia or gravity at {time:.4g} s, whatever the torque",
-            hint="look for lengths, masses or parameters of the result that are out of proportion",
+            hint="check the lengths, masses and parameters of the result",
         )
     joint = int(np.argmax(np.where(np.isfinite(velocities[-1]), np.abs(velocities[-1]), np.inf)))
     name = arm.joint_names[joint]
@@ -88,7 +88,7 @@ def _hint(arm: ForwardArm, name: str, torque: FloatArray) -> str:
             '(parameters="consistent", the default)'
         )
     if len(torque) > ALTERNATIONS and np.all(torque[1:] * torque[:-1] < 0.0):
-        return "the torque changes sign at every step: a shorter step, or softer gains for so little inertia"
+        return "the torque changes sign at every step: use a shorter step, or softer gains for so little inertia"
     return "give a smaller torque, softer controller gains or a shorter step"
 
 

@@ -50,7 +50,7 @@ def recording_of(run: Run) -> Recording:
         path = Path(run)
         if path.suffix.lower() in IMPORTED and path.exists():
             hint = f'dynid import {path} --robot ROBOT -o {path.stem}.h5, or dynid.import_recording("{path}", robot)'
-            raise UsageError("is not a recording, but can become one", where=str(path), hint=hint)
+            raise UsageError("is not a recording, but can be imported", where=str(path), hint=hint)
         return read_recording(path)
     if hasattr(run, "iloc"):
         door = "dynid.Recording.from_dataframe(robot, frame)"
@@ -58,9 +58,7 @@ def recording_of(run: Run) -> Recording:
         door = "dynid.Recording.from_dict(robot, arrays)"
     else:
         door = "dynid.Recording.from_arrays(robot, time=…, position=…, torque=… or current=…)"
-    raise UsageError(
-        f"{given_kind(run)} is not a recording: it says neither which robot it is of, nor its units", hint=door
-    )
+    raise UsageError(f"{given_kind(run)} is not a recording: it states neither robot nor units", hint=door)
 
 
 def recordings_of(runs: Runs) -> list[Recording]:

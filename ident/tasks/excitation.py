@@ -220,7 +220,7 @@ def load_trajectory(path: str | PathLike[str], robot: str | Path | RobotFile) ->
         True
     """
     if not isinstance(path, (str, PathLike)):
-        raise UsageError(f"a {type(path).__name__} is no path of a trajectory", hint='give "traj.yaml"')
+        raise UsageError(f"a {type(path).__name__} is not a path of a trajectory", hint='give "traj.yaml"')
     robot_file = load_robot(robot)
     read = read_trajectory(path_of(path), robot_file.robot)
     return ExcitationTrajectory(robot_file, read.text, read.motion, find_prior(robot_file))
@@ -261,7 +261,7 @@ def search_words(designed: Design) -> str:
     state = designed.search
     ended = ", ended by Ctrl-C" if state.interrupted else ""
     died = f", {state.died} search processes died" if state.died else ""
-    finished = f"{state.finished} of its starts came to their end" if state.finished else "no start came to its end"
+    finished = f"{state.finished} of its starts finished" if state.finished else "no start finished"
     return f"search of {state.seconds:.1f} s, {finished}{ended}{died}"
 
 
@@ -318,7 +318,8 @@ def design_gravity_motion(options: GravityMotionOptions) -> tuple[ExcitationTraj
     prior = find_prior(robot_file, prior_path)
     choices = same_named(options, GravityChoices)
     designed = gravity_motion(robot_file, ArmMotionCheck(robot_file, prior_path), prior, choices)
-    comment = f"designed by dynid excite --for gravity: {len(designed.poses)} poses, each passed slowly from both sides"
+    comment = f"designed by dynid excite --for gravity: {len(designed.poses)} poses, each passed slowly in both "
+    "directions"
     text, motion = _points_text(robot_file, designed.motion, comment)
     return ExcitationTrajectory(robot_file, text, motion, prior), designed
 
@@ -378,7 +379,7 @@ def design_sweep(options: SweepOptions) -> tuple[ExcitationTrajectory, tuple[Joi
     prior = None if options.prior is None else result_path(options.prior)
     choices = same_named(options, SweepChoices, joints=tuple(options.joints))
     sweep = velocity_sweep(robot_file, ArmMotionCheck(robot_file, prior), choices)
-    comment = "designed by dynid sweep: one joint at a time, forth and back, for friction"
+    comment = "designed by dynid sweep: one joint at a time, back and forth, for friction"
     text, motion = _points_text(robot_file, sweep.motion, comment)
     return ExcitationTrajectory(robot_file, text, motion, find_prior(robot_file, prior)), sweep.joints
 

@@ -172,7 +172,7 @@ def identify_gravity(
         ...     dynid.identify_gravity(dynid.simulate("up6", duration=10.0, rate=100.0))
         ... except dynid.DataError as error:
         ...     print(error.message)
-        holds no pose that is passed slowly in both directions
+        contains no pose that is passed slowly in both directions
     """
     recordings, held_out = recordings_of(runs), held_out_of(validation)
     if not recordings:

@@ -132,7 +132,7 @@ class History:
             How many were new.
 
         Raises:
-            ResultFileError: no result, or one without times; the file is no history, or damaged.
+            ResultFileError: no result, or one without times; the file is not a history, or damaged.
             UsageError: the file cannot be written, or is held by another program; the time is none.
             DiskError: the disk is full or fails.
         """
@@ -185,4 +185,4 @@ def _time_of(given: Any) -> datetime | None:
             return datetime.fromtimestamp(given, UTC)
         return parse_time(given.isoformat() if isinstance(given, datetime) else given)
     except (ValueError, TypeError, OverflowError, OSError):
-        raise UsageError(f"--time: '{given}' is no time", hint="write it so: 2026-05-01T12:00") from None
+        raise UsageError(f"--time: '{given}' is not a time", hint="write it as 2026-05-01T12:00") from None

@@ -154,7 +154,7 @@ class IdentificationResult(SavedResult):
         segments = predict_recording(self.model, stored_model(self.result).robot_file, recording).segments
         residuals = [segment.residual for segment in segments if segment.residual is not None]
         if not residuals:
-            raise DataError("no torque was recorded to compare with", where=recording.label)
+            raise DataError("no torque was recorded for comparison", where=recording.label)
         residual = np.concatenate(residuals)
         spread = np.var(residual + np.concatenate([segment.torque for segment in segments]), axis=0)
         if not np.all(spread > 0.0):

@@ -186,7 +186,7 @@ class IdentifiedGains(SavedResult):
 
 @keywords_of(LoadOptions)
 def payload(options: LoadOptions) -> IdentifiedPayload:
-    """Identify the load on the tool, and test whether a load explains what changed between the runs (SR400 .4.4).
+    """Identify the load on the tool, and test whether a load explains the change between the runs (SR400 .4.4).
 
     Raises:
         UsageError: com or inertia without a mass, or an impossible body.

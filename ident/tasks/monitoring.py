@@ -260,7 +260,7 @@ def at_rate(samples: list[tuple[str, JointSamples]], period: float) -> list[tupl
     if not alike:
         name, other = samples[0]
         raise DataError(
-            f"the recording to watch has {1.0 / period:.4g} Hz, those without contact have not ({name}: "
+            f"the recording has {1.0 / period:.4g} Hz, unlike those without contact ({name}: "
             f"{1.0 / sample_period(other):.4g} Hz)",
             hint="--quiet names a recording of ordinary motion at the same rate",
         )
@@ -279,7 +279,7 @@ def own_recordings(model: Model, watched: Recording | None = None) -> list[Recor
     recordings = list(dict.fromkeys(path for path in recordings if path.resolve() != own))
     if not recordings:
         raise UsageError(
-            "the recordings that the model comes from are not where they were, or are the one to watch",
+            "the recordings of the model were moved, or include the one to analyse",
             where=model.name,
             hint="--quiet names a recording of ordinary motion without contact",
         )
@@ -299,7 +299,7 @@ def sensitivity_table(smallest: Sequence[SmallestForce]) -> Table:
         for force in smallest
     ]
     names = [f"{axis}{way}" for way in ("", " worst pose", " near rest") for axis in "xyz"]
-    title = "Smallest force noticed, either direction"
+    title = "Smallest force detected, either direction"
     return table_of_rows(title, [("link", ""), *((name, "N") for name in names)], rows)
 
 
@@ -316,8 +316,8 @@ def explanation(learnt: Thresholds, delay: float) -> list[str]:
             f"extrapolated {tail.extrapolation:.3g} times beyond the time observed"
         )
     said.append(
-        f"a force of twice the smallest is expected to be noticed after {1e3 * delay:.0f} ms; this is no "
-        "safety function"
+        f"a force of twice the smallest is expected to be detected after {1e3 * delay:.0f} ms; this is no safety "
+        "function"
     )
     return said
 
@@ -333,7 +333,7 @@ def _detectors(
     if hours <= 0.0:
         raise UsageError("the labelled contacts leave no time without contact", where="--contacts")
     ways = {
-        "external torque, earned thresholds": residuals.ratio,
+        "external torque, learnt thresholds": residuals.ratio,
         "external torque, one threshold per joint": np.max(
             np.abs(residuals.external) / np.max(thresholds.limit, axis=0), axis=1
         ),

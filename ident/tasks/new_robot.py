@@ -70,7 +70,7 @@ def new_robot_file(
     urdf, shared = (None, False) if source is None else _urdf_of(source)
     path = out or Path(f"{'my_arm' if urdf is None else re.sub(r'[^A-Za-z0-9_.-]+', '_', urdf.stem)}.yaml")
     if path.suffix.lower() not in {".yaml", ".yml"}:
-        raise UsageError(f"'{path}' is no name of a robot file", where="--out", hint="end it in .yaml")
+        raise UsageError(f"'{path}' is not a name for a robot file", where="--out", hint="end it in .yaml")
     check_outputs([path], [urdf], overwrite=overwrite)
     if urdf is None:
         new = NewRobot(path, new_robot_of_joints(joints or 0), None, ArmGuess(), None)
@@ -131,11 +131,11 @@ def _of_description(name: str) -> Path:
         reason = next(
             (line.strip() for line in reversed(str(error).splitlines()) if line.strip()), type(error).__name__
         )
-        hint = "it is downloaded when it is first asked for: connect this computer once, or give the path of a URDF"
+        hint = "it is downloaded at first use: connect this computer once, or give the path of a URDF"
         raise UsageError(f"{DESCRIPTIONS} cannot get '{module}': {reason}", hint=hint) from error
     urdf = getattr(description, "URDF_PATH", None)
     if urdf is None:
         kind = "a xacro" if hasattr(description, "XACRO_PATH") else "an MJCF"
-        hint = "convert it: xacro FILE > arm.urdf" if kind == "a xacro" else "another one may be a URDF"
+        hint = "convert it: xacro FILE > arm.urdf" if kind == "a xacro" else "another description may be a URDF"
         raise UsageError(f"'{module}' is {kind} file, not a URDF", hint=hint)
     return Path(urdf)

@@ -42,7 +42,7 @@ _PROGRESS = "called with the name of each step before it begins."
 
 def _robot_option() -> str | Path | RobotFile | None:
     return option(
-        None, "Robot file in place of the recording's own.", meaning="in place of the recording's own robot file."
+        None, "Robot file instead of the recording's own.", meaning="in place of the recording's own robot file."
     )
 
 
@@ -83,7 +83,7 @@ class DataOptions(Options):
     )
     validation: Runs = option(
         (),
-        "Held-out recording, once per file; the last 30 % without one.",
+        "Held-out recording, once per file; default: the last 30 %.",
         meaning="held-out recordings; without any, the last 30 % of each of the others.",
         flag="--validate",
         command_type=list[Path],
@@ -122,8 +122,8 @@ class CompareOptions(Options):
     )
     validation: Runs = option(
         (),
-        "Held-out recordings; the last 30 % without any.",
-        meaning="held-out recordings, each judged apart; the last 30 % of the others without any.",
+        "Held-out recordings; default: the last 30 %.",
+        meaning="held-out recordings, each judged separately; the last 30 % of the others without any.",
         flag="--validate",
         command_type=list[Path],
     )
@@ -191,7 +191,7 @@ class LoadOptions(Options):
     loaded: Run = field(
         metadata=argument(
             "loaded",
-            "Recording (.h5) of the same arm with it.",
+            "Recording (.h5) of the same arm with the load.",
             meaning="recording of the same arm with it.",
             command_type=Path,
         )
@@ -200,21 +200,21 @@ class LoadOptions(Options):
     mass: float | None = option(None, "Mass of the load [kg].", meaning="of the load, where it was weighed [kg].")
     com: Sequence[float] | FloatArray | None = option(
         None,
-        "Its centre of mass in the tool frame [m].",
+        "Centre of mass of the load in the tool frame [m].",
         meaning="its centre of mass x, y, z in the tool frame [m].",
         metavar="X,Y,Z",
         read=read_numbers,
     )
     inertia: Sequence[float] | FloatArray | None = option(
         None,
-        "Its inertia about the centre of mass [kg·m²].",
+        "Inertia of the load about its centre of mass [kg·m²].",
         meaning="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²].",
         metavar="XX,XY,XZ,YY,YZ,ZZ",
         read=read_numbers,
     )
     robot: str | Path | RobotFile | None = option(
         None,
-        "Robot file in place of the free recording's own.",
+        "Robot file instead of the free recording's own.",
         meaning="in place of the free recording's own robot file.",
     )
     delay: float | None = delay_option()
@@ -237,7 +237,7 @@ class GainsOptions(LoadOptions):
     _: KW_ONLY
     up_and_down: bool = option(
         False,
-        "From slow passes of one joint at a time, up and down.",
+        "Identify from slow passes of one joint at a time, up and down.",
         meaning="the runs are slow passes of one joint at a time, up and down.",
     )
 
@@ -279,7 +279,7 @@ class PredictOptions(Options):
     _: KW_ONLY
     parameters: Parameters | None = option(
         None,
-        "consistent, full or essential; consistent where there are any, else full.",
+        "consistent, full or essential; default: consistent if available, else full.",
         meaning='"consistent", "full" or "essential", as in `load_model`; None takes what that does.',
     )
 
@@ -295,8 +295,8 @@ class DetectionOptions(Options):
         command_type=list[Path],
     )
     observer: Kind = option("direct", "momentum, direct or kalman.", one_of=get_args(Kind))
-    bandwidth: float = option(BANDWIDTH, "Of the observer [1/s].", allowed=OBSERVER_BANDWIDTH)
-    false_alarms: float = option(1.0, "False alarms per hour that thresholds allow.", allowed=ALARM_RATE)
+    bandwidth: float = option(BANDWIDTH, "Bandwidth of the observer [1/s].", allowed=OBSERVER_BANDWIDTH)
+    false_alarms: float = option(1.0, "Allowed false alarms per hour.", allowed=ALARM_RATE)
 
 
 @dataclass(frozen=True)
@@ -329,7 +329,7 @@ class ValidateOptions(Options):
     runs: Runs = field(
         metadata=argument(
             "recordings",
-            "Held-out recordings (.h5), each judged apart.",
+            "Held-out recordings (.h5), each judged separately.",
             meaning="a held-out recording or several, or their paths.",
             command_type=list[Path],
         )
@@ -344,7 +344,7 @@ class _MergedOptions(Options):
 
     validation: Run | None = option(
         None,
-        "Held-out recording (.h5), used by none of them.",
+        "Held-out recording (.h5) that none of them used.",
         meaning="a held-out recording, used by none of them.",
         flag="--validate",
         command_type=Path,
@@ -376,7 +376,7 @@ class InfoOptions(Options):
     robot: str | Path | RobotFile | None = _robot_option()
     wanted_rsd: float | None = option(
         None,
-        "Estimate how long this motion must be recorded for this relative standard deviation [%].",
+        "Estimate how long to record this motion for this relative standard deviation [%].",
         meaning="relative standard deviation [%] for which the duration needed is estimated.",
         allowed=PERCENT,
         hint="5 is usual",

@@ -409,7 +409,7 @@ def _given(file: RobotFile) -> dict[str, dict[str, float]]:
         where = f"{file.where}: servo.{joint}"
         for name, value in terms.items():
             if name not in INDEX:
-                raise RobotFileError(f"'{name}' is no parameter of a servo", where=where, hint=", ".join(INDEX))
+                raise RobotFileError(f"'{name}' is not a servo parameter", where=where, hint=", ".join(INDEX))
             allowed = TERMS[INDEX[name]].allowed
             if not allowed.holds(value):
                 raise RobotFileError(f"{value:g} is not within {allowed}", where=f"{where}.{name}")

@@ -169,7 +169,7 @@ def merge(options: MergeOptions) -> IdentificationResult:
     """
     if not isinstance(options.results, (list, tuple)):
         hint = "give a list of at least two, of dynid.identify or their paths"
-        raise UsageError(f"{given_kind(options.results)} is no list of results", hint=hint)
+        raise UsageError(f"{given_kind(options.results)} is not a list of results", hint=hint)
     named = [
         (_label(identified, position), result_of(identified))
         for position, identified in enumerate(options.results, start=1)

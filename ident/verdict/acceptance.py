@@ -61,7 +61,7 @@ class AcceptanceLimits(Section):
             if largest > 1.0:
                 raise ValueError(f"{name} {largest:g} is a ratio, not a percentage: 0.08 is 8 %")
         if self.consistent is False:
-            raise ValueError("consistent: false asks for nothing; leave the key out")
+            raise ValueError("consistent: false requires nothing; omit the key")
         return self
 
     @property
@@ -165,7 +165,7 @@ def declared(content: Mapping[Any, Any], where: str) -> AcceptanceLimits:
     """
     limits = validated(content, AcceptanceLimits, where=where, refusal=UsageError)
     if not limits.model_dump(exclude_none=True):
-        raise UsageError("declares no limit", where=where, hint="relative_error: 0.08")
+        raise UsageError("states no limit", where=where, hint="relative_error: 0.08")
     return limits
 
 
@@ -178,7 +178,7 @@ def check_joints(limits: AcceptanceLimits, joints: Sequence[str]) -> None:
     unknown = sorted(limits.joints - set(joints))
     if unknown:
         raise UsageError(
-            f"limits for {', '.join(unknown)}, which the robot has not",
+            f"limits for {', '.join(unknown)}, which the robot does not have",
             where="accept",
             hint=f"joints: {', '.join(joints)}",
         )
@@ -210,7 +210,7 @@ def _criteria(limits: AcceptanceLimits, figures: ModelFigures) -> Iterator[Judge
         judged = figures.verdict.purposes.get(purpose)
         passed = judged is not None and GRADES.index(judged.grade) <= GRADES.index(least)
         found = "not judged" if judged is None else f"{judged.grade}, {judged.because}"
-        text = f"{PURPOSE_WORDS[purpose]}: {found}; at least {least} is asked for"
+        text = f"{PURPOSE_WORDS[purpose]}: {found}; at least {least} is required"
         yield JudgedLimit("purposes", purpose, least, None if judged is None else judged.grade, passed, text)
 
 
@@ -234,7 +234,7 @@ def _below(name: str, joint: str, limit: float, value: float | None, words: str,
     passed = finite is not None and finite <= limit
     of = f"{joint}: " if joint else ""
     if finite is None:
-        text = f"{of}{words} is not known; at most {limit:.4g}{unit} is asked for"
+        text = f"{of}{words} is unknown; the limit is {limit:.4g}{unit}"
     else:
         text = f"{of}{words} is {finite:.4g}{unit}, {'within' if passed else 'above'} the limit of {limit:.4g}{unit}"
     return JudgedLimit(name, joint, limit, finite, passed, text)

@@ -39,7 +39,7 @@ class TorqueError:
         if moving is not None and percent_text(moving, 2) != text:
             text += f" over all samples ({percent_text(moving, 2)} in motion)"
         if judged is not None and percent_text(judged, 2) != percent_text(whole, 2):
-            text += f", {percent_text(judged, 2)} of the least torque that counts for this joint"
+            text += f", {percent_text(judged, 2)} of the smallest torque that counts for this joint"
         return text
 
 

@@ -151,7 +151,7 @@ def together(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
         ValueError: there is none.
     """
     if not verdicts:
-        raise ValueError("no verdict to sum up")
+        raise ValueError("no verdicts to combine")
     if len(verdicts) == 1:
         return verdicts[0][1]
     purposes = {}

@@ -47,7 +47,7 @@ def body_table(load: ConsistentLoadResult) -> Table:
             for name in INERTIA_ELEMENTS
         ),
     ]
-    title = "Load as a body that can exist: centre of mass, and inertia about it"
+    title = "Physically consistent load: centre of mass, and inertia about it"
     return table_of_rows(title, (Column("name"), VALUE, STD, UNIT, Column("from")), rows)
 
 

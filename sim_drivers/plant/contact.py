@@ -173,7 +173,7 @@ def parse_contact(line: str, model: DynamicModel, tool: FloatArray, now: float) 
         case ["release"]:
             return Grasp(0.0, (0.0, 0.0, 0.0), start)
         case _:
-            raise UsageError(f"'{line.strip()}' is no contact", hint=USAGE)
+            raise UsageError(f"'{line.strip()}' is not a contact", hint=USAGE)
     index = link_index(model, link)
     point = link_end(model, index, tool) if place is None else place
     force = _numbers((fx, fy, fz), "force", line)
@@ -184,7 +184,7 @@ def _numbers(texts: Sequence[str], what: str, line: str) -> FloatArray:
     try:
         values = [float(text) for text in texts]
     except ValueError:
-        raise UsageError(f"'{line.strip()}' is no contact", hint=USAGE) from None
+        raise UsageError(f"'{line.strip()}' is not a contact", hint=USAGE) from None
     for value in values:
         if not NUMBERS[what].holds(value):
             raise UsageError(f"'{line.strip()}': {value:g} is not within {NUMBERS[what]}", hint=USAGE)

@@ -182,7 +182,7 @@ class RtdeServer(FaultyServer):
             raise ConnectionFailedError(
                 f"cannot listen on port {port}: {(error.strerror or str(error)).partition(' (while')[0]}",
                 where=self.host,
-                hint="does another simulated arm run? several take --host 127.0.0.2, 127.0.0.3, …",
+                hint="is another simulated arm running? Use --host 127.0.0.2, 127.0.0.3, …",
             ) from error
         listener.setblocking(False)
         self._listeners[listener] = listener, service

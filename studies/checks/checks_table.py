@@ -15,13 +15,20 @@ BEFORE, AFTER = "## The catalogue\n\n", "\n\n## "
 
 
 def markdown_table() -> str:
-    """The catalogue as a table in Markdown, the most serious checks first (docs/checks.md)."""
-    ordered = sorted(CATALOGUE.values(), key=lambda kind: -SEVERITIES.index(kind.severity))
-    lines = ["| check | severity | spoils | meaning | what to do |", "|---|---|---|---|---|"]
-    for kind in ordered:
-        spoilt = "all" if kind.purposes == ALL else ", ".join(PURPOSE_WORDS[purpose] for purpose in kind.purposes)
-        lines.append(f"| `{kind.name}` | {kind.severity} | {spoilt or '–'} | {kind.meaning} | {kind.remedy} |")
-    return "\n".join(lines)
+    """The catalogue as a Markdown table per severity, the most serious first (docs/checks.md)."""
+    tables = []
+    for severity in reversed(SEVERITIES):
+        kinds = [kind for kind in CATALOGUE.values() if kind.severity == severity]
+        spoiling = any(kind.purposes for kind in kinds)
+        lines = [f"### {severity.capitalize()}", "", "| check | meaning | what to do |", "|---|---|---|"]
+        if spoiling:
+            lines[2:] = ["| check | affects | meaning | what to do |", "|---|---|---|---|"]
+        for kind in kinds:
+            purposes = "all" if kind.purposes == ALL else ", ".join(PURPOSE_WORDS[purpose] for purpose in kind.purposes)
+            cells = [f"`{kind.name}`", *([purposes] if spoiling else []), kind.meaning, kind.remedy]
+            lines.append(f"| {' | '.join(cells)} |")
+        tables.append("\n".join(lines))
+    return "\n\n".join(tables)
 
 
 def main() -> None:

@@ -53,7 +53,7 @@ OF_SERVOS = {
     "die bend": ("stale data of stream joints", "no answer of bend (id 7)"),
     "same-id bend": ("stale data of stream joints", "no answer of bend (id 7)"),
     "freeze 2": ("stale data of stream joints", "no servo answers"),
-    "unplug": ("the port has gone", ""),
+    "unplug": ("the port is gone", ""),
     "over-temperature bend": ("bend (id 7) reports over-temperature", "let it cool down"),
     "power-cycle bend": ("stale data of stream joints", "bend"),
     "block swing": ("stuck position of swing", "it is jammed"),

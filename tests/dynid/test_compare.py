@@ -122,4 +122,4 @@ def test_the_command_writes_figures_and_page_and_never_over_its_input(monkeypatc
     assert status == 2
     assert "--force" in out
     status, out = call(*files, "--methods", ",")
-    assert (status, "--methods ',' holds no name" in out) == (2, True)
+    assert (status, "--methods ',' contains no name" in out) == (2, True)

@@ -119,8 +119,8 @@ def test_the_command_writes_all_formats_and_says_what_simulation_is_worth(saved,
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "names no file to write"),
-        (["--into", "{folder}/other.urdf"], "names no file to write"),
+        ([], "no file to write is named"),
+        (["--into", "{folder}/other.urdf"], "no file to write is named"),
         (["--mjcf", "{folder}/a.xml", "--into", "{folder}/other.urdf"], "--into needs --urdf"),
         (["--mjcf", "{folder}/a", "--urdf", "{folder}/a"], "two outputs name the same file"),
         (["--urdf", "{folder}/mine.urdf"], "mine.urdf: exists"),
@@ -128,7 +128,7 @@ def test_the_command_writes_all_formats_and_says_what_simulation_is_worth(saved,
         (["--urdf", "{folder}/no/arm.urdf"], "there is no such folder"),
         (["--urdf", "{folder}/a.urdf", "--into", "{folder}/none.urdf"], "none.urdf: no such file"),
         (["--urdf", "{folder}/a.urdf", "--into", "{folder}/mine.urdf"], "mine.urdf: is not a URDF"),
-        (["--urdf", "{folder}/a.urdf", "--into", "{folder}/other.urdf"], "which is no movable joint of the URDF"),
+        (["--urdf", "{folder}/a.urdf", "--into", "{folder}/other.urdf"], "which is not a movable joint of the URDF"),
     ],
 )
 def test_bad_input_is_refused_in_a_line_and_nothing_is_written(

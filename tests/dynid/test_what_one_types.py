@@ -89,8 +89,8 @@ REFUSED_FRAMES = {
     "a gap": (lambda data: with_gap(data), r"repair=\['drop-nan'\]"),
     "a joint short": (lambda data: data.drop(columns="q3"), r"5 columns of position, but the robot has 6 joints"),
     "texts": (lambda data: data.assign(q1="a"), "q1: .*numbers"),
-    "an array": (lambda data: data.to_numpy(), "is no data frame .*Recording.from_arrays"),
-    "a dictionary": (lambda data: named(), "is no data frame .*Recording.from_dict"),
+    "an array": (lambda data: data.to_numpy(), "is not a data frame .*Recording.from_arrays"),
+    "a dictionary": (lambda data: named(), "is not a data frame .*Recording.from_dict"),
 }
 
 
@@ -337,7 +337,7 @@ def test_what_is_saved_needs_a_path(run, result, tmp_path):
             assert in_one_line(lambda: save(value)) == "", save  # noqa: B023
     for call, words in (
         (lambda: dynid.import_recording(frame(), "ur5e"), "a DataFrame is no path .*from_dataframe"),
-        (lambda: dynid.merge(None), "None is no list of results"),
+        (lambda: dynid.merge(None), "None is not a list of results"),
         (lambda: dynid.write_recording(tmp_path / "x.h5", None), "None is not a recording"),
         (lambda: dynid.identify(run, gravity=True), r"has no argument 'gravity': dynid.identify_gravity\(runs\)"),
         (lambda: dynid.identify(), r"identify\(\): missing a required argument: 'runs'"),

@@ -146,7 +146,7 @@ def test_an_arm_that_does_not_show_that_it_rests_is_told(recorded: Recorded) -> 
     outcome = recorded("freeze 4")
     stopped, unknown = outcome.events("error")
     assert stopped.message.startswith("stopped: stale data of stream joints: ")
-    assert unknown.message == f"the arm did not show within {STOP_LIMIT:g} s of the stop frames that it stands still"
+    assert unknown.message == f"the arm did not show within {STOP_LIMIT:g} s of the stop frames that it is at rest"
 
 
 def test_a_fault_that_the_arm_tells_stops_the_motion_in_its_cycle(recorded: Recorded) -> None:

@@ -73,11 +73,11 @@ def command_topic(columns: Mapping[str, str], joints: Sequence[str]) -> tuple[st
         raise UsageError(
             f"a bag has no columns to map, such as '{printable(wrong[0])}'",
             where="--column",
-            hint="choose the measured topic with --topic, that of the commands with --column target_position=TOPIC",
+            hint="choose the measured topic with --topic, the commands' with --column target_position=TOPIC",
         )
     topics = set(columns.values())
     if len(topics) > 1:
-        raise UsageError(f"commands are taken from one topic, not from {listed(sorted(topics))}", where="--column")
+        raise UsageError(f"commands can be read from one topic, not from {listed(sorted(topics))}", where="--column")
     return topics.pop(), tuple(role.quantity for role in meant.values() if role is not None)
 
 
@@ -126,7 +126,7 @@ def read_commands(
         allowed = listed(sorted(name for name, kind in types.items() if kind in TYPES))
         raise ImportFileError(f"{shortage}; topics that may hold commands: {allowed or 'none'}", where=place)
     if not any(stamped):
-        notes.append(Note("info", "commands have no stamps of their own; those of their arrival were taken"))
+        notes.append(Note("info", "commands have no stamps of their own; those of their arrival were used"))
     stamps = np.array(stamped if any(stamped) else logged, dtype=np.int64)
     labels = tuple(joints)
     quantities = {

@@ -50,7 +50,7 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
             raise ImportFileError(
                 "begins with numbers instead of a header",
                 where=f"{where}, line {line_numbers[0]}",
-                hint=f"say which columns are what: --column t=1 --column position=2-{1 + len(joints)}; "
+                hint=f"name the columns: --column t=1 --column position=2-{1 + len(joints)}; "
                 f"or add a line such as {_EXAMPLE}",
             )
     else:
@@ -64,7 +64,7 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
     used = sorted({names.index(role.name) for role in roles})
     if not used:
         raise ImportFileError(
-            f"has no column whose name is understood; it has: {listed(names)}",
+            f"has no column with a recognised name; it has: {listed(names)}",
             where=where,
             hint=f"name the columns like {_EXAMPLE}, or map them: --column q1={printable(names[0])}",
         )
@@ -157,9 +157,9 @@ def _check_columns(
         if place == len(lines) - 1 and count < expected:
             hint = "it is the last line and seems cut off; delete it"
         elif separator == "," and count > expected and count % 2 == 0:
-            hint = "numbers must have a point, not a comma, before their decimals"
+            hint = "numbers must have a decimal point, not a comma"
         elif separator is not None and count == expected + 1 and line.endswith(separator):
-            hint = "the line ends with a separator that the header doesn't have"
+            hint = "the line ends with a separator that the header does not have"
         raise ImportFileError(
             f"has {count} columns, but the header has {expected}",
             where=f"{where}, line {line_numbers[place]}",

@@ -136,7 +136,7 @@ def _info(path: Path) -> Mapping[str, Any]:
     try:
         info: Any = json.loads(read_text(path / INFO, DATASET_META, ImportFileError))
     except (json.JSONDecodeError, RecursionError) as error:
-        raise ImportFileError("is no JSON text", where=where) from error
+        raise ImportFileError("is not JSON text", where=where) from error
     version = info.get("codebase_version") if isinstance(info, dict) else None
     if not isinstance(version, str) or version.split(".")[0] not in ("v2", "v3"):
         raise ImportFileError(
@@ -232,7 +232,7 @@ def _spans(calibration: Path, motors: Sequence[str]) -> dict[str, float]:
     try:
         content = json.loads(read_text(calibration, DATASET_META, ImportFileError))
     except (json.JSONDecodeError, RecursionError) as error:
-        raise ImportFileError("is no JSON text", where=where) from error
+        raise ImportFileError("is not JSON text", where=where) from error
     content = content if isinstance(content, dict) else {}
     spans = {}
     for motor in motors:
@@ -268,7 +268,7 @@ def _episode(
     frames, time = arrays["frame_index"].reshape(-1), arrays["timestamp"].reshape(-1)
     nominal = frames / info["fps"]
     if np.all(np.abs(time - nominal) < NOMINAL):
-        text = f"stamps are frames at {info['fps']:g} Hz: when a frame was really taken is not in the dataset"
+        text = f"stamps are frames at {info['fps']:g} Hz: the dataset does not say when a frame was really taken"
         notes.append(Note("info", text))
         time = nominal
     for motor, (factor, offset, unit) in scales.items():

@@ -119,7 +119,7 @@ def table_of_arrays(
             )
     if not roles:
         raise ImportFileError(
-            f"has no array whose name is understood; it has: {listed(shown, limit=MOST_UNUSED) or 'nothing'}",
+            f"has no array with a recognised name; it has: {listed(shown, limit=MOST_UNUSED) or 'nothing'}",
             where=where,
             hint="name them t, q, qd, torque or current, or map them: --column q=NAME",
         )
@@ -158,7 +158,7 @@ def _stated_units(meta: npt.NDArray[Any], quantities: Mapping[str, str], notes: 
     try:
         content = json.loads(_text(meta.reshape(-1)[0]))
     except (json.JSONDecodeError, RecursionError):
-        notes.append(Note("info", "'meta' is no JSON text and was ignored"))
+        notes.append(Note("info", "'meta' is not JSON text and was ignored"))
         return {}
     units = content.get("units") if isinstance(content, dict) else None
     if isinstance(units, str):

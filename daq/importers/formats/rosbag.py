@@ -94,9 +94,7 @@ def read_rosbag(
     matches = _matches(messages.names, joints, choices.by_order, place, notes)
     selected = [index for index, names in enumerate(messages.names) if names in matches]
     if len(selected) < len(messages.names):
-        notes.append(
-            Note("info", f"{len(messages.names) - len(selected)} messages are about other joints and were left out")
-        )
+        notes.append(Note("info", f"{len(messages.names) - len(selected)} messages about other joints were dropped"))
     for match in matches.values():
         notes.extend(note for note in match.notes if note not in notes)
     stamps = _stamps(messages, selected, notes)
@@ -233,7 +231,7 @@ def _matches(
             raise ImportFileError(
                 f"joint names change from message to message: {' | '.join(listed(given) for given in distinct[:4])}",
                 where=where,
-                hint="joints can't be matched by order then; rename the robot file's joints",
+                hint="joints cannot be matched by order then; rename the robot file's joints",
             )
         related = distinct[:1]
     matches = {}
@@ -249,7 +247,7 @@ def _stamps(messages: _Messages, selected: Sequence[int], notes: list[Note]) -> 
     stamps: npt.NDArray[np.int64] = messages.stamped[selected]
     if stamps.any():
         return stamps
-    notes.append(Note("warning", "all header stamps are zero; receive times, with their jitter, were taken"))
+    notes.append(Note("warning", "all header stamps are zero; receive times, with their jitter, were used"))
     logged: npt.NDArray[np.int64] = messages.logged[selected]
     return logged
 

@@ -106,10 +106,10 @@ def _signal(message: Any, signal: Any, by_name: Mapping[str, Any]) -> DbcSignal:
     if signal.multiplexer_signal is not None:
         selecting = by_name[signal.multiplexer_signal]
         if selecting.multiplexer_signal is not None:
-            raise ValueError(f"its multiplexer {selecting.name} is multiplexed itself, which is not supported")
+            raise ValueError(f"its multiplexer {selecting.name} is itself multiplexed, which is not supported")
         values = signal.multiplexer_ids or []
         if len(values) != 1:
-            raise ValueError(f"it comes with {len(values)} values of its multiplexer, which is not supported")
+            raise ValueError(f"it is present for {len(values)} values of its multiplexer, which is not supported")
         multiplexer, selector = _field(selecting), int(values[0])
     return DbcSignal(
         signal.name,

@@ -147,7 +147,7 @@ class SignalKeys(ConnectionSettings):
     @classmethod
     def _known(cls, quantity: str) -> str:
         if quantity not in FACTORS:
-            raise refused(f"{quantity!r} is no quantity")
+            raise refused(f"{quantity!r} is not a quantity")
         return quantity
 
     @field_validator("joint")
@@ -157,7 +157,7 @@ class SignalKeys(ConnectionSettings):
         if quantity in WHOLE_ARM and joint:
             raise refused(f"{quantity} belongs to the whole arm, not to a joint", "leave it out")
         if quantity is not None and quantity not in WHOLE_ARM and joint not in joints:
-            raise refused(f"{joint!r} is no joint", f"allowed: {', '.join(joints)}")
+            raise refused(f"{joint!r} is not a joint", f"allowed: {', '.join(joints)}")
         return joint
 
     @model_validator(mode="after")
@@ -183,7 +183,7 @@ class NamedSignal(SignalKeys):
     """A signal of the DBC file."""
 
     signal_name: str = Field(alias="signal", description="the name of a signal in the DBC file")
-    message: str | None = Field(None, description="the message that has it, where several do")
+    message: str | None = Field(None, description="the message that contains it, if several do")
 
     def _place(self, context: Mapping[str, Any]) -> DbcSignal:
         name = self.signal_name
@@ -263,7 +263,7 @@ def check_together(signals: Sequence[Signal], joints: Sequence[str], rate: float
     seen: set[tuple[str, str]] = set()
     for signal in signals:
         if (signal.quantity, signal.joint) in seen:
-            raise refused(f"{signal.label} is there twice")
+            raise refused(f"{signal.label} appears twice")
         seen.add((signal.quantity, signal.joint))
     require_no_overlap(signals)
     for joint in joints:
@@ -272,7 +272,7 @@ def check_together(signals: Sequence[Signal], joints: Sequence[str], rate: float
     _check_streams(signals, joints)
     clocks = [signal for signal in signals if signal.quantity in WHOLE_ARM]
     if len(clocks) > 1:
-        raise refused(f"both {clocks[0].label} and {clocks[1].label} tell the time", "keep one")
+        raise refused(f"both {clocks[0].label} and {clocks[1].label} are times", "keep one")
     for clock in clocks:
         _check_clock(clock, rate)
 
@@ -305,7 +305,7 @@ def _check_clock(clock: Signal, rate: float | None) -> None:
     if clock.stream != "joints":
         raise refused(f"{clock.quantity} belongs to the stream 'joints'", "leave 'stream' out")
     if clock.gain <= 0:
-        raise refused(f"{clock.quantity} runs backwards", "its scale must be positive")
+        raise refused(f"{clock.quantity} decreases", "its scale must be positive")
     if clock.field.floating or rate is None:
         return
     step = clock.gain * (1.0 if clock.quantity == "counter" else rate)  # rows per count

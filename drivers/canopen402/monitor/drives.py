@@ -112,7 +112,7 @@ class DriveWatch:
         self._emergency[index] = None if emergency.cleared else emergency
         if emergency.code == MASTER_MISSED and self._watching[index] and math.isfinite(self._begin):
             # It stops now, and may take part in PDOs no longer: nothing else would say why.
-            why = "it no longer received anything from dynid; was this computer stalled, or the bus cut?"
+            why = "it stopped receiving from dynid; did this computer stall, or was the bus cut?"
             self._report(arrived, "error", f"{self._joints[index]}: {emergency}: {why}")
             return
         level: Level = "info" if emergency.cleared else "warning" if self._moved_in() is None else "error"

@@ -138,7 +138,7 @@ class NodeGuarding:
             return ""
         if invalid:
             return (
-                f"{invalid} answer(s) to node guarding in a row without a toggle bit that alternates "
-                "(does another master guard it, too?)"
+                f"{invalid} answer(s) to node guarding in a row without a toggle bit that alternates (is another "
+                "master guarding it?)"
             )
         return f"no answer to {self._factor} requests of node guarding"

@@ -239,7 +239,7 @@ class DriveMotion:
             ValueError: a position does not fit into the drive's 32 bits.
         """
         if self._phase != "moving":
-            late = "the commands came too late, and it was stopped"
+            late = "the commands came too late, and the arm was stopped"
             reason = self._left or (late if self._path.run_out else "the drives are not enabled")
             raise DriverStateError(f"the arm does not move: {reason}", hint="start again before the next motion")
         if np.any(np.abs(counts) > 2**31 - 1):
@@ -263,7 +263,7 @@ class DriveMotion:
     def push(self, torque: IntArray) -> None:
         """Take torques (n,) [‰ of the rated ones] of an arm that is let go; raises as `release`."""
         if self._phase != "led":
-            raise DriverStateError(f"the arm takes no torques: {self._left or 'it is not let go'}")
+            raise DriverStateError(f"the arm accepts no torque commands: {self._left or 'it is not let go'}")
         self._push(torque)
 
     def _push(self, torque: IntArray) -> None:
@@ -417,9 +417,9 @@ class DriveMotion:
             heard = self.heard(index)
             if heard is not None and heard.state in POWERED:
                 raise MotionRefusedError(
-                    f"the drive is powered already ({heard.state.value}), and not by dynid",
+                    f"the drive is already powered ({heard.state.value}), but not by dynid",
                     where=f"{joint} (node {self._ids[index]})",
-                    hint="end what moves the arm, or switch the drive off",
+                    hint="end the program that moves the arm, or switch the drive off",
                 )
 
     def _wait(self, met: Callable[[DriveReport], bool], goal: DriveState | None, deadline: float) -> None:
@@ -449,7 +449,7 @@ class DriveMotion:
             f"the drive does not reach '{goal.value}': it stays at '{heard.state.value}' "
             f"(statusword 0x{heard.statusword:04X})",
             where=where,
-            hint="is the power supply on, and is a safe-torque-off or enable input open?",
+            hint="check the power supply, safe-torque-off and enable inputs",
         )
 
 

@@ -165,9 +165,9 @@ _ABORT_CODES: Mapping[int, tuple[str, str]] = {
     0x06020000: ("the object does not exist", _NOT_THERE),
     0x06040041: ("the object cannot be mapped into a PDO", "this drive cannot deliver what dynid needs in a PDO"),
     0x06040042: ("the objects do not fit into the PDO", "this drive cannot deliver what dynid needs in a PDO"),
-    0x06040043: ("parameters that do not go together", _VALUE),
+    0x06040043: ("incompatible parameters", _VALUE),
     0x06040047: ("incompatible inside the device", _VALUE),
-    0x06060000: ("a hardware error in the drive", "switch it off and on; look into the manufacturer's manual"),
+    0x06060000: ("a hardware error in the drive", "switch it off and on; see the manufacturer's manual"),
     0x06070010: ("the length does not match", _NOT_THERE),
     0x06070012: ("the value is too long", _NOT_THERE),
     0x06070013: ("the value is too short", _NOT_THERE),
@@ -194,5 +194,5 @@ VALUE_REFUSED = frozenset({0x06090030, 0x06090031, 0x06090032})
 
 def describe_abort(code: int) -> tuple[str, str]:
     """An SDO abort code in words, and what to do."""
-    words, hint = _ABORT_CODES.get(code, ("refused", "look into the manufacturer's manual"))
+    words, hint = _ABORT_CODES.get(code, ("refused", "see the manufacturer's manual"))
     return f"{words} (abort code 0x{code:08X})", hint

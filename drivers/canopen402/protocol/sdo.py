@@ -181,7 +181,7 @@ class RemoteDrive:
             raise ConnectionFailedError(
                 "the configuration of the drives takes too long",
                 where=self.where,
-                hint="raise the connection's 'timeout', or look for a crowded bus",
+                hint="raise the connection's 'timeout', or reduce the load of the bus",
             )
         try:
             yield
@@ -192,7 +192,7 @@ class RemoteDrive:
             raise ConnectionFailedError(
                 f"no answer within {self.timeout:g} s when asked to {action} {entry}",
                 where=self.where,
-                hint="is the drive still on, and the bus terminated? A slow drive needs a longer 'sdo_timeout'",
+                hint="check that the drive is on and the bus terminated; a slow drive needs a longer 'sdo_timeout'",
             ) from error
         except OverflowError as error:
             raise ConnectionFailedError(

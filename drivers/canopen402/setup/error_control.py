@@ -73,7 +73,7 @@ def warnings_of(controls: Sequence[tuple[str, ErrorControl]], settings: CanopenS
     """What a person must know of drives, each named as given: who cannot be watched, or does not watch dynid."""
     warnings = [
         f"{who} has no heartbeat ({HEARTBEAT_TIME} does not exist): only its silence would show that it is gone; "
-        "the key 'guarding' in place of 'heartbeat' asks such drives"
+        "'guarding' instead of 'heartbeat' polls such drives"
         for who, control in controls
         if not control.present
     ]
@@ -83,17 +83,17 @@ def warnings_of(controls: Sequence[tuple[str, ErrorControl]], settings: CanopenS
     blind = [who for who, control in controls if control.watching is None]
     if blind:
         warnings.append(
-            f"{', '.join(blind)}: no {means}, or none that is free; such a drive cannot notice that dynid or the bus "
-            "is gone, and may go on with its last target"
+            f"{', '.join(blind)}: no {means}, or none free; such a drive cannot notice that dynid or the bus is gone, "
+            "and may hold its last target"
         )
     unsure = [who for who, control in controls if control.watching is not None and control.abort_option is None]
     if unsure:
         warnings.append(
-            f"{', '.join(unsure)}: {ABORT_OPTION} does not exist; what such a drive does once dynid is gone is "
-            "its manufacturer's choice"
+            f"{', '.join(unsure)}: {ABORT_OPTION} does not exist; what such a drive does when dynid is gone is the "
+            "manufacturer's choice"
         )
     warnings += [
-        f"{who}: {ABORT_OPTION} stays {control.abort_option}, which does not stop the drive once dynid is gone"
+        f"{who}: {ABORT_OPTION} stays {control.abort_option}, which does not stop the drive when dynid is gone"
         for who, control in controls
         if control.abort_option is not None and control.abort_option not in STOPPING
     ]
@@ -112,7 +112,7 @@ def check_own_id(own: RemoteDrive, clock: Clock = SYSTEM_CLOCK) -> None:
         if own.answers:
             raise ConnectionFailedError(
                 f"a device on the bus has node id {own.node}, under which dynid would send its heartbeat",
-                hint="set the connection's 'own_id' to a node id that no device has",
+                hint="set the connection's 'own_id' to a free node id",
             )
         clock.sleep(1e-3)
 

@@ -34,8 +34,9 @@ def require_unpowered(drives: Sequence[RemoteDrive]) -> None:
     powered = [f"{where} ({state.value})" for where, state in states.items() if state in POWERED]
     if powered:
         raise MotionRefusedError(
-            f"powered already, by another master or a program of its own: {', '.join(powered)}",
-            hint="end what moves the arm, or switch the drives off; nothing was changed, for that might stop them",
+            f"already powered, by another master or its own program: {', '.join(powered)}",
+            hint="end the program that moves the arm, or switch the drives off; nothing was changed, since that "
+            "might stop them",
         )
 
 

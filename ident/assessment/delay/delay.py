@@ -76,7 +76,7 @@ class JointDelay:
 class DelaySearch(Stored):
     """The delay of the torque behind the position, positive where the torque lags: given, or as the search left it."""
 
-    used: float = Field(description="[s], by all joints that have none of their own: `best` where it helps, else 0")
+    used: float = Field(description="[s], for all joints without their own: `best` where it helps, else 0")
     note: str = Field(default="as given, not searched", description="the outcome in words")
     best: Number = Field(default=None, description="[s] that fits best for all joints; null where none was found")
     std: Number = Field(default=None, description="of `best` [s], by delete-block jackknife")
@@ -113,9 +113,9 @@ def search_delay(
     seen = np.isin(np.arange(dof), range(dof) if torques_of is None else list(torques_of))
     data = _Data(kernel, segments, parallel_filter, seen, contiguous_blocks(segments, parallel_filter))
     if data.count < FEWEST_BLOCKS:
-        return _none_found(kernel, f"too few samples to search a delay: fewer than {FEWEST_BLOCKS} blocks; none used")
+        return _none_found(kernel, f"too few samples to estimate a delay: fewer than {FEWEST_BLOCKS} blocks; none used")
     if not any(np.ptp(segment.torque[seen], axis=1).any() for segment in segments):
-        return _none_found(kernel, "the torque does not change: no delay can be seen")
+        return _none_found(kernel, "the torque does not change: no delay can be estimated")
     common = _settled(data, tuple(0 if joint else None for joint in seen), np.zeros(dof))
     if common is None:
         return _none_found(kernel, f"no delay within ±{LONGEST_DELAY * 1e3:g} ms fits; none used")
@@ -129,17 +129,16 @@ def delay_checks(search: DelaySearch | None) -> list[Check]:
     checks = []
     if search.leads and search.gain >= WORTHWHILE_GAIN:
         text = (
-            f"the torque is ahead of the motion by {_milliseconds(-search.best, search.interval)}, which no drive can "
-            "bring about: check the clocks of position and torque, a filter of the positions in the controller, and "
-            "friction (not compensated, although the error on held-out blocks would fall by "
-            f"{percent_text(search.gain, 2)})"
+            f"the torque leads the motion by {_milliseconds(-search.best, search.interval)}, which is impossible: "
+            "check the clocks of position and torque, a filter of the positions in the controller, and friction (not "
+            f"compensated, although the error on held-out blocks would fall by {percent_text(search.gain, 2)})"
         )
         checks.append(raised("torque-ahead", text))
     if search.drifts and search.drift is not None and search.drift_interval is not None:
         text = (
             f"the delay of the torque changes by {search.drift * 1e3:.3g} ± {search.drift_interval * 1e3:.2g} ms per "
-            f"second: the clocks of torque and position differ by the factor {1.0 + search.drift:.6g}; check how "
-            "the recording's signals were brought together"
+            f"second: the clocks of torque and position differ by the factor {1.0 + search.drift:.6g}; check how the "
+            "recording's signals were merged"
         )
         checks.append(raised("clocks-drift", text))
     return checks

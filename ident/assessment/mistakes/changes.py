@@ -350,7 +350,7 @@ def change_check(model: DynamicModel, found: FittedChange, times: FloatArray) ->
         else:
             clause = f"{what[change.what]} {'' if change.what == 'load' else f'times {1.0 + value:.2g} '}{when}"
     text = (
-        f"something changed during the recording: the data agree with {clause}; see the drive, its gain, its encoder "
-        "and the load, and identify from a part that is the same throughout (--start, --stop)"
+        f"something changed during the recording: the data fit {clause}; check the drive, its gain, its encoder and "
+        "the load, and identify from an unchanged part (--start, --stop)"
     )
     return raised("recording-changes", text, [name] if name else [])

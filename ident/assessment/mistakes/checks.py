@@ -105,8 +105,8 @@ def _as_recorded(run: Prepared) -> Prepared:
 
 def _unsigned_check(names: Sequence[str]) -> Check:
     text = (
-        f"the torque of {', '.join(names)} is never negative though it comes near 0, and the data are not explained: "
-        "it was recorded without its sign, which cannot be restored; record signed currents or torques"
+        f"the torque of {', '.join(names)} is never negative although it comes near 0, and the data are not explained: "
+        "its sign was not recorded and cannot be restored; record signed currents or torques"
     )
     return raised("unsigned-torque", text, names)
 
@@ -128,13 +128,13 @@ def _check(model: DynamicModel, found: Sequence[Mistake], turns: Sequence[Deviat
         and len({one.joints if one.coupling else None for one in found}) <= len(joints) == len(names) == 2
     ):
         text = (
-            f"the motors of {' and '.join(names)} seem to be coupled, one of them turning with the other joint, too "
-            "(by a factor of 1 or -1): with this the data are explained, and not as recorded; "
-            f"{_REMEDIES[first.name]}, or see whether positions and torques are the joints'"
+            f"the motors of {' and '.join(names)} seem to be coupled, so that one also turns with the other joint (by "
+            f"a factor of 1 or -1): this explains the data, unlike what was recorded; {_REMEDIES[first.name]}, or "
+            "check whether positions and torques are the joints' own"
         )
         return raised(first.name, text, names)
     if len(found) == 1 and not turns:
-        text = f"{_clause(model, first)}: the data are explained with this and not as recorded; {_REMEDIES[first.name]}"
+        text = f"{_clause(model, first)}: this explains the data, unlike what was recorded; {_REMEDIES[first.name]}"
         return raised(first.name, text, names)
     what = ", or ".join(
         [
@@ -145,7 +145,8 @@ def _check(model: DynamicModel, found: Sequence[Mistake], turns: Sequence[Deviat
             ),
         ]
     )
-    text = f"a sign or a column is wrong: {what}; the data fit each equally well, and none of them as recorded"
+    text = f"a sign or a column is wrong: {what}; each of these explains the data equally well, unlike what was "
+    "recorded"
     return raised("sign-or-column", text, names)
 
 
@@ -173,14 +174,14 @@ _CLAUSES = {
     "torque-sign": "the torque of {joints} has the opposite sign",
     "position-sign": "the position of {joints} has the opposite sign",
     "joint-sign": "position and torque of {joints} have the opposite sign",
-    "torques-exchanged": "the torques of {joints} are exchanged",
-    "positions-exchanged": "the positions of {joints} are exchanged",
-    "joints-exchanged": "positions and torques of {joints} are exchanged",
+    "torques-exchanged": "the torques of {joints} are swapped",
+    "positions-exchanged": "the positions of {joints} are swapped",
+    "joints-exchanged": "positions and torques of {joints} are swapped",
 }
 _REMEDIES = {
-    "gravity-opposite": "check `model.gravity`, how the arm is mounted, and the signs of the drive gains",
-    "torques-opposite": "change the sign of all drive gains, or of the torque columns",
-    "positions-opposite": "change the sign of the position columns, or the joints' axes in the robot file",
+    "gravity-opposite": "check `model.gravity`, the mounting, and the signs of the drive gains",
+    "torques-opposite": "reverse the sign of all drive gains, or of the torque columns",
+    "positions-opposite": "reverse the sign of the position columns, or the joints' axes in the robot file",
     "torque-sign": "check the sign of its drive gain",
     "position-sign": "check the sign of its position column and its axis in the robot file",
     "joint-sign": "check the direction of its axis in the robot file",

@@ -65,9 +65,9 @@ def switch_check(model: DynamicModel, competition: Competition) -> list[Check]:
     start = float(competition.instants.time[0])
     when = f"{'up to' if found.before else 'from'} {times[0] - start:.1f} to {times[-1] - start:.1f} s"
     text = (
-        f"something changed during the recording: the data agree with {what} of {' and '.join(names)} that {verb} "
-        f"{when}{'' if found.before else ' on'}; see the columns' order, and identify from a part that is the same "
-        "throughout (--start, --stop)"
+        f"something changed during the recording: the data fit {what} of {' and '.join(names)} that {verb} "
+        f"{when}{'' if found.before else ' on'}; check the order of the columns, and identify from an unchanged part "
+        "(--start, --stop)"
     )
     return [raised("recording-changes", text, names)]
 

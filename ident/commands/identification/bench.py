@@ -14,15 +14,15 @@ app = CommandApp("Identify")
 
 @app.command("bench")
 def bench(
-    datasets: str = typer.Option("", "--datasets", metavar="A,B,…", help="Names or YAML files; all without it."),
+    datasets: str = typer.Option("", "--datasets", metavar="A,B,…", help="Names or YAML files; default: all."),
     methods: str = typer.Option(
-        "", "--methods", metavar="A,B,…", help="Names, or module:function of your own; all without it."
+        "", "--methods", metavar="A,B,…", help="Names, or your own module:function; default: all."
     ),
     data: Path = typer.Option(
         None, "--data", envvar="DYNID_DATA", help="Mirror folder with the files of the data sets."
     ),
-    download: bool = typer.Option(False, "--download", help="Fetch missing files that have an address."),
-    listed: bool = typer.Option(False, "--list", help="List data sets and methods, and judge nothing."),
+    download: bool = typer.Option(False, "--download", help="Download missing files that have an address."),
+    listed: bool = typer.Option(False, "--list", help="Only list data sets and methods."),
     out: Path = typer.Option(None, "-o", "--out", help="Folder for benchmark.json and report.html."),
     scheduler: str = typer.Option("", "--scheduler", help="Judge on a Dask cluster (tcp://host:8786)."),
     force: bool = FORCE,

@@ -17,9 +17,9 @@ MOST_ROWS = 12
 @app.command("fleet")
 def fleet(
     file: Path = typer.Argument(metavar="FLEET_FILE", help="Arms, recordings and methods (.yaml; docs/fleet.md)."),
-    out: Path = typer.Option(None, "-o", "--out", help="Folder of all results; an earlier one goes on."),
-    workers: int = typer.Option(None, "--workers", help="Processes at once; one per core without."),
-    scheduler: str = typer.Option("", "--scheduler", help="Dask scheduler in place of them (tcp://host:8786)."),
+    out: Path = typer.Option(None, "-o", "--out", help="Folder of all results; an existing one is continued."),
+    workers: int = typer.Option(None, "--workers", help="Number of processes; default: one per core."),
+    scheduler: str = typer.Option("", "--scheduler", help="Dask scheduler to use instead (tcp://host:8786)."),
     history: Path = typer.Option(None, "--history", help="Add every result to this history (dynid history)."),
     force: bool = FORCE,
     as_json: bool = JSON,

@@ -67,7 +67,7 @@ def export_gravity_command(options: ExportOptions, *, force: bool, as_json: bool
     path = options.model
     if options.c is None or options.given("urdf", "mjcf", "ros2_inertial"):
         raise UsageError(
-            "a model of gravity knows no inertias, which URDF, MJCF and YAML need", where=str(path), hint="--c"
+            "a model of gravity has no inertias, which URDF, MJCF and YAML need", where=str(path), hint="--c"
         )
     model = GravityModel(read_gravity_result(result_path(path)))
     export = model.export_c(options.c, real="float" if options.c_float else "double", overwrite=force)

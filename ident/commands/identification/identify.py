@@ -25,7 +25,7 @@ def identify_recordings(
     max_joint_error: float = MAX_JOINT_ERROR,
     max_rmse: float = MAX_RMSE,
     gravity: bool = typer.Option(
-        False, "--gravity", help="Gravity alone, of a recording of dynid excite --for gravity."
+        False, "--gravity", help="Identify gravity alone, from a recording of dynid excite --for gravity."
     ),
     model_file: Path = MODEL_FILE,
     history: Path = typer.Option(None, "--history", help="Add the result to this history (dynid history)."),

@@ -190,4 +190,4 @@ def export_servo_command(options: ExportOptions, *, force: bool, as_json: bool) 
         if file["text"]:
             print(f"  {file['text']}")
     if not runs and any(file["left_out"] for file in files):
-        print("not rolled out: the recordings of the identification are not where they were; --replay RUN.h5")
+        print("not rolled out: the recordings of the identification were moved; give --replay RUN.h5")

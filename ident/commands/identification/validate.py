@@ -50,9 +50,7 @@ def validate_model(
         refuse_model_file(model_file)
     if kind in {SERVO, GRAVITY}:
         if any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse)):
-            raise UsageError(
-                f"a {kind} model has no torque errors of motions to limit", hint="leave --accept and --max-… out"
-            )
+            raise UsageError(f"a {kind} model has no torque errors to limit", hint="leave --accept and --max-… out")
         if kind == SERVO:
             validate_servo_command(path, options.runs, model_file=model_file, as_json=as_json)
         else:

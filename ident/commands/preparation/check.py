@@ -22,11 +22,11 @@ class CheckOptions(Options):
 
     robot: str = field(metadata=ROBOT_ARGUMENT)
     connect: bool = option(False, "Open the connection and listen; nothing is enabled.")
-    wire: str | None = option(None, "Connection to open; the first one if absent.")
+    wire: str | None = option(None, "Connection to open; default: the first.")
     host: str | None = host_option()
     reset_faults: bool = option(False, "Reset faults of drives or CAN motors; enables nothing.")
     configure: bool = option(
-        False, "Write mode, return delay and calibration into servos' EEPROM; torque goes off: hold the arm."
+        False, "Write mode, return delay and calibration into the servos' EEPROM; torque is switched off: hold the arm."
     )
 
     def __post_init__(self) -> None:

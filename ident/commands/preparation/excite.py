@@ -118,7 +118,7 @@ def design_gravity(options: ExciteCommandOptions, progress: Callable[[str], None
     if designed.undetermined:
         lines.append(f"not determined: {', '.join(designed.undetermined)}")
     if designed.dropped:
-        lines.append(f"{designed.dropped} more poses were chosen, but no free way leads to them")
+        lines.append(f"{designed.dropped} more poses were chosen, but no free path leads to them")
     return DesignedMotion(
         trajectory,
         "Poses",
@@ -160,7 +160,7 @@ def design_servo(options: ExciteCommandOptions, progress: Callable[[str], None])
             for forecast in designed.forecast
             if forecast.then > forecast.wanted
         ]
-        lines.append(f"not enough for {', '.join(loose)}; identify from all recordings, and go on with --after")
+        lines.append(f"not enough for {', '.join(loose)}; identify from all recordings, and continue with --after")
     else:
         lines.append(
             "then: dynid identify RUN.h5 --method servo -o model; dynid excite ROBOT --for servo --after model"
@@ -197,7 +197,7 @@ class ExciteCommandOptions(PoseCount, ServoMotionLength, ExciteOptions):
 
     purpose: str = option(
         FULL,
-        f"What the motion is for: {', '.join(f'{name} ({text.summary})' for name, text in PURPOSES.items())}.",
+        f"Purpose of the motion: {', '.join(f'{name} ({text.summary})' for name, text in PURPOSES.items())}.",
         flag="--for",
         one_of=tuple(PURPOSES),
         panel="",
@@ -225,7 +225,7 @@ def excite(
     *,
     out: Path = typer.Option(..., "-o", "--out", help="Trajectory file to write (.yaml)."),
     options: ExciteCommandOptions,
-    csv: Path = typer.Option(None, "--csv", help="Table of positions to write (.csv), for a player of your own."),
+    csv: Path = typer.Option(None, "--csv", help="Table of positions to write (.csv), for your own player."),
     page: Path = typer.Option(None, "--page", help="Page to write (.html): figures, plots, the arm in motion."),
     force: bool = FORCE,
     as_json: bool = JSON,

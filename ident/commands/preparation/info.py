@@ -18,7 +18,7 @@ app = CommandApp("Look")
 def show_info(
     *,
     options: InfoOptions,
-    page: Path = typer.Option(None, "--page", help="Folder for info.json and info.html, a page to look at."),
+    page: Path = typer.Option(None, "--page", help="Folder for info.json and the page info.html."),
     verbose: bool = VERBOSE,
     force: bool = FORCE,
     as_json: bool = JSON,

@@ -36,7 +36,9 @@ def robots(context: typer.Context, as_json: bool = JSON) -> None:
 
 @robot_app.command("show")
 def show(
-    robot: str = ROBOT, as_yaml: bool = typer.Option(False, "--yaml", help="The file itself."), as_json: bool = JSON
+    robot: str = ROBOT,
+    as_yaml: bool = typer.Option(False, "--yaml", help="Print the file itself."),
+    as_json: bool = JSON,
 ) -> None:
     """Show joints, limits and base parameters with their expressions.
 

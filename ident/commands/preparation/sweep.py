@@ -72,9 +72,7 @@ def sweep_velocities(
     sliding = motion.robot_file.robot.sliding
     title = f"Strokes [{common_unit('rad', sliding)}] and their peak velocities [{common_unit('rad/s', sliding)}]"
     print_table(title, ("joint", "from", "to", "slowest peak", "fastest peak", "does not move"), rows)
-    print(
-        f"\n{motion.duration:.0f} s; record it several times in a row, and the arm warms up from one to the next\n{out}"
-    )
+    print(f"\n{motion.duration:.0f} s; record it several times in a row, while the arm warms up\n{out}")
     if page is not None:
         print(page)
     for warning in motion.warnings:

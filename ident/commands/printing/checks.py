@@ -97,7 +97,7 @@ def print_info(info: RecordingInfo, file: str, *, verbose: bool = False) -> None
     recording, verdict = info.recording, info.verdict
     state = "complete" if recording.complete else "stopped early" if recording.stopped_by else "NOT closed properly"
     print(f"{file}: {info.robot.name}, {state}, created {recording.created or 'at an unknown time'}")
-    print(f"As far as the recording goes: {verdict.grades}")
+    print(f"Judging by the recording alone: {verdict.grades}")
     _print_streams(info)
     _print_motion(info)
     if info.delay is not None and info.delay.best is not None and np.isfinite(info.delay.best):

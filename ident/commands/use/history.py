@@ -40,8 +40,10 @@ def history() -> None:
 @history_app.command("add")
 def add(
     results: list[Path] = typer.Argument(help="Folders that identify wrote, or their result.json."),
-    database: Path = typer.Option(..., "--history", help="File of the history (.db); made where it does not exist."),
-    time: str = typer.Option(None, "--time", help="When it was recorded (2026-05-01T12:00, UTC), for a single result."),
+    database: Path = typer.Option(..., "--history", help="File of the history (.db); created if it does not exist."),
+    time: str = typer.Option(
+        None, "--time", help="Time of the recording (2026-05-01T12:00, UTC), for a single result."
+    ),
     as_json: bool = JSON,
 ) -> None:
     """Add results to a history; one that is there already is not added again.
@@ -53,7 +55,7 @@ def add(
     from ident.tasks.history import History
 
     if time is not None and len(results) > 1:
-        raise UsageError("--time is of a single result", hint="add them one by one")
+        raise UsageError("--time needs a single result", hint="add them one by one")
     new = History(database).add(*results, time=time)
     if as_json:
         print_json({"history": str(database), "added": new, "there_already": len(results) - new})
@@ -65,9 +67,9 @@ def add(
 @history_app.command("show")
 def show(
     database: Path = typer.Argument(metavar="HISTORY", help="File of the history (.db)."),
-    arm: str = typer.Option(None, "--arm", help="Which arm, where the file holds several."),
+    arm: str = typer.Option(None, "--arm", help="The arm, if the file holds several."),
     page: Path = typer.Option(None, "--page", help="Page with plots to write (.html)."),
-    csv: Path = typer.Option(None, "--csv", help="Every parameter of every result to write, a row each (.csv)."),
+    csv: Path = typer.Option(None, "--csv", help="CSV file to write: a row per parameter and result."),
     force: bool = FORCE,
     as_json: bool = JSON,
 ) -> None:

@@ -23,7 +23,7 @@ app = CommandApp("Use")
 SHOWN = 15
 """Contacts that are printed at most, the strongest."""
 REPLAY = "Replay"
-NO_SAFETY = "this is no safety function: it notices contacts above the forces below, after the delay below, or later"
+NO_SAFETY = "this is no safety function: it detects contacts above the forces below, after the delay below or later"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,11 +32,13 @@ class LiveOptions(SessionOptions):
 
     PANEL = "Live"
 
-    robot: str | None = field(default=None, metadata=argument("robot", "Built-in robot or robot file, to watch live."))  # type: ignore[assignment]
+    robot: str | None = field(
+        default=None, metadata=argument("robot", "Built-in robot or robot file, to monitor live.")
+    )  # type: ignore[assignment]
     record: Path | None = option(None, "Recording to write (.h5).")
-    browser: bool = option(False, "Show external torque and arm live on a page of this computer.")
-    stop_on_contact: bool = option(False, "End the motion of --trajectory when a contact is noticed.")
-    retract: bool = option(False, "After that stop, go back a short way, slowly, by the way the arm came; then hold.")
+    browser: bool = option(False, "Show external torque and arm live on a web page of this computer.")
+    stop_on_contact: bool = option(False, "End the motion of --trajectory when a contact is detected.")
+    retract: bool = option(False, "After that stop, retract slowly a short way along the path; then hold.")
 
     def __post_init__(self) -> None:
         """Check every option, and that they go together.
@@ -47,11 +49,11 @@ class LiveOptions(SessionOptions):
         super().__post_init__()
         if self.stop_on_contact and self.trajectory is None:
             raise UsageError(
-                "--stop-on-contact ends only a motion that dynid plays: what moves the arm otherwise is not stopped",
+                "--stop-on-contact ends only a motion that dynid plays: other motions are not stopped",
                 hint="give --trajectory, too",
             )
         if self.retract and not self.stop_on_contact:
-            raise UsageError("--retract goes back after a contact that ended the motion", hint="give --stop-on-contact")
+            raise UsageError("--retract needs a contact that ends the motion", hint="give --stop-on-contact")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,9 +67,9 @@ def monitor_command(
     *,
     options: WatchOptions,
     model: Path = typer.Option(..., "--model", help="Folder that identify wrote, or its result.json."),
-    replay: Path = typer.Option(None, "--replay", help="Recording (.h5) to watch.", rich_help_panel=REPLAY),
+    replay: Path = typer.Option(None, "--replay", help="Recording (.h5) to analyse.", rich_help_panel=REPLAY),
     contacts: Path = typer.Option(
-        None, "--contacts", help="CSV (start,end in seconds) of contacts to find.", rich_help_panel=REPLAY
+        None, "--contacts", help="CSV (start,end in seconds) of labelled contacts.", rich_help_panel=REPLAY
     ),
     page: Path = typer.Option(None, "--page", help="Page with plots to write (.html).", rich_help_panel=REPLAY),
     force: bool = FORCE,
@@ -80,16 +82,16 @@ def monitor_command(
     Example: dynid monitor --replay run.h5 --model model --page contacts.html
     """
     if (options.robot is None) == (replay is None):
-        raise UsageError("give either a robot, to watch it live, or --replay RECORDING")
+        raise UsageError("give either a robot, to monitor it live, or --replay RECORDING")
     detection = same_named(options, DetectionOptions)
     if options.robot is None:
         for of in fields(LiveOptions):
             if getattr(options, of.name) != of.default:
-                raise UsageError(f"{flag_of(of)} is for watching live", hint="name the robot")
+                raise UsageError(f"{flag_of(of)} is for live monitoring", hint="name the robot")
         _replay(model, replay, contacts, detection, page, force=force, as_json=as_json)
         return
     if contacts is not None or page is not None:
-        raise UsageError("--contacts and --page are for --replay")
+        raise UsageError("--contacts and --page need --replay")
     _live(model, options, detection, force=force, realtime=realtime, shown=not (no_ui or as_json), as_json=as_json)
 
 

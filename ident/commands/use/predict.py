@@ -42,12 +42,12 @@ def predict_torque(
     kind = kind_of(result_path(model))
     if kind == GRAVITY:
         raise UsageError(
-            f"{model} is a model of gravity, which does not know the torque of a motion",
+            f"{model} is a model of gravity, which cannot predict the torque of a motion",
             hint="dynid validate compares it with static poses",
         )
     if kind == SERVO:
         if page is not None or options.parameters is not None:
-            raise UsageError("--page and --parameters are of models with torques", hint="leave them out")
+            raise UsageError("--page and --parameters need a model with torques", hint="leave them out")
         predict_servo_command(model, recording, file, as_json=as_json, force=force)
         return
     with progress_line(quiet=as_json) as progress:

@@ -96,7 +96,7 @@ def half_spaces(points: FloatArray, where: str) -> tuple[FloatArray, FloatArray]
     extent = np.linalg.norm(np.ptp(points, axis=0))
     middle = points.mean(axis=0)
     if not extent > 0 or np.linalg.svd(points - middle, compute_uv=False)[-1] <= FLAT * extent:
-        raise RobotFileError("the points lie in a plane, and enclose nothing", where=where)
+        raise RobotFileError("the points lie in a plane and enclose no volume", where=where)
     hull = ConvexHull(points)
     inside = points[hull.vertices].mean(axis=0)
     _, different = np.unique(np.round(hull.equations[:, :3] / ALIKE_NORMALS), axis=0, return_index=True)
@@ -134,8 +134,8 @@ def _urdf_points(model: DynamicModel, robot_file: RobotFile, wanted: Sequence[st
                     raise RobotFileError(
                         f"a shape of the URDF cannot be used: {error}",
                         where=f"{robot.name}: prior.links.{name}.com_hull",
-                        hint="recordings and results carry no meshes: give --robot, name the folder of the package in "
-                        "ROS_PACKAGE_PATH, or write points in place of 'urdf'",
+                        hint="recordings and results contain no meshes: give --robot, name the folder of the "
+                        "package in ROS_PACKAGE_PATH, or write points in place of 'urdf'",
                     ) from error
                 points.setdefault(name, []).append(own)
     for name in wanted:

@@ -261,7 +261,7 @@ def feasible_fit(problem: FeasibilityProblem, estimate: Estimate, projection: Fl
     if np.any(forces > 0):
         resisting = [n for n, force in zip(problem.names, forces, strict=True) if force > RESISTING * forces.max()]
         raise RobotFileError(
-            f"no body satisfies these at once: {', '.join(dict.fromkeys(resisting))}",
+            f"no body satisfies all of: {', '.join(dict.fromkeys(resisting))}",
             where=where,
             hint="widen a range of 'known' or 'prior'",
         )

@@ -153,8 +153,8 @@ def minimise(
         residual = system @ y - target
         ratio = duals.ratio(conditions, y) * (FAST if length >= LONG_STEP else SLOW)
     raise IdentificationError(
-        f"the physically consistent parameters were not found in {MOST_STEPS} steps",
-        hint="check the units of the recording and of what the robot file says of the links",
+        f"no physically consistent parameters were found in {MOST_STEPS} steps",
+        hint="check the units of the recording and of the links in the robot file",
     )
 
 

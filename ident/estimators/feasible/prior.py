@@ -173,7 +173,7 @@ def _centre_std(model: DynamicModel) -> FloatArray:
 def _described(link: FloatArray, stated: PriorLink, where: str) -> tuple[FloatArray, str]:
     """A link (10,) with the mass, centre and inertia that are known of it, and its source in words."""
     if stated.mass is None:
-        raise ValueError("nothing is known of this link")
+        raise ValueError("nothing is known about this link")
     scaled = link * (stated.mass / link[9])
     if stated.com is None:
         return scaled, "robot file (mass)"

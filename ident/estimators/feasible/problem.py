@@ -138,14 +138,14 @@ def build_problem(  # noqa: C901, PLR0912, PLR0915 — the steps, in their order
                     ranges.append(True)
         elif name == TOTAL_MASS:
             if stated.value <= 0:
-                raise RobotFileError(f"{stated.value:g} kg is no mass", where=where)
+                raise RobotFileError(f"{stated.value:g} kg is not a mass", where=where)
             equations.append(row / (TOTAL_MASS_STD * stated.value))
             values.append(1.0 / TOTAL_MASS_STD)
         else:
             index = by_name[name]
             of_joint = index >= LINK_SIZE * links
             if (of_joint and signs[index] * stated.value < 0) or (index in masses and stated.value <= 0):
-                raise RobotFileError(f"{stated.value:g} is no value that a body or a joint can have", where=where)
+                raise RobotFileError(f"{stated.value:g} is not a possible value of a body or joint", where=where)
             start[index], free[index] = stated.value / scale[index], False
     for bound in centre_bounds(model, robot_file):
         first = LINK_SIZE * bound.link + INERTIAL.index("MX")

@@ -103,7 +103,7 @@ class FullFrictionEstimator(RobustEstimator):
         largest = self.largest_friction
         reached = friction_bounds(self.setup, fit.kernel, largest).reached(fit.solution.parameters)
         names = ", ".join(self.setup.base.names[place] for place in reached) or "none"
-        text = f"no term negative but the offset (AUBO eq. 16); at a bound: {names}"
+        text = f"no negative term except the offset (AUBO eq. 16); at a bound: {names}"
         if largest is None:
             return Step("friction bounds", {}, text)
         text = f"each term at most {percent_text(largest)} of the joint's torque limit, {text}"
@@ -239,7 +239,7 @@ class IirlsOptions(IrlsOptions):
             raise UsageError(
                 "consistent=true and largest_friction exclude each other",
                 where="--method iirls",
-                hint="consistent parameters have no negative friction either",
+                hint="consistent parameters exclude negative friction, too",
             )
 
 
@@ -250,7 +250,7 @@ def _estimator(options: IirlsOptions, setup: Setup) -> Estimator:
 
 
 METHOD = Method(
-    "as irls; the shapes of the friction and its load torque are estimated along, by the equations that count",
+    "as irls; friction shapes and load torque are estimated as well, from the same weighted equations",
     "torque",
     IirlsOptions,
     _estimator,

@@ -183,9 +183,7 @@ def estimation(fit: RobustFit, loops: Reweighting, method: str) -> Estimation:
 class IrlsOptions:
     """Options of IRLS."""
 
-    weights: Annotated[WeightName, Field(description="how residuals that are too large count: not at all, or less")] = (
-        "hard"
-    )
+    weights: Annotated[WeightName, Field(description="how large residuals are weighted: not at all, or less")] = "hard"
     consistent: Annotated[bool, Field(description="weigh by the residuals of the physically consistent parameters")] = (
         False
     )
@@ -196,7 +194,7 @@ def _estimator(options: IrlsOptions, setup: Setup) -> Estimator:
 
 
 METHOD = Method(
-    "robust: equations whitened across the joints, samples with too large residuals rejected or weighted down",
+    "robust: equations whitened across the joints, samples with large residuals rejected or down-weighted",
     "torque",
     IrlsOptions,
     _estimator,

@@ -142,7 +142,7 @@ class IvOptions:
         Literal["auto", "repetition", "target"],
         Field(
             description="motion of the instruments: another repetition of the recorded one, or the recorded target "
-            "positions'; auto takes the first of these that there is"
+            "positions; auto uses the first that exists"
         ),
     ] = "auto"
 

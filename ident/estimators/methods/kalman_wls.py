@@ -98,8 +98,5 @@ def _estimator(options: KalmanOptions, setup: Setup) -> Estimator:
 
 
 METHOD = Method(
-    "wls on torques that a Kalman filter brings together with the model's (ROCR6); see docs for what it buys",
-    "torque",
-    KalmanOptions,
-    _estimator,
+    "wls on torques that a Kalman filter combines with the model's (ROCR6)", "torque", KalmanOptions, _estimator
 )

@@ -65,8 +65,7 @@ def simulable_arm(setup: Setup, reduction: Reduction, solution: LeastSquares) ->
     consistent = found_consistent(model, setup.base, estimate, setup.robot_file)
     if consistent is None:
         raise IdentificationError(
-            "no physically consistent arm is near the estimate, so that there is none to simulate",
-            hint="use --method wls",
+            "no physically consistent arm is near the estimate, so nothing can be simulated", hint="use --method wls"
         )
     return InverseDynamics(model, setup.base, consistent.base)
 

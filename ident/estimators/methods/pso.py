@@ -24,10 +24,10 @@ Weight = Annotated[float | None, within(Range(0.0, 100.0))]
 class SwarmOptions:
     """Options of a particle swarm; of the inertia weight's, those count that belong to `inertia`."""
 
-    about: Annotated[Literal["ols", "wls"], Field(description="least squares in the middle of the search range")] = (
+    about: Annotated[Literal["ols", "wls"], Field(description="least squares at the centre of the search range")] = (
         "wls"
     )
-    inertia: Annotated[Literal["constant", "random"], Field(description="weight, the same always or drawn")] = (
+    inertia: Annotated[Literal["constant", "random"], Field(description="inertia weight, constant or random")] = (
         "constant"
     )
     particles: Annotated[int, within(POPULATION), Field(description="in the swarm")] = 50
@@ -81,7 +81,7 @@ def _estimator(options: SwarmOptions, setup: Setup) -> Estimator:
 
 
 METHOD = Method(
-    "particle swarm about least squares, which is its exact optimum (PSO)",
+    "particle swarm around least squares, which is its exact optimum (PSO)",
     "torque",
     SwarmOptions,
     _estimator,

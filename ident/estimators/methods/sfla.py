@@ -158,11 +158,11 @@ def identified_step(parameters: tuple[Identified, ...], point: FloatArray) -> St
             settings[f"{parameter.name} std"] = parameter.std
     shown = [p.name for p in parameters if p.identifiable]
     hidden = [p.name for p in parameters if not p.identifiable]
-    text = f"{len(shown)} of {len(parameters)} identifiable one by one: {', '.join(shown) or 'none'}"
+    text = f"{len(shown)} of {len(parameters)} are individually identifiable: {', '.join(shown) or 'none'}"
     if hidden:
         text += (
-            f"; confounded with others, so that their values are arbitrary: {', '.join(hidden)} (result.json has the "
-            "share of each that the torque shows)"
+            f"; confounded with others, so their values are arbitrary: {', '.join(hidden)} (result.json has the share "
+            "of each that the torque shows)"
         )
     return Step("physical parameters", settings, text)
 
@@ -176,7 +176,7 @@ class FrogOptions:
     leaps: Annotated[int, within(GENERATIONS), Field(description="of a memeplex per generation")] = FrogLeaping.leaps
     generations: Annotated[int, within(GENERATIONS), Field(description="G, between shuffles")] = 50
     reach: Annotated[float, within(LEARNING_FACTOR), Field(description="c, length of a leap")] = FrogLeaping.reach
-    random: Annotated[Literal["leap", "coordinate"], Field(description="what has a random number of its own")] = (
+    random: Annotated[Literal["leap", "coordinate"], Field(description="what gets its own random number")] = (
         FrogLeaping.random
     )
     largest_leap: Annotated[
@@ -184,10 +184,10 @@ class FrogOptions:
         within(Range(1e-6, 1e3)),
         Field(description="D_max, longest leap in widths of the box; no limit if absent"),
     ] = FrogLeaping.largest_leap
-    box: Annotated[float, within(BOX_SHARE), Field(description="factor of every search range about the prior body")] = (
-        1.0
-    )
-    feasible: Annotated[bool, Field(description="penalise links that cannot exist")] = False
+    box: Annotated[
+        float, within(BOX_SHARE), Field(description="factor of every search range around the prior body")
+    ] = 1.0
+    feasible: Annotated[bool, Field(description="penalise physically impossible links")] = False
     seconds: Annotated[float | None, within(SEARCH_TIME), Field(description="time limit [s]; none if absent")] = None
     seed: Annotated[int, within(SEED), Field(description="of the random numbers")] = 0
 
@@ -211,7 +211,7 @@ def _estimator(options: FrogOptions, setup: Setup) -> Estimator:
 
 
 METHOD = Method(
-    "shuffled frog leaping over mass, centre of mass, inertia and joint parameters, about the links' prior bodies",
+    "shuffled frog leaping over mass, centre of mass, inertia and joint parameters, around the links' prior bodies",
     "torque",
     FrogOptions,
     _estimator,

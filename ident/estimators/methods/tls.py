@@ -54,7 +54,7 @@ def noise_deviations(run: Prepared) -> FloatArray:
     harmonics = choose_cutoffs(run.cutoffs.band, rate, PreprocessChoices()).torque
     if run.cutoffs.position < LEAST_BAND * harmonics:
         raise IdentificationError(
-            f"positions low-passed at {run.cutoffs.position:.3g} Hz show no noise beside a motion with harmonics up to "
+            f"positions low-passed at {run.cutoffs.position:.3g} Hz show no noise beyond a motion with harmonics up to "
             f"{harmonics:.3g} Hz",
             hint=f"give --position-cutoff {2.0 * harmonics:.3g}, or use --method wls",
         )
@@ -70,7 +70,8 @@ def noise_deviations(run: Prepared) -> FloatArray:
     white = [above(_band_limited(run, segment, generator), segment.used) for segment in run.segments]
     if not sum(row.shape[1] for row in measured):
         raise IdentificationError(
-            f"no segment is longer than {2.0 * END_PERIODS / harmonics:.3g} s, so that none shows the positions' noise",
+            f"no segment is longer than {2.0 * END_PERIODS / harmonics:.3g} s, so the position noise cannot be "
+            "measured",
             hint="record without gaps, or use --method wls",
         )
     squares, units = (sum(np.sum(block**2, axis=1) for block in parts) for parts in (measured, white))
@@ -181,7 +182,7 @@ def _estimator(options: NoOptions, setup: Setup) -> Estimator:
 
 
 METHOD = Method(
-    "total least squares: positions have noise, too, estimated from what is left of them above the motion's band",
+    "total least squares: position noise is estimated above the motion's band and accounted for",
     "torque",
     NoOptions,
     _estimator,

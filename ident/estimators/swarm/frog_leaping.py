@@ -44,14 +44,14 @@ class FrogLeaping:
 
     def __post_init__(self) -> None:
         if self.memeplexes < 1:
-            raise UsageError(f"{self.memeplexes} memeplexes hold no frogs", hint="at least 1")
+            raise UsageError(f"{self.memeplexes} memeplexes contain no frogs", hint="at least 1")
         if self.frogs < self.memeplexes:
             raise UsageError(f"{self.memeplexes} memeplexes are more than {self.frogs} frogs")
         if self.frogs % self.memeplexes:
             raise UsageError(f"{self.frogs} frogs do not divide into {self.memeplexes} memeplexes of equal size")
         if self.frogs < 2 * self.memeplexes:
             raise UsageError(
-                f"{self.frogs} frogs in {self.memeplexes} memeplexes leave one each, with none to leap towards",
+                f"{self.frogs} frogs in {self.memeplexes} memeplexes leave one each, without another to leap towards",
                 hint="at least 2 frogs per memeplex",
             )
         if self.leaps < 1:

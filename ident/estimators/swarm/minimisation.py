@@ -252,7 +252,7 @@ def minimise(
         ended = "interrupted"
     if search.point is None:
         raise IdentificationError(
-            f"none of {search.undefined} costs was a number", hint="narrow the search box or check the cost"
+            f"none of {search.undefined} costs is a number", hint="narrow the search box or check the cost"
         )
     if not search.history or search.history[-1] != search.lowest:
         search.history.append(search.lowest)

@@ -164,7 +164,7 @@ class PhysicalParameters:
         for name in names:
             if name not in places:
                 raise UsageError(
-                    f"'{name}' is no physical parameter of {model.name}", hint=f"one of {', '.join(places)}"
+                    f"'{name}' is not a physical parameter of {model.name}", hint=f"one of {', '.join(places)}"
                 )
         if len(set(names)) < len(names):
             raise UsageError("a physical parameter is named twice")

@@ -43,7 +43,7 @@ def constraints_of(
             raise UsageError(
                 f"the torque limits need {len(columns)} finite base parameters, not {np.size(parameters)}",
                 where=model.name,
-                hint="take them from a result of this robot file",
+                hint="use those of a result of this robot file",
             )
         if any(limits.torque is not None for limits in model.limits):
             constraints.append(TorqueLimits(model, columns, parameters))
@@ -69,7 +69,7 @@ def checked_pairs(robot_file: RobotFile, model: DynamicModel, geometry: ArmGeome
         thin = ArmGeometry(tuple(replace(capsule, radius=0.0) for capsule in geometry.capsules), geometry.from_shapes)
         if link_pairs(model, thin, workspace.ignore_pairs).checked:
             raise RobotFileError(
-                "with links as thick as this every pair touches in nearly every pose, so that none could be kept apart",
+                "with links this thick every pair touches in nearly every pose, so none could be checked",
                 where=f"{robot_file.where}: workspace.link_radius",
                 hint="it is a radius in m",
             )

@@ -137,7 +137,7 @@ class WorkspaceLimits:
         """Prepare for an arm.
 
         Raises:
-            RobotFileError: a link is inside of what it is kept out of, whatever the joints do.
+            RobotFileError: a link is inside of what it is kept out of, in every configuration.
         """
         self._model = model
         self._moves = moved_by(model.joints)
@@ -244,9 +244,8 @@ def _refuse_inescapable(
     if len(inside):
         name = model.joints[links[inside[0]]].name
         raise RobotFileError(
-            f"the link of joint '{name}' begins in a point that no joint moves, and with its radius of "
-            f"{radii[inside[0]]:g} m it is within the clearance of {obstacle.clearance:g} m already: no motion is "
-            "possible",
+            f"the link of joint '{name}' begins at a point that no joint moves and that is, with its radius of "
+            f"{radii[inside[0]]:g} m, already within the clearance of {obstacle.clearance:g} m: no motion is possible",
             where=f"{model.name}: {obstacle.where}",
             hint="move the limit, or correct workspace.link_radius",
         )
@@ -329,7 +328,7 @@ def _can_be_clear(
     if len(below):
         name, depth = model.joints[links[below[0]]].name, -highest[below[0]]
         raise RobotFileError(
-            f"the link of joint '{name}' reaches {depth:.3g} m below {obstacle.name} whatever the joints do",
+            f"the link of joint '{name}' reaches {depth:.3g} m below {obstacle.name} in every configuration",
             where=f"{model.name}: {obstacle.where}",
             hint="give the height of the mounting surface as workspace.floor, or mounting: free",
         )
@@ -348,7 +347,7 @@ def surroundings_warning(robot_file: RobotFile, motion: Motion) -> str | None:
     tool = tool_point(model, placements, workspace.tool)
     lowest = min(float(placements.origin[:-1, 2].min()), float(tool[2].min()))
     return (
-        "the robot file names neither a mounting surface nor heights nor obstacles: this motion comes down to "
-        f"{lowest:.2f} m in the base frame. Say what the arm is mounted on ('model': mounting) and what stands around "
-        "it ('workspace': keep_out)"
+        "the robot file names neither a mounting surface nor heights nor obstacles: this motion descends to "
+        f"{lowest:.2f} m in the base frame. State what the arm is mounted on ('model': mounting) and what stands "
+        "around it ('workspace': keep_out)"
     )

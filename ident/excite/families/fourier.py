@@ -224,6 +224,6 @@ class FourierQuinticFamily(_Series):
         """
         if not isinstance(motion, FourierQuintic):
             raise UsageError(
-                "the earlier motion is no quintic-corrected Fourier series", hint="--kind must be that of the file"
+                "the earlier motion is not a quintic-corrected Fourier series", hint="--kind must be that of the file"
             )
         return self._encoded(motion)

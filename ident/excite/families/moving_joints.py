@@ -139,9 +139,9 @@ class MovingJoints:
             if not away <= _STILL * max(1.0, abs(float(self.rest[joint]))):
                 limits = self.limits[joint]
                 raise UsageError(
-                    f"joint {limits.name} is to stay at {self.rest[joint]:.5g} {limits.unit('rad')}, but in the "
-                    f"earlier motion it moves or stays elsewhere",
-                    hint="let it move too (--joints)",
+                    f"joint {limits.name} must stay at {self.rest[joint]:.5g} {limits.unit('rad')}, but it moves or "
+                    "rests elsewhere in the earlier motion",
+                    hint="let it move, too (--joints)",
                 )
 
 

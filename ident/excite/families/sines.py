@@ -52,7 +52,7 @@ class SinesFamily(Family):
         check_count("sines", self.sines, 1)
         low, high = self._band
         if not 0.0 < low < high < np.inf:
-            raise UsageError(f"{low:g} to {high:g} rad/s is no band of frequencies")
+            raise UsageError(f"{low:g} to {high:g} rad/s is not a frequency band")
 
     @property
     def size(self) -> int:
@@ -126,7 +126,7 @@ class SinesFamily(Family):
         """
         earlier = unwrapped(motion)
         if not isinstance(earlier, SumOfSines):
-            raise UsageError("the earlier motion is no sum of sines", hint="--kind must be that of the file")
+            raise UsageError("the earlier motion is not a sum of sines", hint="--kind must be that of the file")
         if not abs(earlier.duration - self.duration) <= _TOLERANCE * self.duration:
             raise UsageError(
                 f"the earlier motion lasts {earlier.duration:g} s at full speed, not {self.duration:g} s",

@@ -322,7 +322,7 @@ class _Run:
         for report in self._others.reports(timeout):
             self._add(report)
         if self._others.died and self._choices.starts is not None:
-            raise IdentificationError("a search process crashed", hint="is there enough memory? --time tolerates it")
+            raise IdentificationError("a search process crashed", hint="check the memory; --time tolerates it")
         self._progress(self.result())
         self._next_look = self._clock.now() + _POLL
 

@@ -49,7 +49,7 @@ def analyse_friction(
         IdentificationError: the movements do not tell the terms apart.
     """
     if not recordings:
-        raise UsageError("no recording to find friction from")
+        raise UsageError("no recording to identify friction from")
     check_friction(friction)
     if periodic := [word for word in friction.split("+")[1:] if WORDS[word].kinds[0] in POSITION_KINDS]:
         raise UsageError(

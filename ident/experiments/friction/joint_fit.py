@@ -152,7 +152,7 @@ class _JointFit:
         scale = np.linalg.norm(columns, axis=0)
         if np.any(scale == 0.0) or np.linalg.cond(columns / scale) > 1e8:
             raise IdentificationError(
-                f"the movements of {self._name} do not tell its friction terms apart", hint="sweep more speeds"
+                f"the movements of {self._name} do not distinguish its friction terms", hint="sweep more speeds"
             )
         parameters = np.linalg.lstsq(columns / scale, self._data.torque, rcond=None)[0] / scale
         return _Solved(

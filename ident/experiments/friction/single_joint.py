@@ -106,7 +106,7 @@ def joint_periods(
     periods = tuple(tuple(_of_joint(model, joint, data)) for joint in range(model.dof))
     if not any(periods):
         raise DataError(
-            "no joint moves forth and back while all others rest",
+            "no joint moves back and forth while all others rest",
             where=", ".join(recording.label for recording in recordings),
             hint="record the motion that dynid sweep designs",
         )

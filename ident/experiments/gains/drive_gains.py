@@ -271,14 +271,13 @@ def _alone_share(pair: RunPair) -> float:
 def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> list[str]:
     warnings = pair_warnings(drives.pair, recordings)
     if _alone_share(drives.pair) > SINGLE_JOINT_SHARE:
-        warnings.append(
-            "most of the time one joint moves alone, and static friction holds the others: try --up-and-down"
-        )
+        warnings.append("mostly one joint moves alone, and static friction holds the others: try --up-and-down")
     for gain in drives.gains:
         if not np.isfinite(gain.gain):
             warnings.append(
                 f"the gain of {gain.joint} is not distinguishable from its own friction and inertia (angle "
-                f"{gain.angle_degrees:.1f}°): it has no value, its equations are left out; place the load off its axis"
+                f"{gain.angle_degrees:.1f}°): it gets no value, and its equations are left out; place the load off its "
+                "axis"
             )
         elif gain.rsd_percent >= SIGNIFICANT_RSD:
             warnings.append(
@@ -301,5 +300,5 @@ def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> li
         )
     unexcited = [drives.pair.base.names[i] for i in range(drives.pair.base.count) if i not in drives.active]
     if unexcited:
-        warnings.append(f"the motions do not excite {', '.join(unexcited)}: they have no value")
+        warnings.append(f"the motions do not excite {', '.join(unexcited)}: they get no value")
     return warnings

@@ -29,15 +29,15 @@ def signal_of(robot: Robot) -> str:
     signals = {robot.drive(name).signal for name in robot.joint_names}
     if len(signals) > 1:
         raise DataError(
-            f"the drives give different signals: {', '.join(sorted(signals))}",
+            f"the drives have different signals: {', '.join(sorted(signals))}",
             where=f"{robot.name}: drives",
-            hint="all of them must give current, or all voltage",
+            hint="all must be currents, or all voltages",
         )
     signal = signals.pop()
     if signal in ("torque", "magnitude"):
         what = "torque" if signal == "torque" else "a magnitude without its sign"
         raise DataError(
-            f"the drives give {what}, which has no gain to be identified",
+            f"the drives' signal is {what}, which has no gain to identify",
             where=f"{robot.name}: drives",
             hint="record motor currents and say 'signal: current'",
         )

@@ -162,11 +162,11 @@ def identify_slow_gains(
     sweeps = sweeps_of(*passes)
     if not sweeps:
         raise DataError(
-            "no joint passes the same positions slowly in both directions in both runs, the others at rest in the same "
-            "pose",
+            "no joint passes the same positions slowly in both directions in both runs, with with the others at "
+            "rest in the same pose",
             where=f"{free.label}, {loaded.label}",
-            hint="record a motion of kind 'points', one joint there and back after the other; without --up-and-down "
-            "any motion of all joints will do",
+            hint="record a motion of kind 'points', one joint after the other back and forth; without --up-and-down "
+            "any motion of all joints works",
         )
     rows = _joint_rows(model, robot, sweeps)
     reasons = _reasons(rows, known, model.dof)
@@ -245,7 +245,7 @@ def _with_moments(used: Sequence[_JointRows], known: KnownLoad, where: str) -> _
     raise IdentificationError(
         "in these passes the gains are confounded with the load's centre of mass, which is unknown",
         where=where,
-        hint="give it with --com, or let more joints pass up and down, in several poses of the others",
+        hint="give it with --com, or move more joints up and down, in several poses of the others",
     )
 
 
@@ -370,9 +370,8 @@ def _warnings(gains: Sequence[SlowGain], moments: FloatArray) -> list[str]:
             warnings.append(f"no value for the gain of {gain.joint}: {gain.reason}")
         elif gain.rsd_percent >= SIGNIFICANT_RSD:
             warnings.append(
-                f"the gain of {gain.joint} has a relative standard deviation of "
-                f"{percentage_text(gain.rsd_percent, 2)} %; let it pass more often, with a heavier load, or where "
-                "the load is farther from its axis"
+                f"the gain of {gain.joint} has a relative standard deviation of {percentage_text(gain.rsd_percent, 2)} "
+                "%; record more passes, a heavier load, or poses with the load farther from its axis"
             )
         if gain.file_gain is not None and gain.gain * gain.file_gain < 0:
             warnings.append(f"the gain of {gain.joint} has the opposite sign of the robot file's")

@@ -80,7 +80,9 @@ def analyse_gravity(
     model = resting_model(file)
     base = gravity_base(model)
     if not np.any(base.projection[:, : LINK_SIZE * len(model.joints)]):
-        raise DataError("gravity acts on no joint of this arm", where=file.robot.name, hint="there is nothing to find")
+        raise DataError(
+            "gravity acts on no joint of this arm", where=file.robot.name, hint="there is nothing to identify"
+        )
     signals = tuple(read_joint_signals(recording, file.robot) for recording in recordings)
     by_run = [find_visits(signal, model, base) for signal in signals]
     visits = [visit for of_run in by_run for visit in of_run.visits]
@@ -209,7 +211,7 @@ def gravity_verdict(
         text = f"{joint.joint} misses by {rms:.2g} {joint.unit} (up to {largest:.2g}"
         text += f", friction {joint.friction:.2g})" if joint.friction else ")"
         levels.append((level, min(weight, sticking), text))
-    worst = max(levels, default=(2, 0.0, "no joint has an error to judge by"))
+    worst = max(levels, default=(2, 0.0, "no joint has an error to judge"))
     level = worst[0]
     if any(serious for serious, _ in concerns):
         level = 2

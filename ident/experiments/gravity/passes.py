@@ -113,7 +113,7 @@ def find_visits(signals: JointSignals, model: DynamicModel, base: BaseParameters
     unbalanced = _unbalanced(signals, alone, [slow[index] for index in used], visits)
     if len(unbalanced) > len(visits) or not visits:
         raise DataError(
-            _one_direction(model, unbalanced) or "holds no pose that is passed slowly in both directions",
+            _one_direction(model, unbalanced) or "contains no pose that is passed slowly in both directions",
             where=signals.label,
             hint="friction cancels only between the two directions: record dynid excite ROBOT --for gravity",
         )
@@ -245,7 +245,7 @@ def _one_direction(model: DynamicModel, unbalanced: Sequence[tuple[FloatArray, I
         return ""
     pose, direction, time = unbalanced[0]
     more = "" if len(unbalanced) == 1 else f", and so at {len(unbalanced) - 1} more poses"
-    return f"passes {pose_text(model, pose, direction)} at {time:.1f} s in this direction only{more}"
+    return f"passes {pose_text(model, pose, direction)} at {time:.1f} s in one direction only{more}"
 
 
 def pose_text(model: DynamicModel, pose: FloatArray, direction: IntArray) -> str:

@@ -69,7 +69,7 @@ def refuse_wrong_size(visits: Sequence[Visit], model: DynamicModel, where: str) 
                 f"the torque of {model.joint_names[joint]} at rest varies by ±{span[joint]:.3g} {unit} from pose to "
                 f"pose; an arm of this size weighs at most {mass.most:.3g} kg",
                 where=where,
-                hint="is the current in mA, or the drive's gain wrong?",
+                hint="check the unit of the current (A, not mA) and the drive's gain",
             )
 
 
@@ -102,7 +102,7 @@ def doubts(
         )
     resting = [name for name, count in zip(model.joint_names, fit.used.sum(axis=0), strict=True) if not count]
     if resting:
-        suspicions.append((False, f"{', '.join(resting)} never moves in both directions: its torque does not count"))
+        suspicions.append((False, f"{', '.join(resting)} never moves in both directions: its torque is not used"))
     lost = [base.names[index] for index in np.flatnonzero(~fit.determined)]
     if lost:
         suspicions.append((bool(resting) is False, f"not determined by these poses: {', '.join(lost)}"))
@@ -166,7 +166,7 @@ def _opposite_masses(
         return []
     text = (
         "gravity acts opposite to what the robot file's masses need: the sign of all torques (gains) or the direction "
-        "of `gravity` is wrong; in these units the model compensates all the same"
+        "of `gravity` is wrong; the model still compensates in these units"
     )
     return [(False, text)]
 

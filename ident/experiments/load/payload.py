@@ -9,7 +9,7 @@ loaded run's rows only,
 Error bars come from the delete-block jackknife. The drive gains' uncertainty comes on top: the solution is linear in
 the torques, so a relative error ε_j of joint j's gain moves it by ε_j times what that joint's torque contributed.
 
-Whether a load explains what changed from one run to the other is tested on the base parameters that a load changes,
+Whether a load explains the change from one run to the other is tested on the base parameters that a load changes,
 identified from each run separately. Their difference d has a covariance that is itself estimated from B blocks, so the
 chi-square statistic dᵀC⁻¹d is compared with Hotelling's T² distribution, which tends to chi-square for many blocks.
 """
@@ -251,7 +251,7 @@ def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list
     warnings = pair_warnings(payload.pair, recordings)
     if payload.load.unexcited:
         warnings.append(
-            f"the two motions do not excite {', '.join(payload.load.unexcited)}: they have no value, and other "
+            f"the two motions do not excite {', '.join(payload.load.unexcited)}: they get no value, and other "
             "parameters may have absorbed them"
         )
     mass, known = payload.load.standard[MASS], payload.load.known or (payload.with_mass and payload.with_mass.known)
@@ -271,15 +271,15 @@ def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list
         warnings.append("no load detected: the identified mass is below 2 σ")
     if payload.tests.load is not None and not payload.tests.load.passed:
         warnings.append(
-            "what changed between the runs is not what a load on the last link changes: it slips, drags a hose, "
+            "the runs do not differ as a load on the last link would make them differ: it slips, a hose pulls, it "
             "touches something, or the drive gains are wrong"
         )
     body = payload.consistent
     if body is None:
-        warnings.append("no load that can exist was found, on links that can exist: check units, gains and geometry")
+        warnings.append("no physically consistent load and links were found: check units, gains and geometry")
     elif body.test is not None and not body.test.passed:
         warnings.append(
-            "no load that can exist explains the runs, on links that can exist: check gains, geometry and what is known"
+            "no physically consistent load and links explain the runs: check gains, geometry and known values"
         )
     if body is not None and body.rounded:
         warnings.append(
@@ -287,7 +287,7 @@ def _warnings(payload: Payload, recordings: tuple[Recording, Recording]) -> list
         )
     if payload.tests.unchanged is not None and not payload.tests.unchanged.passed:
         warnings.append(
-            "friction or motor inertia changed between the runs, although a load does not change them: warm the arm up "
-            "before both, or the drive gains are wrong"
+            "friction or motor inertia changed between the runs, which a load does not change: warm the arm up before "
+            "both, or check the drive gains"
         )
     return warnings

@@ -112,8 +112,8 @@ def _check_same_arm(results: Sequence[tuple[str, Result]]) -> None:
 
 
 _SHAPES = (
-    "terms and shapes were found for each by itself: identify both with --friction coulomb-viscous, or with terms "
-    "whose shapes the robot file states"
+    "terms and shapes were chosen separately: identify both with --friction coulomb-viscous, or with terms whose "
+    "shapes the robot file states"
 )
 
 
@@ -134,8 +134,8 @@ def _check_disjoint(results: Sequence[tuple[str, Result]]) -> None:
                 if use.sha256 and use.sha256 == again.sha256 and torques and overlap:
                     raise UsageError(
                         f"{label} and {other_label} were both identified from the torques of "
-                        f"{', '.join(joint for joint in result.joints if joint in torques)} in {use.file}: "
-                        "they would count twice",
+                        f"{', '.join(joint for joint in result.joints if joint in torques)} in {use.file}, which would "
+                        "count twice",
                         hint="choose different motors with --torques-of, or another recording",
                     )
 

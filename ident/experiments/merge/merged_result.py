@@ -301,19 +301,19 @@ def _checks(
         text = consistency.text + (f" Furthest from the merged model: {worst}." if worst else "")
         checks.append(raised("contradicting-models", text))
     if unexcited:
-        text = f"the recordings do not excite {', '.join(unexcited)}: they have no value"
+        text = f"the recordings do not excite {', '.join(unexcited)}: they get no value"
         checks.append(raised("unexcited-parameters", text))
     whole = base_parameters(model)
     if base.count < whole.count:
         text = (
             f"together the experiments can show {base.count} of the arm's {whole.count} base parameters: the model "
-            "predicts the torques that were used, with the joints locked as they were, and no others"
+            "predicts only the torques that were used, with the joints locked as they were"
         )
         checks.append(raised("partial-model", text))
     elif (share := indefinite_share(model, base, merged.solution.parameters)) > 0:
         text = (
             f"the inertia matrix of the unconstrained parameters is not positive definite at {percent_text(share, 2)} "
-            "of random poses; that of the physically consistent ones is everywhere"
+            "of random poses; that of the physically consistent ones always is"
         )
         checks.append(raised("indefinite-inertia", text))
     checks += sign_checks(base, merged.solution.parameters, std)
@@ -340,7 +340,7 @@ def _judged(result: Result, checks: Sequence[Check], runs: Sequence[HeldOutRun])
     result = result.model_copy(update={"delivered": delivered})
     verdict = model_verdict(result, checks, delivered.runs)
     agreement = result.merge.consistency.text if result.merge and result.merge.consistency else ""
-    text = agreement or "The models share nothing that could be compared."
+    text = agreement or "The models share no comparable combination."
     return result.model_copy(update={"verdict": replace(verdict, basis=f"{text} {verdict.basis}")})
 
 

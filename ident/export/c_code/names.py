@@ -43,6 +43,7 @@ def source_paths(path: Path) -> tuple[Path, Path]:
     stem = path.with_suffix("") if path.suffix in _SUFFIXES else path
     if not _FILE_NAME.fullmatch(stem.name):
         raise UsageError(
-            f"'{stem.name}' is no name for C files", hint="letters, digits, '_', '-', '+' and '.', as in --c arm"
+            f"'{stem.name}' is not a valid name for C files",
+            hint="letters, digits, '_', '-', '+' and '.', as in --c arm",
         )
     return stem.with_name(f"{stem.name}.h"), stem.with_name(f"{stem.name}.c")

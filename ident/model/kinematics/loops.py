@@ -165,7 +165,7 @@ def _parallelogram_equations(
 ) -> list[tuple[FloatArray, float]]:
     """Two rows of E (n,) and e."""
     if loop.parallelogram is None:
-        raise ValueError("the loop is no parallelogram")
+        raise ValueError("the loop is not a parallelogram")
     names = loop.parallelogram
     text = f"parallelogram {', '.join(names)}"
     a, b, c, d = (joint_index[name] for name in names)

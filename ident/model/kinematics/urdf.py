@@ -176,12 +176,14 @@ def _lock(full: Any, names: Sequence[str], locked: Mapping[str, float], where: s
         if name not in movable:
             hint = did_you_mean(name, movable) or f"movable joints of the URDF: {', '.join(movable) or 'none'}"
             raise RobotFileError(
-                f"'joints' names '{name}', which is no movable joint of the URDF", where=where, hint=hint
+                f"'joints' names '{name}', which is not a movable joint of the URDF", where=where, hint=hint
             )
     for name in locked:
         if name not in movable:
             hint = did_you_mean(name, movable) or f"movable joints of the URDF: {', '.join(movable) or 'none'}"
-            raise RobotFileError(f"'{name}' is no movable joint of the URDF", where=f"{where}: model.locked", hint=hint)
+            raise RobotFileError(
+                f"'{name}' is not a movable joint of the URDF", where=f"{where}: model.locked", hint=hint
+            )
         if name in names:
             raise RobotFileError(
                 f"joint '{name}' is both locked and listed in 'joints'", where=f"{where}: model.locked"

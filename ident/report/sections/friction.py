@@ -63,10 +63,11 @@ def _figure(data: ReportData) -> Figure | None:
     samples = max(sum(int(series.counted[joint].sum()) for series in data.fit) for joint in joints)
     sampled = f" (a random {whole(points)} of up to {whole(samples)} samples per joint)" if samples > points else ""
     caption = (
-        "Points: measured torque minus all that the model predicts but friction and offset, that is, the residual plus "
-        f"the curve{sampled}. Line: viscous and Coulomb friction and offset as identified, with the power law and the "
-        "Stribeck term where the model has them; terms of load and temperature are not in it. Band: 95 % interval of "
-        "the line from the parameters' covariance. Where points bend away from the line, the model lacks a term."
+        "Points: measured torque minus everything that the model predicts except friction and offset, that is, the "
+        f"residual plus the curve{sampled}. Line: viscous and Coulomb friction and offset as identified, with the "
+        "power law and the Stribeck term where the model has them; terms of load and temperature are not in it. Band: "
+        "95 % interval of the line from the parameters' covariance. Where points bend away from the line, a friction "
+        "term is missing."
     )
     return panel_figure("friction-plot", in_rows(panels, COLUMNS), caption)
 

@@ -146,14 +146,14 @@ def _figure(result: Result, reference: ReferenceValues | None) -> Figure | None:
     ]
     compared = f" Open diamond: {_reference_words(reference)}." if references and reference is not None else ""
     caption = (
-        "Values of the full model with their 95 % intervals. An interval that contains 0 belongs to a parameter that "
-        f"this recording does not show to exist.{compared}"
+        "Values of the full model with their 95 % intervals. A parameter whose interval contains 0 is not significant "
+        f"in this recording.{compared}"
     )
     return panel_figure("parameters-plot", rows, caption)
 
 
 def _reference_words(reference: ReferenceValues) -> str:
-    return "the true value" if reference.label == "True value" else "what the robot file says of the links"
+    return "the true value" if reference.label == "True value" else "the robot file's values for the links"
 
 
 def _panel(

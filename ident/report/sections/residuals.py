@@ -43,14 +43,14 @@ def validation_section(data: ReportData) -> ReportSection:
     source = result.validation_source or "held-out data"
     delivered = result.delivered
     errors = result.validation if delivered is None else delivered.validation_all_samples
-    intro = f"Held out: {source}. These are the errors to believe, samples at rest included."
+    intro = f"Held out: {source}. These are the errors to expect, samples at rest included."
     if errors is not None and errors.held_out is False:
         intro = f"NOT held out: {source}. Samples of these data were used in the identification."
     context = {
         "intro": intro if data.validation else "",
         "figure": torque_figure("torques-validation-plot", result, data.worst_first, data.validation, errors),
-        "empty": "Nothing was held out of the identification, so nothing here can say how far to trust the model. "
-        "Record a second motion and name it with --validate.",
+        "empty": "No data were held out, so this page cannot say how far to trust the model. Record a second motion "
+        "and give it with --validate.",
     }
     return ReportSection("Torques: validation", "torques-validation", "torques.html.j2", context)
 
@@ -60,7 +60,7 @@ def fit_section(data: ReportData) -> ReportSection:
     context = {
         "intro": "The data that the parameters were fitted to: a small error here is necessary, not sufficient.",
         "figure": torque_figure("torques-fit-plot", data.result, data.worst_first, data.fit, data.result.fit),
-        "empty": "No torques of the identification data were handed to this report.",
+        "empty": "No torques of the identification data are available.",
     }
     return ReportSection("Torques: fit", "torques-fit", "torques.html.j2", context)
 

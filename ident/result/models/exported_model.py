@@ -99,7 +99,7 @@ def exported_arm(result: Result, kind: str, stored: StoredModel, dynamics: Inver
     values = {parameter.name: parameter.value for parameter in consistent.parameters}
     names = [parameter.name for parameter in stored.model.parameters]
     if set(names) != set(values):
-        raise ResultFileError("the consistent parameters do not belong to the robot file beside them", hint=AGAIN)
+        raise ResultFileError("the consistent parameters do not belong to the robot file stored with them", hint=AGAIN)
     stated = {parameter.name for parameter in consistent.parameters if parameter.known}
     unidentified = [
         f"{entry.name} of {entry.joint}"
@@ -211,7 +211,7 @@ class ExportedModel(ModelParameters):
                 f"{', '.join(self._base.names[index] for index in self._missing)} has no value: the recording did not "
                 "excite it",
                 where=self.name,
-                hint='record a motion that does, or load_model(…, parameters="essential"), which takes it as 0',
+                hint='record a motion that does, or load_model(…, parameters="essential"), which assumes 0',
             )
         if self.kind == "consistent":
             _ = self._exported  # refuses friction that no recording determined
@@ -275,9 +275,7 @@ def without_further_friction(
         if bent:
             sentences.append(f"{shape.left_out} of {', '.join(bent)}")
     if sentences:
-        sentences.append(
-            "in their place stands the Coulomb and viscous friction nearest to them up to the joints' limits"
-        )
+        sentences.append("they are replaced by the nearest Coulomb and viscous friction up to the joints' limits")
     return simple, kept, (*sentences, *gradual)
 
 

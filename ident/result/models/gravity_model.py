@@ -99,7 +99,7 @@ class GravityModel(Model):
         model = resting_model(robot_file)
         base = gravity_base(model)
         if [parameter.name for parameter in result.gravity_parameters] != list(base.names):
-            raise ResultFileError("the parameters do not belong to the robot file beside them", hint=AGAIN)
+            raise ResultFileError("the parameters do not belong to the robot file stored with them", hint=AGAIN)
         self._stored = StoredModel(robot_file, model, (), base)
         self._base = base
         values = [np.nan if parameter.value is None else parameter.value for parameter in result.gravity_parameters]
@@ -130,7 +130,7 @@ class GravityModel(Model):
         return self.result.parameters
 
     torque = _at_rest(
-        Model.torque, "Torque [N·m] that holds the arm still, motors' offsets included, friction not; shape of `q`."
+        Model.torque, "Torque [N·m] that holds the arm at rest, motors' offsets included, friction not; shape of `q`."
     )
     torque_parts = _at_rest(
         Model.torque_parts, "The parts of `torque` [N·m]: gravity, and the offsets as friction; shape of `q` each."
@@ -225,7 +225,7 @@ class GravityModel(Model):
 
     def _refuse(self, what: str) -> NoReturn:
         raise ModelError(
-            f"this is a model of gravity, which does not know {what}",
+            f"this is a model of gravity, without {what}",
             where=self.name,
             hint="gravity(q), torque(q) at rest and export_c are there; the rest needs dynid excite and dynid identify",
         )

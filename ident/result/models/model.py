@@ -435,7 +435,7 @@ def result_path(path: str | PathLike[str]) -> Path:
     """
     if not isinstance(path, (str, PathLike)):
         raise UsageError(
-            f"a {type(path).__name__} is no result, and no path of one",
+            f"a {type(path).__name__} is neither a result nor a path of one",
             hint="give the folder that identify wrote, or its result.json",
         )
     given = Path(path)

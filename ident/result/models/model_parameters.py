@@ -66,7 +66,7 @@ class ModelParameters:
                 raise ModelError(
                     "this result holds no physically consistent parameters",
                     where=result.robot,
-                    hint='identify again, or take parameters="full"',
+                    hint='identify again, or use parameters="full"',
                 )
             values = [result.consistent.base_values.get(name, np.nan) for name in base.names]
         elif self.kind == "full":
@@ -137,7 +137,7 @@ class ModelParameters:
                 f"{', '.join(self._base.names[index] for index in self._missing)} has no value: the recording did not "
                 f"excite it, and {what} needs it",
                 where=self.name,
-                hint='take the physically consistent model (parameters="consistent", the default)',
+                hint='use the physically consistent model (parameters="consistent", the default)',
             )
 
     def require_temperature(self, kelvin: FloatArray | None, where: str) -> None:
@@ -302,7 +302,7 @@ class ModelParameters:
             raise ModelError(
                 f"{', '.join(needed)} acts on this motion and has no value: the recording did not excite it",
                 where=self.name,
-                hint='record a motion that does, or load_model(…, parameters="essential"), which takes it as 0',
+                hint='record a motion that does, or load_model(…, parameters="essential"), which assumes 0',
             )
 
     def _refuse_confounded(self, part: str) -> None:
@@ -315,8 +315,8 @@ class ModelParameters:
                 if entry.kind == "offset" and entry.joint in confounded
             ]
             raise ModelError(
-                f"{part} is not known: weight and offset of {', '.join(confounded)} act alike, together "
-                f"{', '.join(values)}, and no motion separates them",
+                f"{part} is unknown: weight and offset of {', '.join(confounded)} act alike (together "
+                f"{', '.join(values)}), and no motion separates them",
                 where=f"{self.name}, {self.kind} model",
                 hint='parameters="consistent" (the default) splits them by its bodies; torque() needs no split',
             )

@@ -69,9 +69,9 @@ def _steps(duration: float, step: float) -> int:
             raise UsageError(f"{seconds:g} is not a positive number of seconds", where=name)
     if duration / step > MOST_STEPS:
         raise UsageError(
-            f"{duration:g} s in steps of {step:g} s are more than {MOST_STEPS} steps",
+            f"{duration:g} s in steps of {step:g} s is more than {MOST_STEPS} steps",
             where="step",
-            hint="take longer steps",
+            hint="use longer steps",
         )
     return max(1, round(duration / step))
 
@@ -100,10 +100,11 @@ def _controlled(names: tuple[str, ...], controller: Controller) -> Drive:
         try:
             values = np.asarray(given, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise DataError(f"the controller gave no numbers at {time:.4g} s", where="torque") from error
+            raise DataError(f"the controller returned no numbers at {time:.4g} s", where="torque") from error
         if values.shape != (len(names),):
             raise DataError(
-                f"the controller gave shape {values.shape} at {time:.4g} s; ({len(names)},) is needed", where="torque"
+                f"the controller returned shape {values.shape} at {time:.4g} s; ({len(names)},) is needed",
+                where="torque",
             )
         if not np.isfinite(values).all():
             joint = names[int(np.flatnonzero(~np.isfinite(values))[0])]

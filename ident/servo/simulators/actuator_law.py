@@ -180,8 +180,8 @@ class ServoReplay:
         if self.faithful:
             return text
         if not self.left_out:
-            return f"{text}. {self.file} has every term: the rest is how {self.program} takes a step of time"
-        return f"{text}. {self.file} has no place for {', '.join(self.left_out)}"
+            return f"{text}. {self.file} has every term: the rest is due to the time stepping of {self.program}"
+        return f"{text}. {self.file} cannot express {', '.join(self.left_out)}"
 
 
 WORDS = {

@@ -160,7 +160,7 @@ def read_model_file(path: Path, joints: Sequence[str]) -> Any:
     """
     if not mujoco_installed():
         raise UsageError(
-            "MuJoCo rolls a model file out, and is not installed", where=str(path), hint="pip install mujoco"
+            "rolling out a model file needs MuJoCo, which is not installed", where=str(path), hint="pip install mujoco"
         )
     model = _model_file(path)
     for name in joints:
@@ -185,10 +185,10 @@ def _model_file(path: Path) -> Any:
     try:
         root = ElementTree.fromstring(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, ElementTree.ParseError) as error:
-        raise UsageError(f"is no MJCF that can be read: {error}", where=str(path)) from error
+        raise UsageError(f"is not a readable MJCF: {error}", where=str(path)) from error
     if root.tag != "mujoco":
         hint = "a URDF has no gains: give an MJCF" if root.tag == "robot" else "give an MJCF"
-        raise UsageError(f"is no MJCF, but a <{root.tag}>", where=str(path), hint=hint)
+        raise UsageError(f"is not an MJCF, but a <{root.tag}>", where=str(path), hint=hint)
     try:
         return mujoco.MjModel.from_xml_path(str(path))
     except ValueError:

@@ -126,7 +126,7 @@ def test_what_the_controller_is_known_for_is_told_before_a_motion_and_kept(bench
     options = ("--trajectory", "traj.yaml", "--yes", "-o", "run.h5")
     status, out, err = dynid("record", "robot.yaml", *options)
     assert status == 0, err
-    assert "mind of this arm's controller or drives:\n  elbow: its quick stop coasts\n" in out
+    assert "note about this arm's controller or drives:\n  elbow: its quick stop coasts\n" in out
     events = read_recording(bench.folder / "run.h5").events
     assert ("warning", "elbow: its quick stop coasts") in [(event.level, event.message) for event in events]
     assert "coasts" not in dynid("record", "robot.yaml", "--duration", "0.1", "-o", "still.h5")[1]
@@ -177,7 +177,7 @@ def test_a_bus_that_is_too_slow_is_refused_before_it_is_touched(bench, dynid):
     assert status == 2
     assert out == ""
     (line,) = err.splitlines()
-    assert "connections.arm: 200 Hz do not fit on a bus of 100000 bit/s" in line
+    assert "connections.arm: 200 Hz does not fit on a bus of 100000 bit/s" in line
     assert not (bench.folder / "run.h5").exists()
     assert not any(arm.opened for _, arm in bench.made)
 
@@ -337,7 +337,7 @@ def test_an_arm_that_tells_nothing_of_its_stops_moves_on_request_alone_and_the_q
     keyboard.type("y")
     status, out, err = dynid(*record, "--without-safety-status")
     assert status == 0, err
-    assert "mind of this arm's controller or drives:\n  the controller does not deliver safety_mode" in out
+    assert "note about this arm's controller or drives:\n  the controller does not deliver safety_mode" in out
     assert "dynid: warning: the controller does not deliver safety_mode" in err
     warnings = [event.message for event in read_recording(bench.folder / "run.h5").events if event.level == "warning"]
     assert any("does not deliver safety_mode" in warning for warning in warnings)
@@ -401,7 +401,7 @@ def test_a_way_to_the_start_that_comes_too_near_is_refused_and_moves_nothing(ben
     assert status == 2
     assert "the approach to the start pose: link" in err
     assert "enters wall" in err
-    assert "bring the arm nearer to the start pose" in err
+    assert "move the arm nearer to the start pose" in err
     assert bench.made[0][1].commands == []
     assert not (bench.folder / "run.h5").exists()
 
@@ -438,7 +438,7 @@ def test_a_write_that_the_system_refuses_ends_in_order(bench, beyond, old):
     process = in_a_process(IN_SIMULATED_TIME.format(limit=SPARE + beyond), bench.folder, *trajectory)
     out, errors = process.communicate(timeout=LIMIT)
     assert process.returncode == 1, errors
-    said = "run.h5: cannot be written: File too large (make room on the disk, or choose another place)"
+    said = "run.h5: cannot be written: File too large (free some space on the disk, or choose another place)"
     assumed, *others = errors.splitlines()
     assert assumed.startswith("dynid: warning: assumed: acceleration limit 10 rad/s²")
     told = json.loads(out)

@@ -106,7 +106,7 @@ BOTH_ARMS = tuple(f"{side}_{name}" for side in ("left", "right") for name in NAM
         ({"edit": lose_a_joint}, TORQUE, "message 11: has no joint wrist"),
         ({"edit": vanish}, TORQUE, r"message 11: names 3 joints, but has 0 values of velocity \(message 0 has them\)"),
         ({}, ImportChoices(rate=100.0), "has 'effort'"),
-        ({}, ImportChoices(effort="torque", rate=100.0), "--rate 100 would throw them away"),
+        ({}, ImportChoices(effort="torque", rate=100.0), "--rate 100 would discard them"),
     ],
 )
 @pytest.mark.parametrize("mcap", [False, True])

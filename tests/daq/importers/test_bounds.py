@@ -60,8 +60,8 @@ def npy(shape: str, held: int) -> bytes:
     ("shape", "words"),
     [
         ("(10000000000,)", "declares the shape (10000000000,), more than it holds"),
-        ("(10000000000, 0)", "has no array whose name"),
-        ("(2000,)", "holds 0.002 million numbers; at most 0.001 million are read"),
+        ("(10000000000, 0)", "has no array with a recognised name"),
+        ("(2000,)", "holds 0.002 million numbers; at most 0.001 million can be read"),
     ],
 )
 def test_an_archive_is_judged_by_its_headers(tmp_path: Path, monkeypatch, shape: str, words: str) -> None:
@@ -123,9 +123,9 @@ def write_hdf5(path: Path, what: str) -> None:
 @pytest.mark.parametrize(
     ("what", "words"),
     [
-        ("raw", "its values stand in another file"),
+        ("raw", "its values are in another file"),
         ("link", "'t' is a link into another file"),
-        ("virtual", "its values stand in another file"),
+        ("virtual", "its values are in another file"),
         ("large", "declares 1e+05 million numbers that are not in the file; at most 64 million"),
         ("sparse", "declares 400 MB, of which 0 MB are in the file"),
         ("attribute", "its attribute 'joints' has 2000 entries"),

@@ -170,7 +170,7 @@ def test_so101_recordings_need_no_option(tmp_path: Path) -> None:
 def test_a_magnitude_with_negative_values_is_none(tmp_path: Path) -> None:
     arrays = so101_arrays() | {"current_magnitude": np.linspace(-1.5, 1.5, 300)[:, None] * np.ones(6)}
     recording = import_file(write_npz(tmp_path, arrays), load_robot("so101"), ImportChoices())
-    assert "it is no magnitude" in messages(recording)
+    assert "it is not a magnitude" in messages(recording)
     assert not recording.streams[JOINTS_STREAM].channels["current"].magnitude
 
 

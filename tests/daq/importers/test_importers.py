@@ -141,7 +141,7 @@ def test_messages_of_another_device_on_the_topic_are_left_out(tmp_path: Path, ro
     path = write_bag(tmp_path, arrays, names=lambda index: ("finger",) if index % 2 else NAMES)
     recording = import_file(path, robot, ImportChoices(effort="torque"))
     np.testing.assert_array_equal(content(recording)["position"], arrays["q"][::2])
-    assert "10 messages are about other joints" in messages(recording)
+    assert "10 messages about other joints were dropped" in messages(recording)
 
 
 def test_prefixes_on_either_side(tmp_path: Path) -> None:
@@ -234,4 +234,4 @@ def test_quantities_of_nan_alone_are_left_out_by_the_repair(tmp_path: Path, robo
         import_file(path, robot, ImportChoices(effort="torque"))
     recording = import_file(path, robot, ImportChoices(effort="torque", repair=frozenset({"drop-nan"})))
     assert set(content(recording)) == {"time", "position", "torque"}
-    assert "left out without any finite value: velocity" in messages(recording)
+    assert "dropped, without any finite value: velocity" in messages(recording)

@@ -87,11 +87,13 @@ CSV = [
     Refused(
         "decimal comma", text("t;q1;q2;q3\n0,0;0,1;0,2;0,3\n0,1;0,1;0,2;0,3\n"), "line 2.*decimal comma.*decimal point"
     ),
-    Refused("decimal comma with commas", text(HEADER + "0,0,0,1,0,2,0,3\n"), "has 8 columns.*a point, not a comma"),
+    Refused(
+        "decimal comma with commas", text(HEADER + "0,0,0,1,0,2,0,3\n"), "has 8 columns.*a decimal point, not a comma"
+    ),
     Refused("latin-1", text("t,q1 [\xb0],q2,q3\n".encode("latin-1") + ROWS.encode()), "line 1: is not UTF-8 text"),
     Refused("binary", text(b"t,q1\n\0\1\2"), "line 2: is not a text file: it holds zero bytes"),
     Refused(
-        "unknown header", text("a,b\n0,0\n1,1\n"), r"no column whose name is understood; it has: a, b.*--column q1=a"
+        "unknown header", text("a,b\n0,0\n1,1\n"), r"no column with a recognised name; it has: a, b.*--column q1=a"
     ),
     Refused(
         "five of three",
@@ -109,10 +111,10 @@ CSV = [
     Refused("twice the same", text("t,q1,q1,q2,q3\n0,0,0,0,0\n0.1,0,0,0,0\n"), "'q1' and 'q1' both mean position 1"),
     Refused("two aliases", text("t,q1,pos1,q2,q3\n0,0,0,0,0\n0.1,0,0,0,0\n"), "'q1' and 'pos1' both mean position 1"),
     Refused(
-        "unknown unit", text("t,q1 [turns],q2 [turns],q3 [turns]\n" + ROWS), "unit 'turns' is none of position: rad"
+        "unknown unit", text("t,q1 [turns],q2 [turns],q3 [turns]\n" + ROWS), "unit 'turns' is not one of position: rad"
     ),
     Refused(
-        "some units", text("t,q1 [deg],q2,q3\n" + ROWS), r"mixed units of position: q1 \[deg\] state one, q2, q3 don't"
+        "some units", text("t,q1 [deg],q2,q3\n" + ROWS), r"mixed units of position: q1 \[deg\] state one, q2, q3 do not"
     ),
     Refused(
         "unit against option",
@@ -120,7 +122,7 @@ CSV = [
         "states the unit rad, but --degrees was given",
         ImportChoices(degrees=True),
     ),
-    Refused("no positions", text("t,torque1,torque2,torque3\n" + ROWS), "no joint positions; understood were: torque"),
+    Refused("no positions", text("t,torque1,torque2,torque3\n" + ROWS), "no joint positions; recognised: torque"),
     Refused(
         "names and numbers",
         text("t,q1,q2,position_wrist\n" + ROWS),
@@ -135,7 +137,7 @@ CSV = [
     Refused(
         "our name unknown",
         text(HEADER + ROWS),
-        "'x1' is none of our column names",
+        "'x1' is not one of dynid's column names",
         ImportChoices(columns={"x1": "q1"}),
         UsageError,
     ),
@@ -143,7 +145,7 @@ CSV = [
 
 ARRAYS = [
     Refused("no time", npz(q=Q), "has no time .*--rate HZ"),
-    Refused("rate despite time", npz(t=TIME, q=Q), "--rate 100 would throw them away", ImportChoices(rate=100.0)),
+    Refused("rate despite time", npz(t=TIME, q=Q), "--rate 100 would discard them", ImportChoices(rate=100.0)),
     Refused("implausible rate", npz(q=Q), "--rate: 0.1 samples per second", ImportChoices(rate=0.1)),
     Refused("milliseconds", npz(t=TIME * 1e3, q=Q), r"look like ms \(125 Hz\).*--time-unit ms"),
     Refused("microseconds", npz(t=TIME * 1e6, q=Q), r"look like us \(125 Hz\)"),
@@ -195,7 +197,7 @@ ARRAYS = [
         npz(t=np.arange(2**32 - 100_000, 2**32 + 100_000, 1000) % 2**32 * 1e-6, q=Q),
         "sample 100: time goes backward by 4294.97 s, at the end of a counter.*--repair unwrap",
     ),
-    Refused("coarse clock", npz(t=np.floor(TIME / 0.04) * 0.04, q=Q), "leave its column out and give their rate"),
+    Refused("coarse clock", npz(t=np.floor(TIME / 0.04) * 0.04, q=Q), "omit its column and give the rate"),
     Refused("nan", npz(t=TIME, q=spoilt(Q, (7, 2), np.nan)), "sample 7: 1 of 200 samples.*position of wrist"),
     Refused(
         "all nan",
@@ -211,7 +213,7 @@ ARRAYS = [
     Refused("complex", npz(t=TIME, q=Q * 1j), "q: holds no real numbers, but complex128"),
     Refused("texts", npz(t=TIME, q=np.array(["a"] * 200)), "q: holds no real numbers"),
     Refused("pickled", npz(t=TIME, q=np.array([{}, []], dtype=object)), "q: is a pickled or otherwise opaque object"),
-    Refused("no such array", npz(x=TIME), "no array whose name is understood; it has: x"),
+    Refused("no such array", npz(x=TIME), "no array with a recognised name; it has: x"),
     Refused("nothing", npz(), "it has: nothing"),
     Refused(
         "two structs", npz(**{"t": TIME, "a.q": Q, "b.q": Q}), r"'a.q' and 'b.q' both mean the position.*--column q=b.q"
@@ -377,6 +379,6 @@ def test_a_column_whose_name_commands_a_terminal_is_refused(tmp_path: Path, colu
     path = tmp_path / "run.csv"
     rows = [f"t,q1,torque1,{column}", *(f"{row / 100},0.1,1.0,2.0" for row in range(20))]
     path.write_text("\n".join(rows))
-    with pytest.raises(ImportFileError, match=r"holds the character|both mean|name is understood") as caught:
+    with pytest.raises(ImportFileError, match=r"holds the character|both mean|recognised name") as caught:
         import_file(path, ROBOT, TORQUE)
     assert not set(column) & set("\x1b\x07\x9b\u202e") & set(str(caught.value))

@@ -69,7 +69,7 @@ def test_a_way_around_is_found():
 
 
 def test_where_none_is_free_the_straight_one_is_refused_with_what_to_do():
-    with pytest.raises(MotionRefusedError, match=r"approach to the start pose: too near \(bring the arm nearer"):
+    with pytest.raises(MotionRefusedError, match=r"approach to the start pose: too near \(move the arm nearer"):
         checked_approach(HERE, START, ROBOT.joints, Passes(lambda q: q[0] > 0.0))
 
 

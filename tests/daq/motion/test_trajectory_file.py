@@ -92,7 +92,7 @@ def test_every_kind_moves_from_rest_to_rest_and_survives_its_text(content):
         ({**QUINTIC, "cosine": [[0.1, 0.0], [9.0, 0.1]]}, "joint elbow: position"),
         ({**POINTS, "durations": [2]}, "3 points need 2 durations, not 1"),
         ({**POINTS, "points": [[0, 0, 0], [1, 1, 1], [0, 0, 0]]}, "moves 3 joints, but the robot has 2"),
-        ({**SAMPLES, "time": [0, 1, 1, 2]}, "does not rise at sample 2"),
+        ({**SAMPLES, "time": [0, 1, 1, 2]}, "does not increase at sample 2"),
         ({**SINES, "frequency": [[float("nan"), 1], [1, 1]]}, "finite"),
     ],
 )

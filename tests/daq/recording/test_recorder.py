@@ -188,7 +188,7 @@ def test_a_disk_that_refuses_what_it_granted_is_an_error_and_the_file_is_recover
     assert ended.returncode == 0, ended.stderr[-3000:]  # HDF5 crashes at exit where a broken file is left to it
     refused, message, file = ended.stdout.splitlines()
     assert message.startswith(f"{path}: cannot be written")
-    assert message.endswith(f"(rescue what was written: dynid recover {file})")
+    assert message.endswith(f"(save what was written: dynid recover {file})")
     assert path.read_text() == "old"
     assert unfinished_files(path) == [Path(file)]
     recover(Path(file), tmp_path / "rescued.h5")
@@ -221,7 +221,7 @@ def test_a_disk_that_fills_ends_the_recording_in_order(tmp_path, clock, monkeypa
         put += 30
         clock.sleep(0.3)
     recorder.put(block(put, 30))  # too late
-    said = "run.h5: cannot be written: No space left on device (make room on the disk, or choose another place)"
+    said = "run.h5: cannot be written: No space left on device (free some space on the disk, or choose another place)"
     with pytest.raises(DiskError, match=re.escape(said)):
         recorder.close(complete=True)
     assert recorder.file == (unfinished_files(path)[0] if old else path)
@@ -260,7 +260,7 @@ def test_of_two_recordings_of_one_name_the_second_keeps_its_unfinished_one(tmp_p
     first.put(block(0, 10))
     second.put(block(0, 20))
     first.close(complete=True)
-    with pytest.raises(DiskError, match=rf"exists by now, and stays as it is \(the recording is {second.file}\)"):
+    with pytest.raises(DiskError, match=rf"exists by now and was not replaced \(the recording is {second.file}\)"):
         second.close(complete=True)
     assert len(read_recording(path).streams["joints"].time) == 10
     assert len(read_recording(second.file).streams["joints"].time) == 20
@@ -283,7 +283,7 @@ def test_what_a_reader_would_refuse_is_not_recorded(tmp_path, clock, monkeypatch
     for number in range(5):
         recorder.event(0.0, "info", "test", str(number))
     clock.sleep(1.0)
-    with pytest.raises(DiskError, match="has 4 events, as many as are read"):
+    with pytest.raises(DiskError, match="has 4 events, the most that can be read"):
         recorder.close(complete=True)
     recording = read_recording(tmp_path / "talkative.h5")
     assert len(recording.streams["joints"].time) == 10

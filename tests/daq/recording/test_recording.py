@@ -275,9 +275,9 @@ def nothing(path: Path) -> None:
     [
         (truncate, "truncated or still open in a writer.*copy it again"),
         (rename_schema, "not a dynid recording.*dynid import"),
-        (newer_schema, "schema version 2, this dynid reads up to 1.*update dynid"),
+        (newer_schema, "schema version 2, this version of dynid reads up to 1.*update dynid"),
         (text_schema, "unreadable schema version 'one'"),
-        (no_stream, "holds no stream"),
+        (no_stream, "contains no stream"),
         (no_time, "/streams/joints: has no dataset 'time'"),
         (half_written, "/streams/joints: is half-written: rows per dataset .*'current': 0"),
         (group_in_a_stream, "'more' is not a dataset"),
@@ -288,7 +288,7 @@ def nothing(path: Path) -> None:
         (foreign_events, "is damaged"),
         (text_file, "is not an HDF5 file.*dynid import"),
         (empty_file, r"is empty \(0 bytes\)"),
-        (directory, "is not a file"),
+        (directory, "is a folder, not a file"),
         (nothing, "no such file"),
     ],
 )

@@ -100,7 +100,11 @@ def killed(tmp_path_factory: pytest.TempPathFactory):
             process.stdin.flush()
             assert os.WTERMSIG(int(process.stdout.readline())) == signal.SIGKILL
             assert not path.exists()  # it was to take this place when it was closed
-            with pytest.raises(RecordingError, match=r"no such file \(one of this name was not closed: dynid recover"):
+            with pytest.raises(
+                RecordingError,
+                match=r"no such file \(a recording of this name was not closed: "
+                "dynid recover",
+            ):
                 read_recording(path)
             return half_written(path)
 
@@ -178,7 +182,7 @@ def test_what_is_no_recording_is_refused(tmp_path):
     with pytest.raises(RecordingError, match="no such file"):
         recover(tmp_path / "none.h5", tmp_path / "out.h5")
     (tmp_path / "text.h5").write_text("hello")
-    with pytest.raises(RecordingError, match="nothing can be rescued"):
+    with pytest.raises(RecordingError, match="nothing can be recovered"):
         recover(tmp_path / "text.h5", tmp_path / "out.h5")
     with pytest.raises(UsageError, match="is an input of this command"):
         recover(tmp_path / "text.h5", tmp_path / "text.h5")
@@ -203,10 +207,10 @@ def test_a_file_over_which_hdf5_loops_is_refused(tmp_path, monkeypatch):
         monkeypatch.setattr(module, "WAITING_LIMIT", 3600.0)
     monkeypatch.setattr(recover_module, "read_apart", functools.partial(read_apart, time_limit=1.0))
     monkeypatch.setattr(reader_module, "read_apart", functools.partial(read_apart, time_limit=1.0))
-    with pytest.raises(RecordingError, match="cannot be read within 1 s of processor time") as refused:
+    with pytest.raises(RecordingError, match="cannot be read within 1 s of CPU time") as refused:
         recover_command(path, None, False, True)
     assert refused.value.exit_status == 2
-    with pytest.raises(RecordingError, match="cannot be read within 1 s of processor time"):
+    with pytest.raises(RecordingError, match="cannot be read within 1 s of CPU time"):
         read_recording(path)
     assert not (tmp_path / "run-recovered.h5").exists()
 

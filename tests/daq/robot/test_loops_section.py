@@ -87,7 +87,7 @@ REFUSED = {
     "pair of an uncoupled motor": (
         replaced("gain: 94, gain_std: 1,", "gain: 94, pair_inertia: true,"),
         "",
-        "'j1' is none of 'model.coupling'",
+        "'j1' is not in 'model.coupling'",
     ),
     "following without closing": (
         replaced(PARALLELOGRAM, "passive: {j3: 0.5, j8: 1.3}").replace(CLOSING, "").replace("closing:  # frames", "#"),

@@ -217,7 +217,7 @@ REFUSED: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "loops": (
         replaced("joints:", "  loops: [{}]\njoints:"),
         ": model.loops[0]",
-        ("either 'joint' with its 'equation', or 'parallelogram'",),
+        ("either 'joint' with 'equation', or 'parallelogram'",),
     ),
     "coupling": (
         replaced("joints:", "  coupling: {j2: 1}\njoints:"),
@@ -229,7 +229,7 @@ REFUSED: dict[str, tuple[str, str, tuple[str, ...]]] = {
         ": connections.wire.driver",
         ("this key is missing",),
     ),
-    "relative urdf without a place": (URDF_ROBOT, ": model.urdf", ("'models/arm.urdf'", "nothing to be relative to")),
+    "relative urdf without a place": (URDF_ROBOT, ": model.urdf", ("'models/arm.urdf'", "has no base folder")),
 }
 
 

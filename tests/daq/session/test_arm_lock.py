@@ -38,7 +38,10 @@ def test_an_arm_that_another_program_moves_is_refused_until_that_is_dead():
     )
     assert other.stdout is not None
     assert other.stdout.readline() == "held\n"
-    with pytest.raises(MotionRefusedError, match="another program on this computer moves this arm"), _held("192.0.2.9"):
+    with (
+        pytest.raises(MotionRefusedError, match="another program on this computer is moving this arm"),
+        _held("192.0.2.9"),
+    ):
         pass
     with _held("192.0.2.8"):  # another arm
         pass

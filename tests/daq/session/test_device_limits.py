@@ -39,7 +39,7 @@ def test_looser_limits_are_named_by_quantity_joint_and_object() -> None:
     (line,) = looser_limits(ROBOT, own(following_error=[0.05, 0.3]))
     assert line == "following error limits above the controller's own (0x6065): shoulder 0.2 rad, own 0.05"
     (line,) = looser_limits(ROBOT, own(stopping=[0.5, 100]))
-    assert line.startswith("a stop slows down less than the acceleration limits allow (0x6085): shoulder ")
+    assert line.startswith("a stop decelerates less than the acceleration limits allow (0x6085): shoulder ")
 
 
 class Arm:

@@ -183,7 +183,7 @@ def test_servos_are_let_go_and_hold_again(clock: SimulatedClock):
     with servos(clock) as bench, bench.opened() as driver:
         driver.start()
         driver.read(0.2)
-        assert "take no torques" in driver.guiding_refusal(pushed=True)
+        assert "accept no torques" in driver.guiding_refusal(pushed=True)
         driver.release(None)
         assert not any(servo.get("torque_enable") for servo in bench.server.servos)
         clock.sleep(0.3)

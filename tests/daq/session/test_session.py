@@ -143,7 +143,7 @@ def test_silence_stops_a_motion_after_five_periods_and_50_ms(
     path, arm = tmp_path / "run.h5", Slow("stale data", AFTER, clock=clock)
     report = run(path, arm, PLAY)
     assert (report.stopped_by or "").startswith("stale data of stream joints: ")
-    assert " passes 0.05 s (joints for 0.05 s: no answer of elbow) (look at cables " in (report.stopped_by or "")
+    assert " passes 0.05 s (joints for 0.05 s: no answer of elbow) (check cables " in (report.stopped_by or "")
     assert_closed(path, arm, report)
     assert arm.count == 160
     silent = stopped(arm) - 160 * PERIOD

@@ -192,7 +192,7 @@ def test_a_silent_thermometer_does_not_stop_the_arm_unless_it_is_required(tmp_pa
     report = run(tmp_path / "run.h5", clock, Sources("arm", arm, {"oven": thermometer}), motion())
     assert thermometer.rows == 40
     if essential:  # five periods after the row at 0.9 s
-        assert str(report.stopped_by).startswith("stale data of stream oven: 0.115 s passes 0.1125 s (look at cables")
+        assert str(report.stopped_by).startswith("stale data of stream oven: 0.115 s passes 0.1125 s (check cables")
         assert arm.command_times[-1] - arm.begun == pytest.approx(0.9 + 0.115, abs=1e-9)
     else:
         assert report.stopped_by is None

@@ -167,12 +167,12 @@ def test_truncated_and_unreadable_frames_are_left_out_and_counted(clock: Simulat
     with receiving(bus, clock) as receiver:
         assert [frame[1] for frame in take(receiver, 1)] == [2]
         told = [notice.message for notice in receiver.notices()]
-        assert told == ["1 truncated frame(s) left out", "1 unreadable frame(s) left out"]  # at most one a second
+        assert told == ["1 truncated frame(s) dropped", "1 unreadable frame(s) dropped"]  # at most one a second
         clock.sleep(NOTICE_PERIOD - 0.001)
         assert receiver.notices() == []
         clock.sleep(0.002)
         told = [notice.message for notice in receiver.notices()]
-        assert told == ["4 truncated frame(s) left out", "2 unreadable frame(s) left out"]
+        assert told == ["4 truncated frame(s) dropped", "2 unreadable frame(s) dropped"]
         assert bus.flushed == 3
 
 
@@ -182,14 +182,14 @@ def test_frames_of_can_fd_are_left_out_and_counted(clock: SimulatedClock) -> Non
         assert [data for _, _, data in take(receiver, 2)] == [b"a", b"b"]
         receiver.report_rest()
         said = [notice.message for notice in receiver.notices()]
-    assert said == ["1 CAN FD frame(s) left out", "1 CAN FD frame(s) left out"]
+    assert said == ["1 CAN FD frame(s) dropped", "1 CAN FD frame(s) dropped"]
 
 
 def test_what_was_not_told_yet_is_told_at_the_end(clock: SimulatedClock) -> None:
     bus = FedBus(clock, *[message(1, b"12", dlc=8) for _ in range(3)], message(2, b"12"))
     with receiving(bus, clock) as receiver:
         take(receiver, 1)
-        for told in (["1 truncated frame(s) left out", "2 truncated frame(s) left out"], []):
+        for told in (["1 truncated frame(s) dropped", "2 truncated frame(s) dropped"], []):
             receiver.report_rest()
             assert [notice.message for notice in receiver.notices()] == told
 
@@ -233,7 +233,7 @@ def test_bus_off_is_a_lost_connection(clock: SimulatedClock) -> None:
 
 
 def test_an_adapter_that_takes_no_frames(clock: SimulatedClock) -> None:
-    with pytest.raises(ConnectionLostError, match="does not take frames: Transmit buffer full"):
+    with pytest.raises(ConnectionLostError, match="does not accept frames: Transmit buffer full"):
         Sender(FedBus(clock), clock).send(0x80, b"")
 
 
@@ -287,7 +287,7 @@ def test_slcan_with_truncated_lines_garbage_and_the_plug_pulled(
             line.write(b"t18311A\r")
             assert take(receiver, 1)[0][1:] == (0x183, b"\x1a")
             told = {notice.message.split(" ", 1)[1] for notice in receiver.notices()}
-            assert told == {"truncated frame(s) left out", "unreadable frame(s) left out"}
+            assert told == {"truncated frame(s) dropped", "unreadable frame(s) dropped"}
             line.pull_out()
             error = lost(receiver)
             assert "the CAN adapter is gone" in error.message
@@ -332,7 +332,7 @@ def test_whatever_a_serial_line_says_the_next_good_frame_is_read(noise: list[byt
         ("slcan", "/dev/no-such-adapter", {}, "there is no channel '/dev/no-such-adapter'"),
         ("udp_multicast", "239.74.163.2", {"hop_limit": "far"}, "cannot be opened"),
         ("udp_multicast", "10.0.0.1", {}, "cannot be opened"),
-        ("slcan", "/dev/null", {"speed": 3, "tty_baudrate": "fast"}, "cannot be opened|does not take"),
+        ("slcan", "/dev/null", {"speed": 3, "tty_baudrate": "fast"}, "cannot be opened|does not take|does not accept"),
     ],
 )
 def test_a_bus_that_cannot_be_opened_says_why(

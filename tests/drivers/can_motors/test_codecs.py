@@ -72,12 +72,12 @@ def test_keys_that_are_refused():
         "no damiao motor is called 'dm9'": ("damiao", {"model": "dm9"}),
         "'motors.swing.kp' is missing": ("damiao", {"kp": None}),
         "'motors.swing.kd' is missing.*as its controller has them": ("moteus", {"kd": None}),
-        "swing: kp 600 is more than its motor takes": ("damiao", {"kp": 600.0}),
-        "a damiao motor keeps no torque_limit": (
+        "swing: kp 600 is more than its motor allows": ("damiao", {"kp": 600.0}),
+        "a damiao motor accepts no torque_limit": (
             "damiao",
             {"motors": motor | {"bend": {"id": 7, "torque_limit": 2.0}}},
         ),
-        "when_lost: limp is not in the power": ("cubemars", {"when_lost": "limp"}),
+        "when_lost: limp cannot be commanded": ("cubemars", {"when_lost": "limp"}),
         "swing has id 200": ("robstride", {"motors": motor | {"swing": {"id": 200}}}),
     }
     for said, (wire, keys) in wrong.items():

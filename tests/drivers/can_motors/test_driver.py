@@ -235,7 +235,7 @@ def test_a_motor_s_own_full_scale_goes_before_the_table(clock: SimulatedClock):
         with bench.opened(model="dm4310") as driver:
             said = [notice.message for notice in driver.notices()]
             assert driver.identify()[0].velocity_range == 50.0
-        assert "swing (id 1): the table of dm4310 says velocity 30, the motor 50: the motor's is taken" in said
+        assert "swing (id 1): the table of dm4310 says velocity 30, the motor 50: the motor's value is used" in said
 
 
 def test_motors_whose_answers_are_alike_are_refused():

@@ -388,7 +388,7 @@ def test_an_arm_that_goes_on_moving_is_reported(
     begun = clock.now()
     driver.stop()
     assert STOP_LIMIT <= clock.now() - begun <= STOP_LIMIT + 0.05
-    assert "that it stands still" in said(list(driver.notices()), "error")
+    assert "that it is at rest" in said(list(driver.notices()), "error")
 
 
 @pytest.mark.parametrize("deaf_for", [0.05, 0.5])

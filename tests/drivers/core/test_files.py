@@ -42,7 +42,7 @@ def make_large(path: Path) -> None:
 WRONG = {
     "not a regular file, so it is not read as a small file": (make_fifo, make_zeros, make_socket, make_link_to_fifo),
     "is larger than 0.1 kB, too large for a small file": (make_large,),
-    "is not a file, but a folder": (Path.mkdir,),
+    "is a folder, not a file": (Path.mkdir,),
     "no such file": (lambda path: None, lambda path: path.symlink_to("nowhere")),
 }
 

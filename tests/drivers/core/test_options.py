@@ -55,7 +55,7 @@ def test_commas_separate_names(text, names):
 
 @pytest.mark.parametrize("text", ["", ",", " , "])
 def test_an_option_without_a_name_is_refused(text):
-    with pytest.raises(UsageError, match=r"--locked '.*' holds no name"):
+    with pytest.raises(UsageError, match=r"--locked '.*' contains no name"):
         read_names(text, "--locked")
 
 

@@ -91,10 +91,10 @@ def test_the_robot_file_is_compared_with_what_the_controller_tells(clock: Simula
         server.controller.lengths = [0.426, 0.392, 0.134, 0.099]  # calibrated
         require_same_arm(load_robot("ur5e"), driver)
         for other, words in (("ur10e", "upper arm 0.426 m, and not 0.6127 m; "), ("aubo_i5", "upper arm 0.426 m")):
-            with pytest.raises(UsageError, match=f"says that its arm is another than {other}: {words}"):
+            with pytest.raises(UsageError, match=f"controller's arm is not {other}: {words}"):
                 require_same_arm(load_robot(other), driver)
         server.controller.lengths = [0.425, 0.39225, 0.10915, 0.09465]
-        with pytest.raises(UsageError, match=r"another than ur5e: shoulder offset 0.1091 m, and not 0.1333 m "):
+        with pytest.raises(UsageError, match=r"is not ur5e: shoulder offset 0.1091 m, and not 0.1333 m "):
             require_same_arm(load_robot("ur5e"), driver)  # a UR5
         network.dead = True
         require_same_arm(load_robot("ur10e"), driver)

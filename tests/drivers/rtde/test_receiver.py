@@ -217,10 +217,10 @@ SAME = [step for _ in range(10) for step in (Sample(1.0 + 19 / 500), Wait(0.1))]
         ([Wait(0.49), Sample(1.04), Never()], "no data for 0.5 s", 0.99),
         ([Cut()], "closed", 0.0),
         ([b"\0\0\0"], "not RTDE", 0.0),
-        ([package("P", b"\1")], "not of the recipe", 0.0),
+        ([package("P", b"\1")], "does not match the requested recipe", 0.0),
         ([b"HTTP/1.1 400 Bad Request\r\n\r\n"], "not RTDE", 0.0),
-        ([package("U", b"\1" + bytes(8))], "not of the recipe", 0.0),
-        ([package("U", b"\2" + data_package(VARIABLES, Sample(2.0))[4:])], "not of the recipe", 0.0),
+        ([package("U", b"\1" + bytes(8))], "does not match the requested recipe", 0.0),
+        ([package("U", b"\2" + data_package(VARIABLES, Sample(2.0))[4:])], "does not match the requested recipe", 0.0),
         ([Sample(0.5)], "clock jumped", 0.0),
         ([Sample(float("nan"))], "clock jumped", 0.0),
         ([package("M", b"\xff")], "ends in the middle", 0.0),
@@ -341,7 +341,7 @@ def test_what_is_not_taken_is_bounded_and_counted(
     assert len(batch.rows) == 50
     assert receiver.overflow == 150
     assert batch.rows["timestamp"][-1] == 1.0 + 199 / 500
-    assert any("oldest samples are dropped" in notice.message for notice in receiver.notices())
+    assert any("oldest samples were dropped" in notice.message for notice in receiver.notices())
 
 
 def test_text_messages_become_notices(controller: Make, connect: Connect) -> None:

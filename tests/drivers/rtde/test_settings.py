@@ -47,7 +47,7 @@ def test_everything_that_is_wrong_is_said_at_once() -> None:
     assert caught.value.message == (
         "3 keys of the RTDE connection are wrong: "
         "'host' is 7 (allowed: the controller's name or address, such as 192.168.56.101); "
-        "'rate' is True (allowed: a number from 1 to 500 [Hz] of the samples, usually 500 or 125; left out, the "
+        "'rate' is True (allowed: a number from 1 to 500 [Hz] of the samples, usually 500 or 125; default: the "
         "controller's maximum); "
         "unknown key 'prot' (allowed: host, port, rate, serial, timeout; did you mean 'port'?)"
     )

@@ -216,7 +216,7 @@ def test_a_slow_adapter_is_named_with_what_to_do(clock: SimulatedClock):
         clock.sleep(0.05)
         with bench.opened() as driver:
             said = [notice.message for notice in driver.notices()]
-    assert any("100 Hz are not reached" in line for line in said)
+    assert any("100 Hz cannot be reached" in line for line in said)
 
 
 def test_the_wire_carries_what_the_budget_says(clock: SimulatedClock, tmp_path):

@@ -94,7 +94,7 @@ def test_a_calibration_is_the_joint_map(tmp_path):
 
 
 WRONG_FILES = {
-    "[]": "is no calibration",
+    "[]": "is not a calibration",
     "{": "is not JSON",
     '{"swing": {"id": 1}}': "needs the integers",
     '{"swing": {"id": 1, "drive_mode": 2, "homing_offset": 0, "range_min": 0, "range_max": 9}}': "cannot be",
@@ -111,7 +111,7 @@ def test_files_that_are_no_calibration(tmp_path):
 
 
 WRONG_KEYS = {
-    "is no joint": {"motors": {**KEYS["motors"], "wrist": {"id": 3}}},
+    "is not a joint": {"motors": {**KEYS["motors"], "wrist": {"id": 3}}},
     "have no motor": {"motors": {"swing": {"id": 1}}},
     "have the same id 1": {"motors": {"swing": {"id": 1}, "bend": {"id": 1}}},
     "no servo model is called": {"model": "sts9"},

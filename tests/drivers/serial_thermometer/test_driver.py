@@ -177,9 +177,9 @@ def test_hostile_lines_are_counted_in_one_notice(opened: Make, clock: SimulatedC
     blocks, notices = listen(driver, clock, 11.0)
     np.testing.assert_array_equal(rows(blocks), [[30.0, 20.0]] * 110)
     assert told(notices) == [
-        "warning: 34 line(s) ignored: 30 do not match the pattern, 3 hold no number where the value should be,"
-        " 1 hold a temperature outside the believed range; the last one: 'T1=999'",
-        "warning: channel(s) '7' come, but 'channels' does not name them",
+        "warning: 34 line(s) ignored: 30 do not match the pattern, 3 have no number for the value,"
+        " 1 have a temperature outside the accepted range; the last one: 'T1=999'",
+        "warning: channel(s) '7' arrive, but 'channels' does not name them",
         "warning: 100 line(s) ignored: 100 do not match the pattern; the last one: 'more rubbish'",
     ]
     assert [notice.time - begun for notice in notices] == pytest.approx([0.005, 0.005, 10.005], abs=READ_TIMEOUT + 1e-6)
@@ -237,7 +237,7 @@ def test_unplugged_and_plugged_in_again(
     clock.call_at(gone + 131.203, lambda: line.say("\nT1=25 T2=35\n"))
     blocks, notices = listen(driver, clock, 131.25)
     assert told(notices) == [
-        f"{level}: the port has gone: Input/output error; it is opened again when it is back",
+        f"{level}: the port is gone: Input/output error; it is opened again when it is back",
         "warning: 1 line(s) ignored: 1 were cut off; the last one: 'T1=2'",
         "warning: the port is still gone after 60 s, 60 attempts",
         "warning: the port is still gone after 120 s, 120 attempts",
@@ -277,7 +277,7 @@ def test_a_port_without_temperatures_is_refused_at_opening(
 def test_a_port_that_goes_away_while_it_is_opened_is_refused(clock: SimulatedClock, line: SerialLine) -> None:
     gone = clock.now() + 0.7
     clock.call_at(gone, line.pull_out)
-    with pytest.raises(ConnectionFailedError, match="the port went away: Input/output error"):
+    with pytest.raises(ConnectionFailedError, match="the port is gone: Input/output error"):
         made(line.path, clock).open()
     assert clock.now() == gone
 
@@ -348,7 +348,7 @@ def test_over_a_socket_that_closes_and_comes_back() -> None:
         hear(lambda: rows(blocks)[:, 1].tolist().count(21.0) >= 20)
         np.testing.assert_array_equal(rows(blocks)[-20:], [[31.0, 21.0]] * 20)
         peer.shutdown(socket.SHUT_WR)
-        hear(lambda: any("the port has gone" in message for message in told(notices)))
+        hear(lambda: any("the port is gone" in message for message in told(notices)))
         peer.close()
         peer, _ = listener.accept()
         hear(lambda: 25.0 in rows(blocks), b"T1=25 T2=35\n")

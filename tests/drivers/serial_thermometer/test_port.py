@@ -125,7 +125,7 @@ def test_units_are_converted(unit: str, text: str, celsius: float) -> None:
         ({"pattern": r"T(?P<channel>\d)"}, "lacks the named group.* value"),
         ({"pattern": r"(\d)=(\d)"}, "lacks the named group.* channel, value"),
         ({"channels": {}}, "'channels'"),
-        ({"channels": {1: "knee"}}, "which is no joint"),
+        ({"channels": {1: "knee"}}, "which is not a joint"),
         ({"channels": {1: "elbow", 2: "elbow"}}, "two channels"),
         ({"channels": {1: "elbow", "1": "wrist"}}, "channel 1 is named twice"),
         ({"channels": {True: "elbow"}}, "channel True is neither"),

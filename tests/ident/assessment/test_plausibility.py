@@ -111,12 +111,12 @@ def test_clearly_negative_friction_and_motor_inertia_are_warned_of(three_joint):
         parameters[base.names.index(name)] = -1.0
     (friction,) = sign_checks(base, parameters, std)
     assert friction.name == "negative-friction"
-    assert friction.text.startswith("Fv2, Fs3 came out negative (not dissipative)")
+    assert friction.text.startswith("Fv2, Fs3 is negative (not dissipative)")
     parameters[base.names.index("Ia3")] = -1.0
     motors = sign_checks(base, parameters, std)[1]
     assert motors.name == "negative-motor-inertia"
     assert motors.severity == "note"  # the delivered model's is never negative
-    assert motors.text.startswith("Ia3 of the unconstrained parameters came out negative")
+    assert motors.text.startswith("Ia3 of the unconstrained parameters is negative")
     assert "inertia: false" in motors.text
 
 

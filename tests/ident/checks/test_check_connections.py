@@ -137,7 +137,7 @@ def test_a_bus_with_room_is_no_warning_a_tight_one_is_and_a_full_one_is_refused(
     full = with_connections(three_joint, CANOPEN.format(bitrate=500000, rate=750, third=3))
     (problem,) = check_robot(full).problems
     assert isinstance(problem, RobotFileError)
-    assert re.search(r"750 Hz do not fit on a bus of 500000 bit/s: 182 % .*at most 411 Hz", str(problem))
+    assert re.search(r"750 Hz does not fit on a bus of 500000 bit/s: 182 % .*at most 411 Hz", str(problem))
 
 
 def test_wrong_keys_are_refused_with_the_connections_name(three_joint, drivers):

@@ -157,7 +157,7 @@ def test_info_begins_with_its_verdict_and_remembers_the_import(monkeypatch, caps
     noted = replace(recording, events=(Event(0.0, "warning", "import", "sort: time went backward 3 times"),))
     write_recording(folder / "noted.h5", noted)
     _, out, _ = run(monkeypatch, capsys, folder, "info", "noted.h5")
-    assert "As far as the recording goes: Good for" in out.splitlines()[1]
+    assert "Judging by the recording alone: Good for" in out.splitlines()[1]
     assert len(out.splitlines()) <= 25
     assert "note: import: sort: time went backward 3 times [import-warning]" in out
     _, out, _ = run(monkeypatch, capsys, folder, "info", "noted.h5", "--json")
@@ -228,7 +228,7 @@ def test_import_refuses_to_overwrite(monkeypatch, capsys, folder):
 BAD = [
     # recordings
     (["info", "missing.h5"], ["missing.h5", "no such file"]),
-    (["info", "."], ["is not a file"]),
+    (["info", "."], ["is a folder, not a file"]),
     (["info", "text.h5"], ["is not an HDF5 file", "dynid import"]),
     (["info", "empty.h5"], ["empty.h5"]),
     (["info", "cut.h5"], ["cut.h5", "truncated"]),

@@ -70,10 +70,10 @@ def test_json(model, tmp_path, monkeypatch, capsys):
     [
         (["--c-float", "--urdf", "OUT/arm.urdf"], "--c-float needs --c"),
         (["--c", "OUT/arm", "--parameters", "some"], "there are no 'some' parameters"),
-        (["--c", 'OUT/a"b'], "no name for C files"),
+        (["--c", 'OUT/a"b'], "is not a valid name for C files"),
         (["--c", "OUT/no/arm"], "there is no such folder"),
         (["--c", "OUT/arm", "--urdf", "OUT/arm.c"], "same file"),
-        ([], "names no file"),
+        ([], "no file to write is named"),
     ],
 )
 def test_bad_input_is_one_line_and_status_2(model, arguments, message, tmp_path, monkeypatch, capsys):

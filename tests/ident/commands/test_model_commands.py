@@ -120,7 +120,7 @@ def test_monitor_watches_a_recording_and_writes_a_page(monkeypatch, capsys, fold
     arguments = ("monitor", "--replay", "val.h5", "--model", "model", *quiet, "--contacts", "labels.csv")
     status, out, err = run(monkeypatch, capsys, folder, *arguments, "--page", "contacts.html")
     assert status == 0, err
-    assert "Smallest force noticed" in out
+    assert "Smallest force detected" in out
     assert "torque of the drives, one threshold per joint" in out
     assert "no safety function" in out
     assert "External torque" in (folder / "contacts.html").read_text(encoding="utf-8")
@@ -129,7 +129,7 @@ def test_monitor_watches_a_recording_and_writes_a_page(monkeypatch, capsys, fold
     told = json.loads(out)
     assert told["contacts"] == []
     assert told["observer"] == "direct"
-    assert len(told["detectors"]["external torque, earned thresholds"]["roc"]) == 60
+    assert len(told["detectors"]["external torque, learnt thresholds"]["roc"]) == 60
     assert set(told["smallest_force"]) == set(dynid.load_model(folder / "model").joint_names)
 
 
@@ -154,10 +154,10 @@ def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
         (["monitor", "--model", "model", "--replay", "val.h5"], "9.92 s without contact are too short for 1 false"),
         (["monitor", "--model", "model", "--replay", "run.h5", "--quiet", "val.h5", "--false-alarms", "0"], "1/h"),
         (["monitor", "--model", "model"], "give either a robot"),
-        (["monitor", "--model", "model", "--replay", "val.h5", "--yes"], "--yes is for watching live"),
+        (["monitor", "--model", "model", "--replay", "val.h5", "--yes"], "--yes is for live monitoring"),
         (["monitor", "ur5e", "--model", "model"], "the robot file is of ur5e with joints"),
         (["monitor", "ur5e", "--model", "model", "--stop-on-contact"], "ends only a motion that dynid plays"),
-        (["monitor", "ur5e", "--model", "model", "--page", "contacts.html"], "are for --replay"),
+        (["monitor", "ur5e", "--model", "model", "--page", "contacts.html"], "--contacts and --page need --replay"),
         (["predict", "nowhere", "val.h5"], "nowhere: no such file"),
         (["predict", "model", "nowhere.h5"], "nowhere.h5: no such file"),
         (["predict", "model", "limits.yaml"], "is not an HDF5 file"),
@@ -171,7 +171,7 @@ def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
         (["validate", "model", "val.h5", "--accept", "nowhere.yaml"], "nowhere.yaml: no such file"),
         (["validate", "model", "val.h5", "--accept", "elbow.yaml"], "limits for elbow, which the robot has not"),
         (["identify", "run.h5", "--accept", "elbow.yaml", "-o", "new"], "limits for elbow, which the robot has not"),
-        (["identify", "run.h5", "--accept", "model", "-o", "new"], "model: is not a file, but a folder"),
+        (["identify", "run.h5", "--accept", "model", "-o", "new"], "model: is a folder, not a file"),
     ],
 )
 def test_bad_input_is_told_in_one_line(monkeypatch, capsys, folder, arguments, words):

@@ -40,7 +40,7 @@ def test_payload_in_words_and_as_a_page(folder, capsys, monkeypatch):
         assert sentence in out
         assert sentence in page.words
     assert set(page.figures) == {"load-plot", "changes-plot"}
-    assert "Load as a body that can exist" in page.words
+    assert "Physically consistent load" in page.words
     assert content["consistent_load"]["mass"] == pytest.approx(2.8)
     assert (status, err) == (0, "")
     for expected in (
@@ -50,7 +50,7 @@ def test_payload_in_words_and_as_a_page(folder, capsys, monkeypatch):
         "free plus load",
         "the known 2.8 kg",
         "Load with the",
-        "can exist",
+        "Physically consistent load",
     ):
         assert expected in out
 

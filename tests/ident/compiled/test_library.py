@@ -58,7 +58,7 @@ def test_what_another_user_could_have_written_is_not_loaded(cache) -> None:
         shared.chmod(mode)
         refused = fresh()
         assert refused.quick is None
-        assert refused.said == f"none: another user could write {shared}"
+        assert refused.said == f"none: another user could write to {shared}"
         shared.chmod(before)
     moved = path.rename(path.with_suffix(".moved"))
     path.symlink_to(moved)
@@ -75,6 +75,6 @@ def test_without_a_compiler_or_with_a_bad_one_there_is_no_library(cache, monkeyp
     (cache.parents[1] / "cc").write_text("#!/bin/sh\nexit 1\n")
     assert "could not build it" in fresh().said
     monkeypatch.setenv("PATH", "")
-    assert fresh().said == "none, without a C compiler (cc, gcc, clang)"
+    assert fresh().said == "none, since there is no C compiler (cc, gcc, clang)"
     monkeypatch.setenv(library.SETTING, "0")
     assert fresh().said == "off (DYNID_COMPILED=0)"

@@ -163,7 +163,7 @@ REFUSED = [
     (["arm.yaml", "--starts", "0"], ["--starts 0"]),
     (["arm.yaml", "--seed=-1"], ["--seed -1"]),
     (["arm.yaml", "--joints", "j9"], ["'j9'"]),
-    (["arm.yaml", "--joints", ","], ["holds no name"]),
+    (["arm.yaml", "--joints", ","], ["contains no name"]),
     (["arm.yaml", "--from", "missing.yaml"], ["missing.yaml"]),
     (["arm.yaml", "--from", "there.yaml"], ["there.yaml"]),
     (["arm.yaml", "--prior", "bad.json"], ["bad.json", "not JSON"]),

@@ -53,7 +53,7 @@ def test_what_reads_back_as_another_model_is_not_written(arm, tmp_path, monkeypa
     monkeypatch.setattr(export, "new_urdf", lambda arm: new_urdf(arm).replace('<mass value="', '<mass value="1'))
     from ident.export.urdf import new_urdf
 
-    with pytest.raises(ModelError, match=r"Pinocchio .* reads another model.*was not written"):
+    with pytest.raises(ModelError, match=r"Pinocchio .* reads a different model.*was not written"):
         export_urdf(arm, tmp_path / "arm.urdf")
     assert list(tmp_path.iterdir()) == []
 
@@ -92,7 +92,7 @@ def test_what_a_simulation_shows_is_a_check(simulation, name):
 
 @pytest.mark.parametrize("error", [2e-6, float("nan"), float("inf")])
 def test_other_torques_are_refused(error):
-    with pytest.raises(ModelError, match="reads another model"):
+    with pytest.raises(ModelError, match="reads a different model"):
         check_same_torque(ReadBack("Pinocchio", error, 10), "arm.urdf")
 
 

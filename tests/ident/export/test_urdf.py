@@ -158,7 +158,7 @@ def test_the_comment_says_what_the_file_lacks():
         ('name="slide"', 'name="slider"', "'joints' names 'slide'.*did you mean 'slider'"),
         ('xyz="0.1 0 0" rpy="0 0.3 0"', 'xyz="0.11 0 0" rpy="0 0.3 0"', "joint 'shoulder' is not.*10 mm apart"),
         ('rpy="0 0.3 0"', 'rpy="0 0.31 0"', "joint 'shoulder' is not.*turned by"),
-        ('<parent link="bracket"/>', '<parent link="base"/>', "joint 'shoulder' hangs on another link"),
+        ('<parent link="bracket"/>', '<parent link="base"/>', "joint 'shoulder' is attached to another link"),
         ('name="slide" type="prismatic"', 'name="slide" type="revolute"', "joint 'slide' slides in one and turns"),
         ("<robot ", "<rowboat ", "not a URDF"),
     ],

@@ -105,7 +105,7 @@ def test_what_is_no_history_is_refused_in_a_line(tmp_path, kept):
     link = tmp_path / "link.db"
     link.symlink_to("nowhere")
     said = {
-        foreign: "another program", newer: "schema version 2", text: "is no history", empty: "no results yet",
+        foreign: "another program", newer: "schema version 2", text: "is not a history", empty: "no results yet",
         trigger: "its tables", link: "no such file", tmp_path: "a folder", tmp_path / "none.db": "no such file",
     }  # fmt: skip
     for path, words in said.items():

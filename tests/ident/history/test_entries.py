@@ -118,10 +118,10 @@ def test_the_command_adds_shows_and_refuses(monkeypatch, capsys, tmp_path):
         ("arm.db",): "holds 2 arms",
         ("arm.db", "--arm", "up6 9"): "no arm 'up6 9'",
         ("none.db",): "no such file",
-        ("r1.json",): "is no history",
+        ("r1.json",): "is not a history",
         ("add", "arm.db", "--history", "arm.db"): "cannot be read",
-        ("add", *names, "--history", "arm.db", "--time", "2026-05-01"): "of a single result",
-        ("add", "r1.json", "--history", "arm.db", "--time", "May"): "is no time",
+        ("add", *names, "--history", "arm.db", "--time", "2026-05-01"): "needs a single result",
+        ("add", "r1.json", "--history", "arm.db", "--time", "May"): "is not a time",
     }
     for arguments, words in said.items():
         status, out, err = run(*arguments)
@@ -129,5 +129,5 @@ def test_the_command_adds_shows_and_refuses(monkeypatch, capsys, tmp_path):
         assert words in err
         assert err.count("\n") == 1
     assert dynid.History("arm.db").arms == ("up6 7", "up6 8")
-    with pytest.raises(UsageError, match="is no time"):
+    with pytest.raises(UsageError, match="is not a time"):
         dynid.History("arm.db").add("r1.json", time=float("nan"))

@@ -137,7 +137,7 @@ def test_one_model_everywhere(identified, tmp_path):
 )
 def test_data_of_the_identification_are_refused_as_held_out(runs, copied):
     other = replace(copied(runs[0]), path=None)
-    with pytest.raises(UsageError, match="holds the data of the identification") as refused:
+    with pytest.raises(UsageError, match="contains the data of the identification") as refused:
         dynid.identify(runs[0], validation=[runs[1], other])
     assert refused.value.hint
 

@@ -101,7 +101,7 @@ def test_thresholds_grow_with_the_distance_from_known_temperatures() -> None:
     assert np.all(learnt.of(way, spread, None) == 1.0)
     assert np.all(THRESHOLDS.of(way, spread, heat) == 1.0)
     warm = np.full((1, 6), 24.0) + 10.0 * (np.arange(6) == 2)
-    assert "c is 6 K outside the temperatures that thresholds were learnt at: its threshold is 12 higher" in (
+    assert "c is 6 K outside the temperatures at which thresholds were learnt: its threshold is 12 higher" in (
         learnt.beyond(tuple("abcdef"), spread, warm)
     )
 
@@ -238,13 +238,13 @@ def test_live_batches_give_contacts_a_reason_to_stop_and_lines(noisy: tuple[Join
     with pytest.raises(UsageError, match="neither torque nor current"):
         LiveMonitor(model, thresholds).begin([replace(layout, channels=layout.channels[1:])])
     watch.add(Batch("joints", quiet.time[:5], quiet.time[:5], {"position": quiet.position[:5]}))
-    assert "not watched any more" in watch.stop_reason()
+    assert "no longer monitored" in watch.stop_reason()
 
 
 def test_another_arm_is_told() -> None:
     model, file = known_model("ur5e")
     assert another_arm(model, file) == ""
-    assert "sits elsewhere" in another_arm(model, load_robot("ur10e"))
+    assert "is placed differently" in another_arm(model, load_robot("ur10e"))
     assert "with joints" in another_arm(model, load_robot("sr400"))
 
 

@@ -83,5 +83,5 @@ def test_a_signal_that_is_zero_is_refused():
 
 def test_dependent_columns_are_refused():
     factors = [np.column_stack([factor[:, :1], factor]) for factor in system(0.02)]
-    with pytest.raises(IdentificationError, match="depend on each other"):
+    with pytest.raises(IdentificationError, match="linearly dependent"):
         null_vector(factors, ROWS, np.full(3, 0.02))

@@ -85,7 +85,7 @@ def test_a_load_of_which_nothing_is_known() -> None:
     assert list(page.figures) == ["load-plot"]
     assert "a sentence" in page.words
     assert HOSTILE in page.words
-    assert "too little data to tell" in page.words
+    assert "too little data to decide" in page.words
     assert "Mass agrees" not in page.words
 
 

@@ -292,7 +292,7 @@ def test_what_is_missing_is_a_dash() -> None:
 def test_no_validation() -> None:
     found = result(validation=None, validation_source="")
     without = page(found, validation=())
-    assert "Nothing was held out" in without.words
+    assert "No data were held out" in without.words
     assert "torques-validation-plot" not in without.figures
     assert "torques-fit-plot" in without.figures
 

@@ -125,9 +125,9 @@ def test_the_robot_files_inertias_stand_beside_the_estimates(data: ReportData):
     page = Page(render_report(data))
     (known,) = [trace for trace in page.figures["parameters-plot"]["data"] if trace["name"] == "robot file"]
     assert {"ZZR1", *known["y"]} >= {"ZZR1"}
-    assert "what the robot file says of the links" in page.words
+    assert "the robot file's values for the links" in page.words
     without = data.result.model_copy(update={"robot_file": data.result.robot_file.partition("truth:")[0]})
-    assert "what the robot file says" not in Page(render_report(replace(data, result=without))).words
+    assert "the robot file's values for the links" not in Page(render_report(replace(data, result=without))).words
 
 
 def test_motion_and_temperature_are_shown_as_they_are(data: ReportData):

@@ -219,8 +219,8 @@ def test_recordings_whose_commands_and_positions_do_not_belong_together_are_refu
     cut = dataclasses.replace(rest[1], channels={"target_position": dataclasses.replace(rest[0], values=command[:600])})
     bare = dataclasses.replace(stream, channels={"position": stream.channels["position"]})
     mistakes = {
-        "late by 0.3 s": (changed(other, target_position=np.roll(command, 15, axis=0)), "two clocks are apart"),
-        "early by 0.3 s": (changed(other, target_position=np.roll(command, -15, axis=0)), "two clocks are apart"),
+        "late by 0.3 s": (changed(other, target_position=np.roll(command, 15, axis=0)), "the clocks differ"),
+        "early by 0.3 s": (changed(other, target_position=np.roll(command, -15, axis=0)), "the clocks differ"),
         "order": (changed(other, target_position=command[:, [0, 2, 1, 3, 4, 5]]), "commands of others"),
         "frozen": (changed(other, position=stuck), "position of elbow_flex never"),
         "frozen halfway": (changed(other, position=stopped), "shoulder_lift does not change from"),

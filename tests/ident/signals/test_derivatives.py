@@ -145,7 +145,7 @@ def test_stated_noise_levels_are_those_of_all_joints_and_of_the_next_recording()
         ({"differentiation": "kalman", "kalman_noise": (1.0,)}, "is not two numbers"),
         ({"differentiation": "kalman", "kalman_noise": (1.0, 0.0)}, "--kalman-noise 0 is not within"),
         ({"differentiation": "kalman", "kalman_noise": (1.0, 1.0), "position_cutoff": 20.0}, "fix the cut-off"),
-        ({"kalman_noise": (1.0, 1.0)}, "without the Kalman smoother"),
+        ({"kalman_noise": (1.0, 1.0)}, "need the Kalman smoother"),
     ],
 )
 def test_noise_levels_that_mean_nothing_are_refused(choices: dict[str, object], words: str) -> None:

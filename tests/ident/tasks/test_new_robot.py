@@ -84,7 +84,10 @@ def test_a_urdf_of_the_wild_runs_or_is_refused_in_one_line(tmp_path: Path) -> No
         ),
         "no inertia anywhere": (PLAIN.replace(inertial(), ""), "assumed: the URDF states no mass"),
         "mass 0": (PLAIN.replace('value="2.0"', 'value="0"'), "assumed: the URDF states no mass"),
-        "an inertia that no body has": (PLAIN.replace(inertial(), inertial(inertia=(0.5, 0.01, 0.01))), "no body's"),
+        "an inertia that no body has": (
+            PLAIN.replace(inertial(), inertial(inertia=(0.5, 0.01, 0.01))),
+            "its inertia is impossible",
+        ),
         "a fixed chain": (
             PLAIN.replace(
                 "</robot>",
@@ -96,7 +99,7 @@ def test_a_urdf_of_the_wild_runs_or_is_refused_in_one_line(tmp_path: Path) -> No
         ),
         "continuous": (
             arm_of(joint("a", "base", "upper", kind="continuous", limit="<limit velocity='2' effort='60'/>"), two),
-            "continuous: a turn",
+            "continuous: limited to one turn",
         ),
         "sliding": (arm_of(joint("a", "base", "upper", kind="prismatic"), two), "name: a"),
         "no effort, no velocity": (
@@ -165,7 +168,7 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path, monkeypatch: pytest.M
         (None, None, "x.yaml", "either a URDF or --joints"),
         ("arm.urdf", 3, "x.yaml", "either a URDF or --joints"),
         (None, 0, "x.yaml", "--joints 0 is not from 1 to 50"),
-        (None, 3, "x.txt", "no name of a robot file"),
+        (None, 3, "x.txt", "not a name for a robot file"),
         (None, 3, "there.yaml", "exists already"),
     ):
         with pytest.raises(UsageError, match=message):

@@ -66,7 +66,7 @@ def test_without_a_consistent_model_its_limits_fail():
     acceptance = judge_acceptance(AcceptanceLimits(consistent=True, consistency_cost=2.0), lacking)
     assert [criterion.passed for criterion in acceptance.criteria] == [False, False]
     assert "FAILED: 0 of 2" in str(acceptance)
-    assert "is not known" in str(acceptance)
+    assert "is unknown" in str(acceptance)
 
 
 @given(limit=st.floats(1e-6, 1.0), value=st.floats(0.0, 2.0))
@@ -87,8 +87,8 @@ def test_a_value_passes_up_to_its_limit(limit, value):
         ("rmsee: 1", "did you mean 'rmse'"),
         ("purposes: {simulation: best}", "found 'best'"),
         ("purposes: {cooking: good}", "found 'cooking'"),
-        ("consistent: false", "asks for nothing"),
-        ("{}", "declares no limit"),
+        ("consistent: false", "requires nothing"),
+        ("{}", "states no limit"),
         ("", "a file of limits is a mapping"),
         ("rmse: 1\nrmse: 2", "rmse"),
         ("a: [", "not valid YAML"),
@@ -105,7 +105,7 @@ def test_wrong_files_are_refused_in_one_line(tmp_path, text, message):
 def test_files_that_cannot_be_read_are_refused(tmp_path):
     with pytest.raises(UsageError, match="no such file"):
         read_limits(tmp_path / "nowhere.yaml")
-    with pytest.raises(UsageError, match="is not a file, but a folder"):
+    with pytest.raises(UsageError, match="is a folder, not a file"):
         read_limits(tmp_path)
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(UsageError, match="not UTF-8"):
@@ -114,5 +114,5 @@ def test_files_that_cannot_be_read_are_refused(tmp_path):
 
 def test_limits_of_unknown_joints_are_refused():
     limits = declared({"rmse": {"elbow": 1.0}, "motion_rmse": {"a": 1.0}}, "limits")
-    with pytest.raises(UsageError, match=r"limits for elbow, which the robot has not \(joints: a, b\)"):
+    with pytest.raises(UsageError, match=r"limits for elbow, which the robot does not have \(joints: a, b\)"):
         check_joints(limits, ["a", "b"])

@@ -173,7 +173,7 @@ def test_faults_are_seen_and_passed(opened: Make, clock: SimulatedClock, line: S
         server.obey("unplug 2.51")
         times, notices = until(6.545)
         assert messages(notices) == [
-            "the port has gone: Input/output error; it is opened again when it is back",
+            "the port is gone: Input/output error; it is opened again when it is back",
             "the port is open again after 3.0 s, attempt 3",
         ]
         assert [notice.time - begun for notice in notices] == pytest.approx([2.545, 5.545], abs=1e-9)
@@ -247,7 +247,7 @@ def test_its_port_is_where_the_robot_file_says(pendulum, tmp_path) -> None:
     server.stop()
     assert not path.is_symlink()
     path.write_text("precious")
-    with pytest.raises(UsageError, match="there is something already"):
+    with pytest.raises(UsageError, match="the path exists already"):
         serve_thermometer(plant, keys)
     elsewhere = serve_thermometer(plant, {**keys, "url": "/dev/ttyUSB0"})
     assert elsewhere.path != "/dev/ttyUSB0"
@@ -387,7 +387,7 @@ def told(recording: Recording) -> list[str]:
             "unplug 1.5",
             2.4,
             [
-                "warning: the port has gone: Input/output error; it is opened again when it is back",
+                "warning: the port is gone: Input/output error; it is opened again when it is back",
                 "info: the port is open again after 2.0 s, attempt 2",
             ],
         ),
@@ -425,7 +425,7 @@ def test_a_thermometer_pulled_out_in_mid_motion(
     tmp_path: Path, clock: SimulatedClock, line: SerialLine, required: bool
 ) -> None:
     arm, report, recording = recorded(tmp_path / "run.h5", clock, line, fault=(1.003, "unplug 0.6"), required=required)
-    gone = "the port has gone: Input/output error; it is opened again when it is back"
+    gone = "the port is gone: Input/output error; it is opened again when it is back"
     events = [event for event in recording.events if event.message.startswith("oven: ")]
     assert events[0].time == pytest.approx(arm.stamp(arm.begun + 1.003), abs=1e-9)
     times = recording.streams["oven"].time - arm.begun
@@ -480,7 +480,7 @@ def test_on_a_pseudo_terminal(tmp_path: Path) -> None:
             driver.start()
             hear(lambda: len(blocks) >= 5)
             server.unplug()
-            hear(lambda: any("the port has gone" in message for message in messages(notices)))
+            hear(lambda: any("the port is gone" in message for message in messages(notices)))
             before = len(blocks)
             server.replug()
             hear(lambda: len(blocks) > before)

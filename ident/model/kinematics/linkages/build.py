@@ -154,7 +154,7 @@ def _closed_start(
                 f"that 'passive' gives: at {names[index]} = {start[index]:.4g}, in place of {wanted[index]:.4g} "
                 f"({_at(equations, start, names)})",
                 where=where,
-                hint="give the start of the assembly that is meant more exactly",
+                hint="give the start of the intended assembly more exactly",
             )
     return start
 
@@ -214,7 +214,7 @@ def _independent(raw: LoopEquations, start: FloatArray, names: tuple[str, ...], 
     elsewhere = start[:, None] + np.random.default_rng(0).uniform(-1.0, 1.0, (len(start), 1))
     if rank > len(passive) or _rank(raw.at(elsewhere).full[..., 0]) < len(passive):
         raise RobotFileError(
-            f"the closing equations fix {rank} joint(s), but {len(passive)} follow without a motor ({following})",
+            f"the closing equations determine {rank} joint(s), but {len(passive)} have no motor ({following})",
             where=where,
             hint=(
                 "fewer joints can follow: give the others a motor, or lock them"
@@ -294,9 +294,8 @@ def _followed_everywhere(
     joint, worst = divmod(int(np.argmax(apart)), apart.shape[1])
     if apart[joint, worst] > SAME:
         raise RobotFileError(
-            f"the loops close in another way depending on how the arm gets there: at "
-            f"{_at(equations, expected[:, worst], names)} two ways end with {names[joint]} {apart[joint, worst]:.3g} "
-            f"{units[joint]} apart",
+            f"how the loops close depends on the path of the arm: at {_at(equations, expected[:, worst], names)} two "
+            f"ways end with {names[joint]} {apart[joint, worst]:.3g} {units[joint]} apart",
             where=where,
             hint="narrow the position limits to one side of the dead point between them",
         )
@@ -334,7 +333,7 @@ def _refused(
             )
         worst = residual, reason
     if worst is None:
-        raise ValueError("the branch ends nowhere")
+        raise ValueError("the branch does not end")
     return worst[1]
 
 

@@ -175,7 +175,7 @@ class ClosedLoops(Transmission):
         return DataError(
             f"the loop of {', '.join(self.names[index] for index in self.equations.passive)} does not close at "
             + ", ".join(f"{name} = {value:.6g}" for name, value in moving),
-            hint="is that position within the arm's limits, and does the robot file have the arm's lengths?",
+            hint="check that the position is within the arm's limits and that the robot file has the arm's lengths",
         )
 
     @cached_property

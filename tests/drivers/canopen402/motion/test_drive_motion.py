@@ -323,7 +323,7 @@ def test_a_drive_that_somebody_powers_before_the_motion_keeps_its_voltage() -> N
         one.read_rows(2)
         one.drives[2].enter("enabled")
         one.read_rows(2)
-        with pytest.raises(MotionRefusedError, match="powered already"):
+        with pytest.raises(MotionRefusedError, match="already powered"):
             one.driver.take_control()
         one.driver.close()
         assert (one.drives[2].state, one.drives[2].nmt, one.drives[2].controlwords) == ("enabled", 5, [])

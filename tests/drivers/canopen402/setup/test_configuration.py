@@ -202,7 +202,7 @@ def test_a_fault_is_reset_where_that_was_asked_for_and_nothing_enabled(clears: b
 def test_a_drive_that_somebody_else_powered_is_refused_and_nothing_sent_that_changes_it(mode: str, state: str) -> None:
     run_by_another = ScriptedDrive(1, state=state, nmt=5, quick_stop_stays=True)
     with bench(drives(run_by_another), begin="closed", mode=mode) as one:
-        with pytest.raises(MotionRefusedError, match=r"powered already, .*: pan \(node 1\) \((operation|quick)"):
+        with pytest.raises(MotionRefusedError, match=r"already powered, .*: pan \(node 1\) \((operation|quick)"):
             one.driver.open()
         one.driver.close()
         assert {identifier for identifier, _ in one.bus.seen} <= {0x601, 0x602, 0x603, 0x67F}

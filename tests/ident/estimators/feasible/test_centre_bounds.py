@@ -165,7 +165,7 @@ def test_what_cannot_be_used_is_refused(tmp_path):
     ("prior", "message"),
     [
         ("com_hull: mesh", "write 'urdf', or a list of points"),
-        ("com_hull: [[0, 0, 0], [1, 0, 0], [0, 1, 0]]", "3 points enclose nothing"),
+        ("com_hull: [[0, 0, 0], [1, 0, 0], [0, 1, 0]]", "3 points enclose no volume"),
         ("com_hull: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0]]", "com_hull"),
         ("com_hull: [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, .nan]]", "com_hull"),
     ],

@@ -113,7 +113,7 @@ def test_what_cannot_be_done_is_refused(three_joint):
     choices = functools.partial(IdentifyChoices, search_delay=False)
     with pytest.raises(IdentificationError, match="does not repeat itself"):
         identify([once], [], choices("iv:instruments=repetition"))
-    with pytest.raises(IdentificationError, match="show no noise beside a motion"):
+    with pytest.raises(IdentificationError, match="show no noise beyond a motion"):
         identify([once], [], choices("tls", preprocess=PreprocessChoices(position_cutoff=2.0, torque_cutoff=2.0)))
     stream = once.streams[JOINTS_STREAM]
     position = stream.channels["position"]

@@ -107,7 +107,7 @@ def test_ctrl_c_before_any_cost_is_passed_on() -> None:
 
 
 def test_costs_that_are_never_numbers_are_an_error() -> None:
-    with pytest.raises(IdentificationError, match="none of 60 costs was a number"):
+    with pytest.raises(IdentificationError, match="none of 60 costs is a number"):
         minimise(OPTIMISERS[1], lambda points: np.full(len(points), np.nan), BOX, SearchBudget(1))
 
 
@@ -121,7 +121,7 @@ def test_given_points_belong_to_the_initial_population() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: FrogLeaping(memeplexes=0), "0 memeplexes hold no frogs"),
+        (lambda: FrogLeaping(memeplexes=0), "0 memeplexes contain no frogs"),
         (lambda: FrogLeaping(frogs=5, memeplexes=10), "10 memeplexes are more than 5 frogs"),
         (lambda: FrogLeaping(frogs=50, memeplexes=7), "do not divide"),
         (lambda: FrogLeaping(frogs=10, memeplexes=10), "leave one each"),

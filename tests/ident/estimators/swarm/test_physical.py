@@ -109,7 +109,7 @@ def test_gauss_newton_steps_find_the_truth_with_centres_of_mass_among_the_parame
 
 
 def test_parameters_that_do_not_exist_are_refused() -> None:
-    for names, message in ((["m9"], "'m9' is no physical parameter of up6"), (["m1", "m1"], "named twice")):
+    for names, message in ((["m9"], "'m9' is not a physical parameter of up6"), (["m1", "m1"], "named twice")):
         with pytest.raises(UsageError, match=message):
             PhysicalParameters.of(MODEL, TRUTH, names)
 

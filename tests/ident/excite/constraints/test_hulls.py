@@ -83,7 +83,7 @@ def test_a_motion_over_a_plate_is_free_and_one_into_it_is_refused(robot_file):
     pairs = link_pairs(model, geometry)
     assert (pairs.by_hull, pairs.checked, pairs.close) == (((BASE_INDEX, 1),), (), ())
     assert unchecked_pairs(robot_file, model) == ()
-    assert any("does not keep apart base and lift, " in said for said in check_robot(robot_file).assumed)
+    assert any("does not check base and lift, " in said for said in check_robot(robot_file).assumed)
     check = ArmMotionCheck(robot_file)
     # The lower edge of the end is 0.27 - 0.6 sin(q) - 0.03 cos(q) above the plate.
     figures = check.trajectory(move(-1.0, 0.3, -0.5), "motion")

@@ -172,7 +172,7 @@ def test_without_a_workspace_there_is_nothing_to_keep():
     ["{half_space: {normal: [0, 0, 1], offset: 0.28}}", "{box: {lower: [-0.1, -0.1, 0], upper: [0.1, 0.1, 0.28]}}"],
 )
 def test_a_limit_that_holds_the_shoulder_is_refused(keep_out):
-    with pytest.raises(RobotFileError, match="begins in a point that no joint moves") as caught:
+    with pytest.raises(RobotFileError, match="begins at a point that no joint moves") as caught:
         limits_of(f"  keep_out: [{keep_out}]\n")
     assert caught.value.where == "arm: workspace.keep_out[0]"
 

@@ -207,9 +207,9 @@ def test_other_joints_are_refused(family):
     motion = family.motion(random_of(family))
     with pytest.raises(UsageError, match="is one of 6 joints, the robot has 5"):
         replace(family, joints=MovingJoints(LIMITS[:5], (0, 1), REST[:5])).encode(motion)
-    with pytest.raises(UsageError, match=f"joint {LIMITS[4].name} is to stay"):
+    with pytest.raises(UsageError, match=f"joint {LIMITS[4].name} must stay"):
         replace(family, joints=MovingJoints(LIMITS, (0, 1, 2, 5), REST)).encode(motion)
-    with pytest.raises(UsageError, match=f"joint {LIMITS[3].name} is to stay"):
+    with pytest.raises(UsageError, match=f"joint {LIMITS[3].name} must stay"):
         replace(family, joints=MovingJoints(LIMITS, MOVING, REST + 0.1)).encode(motion)
 
 

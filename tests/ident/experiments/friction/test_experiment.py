@@ -1,4 +1,4 @@
-"""Friction experiments: the truth within the intervals, terms chosen, what the recordings do not tell."""
+"""Friction experiments: the truth within the intervals, terms chosen, what the recordings do not determine."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_what_cannot_be_analysed_is_refused():
     exciting = simulate("ur5e", duration=10.0, seed=1)
     refused: list[tuple[list, dict, type[DynidError], str]] = [
         ([], {}, UsageError, "no recording"),
-        ([exciting], {}, DataError, "no joint moves forth and back while all others rest"),
+        ([exciting], {}, DataError, "no joint moves back and forth while all others rest"),
         ([sweeps()[0], exciting], {}, DataError, "of "),
         ([sweeps()[0]], {"friction": "sticky"}, UsageError, "no friction model is called 'sticky'"),
         ([sweeps()[0]], {"robot_file": load_robot("sr400")}, DataError, "loops or coupled motors"),

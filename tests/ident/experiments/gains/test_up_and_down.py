@@ -171,7 +171,7 @@ def test_a_motion_of_all_joints_has_no_passes(three_joint):
     motion = PointToPoint(points, np.full(5, 10.0))
     with pytest.raises(DataError, match="no joint passes") as error:
         identify_slow_gains(*runs(three_joint, motion), KnownLoad(LOAD.mass))
-    assert "one joint there and back" in str(error.value.hint)
+    assert "one joint after the other back and forth" in str(error.value.hint)
 
 
 def test_without_a_load_nothing_shows(three_joint):

@@ -129,7 +129,7 @@ def test_a_load_keeps_the_prior_of_the_file(payload):
 def test_impossible_knowledge_is_refused():
     file = load_robot("ur10e")
     text = file.text + "known: {M6: {min: 50}, total_mass: {max: 10}}\n"
-    with pytest.raises(RobotFileError, match="no body satisfies these at once"):
+    with pytest.raises(RobotFileError, match="no body satisfies all of"):
         identify_payload(*runs(0), None, parse_robot(text, where="wrong", folder=None))
 
 

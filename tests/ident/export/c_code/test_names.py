@@ -54,5 +54,5 @@ def test_a_dot_in_the_name_stays():
 
 @pytest.mark.parametrize("path", ['a"b', "a\nb", "-arm", "..", "", "mein arm"])
 def test_names_that_no_include_can_hold_are_refused(path):
-    with pytest.raises(UsageError, match="no name for C files"):
+    with pytest.raises(UsageError, match="is not a valid name for C files"):
         source_paths(Path(path))

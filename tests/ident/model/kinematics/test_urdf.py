@@ -75,13 +75,13 @@ def test_a_rounded_right_angle_adds_no_base_parameters():
     ("locked", "more", "xml", "words"),
     [
         ("{}", "", URDF, ["does not name: finger", "locked: {finger: 0}"]),
-        ("{fingr: 0}", "", URDF, ["'fingr' is no movable joint", "did you mean 'finger'"]),
+        ("{fingr: 0}", "", URDF, ["'fingr' is not a movable joint", "did you mean 'finger'"]),
         ("{turn: 0, finger: 0}", "", URDF, ["'turn' is both locked and listed"]),
         (
             "{finger: 0}",
             "  - {name: elbow, position: [0, 1], velocity: 1}",
             URDF,
-            ["'elbow'", "no movable joint of the URDF"],
+            ["'elbow'", "not a movable joint of the URDF"],
         ),
         ("{}", "", "<robot", ["not a URDF"]),
         ("{}", "", "", ["not a URDF"]),
