@@ -39,14 +39,10 @@ def not_at_rest(silent: Sequence[str], *, limp: bool) -> str:
 
 
 class MotorsControl(Protocol):
-    """Commands of an arm's motors.
+    """Commands of an arm's motors."""
 
-    Attributes:
-        active: whether the motors were made to obey, and not yet stopped.
-        sent: commands since they were taken: (when [s, host's monotonic clock], (n,) [rad]).
-    """
-
-    active: bool
+    active: bool  # whether the motors were made to obey, and not yet stopped
+    # commands since they were taken: (when [s, host's monotonic clock], (n,) [rad])
     sent: deque[tuple[float, FloatArray]]
 
     def take(self) -> None:

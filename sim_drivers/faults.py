@@ -215,16 +215,11 @@ def _number(above: float, most: float) -> Callable[[str, Sequence[str]], float |
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument of a fault.
+    """An argument of a fault."""
 
-    Attributes:
-        name: in the usage text.
-        unit: of its value; empty for a count, a joint or an identifier.
-        read: gives the value of a text, on an arm with these joint names; None outside its bounds.
-    """
-
-    name: str
-    unit: str
+    name: str  # in the usage text
+    unit: str  # of its value; empty for a count, a joint or an identifier
+    # gives the value of a text, on an arm with these joint names; None outside its bounds
     read: Callable[[str, Sequence[str]], float | str | None]
 
 
@@ -241,19 +236,12 @@ IDENTIFIER = Argument("IDENTIFIER", "", _identifier)
 
 @dataclass(frozen=True)
 class FaultEntry:
-    """A row of the table of faults.
+    """A row of the table of faults."""
 
-    Attributes:
-        word: as typed.
-        arguments: behind it.
-        make: the fault of their values.
-        servers: that obey it.
-    """
-
-    word: str
-    arguments: tuple[Argument, ...]
-    make: Callable[..., Fault]
-    servers: tuple[ServerKind, ...]
+    word: str  # as typed
+    arguments: tuple[Argument, ...]  # behind it
+    make: Callable[..., Fault]  # the fault of their values
+    servers: tuple[ServerKind, ...]  # that obey it
 
     @property
     def usage(self) -> str:

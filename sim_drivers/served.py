@@ -54,11 +54,10 @@ class Served(Protocol):
     """A simulated device on any bus; entering its context starts it, leaving stops it.
 
     Attributes:
-        messages: for the terminal, oldest first.
         failure: the error that ended it; None while it runs.
     """
 
-    messages: deque[str]
+    messages: deque[str]  # for the terminal, oldest first
 
     @property
     def failure(self) -> BaseException | None: ...  # noqa: D102

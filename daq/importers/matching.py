@@ -15,17 +15,11 @@ _SEPARATORS = "_/.:-"
 
 @dataclass(frozen=True)
 class JointMatch:
-    """Where the robot's joints are in a file.
+    """Where the robot's joints are in a file."""
 
-    Attributes:
-        columns: for each of the robot's joints, the index of its column in the file.
-        notes: for the recording: a prefix, an order, joints that were left out.
-        by_order: whether names were of no use.
-    """
-
-    columns: tuple[int, ...]
-    notes: tuple[Note, ...] = ()
-    by_order: bool = False
+    columns: tuple[int, ...]  # for each of the robot's joints, the index of its column in the file
+    notes: tuple[Note, ...] = ()  # for the recording: a prefix, an order, joints that were left out
+    by_order: bool = False  # whether names were of no use
 
 
 def with_own_names(names: Sequence[str], robot: Robot) -> tuple[tuple[str, ...], tuple[Note, ...]]:

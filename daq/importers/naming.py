@@ -112,25 +112,15 @@ _MOTOR_QUANTITIES = frozenset({"current", "temperature"})
 
 @dataclass(frozen=True)
 class Role:
-    """Meaning of one name of a file.
+    """Meaning of one name of a file."""
 
-    Attributes:
-        name: the file's name, as written there.
-        quantity: one of `ALIASES`.
-        number: as written, for `q3`; None otherwise.
-        joint: the robot's joint, where the name carries it; None otherwise.
-        unit: as the name states it; empty otherwise.
-        exact: whether the whole name was understood, or only its last component (`data.q`).
-        magnitude: whether the name says that the values have lost their sign.
-    """
-
-    name: str
-    quantity: str
-    number: int | None = None
-    joint: str | None = None
-    unit: str = ""
-    exact: bool = True
-    magnitude: bool = False
+    name: str  # the file's name, as written there
+    quantity: str  # one of `ALIASES`
+    number: int | None = None  # as written, for `q3`; None otherwise
+    joint: str | None = None  # the robot's joint, where the name carries it; None otherwise
+    unit: str = ""  # as the name states it; empty otherwise
+    exact: bool = True  # whether the whole name was understood, or only its last component (`data.q`)
+    magnitude: bool = False  # whether the name says that the values have lost their sign
 
 
 def parse_name(name: str, joints: Sequence[str]) -> Role | None:

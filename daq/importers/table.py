@@ -27,48 +27,29 @@ class Note:
 
 @dataclass(frozen=True)
 class QuantityColumns:
-    """One quantity as the file has it.
+    """One quantity as the file has it."""
 
-    Attributes:
-        values: (N, n), in the file's units.
-        labels: (n) the file's names of the columns.
-        units: (n) the units that the file states; empty texts where it states none.
-        joints: (n) names of the joints; None where the file has only an order.
-        magnitude: whether the file says that the values have lost their sign.
-    """
-
-    values: FloatArray
-    labels: tuple[str, ...]
-    units: tuple[str, ...]
-    joints: tuple[str, ...] | None
-    magnitude: bool = False
+    values: FloatArray  # (N, n), in the file's units
+    labels: tuple[str, ...]  # (n) the file's names of the columns
+    units: tuple[str, ...]  # (n) the units that the file states; empty texts where it states none
+    joints: tuple[str, ...] | None  # (n) names of the joints; None where the file has only an order
+    magnitude: bool = False  # whether the file says that the values have lost their sign
 
 
 @dataclass(frozen=True)
 class ForeignTable:
-    """A foreign file's content.
+    """A foreign file's content."""
 
-    Attributes:
-        source: kind of the file, in words.
-        time: (N,) stamps in `time_unit`; None where the file has none.
-        time_unit: as the file states it; empty where it doesn't.
-        quantities: one of `ALIASES` of `daq.importers.naming` → its columns.
-        notes: assumptions of the reader.
-        lines: (N,) line number of each sample in a text file; None otherwise.
-        target_time: (M,) stamps of the commands in `target_time_unit`; None where they have those of the samples.
-        target_time_unit: as the file states it; empty where it doesn't.
-        unused: names of what was not understood.
-    """
-
-    source: str
-    time: FloatArray | None
-    time_unit: str
-    quantities: Mapping[str, QuantityColumns]
-    notes: tuple[Note, ...] = ()
-    lines: npt.NDArray[np.int64] | None = None
+    source: str  # kind of the file, in words
+    time: FloatArray | None  # (N,) stamps in `time_unit`; None where the file has none
+    time_unit: str  # as the file states it; empty where it doesn't
+    quantities: Mapping[str, QuantityColumns]  # one of `ALIASES` of `daq.importers.naming` → its columns
+    notes: tuple[Note, ...] = ()  # assumptions of the reader
+    lines: npt.NDArray[np.int64] | None = None  # (N,) line number of each sample in a text file; None otherwise
+    # (M,) stamps of the commands in `target_time_unit`; None where they have those of the samples
     target_time: FloatArray | None = None
-    target_time_unit: str = ""
-    unused: tuple[str, ...] = ()
+    target_time_unit: str = ""  # as the file states it; empty where it doesn't
+    unused: tuple[str, ...] = ()  # names of what was not understood
 
 
 def printable(name: object, limit: int = 80) -> str:

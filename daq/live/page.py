@@ -48,17 +48,11 @@ MODULES = ("starlette", "uvicorn", "websockets")
 
 @dataclass(frozen=True)
 class Alarm:
-    """What a page lists beside its plots.
+    """What a page lists beside its plots."""
 
-    Attributes:
-        time: of the session's rows [s].
-        text: what happened, in a line.
-        joint: whose plot is marked; empty for all.
-    """
-
-    time: float
-    text: str
-    joint: str = ""
+    time: float  # of the session's rows [s]
+    text: str  # what happened, in a line
+    joint: str = ""  # whose plot is marked; empty for all
 
 
 class BrowserPage:

@@ -17,17 +17,11 @@ HEADER = 64
 
 @dataclass(frozen=True)
 class RowsHandle:
-    """What another process needs to read the rows.
+    """What another process needs to read the rows."""
 
-    Attributes:
-        name: of the shared memory.
-        channels: names of the columns.
-        capacity: rows of the ring.
-    """
-
-    name: str
-    channels: tuple[str, ...]
-    capacity: int
+    name: str  # of the shared memory
+    channels: tuple[str, ...]  # names of the columns
+    capacity: int  # rows of the ring
 
 
 class SharedRows:

@@ -62,30 +62,22 @@ class StreamStatus:
 
 @dataclass(frozen=True)
 class Status:
-    """One picture of a recording.
+    """One picture of a recording."""
 
-    Attributes:
-        state: in words.
-        elapsed, total: [s].
-        streams: of the source.
-        torque_share, torque_joint: largest share of its limit that a torque has had; None where unknown.
-        temperature, temperature_joint: highest of the latest sample [°C]; None where unknown.
-        backlog: samples that wait for the disk [B].
-        overflow: samples that were dropped because the disk did not keep up.
-        lines: of who watches the session.
-    """
-
-    state: str
+    state: str  # in words
+    # elapsed, total: [s]
     elapsed: float
     total: float
-    streams: tuple[StreamStatus, ...]
+    streams: tuple[StreamStatus, ...]  # of the source
+    # torque_share, torque_joint: largest share of its limit that a torque has had; None where unknown
     torque_share: float | None
     torque_joint: str
+    # temperature, temperature_joint: highest of the latest sample [°C]; None where unknown
     temperature: float | None
     temperature_joint: str
-    backlog: int
-    overflow: int
-    lines: tuple[str, ...] = ()
+    backlog: int  # samples that wait for the disk [B]
+    overflow: int  # samples that were dropped because the disk did not keep up
+    lines: tuple[str, ...] = ()  # of who watches the session
 
 
 class Publisher:

@@ -60,15 +60,10 @@ def checked_approach(
 
 @dataclass(frozen=True)
 class TimeScaled:
-    """A motion stretched in time: velocities are multiplied by `scale`, accelerations by its square.
+    """A motion stretched in time: velocities are multiplied by `scale`, accelerations by its square."""
 
-    Attributes:
-        motion: at full speed.
-        scale: share of its speed, above 0 and at most 1.
-    """
-
-    motion: Motion
-    scale: float
+    motion: Motion  # at full speed
+    scale: float  # share of its speed, above 0 and at most 1
 
     def __post_init__(self) -> None:
         """Refuse a scale that would speed the motion up."""

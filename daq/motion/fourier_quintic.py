@@ -24,20 +24,13 @@ class FourierQuintic:
     p(t) = −f'(0)·period·(u − 10u³ + 15u⁴ − 6u⁵) − f''(0)·period²·u²(1 − u)²/2.
 
     So position, velocity and acceleration are continuous where periods meet; the jerk is not.
-
-    Attributes:
-        period: [s].
-        offset: (n,) [rad or m].
-        sine: (n, H) velocity amplitudes of the series [rad/s or m/s].
-        cosine: (n, H) velocity amplitudes of the series [rad/s or m/s].
-        periods: how many follow each other.
     """
 
-    period: float
-    offset: FloatArray
-    sine: FloatArray
-    cosine: FloatArray
-    periods: int = 1
+    period: float  # [s]
+    offset: FloatArray  # (n,) [rad or m]
+    sine: FloatArray  # (n, H) velocity amplitudes of the series [rad/s or m/s]
+    cosine: FloatArray  # (n, H) velocity amplitudes of the series [rad/s or m/s]
+    periods: int = 1  # how many follow each other
 
     @property
     def duration(self) -> float:

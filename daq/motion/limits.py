@@ -28,17 +28,11 @@ _MOST = 1_000_000
 
 @dataclass(frozen=True)
 class Extremes:
-    """The extremes of a motion; rows are −position, position, |velocity| and |acceleration|, columns are joints.
+    """The extremes of a motion; rows are −position, position, |velocity| and |acceleration|, columns are joints."""
 
-    Attributes:
-        found: (4, n) largest value found.
-        bound: (4, n) that no value of the motion exceeds; 1e-10 above, unless the motion is too fast to tell.
-        times: (4, n) when it was found [s].
-    """
-
-    found: FloatArray
-    bound: FloatArray
-    times: FloatArray
+    found: FloatArray  # (4, n) largest value found
+    bound: FloatArray  # (4, n) that no value of the motion exceeds; 1e-10 above, unless the motion is too fast to tell
+    times: FloatArray  # (4, n) when it was found [s]
 
     @property
     def lowest(self) -> FloatArray:

@@ -24,48 +24,29 @@ UNCHECKED = "pairs of links that are not checked, since they touch in nearly eve
 
 @dataclass(frozen=True)
 class SmallestClearance:
-    """How near a motion comes to something.
+    """How near a motion comes to something."""
 
-    Attributes:
-        what: an obstacle, another link, or a limit of the workspace.
-        link: that comes nearest, by the joint that moves it.
-        distance: [m], the links' thickness included.
-        time: [s].
-    """
-
-    what: str
-    link: str
-    distance: float
-    time: float
+    what: str  # an obstacle, another link, or a limit of the workspace
+    link: str  # that comes nearest, by the joint that moves it
+    distance: float  # [m], the links' thickness included
+    time: float  # [s]
 
 
 @dataclass(frozen=True)
 class MotionFigures:
-    """What will move where.
+    """What will move where."""
 
-    Attributes:
-        duration: [s].
-        lowest: smallest height of the tool point above the base frame's origin, against gravity [m].
-        farthest: largest distance of the tool point from the base frame's origin [m].
-        tool_speed: largest speed of the tool point [m/s].
-        fastest_joint: that uses most of its velocity limit.
-        speed_share: how much of it.
-        clearances: to every obstacle, and of the pair of links that come nearest to each other; the smallest first.
-        torque_joint: that is predicted to use most of its torque limit; empty where nothing can be predicted.
-        torque_share: how much of it; None where nothing can be predicted.
-        unchecked: pairs of links that are not kept apart; neighbours are not named.
-    """
-
-    duration: float
-    lowest: float
-    farthest: float
-    tool_speed: float
-    fastest_joint: str
-    speed_share: float
+    duration: float  # [s]
+    lowest: float  # smallest height of the tool point above the base frame's origin, against gravity [m]
+    farthest: float  # largest distance of the tool point from the base frame's origin [m]
+    tool_speed: float  # largest speed of the tool point [m/s]
+    fastest_joint: str  # that uses most of its velocity limit
+    speed_share: float  # how much of it
+    # to every obstacle, and of the pair of links that come nearest to each other; the smallest first
     clearances: tuple[SmallestClearance, ...]
-    torque_joint: str
-    torque_share: float | None
-    unchecked: tuple[str, ...] = ()
+    torque_joint: str  # that is predicted to use most of its torque limit; empty where nothing can be predicted
+    torque_share: float | None  # how much of it; None where nothing can be predicted
+    unchecked: tuple[str, ...] = ()  # pairs of links that are not kept apart; neighbours are not named
 
 
 class MotionCheck(Protocol):

@@ -39,18 +39,12 @@ _AHEAD = 128
 
 @dataclass(frozen=True)
 class Punctuality:
-    """How late positions were sent.
+    """How late positions were sent."""
 
-    Attributes:
-        sent: number of positions.
-        skipped: positions that were not sent since a later one was already due.
-        delayed_ms: how much later the motion ended because it was resumed where it had stalled [ms].
-        p50_ms, p99_ms, max_ms: lateness [ms].
-    """
-
-    sent: int
-    skipped: int
-    delayed_ms: float
+    sent: int  # number of positions
+    skipped: int  # positions that were not sent since a later one was already due
+    delayed_ms: float  # how much later the motion ended because it was resumed where it had stalled [ms]
+    # p50_ms, p99_ms, max_ms: lateness [ms]
     p50_ms: float
     p99_ms: float
     max_ms: float

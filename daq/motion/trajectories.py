@@ -27,14 +27,12 @@ class Pieces:
     """Parts of a motion, in each of which its formula is smooth, with bounds that hold everywhere within.
 
     Together they contain every value that the motion takes; of a part that is repeated there is one.
-
-    Attributes:
-        start, end: (M,) [s].
-        largest: (4, n, M) at least the magnitude of velocity, acceleration, jerk and its derivative [rad/s, … rad/s⁴].
     """
 
+    # start, end: (M,) [s]
     start: FloatArray
     end: FloatArray
+    # (4, n, M) at least the magnitude of velocity, acceleration, jerk and its derivative [rad/s, … rad/s⁴]
     largest: FloatArray
 
 
@@ -84,18 +82,12 @@ class FourierSeries:
     """A periodic motion, a finite Fourier series of order H for every joint (ROCR6 eq. 21).
 
     q_i(t) = offset_i + Σ_l (sine_il/(ω l) · sin(ω l t) − cosine_il/(ω l) · cos(ω l t)), ω = 2π/period.
-
-    Attributes:
-        period: [s].
-        offset: (n,) [rad or m].
-        sine: (n, H) velocity amplitudes [rad/s or m/s].
-        cosine: (n, H) velocity amplitudes [rad/s or m/s].
     """
 
-    period: float
-    offset: FloatArray
-    sine: FloatArray
-    cosine: FloatArray
+    period: float  # [s]
+    offset: FloatArray  # (n,) [rad or m]
+    sine: FloatArray  # (n, H) velocity amplitudes [rad/s or m/s]
+    cosine: FloatArray  # (n, H) velocity amplitudes [rad/s or m/s]
 
     @classmethod
     def from_position_amplitudes(cls, period: float, offset: FloatArray, sine: FloatArray, cosine: FloatArray) -> Self:
@@ -138,19 +130,12 @@ def _sums_of_powers(amplitude: FloatArray, frequency: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class SumOfSines:
-    """q_i(t) = offset_i + Σ_k amplitude_ik sin(frequency_ik t), for `duration` (UP6 eq. 8).
+    """q_i(t) = offset_i + Σ_k amplitude_ik sin(frequency_ik t), for `duration` (UP6 eq. 8)."""
 
-    Attributes:
-        duration: [s].
-        offset: (n,) [rad or m].
-        amplitude: (n, K) [rad or m].
-        frequency: (n, K) angular [rad/s].
-    """
-
-    duration: float
-    offset: FloatArray
-    amplitude: FloatArray
-    frequency: FloatArray
+    duration: float  # [s]
+    offset: FloatArray  # (n,) [rad or m]
+    amplitude: FloatArray  # (n, K) [rad or m]
+    frequency: FloatArray  # (n, K) angular [rad/s]
 
     def evaluate(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Position, velocity, acceleration (n, N) at times (N,) [s]."""
@@ -178,16 +163,11 @@ class PointToPoint:
     """Moves from point to point by fifth-order polynomials, at rest in each (SR400 .4.3).
 
     Between points a and b, with u = t/T: q = a + (b − a)(10u³ − 15u⁴ + 6u⁵); then it waits for `dwell`.
-
-    Attributes:
-        points: (P, n) [rad or m], P at least 2.
-        durations: (P−1,) of the moves [s].
-        dwell: rest in every point but the first [s].
     """
 
-    points: FloatArray
-    durations: FloatArray
-    dwell: float = 0.0
+    points: FloatArray  # (P, n) [rad or m], P at least 2
+    durations: FloatArray  # (P−1,) of the moves [s]
+    dwell: float = 0.0  # rest in every point but the first [s]
 
     @cached_property
     def _starts(self) -> FloatArray:
@@ -274,16 +254,11 @@ class RestToRest:
 
     Its path is not changed, only the pace: the motion's own time s runs from standstill to ṡ = 1 within `ramp`, by
     ṡ = 10u³ − 15u⁴ + 6u⁵, and back in the same way. In between it is the motion itself, exactly periodic.
-
-    Attributes:
-        motion: what is slowed at its ends.
-        periods: how many times its `duration` is run at full pace.
-        ramp: [s] at each end.
     """
 
-    motion: Oscillation
-    periods: int
-    ramp: float
+    motion: Oscillation  # what is slowed at its ends
+    periods: int  # how many times its `duration` is run at full pace
+    ramp: float  # [s] at each end
 
     @property
     def duration(self) -> float:

@@ -18,20 +18,13 @@ TARGET = "target_position"
 
 @dataclass(frozen=True, eq=False)
 class CommandedMotion:
-    """A recording's measured and commanded positions, in the robot's joint order; raw, each at its own stamps.
+    """A recording's measured and commanded positions, in the robot's joint order; raw, each at its own stamps."""
 
-    Attributes:
-        joint_names: (n,).
-        time: (N,) stamps of the measured positions [s].
-        position: (N, n) measured [rad or m].
-        command_time: (M,) stamps of the commands [s], of the same clock.
-        commands: quantity of `drivers.streams.COMMANDS` → (M, n), in its unit; `target_position` is there.
-    """
-
-    joint_names: tuple[str, ...]
-    time: FloatArray
-    position: FloatArray
-    command_time: FloatArray
+    joint_names: tuple[str, ...]  # (n,)
+    time: FloatArray  # (N,) stamps of the measured positions [s]
+    position: FloatArray  # (N, n) measured [rad or m]
+    command_time: FloatArray  # (M,) stamps of the commands [s], of the same clock
+    # quantity of `drivers.streams.COMMANDS` → (M, n), in its unit; `target_position` is there
     commands: dict[str, FloatArray]
 
     def held(self, times: npt.ArrayLike, quantity: str = TARGET) -> FloatArray:

@@ -45,37 +45,26 @@ workspace:   # m, in the frame of the last joint; height of the floor, obstacles
 
 @dataclass(frozen=True)
 class JointTruth:
-    """Assumptions on a simulated joint.
+    """Assumptions on a simulated joint."""
 
-    Attributes:
-        viscous: [N·m·s/rad or N·s/m].
-        coulomb: [N·m or N].
-        motor_inertia: [kg·m² or kg].
-        noise: standard deviation of its torque [N·m or N].
-        gravity: torque that holds it in the worst pose [N·m or N].
-    """
-
-    viscous: float
-    coulomb: float
-    motor_inertia: float
-    noise: float
-    gravity: float
+    viscous: float  # [N·m·s/rad or N·s/m]
+    coulomb: float  # [N·m or N]
+    motor_inertia: float  # [kg·m² or kg]
+    noise: float  # standard deviation of its torque [N·m or N]
+    gravity: float  # torque that holds it in the worst pose [N·m or N]
 
 
 @dataclass(frozen=True)
 class ArmGuess:
-    """What a URDF lets guess of an arm beyond its kinematics and limits.
+    """What a URDF lets guess of an arm beyond its kinematics and limits."""
 
-    Attributes:
-        links: joint → body of the link that it moves, and where it is from, in words.
-        joints: joint → friction, motor inertia and noise; of those with a motor.
-        poses: name → positions of all joints [rad or m], and what they are, in words.
-        free: whether parts of the arm are below its base in every pose, so that no mounting surface is assumed.
-    """
-
+    # joint → body of the link that it moves, and where it is from, in words
     links: Mapping[str, tuple[TruthLink, str]] = field(default_factory=dict)
+    # joint → friction, motor inertia and noise; of those with a motor
     joints: Mapping[str, JointTruth] = field(default_factory=dict)
+    # name → positions of all joints [rad or m], and what they are, in words
     poses: Mapping[str, tuple[Sequence[float], str]] = field(default_factory=dict)
+    # whether parts of the arm are below its base in every pose, so that no mounting surface is assumed
     free: bool = False
 
 

@@ -14,21 +14,13 @@ _SAME_SIDE = math.cos(math.radians(45.0))
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Something that no moving link comes near.
+    """Something that no moving link comes near."""
 
-    Attributes:
-        name: for messages and figures.
-        shape: half-space or box in the base frame [m].
-        clearance: distance that is kept [m].
-        mounting: whether it is the mounting surface.
-        where: key of the robot file.
-    """
-
-    name: str
-    shape: HalfSpace | Box
-    clearance: float
-    mounting: bool
-    where: str
+    name: str  # for messages and figures
+    shape: HalfSpace | Box  # half-space or box in the base frame [m]
+    clearance: float  # distance that is kept [m]
+    mounting: bool  # whether it is the mounting surface
+    where: str  # key of the robot file
 
 
 def obstacles_of(robot: Robot) -> tuple[Obstacle, ...]:

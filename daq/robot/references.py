@@ -26,25 +26,15 @@ OF_JOINTS = (
 
 @dataclass(frozen=True)
 class JointNames:
-    """The names of joints in a robot file.
+    """The names of joints in a robot file."""
 
-    Attributes:
-        joints: of `joints`, those that motors move.
-        rows: of `model.mdh`; None where the kinematics are a URDF's.
-        passive: those that `model.loops` makes follow.
-        driven: of `drives`.
-        keys: section → the joints that it names.
-        link_keys: section → the links that it names, by their joints.
-        poses: name of a pose → number of its positions.
-    """
-
-    joints: tuple[str, ...]
-    rows: tuple[str, ...] | None
-    passive: tuple[str, ...]
-    driven: tuple[str, ...]
-    keys: tuple[tuple[str, tuple[str, ...]], ...]
-    link_keys: tuple[tuple[str, tuple[str, ...]], ...]
-    poses: tuple[tuple[str, int], ...]
+    joints: tuple[str, ...]  # of `joints`, those that motors move
+    rows: tuple[str, ...] | None  # of `model.mdh`; None where the kinematics are a URDF's
+    passive: tuple[str, ...]  # those that `model.loops` makes follow
+    driven: tuple[str, ...]  # of `drives`
+    keys: tuple[tuple[str, tuple[str, ...]], ...]  # section → the joints that it names
+    link_keys: tuple[tuple[str, tuple[str, ...]], ...]  # section → the links that it names, by their joints
+    poses: tuple[tuple[str, int], ...]  # name of a pose → number of its positions
 
 
 def row_problems(rows: Sequence[tuple[str, str]]) -> tuple[str, ...]:

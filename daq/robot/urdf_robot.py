@@ -27,61 +27,38 @@ RIGHT_ANGLE_RESIDUE = 1e-9
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A movable joint; limits that the URDF does not state, or states as 0, are None.
+    """A movable joint; limits that the URDF does not state, or states as 0, are None."""
 
-    Attributes:
-        name: of the joint.
-        kind: revolute, continuous or prismatic.
-        position: lower and upper limit [rad or m]; of a continuous joint one turn to either side.
-        velocity: [rad/s or m/s].
-        torque: [N·m or N].
-    """
-
-    name: str
-    kind: str
+    name: str  # of the joint
+    kind: str  # revolute, continuous or prismatic
+    # lower and upper limit [rad or m]; of a continuous joint one turn to either side
     position: tuple[float, float] | None
-    velocity: float | None
-    torque: float | None
+    velocity: float | None  # [rad/s or m/s]
+    torque: float | None  # [N·m or N]
 
 
 @dataclass(frozen=True)
 class Mimic:
-    """A joint that follows another one: position = offset + multiplier · position of `follows`.
+    """A joint that follows another one: position = offset + multiplier · position of `follows`."""
 
-    Attributes:
-        name: of the joint.
-        follows: name of a joint that moves by itself.
-        multiplier: of its position; rad/rad, m/rad, … as the joints are.
-        offset: [rad or m].
-    """
-
-    name: str
-    follows: str
-    multiplier: float
-    offset: float
+    name: str  # of the joint
+    follows: str  # name of a joint that moves by itself
+    multiplier: float  # of its position; rad/rad, m/rad, … as the joints are
+    offset: float  # [rad or m]
 
 
 @dataclass(frozen=True)
 class UrdfArm:
-    """The joints of a URDF and where its tool is mounted.
+    """The joints of a URDF and where its tool is mounted."""
 
-    Attributes:
-        name: of the robot.
-        joints: those that move by themselves, parents before children.
-        mimics: those that follow another joint (`<mimic>`: a gripper's second finger, a parallelogram's rod).
-        tool_link: name of the link at which the arm ends.
-        tool: (3,) its origin [m] in the frame of the last joint.
-        tool_rotation: (3,) its axes there, as a rotation vector [rad].
-        locked: joints that do not move, and their position [rad or m].
-    """
-
-    name: str
-    joints: tuple[UrdfJoint, ...]
+    name: str  # of the robot
+    joints: tuple[UrdfJoint, ...]  # those that move by themselves, parents before children
+    # those that follow another joint (`<mimic>`: a gripper's second finger, a parallelogram's rod)
     mimics: tuple[Mimic, ...]
-    tool_link: str
-    tool: tuple[float, ...]
-    tool_rotation: tuple[float, ...]
-    locked: tuple[tuple[str, float], ...] = ()
+    tool_link: str  # name of the link at which the arm ends
+    tool: tuple[float, ...]  # (3,) its origin [m] in the frame of the last joint
+    tool_rotation: tuple[float, ...]  # (3,) its axes there, as a rotation vector [rad]
+    locked: tuple[tuple[str, float], ...] = ()  # joints that do not move, and their position [rad or m]
 
 
 def urdf_prismatic_joints(xml: str) -> frozenset[str]:

@@ -34,24 +34,17 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class GateLimits:
-    """What every command must keep; arrays (n,).
+    """What every command must keep; arrays (n,)."""
 
-    Attributes:
-        joints: names.
-        lowest, highest: position [rad or m].
-        velocity: [rad/s or m/s].
-        acceleration: [rad/s² or m/s²].
-        tracking_error: [rad or m], between a command and the measured position beyond what was commanded lately.
-        sliding: whether a joint slides, for the units of messages.
-    """
-
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  # names
+    # lowest, highest: position [rad or m]
     lowest: FloatArray
     highest: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
+    velocity: FloatArray  # [rad/s or m/s]
+    acceleration: FloatArray  # [rad/s² or m/s²]
+    # [rad or m], between a command and the measured position beyond what was commanded lately
     tracking_error: FloatArray
-    sliding: tuple[bool, ...]
+    sliding: tuple[bool, ...]  # whether a joint slides, for the units of messages
 
     @classmethod
     def of_joints(cls, joints: Sequence[JointLimits], tracking_error: float = TRACKING_ERROR) -> Self:

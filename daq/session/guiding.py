@@ -59,13 +59,9 @@ class Hand(Protocol):
 
 
 class Compensation(Protocol):
-    """Carries the arm's weight.
+    """Carries the arm's weight."""
 
-    Attributes:
-        leaning: (n,) torque that its friction may hide from an arm at rest [N·m or N].
-    """
-
-    leaning: FloatArray
+    leaning: FloatArray  # (n,) torque that its friction may hide from an arm at rest [N·m or N]
 
     def torque(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """Joint torques (n,) [N·m or N] at a position (n,) [rad or m] and velocity (n,) [rad/s or m/s]."""
@@ -95,17 +91,11 @@ def load_compensation(robot_file: RobotFile, path: Path) -> Compensation:
 
 @dataclass(frozen=True)
 class Guiding:
-    """How an arm is to be led by hand.
+    """How an arm is to be led by hand."""
 
-    Attributes:
-        robot: whose limits hold.
-        hand: of the person.
-        compensation: of its weight; None where the arm is to be limp.
-    """
-
-    robot: Robot
-    hand: Hand
-    compensation: Compensation | None = None
+    robot: Robot  # whose limits hold
+    hand: Hand  # of the person
+    compensation: Compensation | None = None  # of its weight; None where the arm is to be limp
 
 
 def require_guidable(driver: Driver, guiding: Guiding) -> Guidable:

@@ -55,18 +55,12 @@ class Permission(Protocol):
 
 @dataclass(frozen=True)
 class Play:
-    """A motion that a session is to play.
+    """A motion that a session is to play."""
 
-    Attributes:
-        motion: from rest to rest.
-        robot: whose limits every command keeps.
-        permission: to move, with the approach to the motion's start.
-        without_safety_status: whether the arm is moved where its controller does not report its safety status.
-    """
-
-    motion: Motion
-    robot: Robot
-    permission: Permission
+    motion: Motion  # from rest to rest
+    robot: Robot  # whose limits every command keeps
+    permission: Permission  # to move, with the approach to the motion's start
+    # whether the arm is moved where its controller does not report its safety status
     without_safety_status: bool = False
 
 

@@ -66,28 +66,19 @@ _PLAYER_LIMIT = 10.0
 
 @dataclass(frozen=True)
 class SessionReport:
-    """How a session went.
+    """How a session went."""
 
-    Attributes:
-        samples: stream → samples handed to the recorder.
-        lost: stream → samples that the source reports as missing.
-        overflow: samples that were dropped because the disk did not keep up.
-        stopped_by: why it ended before its end, in words; None where it ran to its end.
-        punctuality: of the motion; None without one.
-        error: that ended it, for the exit status; None where it ran to its end or was interrupted.
-        heavy_loss: which streams lost more than `LOSS_LIMIT` of their samples, and why, in words; empty where none did.
-        light_loss: which streams lost fewer, and why; empty where none did, or nobody knows why.
-        file: the recording; None where the motion was refused or interrupted before it began: there is none then.
-    """
-
-    samples: Mapping[str, int]
-    lost: Mapping[str, int]
-    overflow: int
-    stopped_by: str | None
-    punctuality: Punctuality | None
+    samples: Mapping[str, int]  # stream → samples handed to the recorder
+    lost: Mapping[str, int]  # stream → samples that the source reports as missing
+    overflow: int  # samples that were dropped because the disk did not keep up
+    stopped_by: str | None  # why it ended before its end, in words; None where it ran to its end
+    punctuality: Punctuality | None  # of the motion; None without one
+    # that ended it, for the exit status; None where it ran to its end or was interrupted
     error: DynidError | None = None
+    # which streams lost more than `LOSS_LIMIT` of their samples, and why, in words; empty where none did
     heavy_loss: str = ""
-    light_loss: str = ""
+    light_loss: str = ""  # which streams lost fewer, and why; empty where none did, or nobody knows why
+    # the recording; None where the motion was refused or interrupted before it began: there is none then
     file: Path | None = None
 
 

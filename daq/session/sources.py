@@ -19,19 +19,13 @@ _Result = TypeVar("_Result")
 
 @dataclass
 class _Source:
-    """One of the sources.
+    """One of the sources."""
 
-    Attributes:
-        name: of its connection.
-        driver: its driver.
-        streams: the driver's name of a stream → the session's; known once open.
-        host_ahead: the host's clock less the source's at its last batch [s]; nan before the first.
-    """
-
-    name: str
-    driver: Driver
+    name: str  # of its connection
+    driver: Driver  # its driver
+    # the driver's name of a stream → the session's; known once open
     streams: dict[str, str] = field(default_factory=dict)
-    host_ahead: float = math.nan
+    host_ahead: float = math.nan  # the host's clock less the source's at its last batch [s]; nan before the first
 
 
 class Sources:

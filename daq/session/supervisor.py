@@ -46,26 +46,17 @@ CURES = {
 
 @dataclass(frozen=True)
 class Breach:
-    """A limit that was passed.
+    """A limit that was passed."""
 
-    Attributes:
-        what: position, velocity, torque, temperature, tracking error, stale data, what is stuck, or `OTHER_VELOCITY`.
-        joint: name of the joint, or of the stream for stale data.
-        value, limit: in `unit`.
-        time: of the source's clock [s]; nan where there is none.
-        unit: of both.
-        cause: why, in words; empty where unknown.
-        supervised: whether a motion must not go on.
-    """
-
-    what: str
-    joint: str
+    what: str  # position, velocity, torque, temperature, tracking error, stale data, what is stuck, or `OTHER_VELOCITY`
+    joint: str  # name of the joint, or of the stream for stale data
+    # value, limit: in `unit`
     value: float
     limit: float
-    time: float
-    unit: str
-    cause: str = ""
-    supervised: bool = True
+    time: float  # of the source's clock [s]; nan where there is none
+    unit: str  # of both
+    cause: str = ""  # why, in words; empty where unknown
+    supervised: bool = True  # whether a motion must not go on
 
     @property
     def cure(self) -> str:
@@ -81,30 +72,19 @@ class Breach:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of an arm in motion; arrays (n,), infinite where a limit is unknown.
+    """Limits of an arm in motion; arrays (n,), infinite where a limit is unknown."""
 
-    Attributes:
-        joints: names.
-        lowest, highest: position [rad or m].
-        velocity: [rad/s or m/s], with its margin.
-        torque: [N·m or N].
-        temperature: [°C].
-        tracking_error: [rad or m].
-        torque_per_current: of the motors [N·m/A], nan where unknown; used where a source has no torque.
-        coupling: (n, n) R of q_motor = R·q_joint.
-        sliding: whether a joint slides, for the units of messages.
-    """
-
-    joints: tuple[str, ...]
+    joints: tuple[str, ...]  # names
+    # lowest, highest: position [rad or m]
     lowest: FloatArray
     highest: FloatArray
-    velocity: FloatArray
-    torque: FloatArray
-    temperature: FloatArray
-    tracking_error: FloatArray
-    torque_per_current: FloatArray
-    coupling: FloatArray
-    sliding: tuple[bool, ...]
+    velocity: FloatArray  # [rad/s or m/s], with its margin
+    torque: FloatArray  # [N·m or N]
+    temperature: FloatArray  # [°C]
+    tracking_error: FloatArray  # [rad or m]
+    torque_per_current: FloatArray  # of the motors [N·m/A], nan where unknown; used where a source has no torque
+    coupling: FloatArray  # (n, n) R of q_motor = R·q_joint
+    sliding: tuple[bool, ...]  # whether a joint slides, for the units of messages
 
     @classmethod
     def of_robot(cls, robot: Robot, tracking_error: float = TRACKING_ERROR) -> Self:

@@ -12,15 +12,10 @@ from drivers.streams import Batch
 
 
 class SampleKeeper(Protocol):
-    """Takes what a session hears and says; `daq.recording.recorder.Recorder` writes it.
+    """Takes what a session hears and says; `daq.recording.recorder.Recorder` writes it."""
 
-    Attributes:
-        file: that is being written.
-        overflow: samples that were dropped because the disk did not keep up.
-    """
-
-    file: Path
-    overflow: int
+    file: Path  # that is being written
+    overflow: int  # samples that were dropped because the disk did not keep up
 
     @property
     def backlog(self) -> int:

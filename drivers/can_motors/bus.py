@@ -39,41 +39,25 @@ FAULT = "fault"
 
 @dataclass(frozen=True)
 class MotorState:
-    """What a motor said in one cycle.
+    """What a motor said in one cycle."""
 
-    Attributes:
-        values: quantity → value in the motor's own direction, from its own zero.
-        fault: code; 0 without.
-        enabled: whether it drives; None where its family does not say.
-        time: when its last frame came [s, host's monotonic clock].
-        surplus: answers that came so far beyond one for each request.
-    """
-
-    values: Mapping[str, float]
-    fault: int
-    enabled: bool | None
-    time: float
-    surplus: int
+    values: Mapping[str, float]  # quantity → value in the motor's own direction, from its own zero
+    fault: int  # code; 0 without
+    enabled: bool | None  # whether it drives; None where its family does not say
+    time: float  # when its last frame came [s, host's monotonic clock]
+    surplus: int  # answers that came so far beyond one for each request
 
 
 @dataclass(frozen=True)
 class Feedback:
-    """What the motors said in one cycle.
+    """What the motors said in one cycle."""
 
-    Attributes:
-        states: index of a motor → its state; a motor that did not tell everything is missing.
-        strange: frames that were no motor's.
-        time: in the middle between sending and the last answer [s, host's monotonic clock].
-        received: when the last answer came.
-        overdue: motors whose answers to an earlier request came after they had been given up.
-        ages: index of a motor → how long before its answer it obeyed the command in force [s]; inf before the first.
-    """
-
-    states: Mapping[int, MotorState]
-    strange: int
-    time: float
-    received: float
-    overdue: int = 0
+    states: Mapping[int, MotorState]  # index of a motor → its state; a motor that did not tell everything is missing
+    strange: int  # frames that were no motor's
+    time: float  # in the middle between sending and the last answer [s, host's monotonic clock]
+    received: float  # when the last answer came
+    overdue: int = 0  # motors whose answers to an earlier request came after they had been given up
+    # index of a motor → how long before its answer it obeyed the command in force [s]; inf before the first
     ages: Mapping[int, float] = field(default_factory=dict)
 
 

@@ -15,51 +15,32 @@ CanFrame = tuple[int, bytes]
 
 @dataclass(frozen=True)
 class MotorAddress:
-    """A motor as its protocol needs it; all at the motor's own output shaft.
+    """A motor as its protocol needs it; all at the motor's own output shaft."""
 
-    Attributes:
-        id: on the bus.
-        host: this computer's id, or the identifier that the motor answers on, by the protocol.
-        family: table of its family.
-        model: full scale of its frames.
-        kp: of its position loop [N·m/rad].
-        kd: against velocity [N·m·s/rad].
-        torque_limit: that it keeps, where it keeps one [N·m]; None for its own.
-        speed_limit: [rad/s]; None for its own.
-        current_limit: [A]; None for its own.
-        watchdog: [s] without a command after which it lets go; None where it shall go on with its last one.
-        thermistor: whether its windings have one.
-        temperature_offset: added to the byte of its temperature [°C].
-    """
-
-    id: int
-    host: int
-    family: MotorFamily
-    model: MotorModel
-    kp: float = 0.0
-    kd: float = 0.0
-    torque_limit: float | None = None
-    speed_limit: float | None = None
-    current_limit: float | None = None
+    id: int  # on the bus
+    host: int  # this computer's id, or the identifier that the motor answers on, by the protocol
+    family: MotorFamily  # table of its family
+    model: MotorModel  # full scale of its frames
+    kp: float = 0.0  # of its position loop [N·m/rad]
+    kd: float = 0.0  # against velocity [N·m·s/rad]
+    torque_limit: float | None = None  # that it keeps, where it keeps one [N·m]; None for its own
+    speed_limit: float | None = None  # [rad/s]; None for its own
+    current_limit: float | None = None  # [A]; None for its own
+    # [s] without a command after which it lets go; None where it shall go on with its last one
     watchdog: float | None = None
-    thermistor: bool = False
-    temperature_offset: float = 0.0
+    thermistor: bool = False  # whether its windings have one
+    temperature_offset: float = 0.0  # added to the byte of its temperature [°C]
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What one frame of a motor says.
+    """What one frame of a motor says."""
 
-    Attributes:
-        values: quantity → value in the motor's own direction, from its own zero [rad, rad/s, N·m, A, °C, V].
-        fault: its code; None where the frame has none.
-        enabled: whether the motor drives; None where the frame does not say.
-        register: number of a register and what it holds; None where the frame is no answer to a reading.
-    """
-
+    # quantity → value in the motor's own direction, from its own zero [rad, rad/s, N·m, A, °C, V]
     values: Mapping[str, float] = field(default_factory=dict)
-    fault: int | None = None
-    enabled: bool | None = None
+    fault: int | None = None  # its code; None where the frame has none
+    enabled: bool | None = None  # whether the motor drives; None where the frame does not say
+    # number of a register and what it holds; None where the frame is no answer to a reading
     register: tuple[int, float] | None = None
 
 
@@ -68,26 +49,17 @@ class MotorCodec(ABC):
 
     Attributes:
         motor: as given.
-        fd: whether frames are of CAN FD.
-        keeps: which of torque, speed and current limit it keeps (of `MotorAddress`).
-        times_out: whether a program can make it let go where commands fail to come.
-        gains: whether kp and kd are sent, not configured in the motor.
-        unasked: whether it may tell where it is without being asked.
-        answers_goals: whether it tells where it is after each goal.
-        takes_torque: whether it takes torques in place of goals.
-        roll_call_time: how long [s] answers to a roll call are waited for.
-        registers: name → number, of those that are read and written here.
     """
 
-    fd: ClassVar[bool] = False
-    keeps: ClassVar[tuple[str, ...]] = ()
-    times_out: ClassVar[bool] = True
-    gains: ClassVar[bool] = True
-    unasked: ClassVar[bool] = False
-    answers_goals: ClassVar[bool] = True
-    takes_torque: ClassVar[bool] = False
-    roll_call_time: ClassVar[float] = 0.03
-    registers: ClassVar[Mapping[str, int]] = {}
+    fd: ClassVar[bool] = False  # whether frames are of CAN FD
+    keeps: ClassVar[tuple[str, ...]] = ()  # which of torque, speed and current limit it keeps (of `MotorAddress`)
+    times_out: ClassVar[bool] = True  # whether a program can make it let go where commands fail to come
+    gains: ClassVar[bool] = True  # whether kp and kd are sent, not configured in the motor
+    unasked: ClassVar[bool] = False  # whether it may tell where it is without being asked
+    answers_goals: ClassVar[bool] = True  # whether it tells where it is after each goal
+    takes_torque: ClassVar[bool] = False  # whether it takes torques in place of goals
+    roll_call_time: ClassVar[float] = 0.03  # how long [s] answers to a roll call are waited for
+    registers: ClassVar[Mapping[str, int]] = {}  # name → number, of those that are read and written here
 
     def __init__(self, motor: MotorAddress) -> None:
         self.motor = motor

@@ -27,32 +27,20 @@ CLEARING = 0.05
 
 @dataclass(frozen=True)
 class MotorIdentity:
-    """What a motor says of itself.
+    """What a motor says of itself."""
 
-    Attributes:
-        joint: it moves.
-        id: on the bus.
-        model: of its table.
-        position: of the joint [rad].
-        temperature: of the windings [°C]; nan where it tells none.
-        drive_temperature: of the power stage [°C]; nan where it tells none.
-        driving: whether it drives; None where it does not say.
-        fault: in words; empty without.
-        velocity_range, torque_range: full scale of its frames [rad/s, N·m]; nan where they carry plain numbers.
-        torque_constant: [N·m/A], read from the motor, else from its table; nan where neither says.
-    """
-
-    joint: str
-    id: int
-    model: str
-    position: float
-    temperature: float
-    drive_temperature: float
-    driving: bool | None
-    fault: str
+    joint: str  # it moves
+    id: int  # on the bus
+    model: str  # of its table
+    position: float  # of the joint [rad]
+    temperature: float  # of the windings [°C]; nan where it tells none
+    drive_temperature: float  # of the power stage [°C]; nan where it tells none
+    driving: bool | None  # whether it drives; None where it does not say
+    fault: str  # in words; empty without
+    # velocity_range, torque_range: full scale of its frames [rad/s, N·m]; nan where they carry plain numbers
     velocity_range: float
     torque_range: float
-    torque_constant: float
+    torque_constant: float  # [N·m/A], read from the motor, else from its table; nan where neither says
 
 
 class CanMotorDriver(PolledArm):

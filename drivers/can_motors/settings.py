@@ -134,23 +134,14 @@ def _require_own_answers(motors: Mapping[str, MotorKeys]) -> None:
 
 @dataclass(frozen=True)
 class CanMotor:
-    """A motor and its joint.
+    """A motor and its joint."""
 
-    Attributes:
-        joint: name.
-        model: of its table.
-        zero: [rad] that the motor reports where the joint is at 0.
-        direction: 1, or −1 where it counts against the joint.
-        ratio: turns of the motor's output shaft per turn of the joint.
-        address: what its protocol needs, at the motor's output shaft.
-    """
-
-    joint: str
-    model: str
-    zero: float
-    direction: int
-    ratio: float
-    address: MotorAddress
+    joint: str  # name
+    model: str  # of its table
+    zero: float  # [rad] that the motor reports where the joint is at 0
+    direction: int  # 1, or −1 where it counts against the joint
+    ratio: float  # turns of the motor's output shaft per turn of the joint
+    address: MotorAddress  # what its protocol needs, at the motor's output shaft
 
     @property
     def id(self) -> int:
@@ -182,17 +173,11 @@ class CanMotor:
 
 @dataclass(frozen=True)
 class CanMotorSettings:
-    """A connection's keys, checked.
+    """A connection's keys, checked."""
 
-    Attributes:
-        family: name of the motors' family.
-        motors: in the joints' order.
-        keys: the others.
-    """
-
-    family: str
-    motors: tuple[CanMotor, ...]
-    keys: CanMotorKeys
+    family: str  # name of the motors' family
+    motors: tuple[CanMotor, ...]  # in the joints' order
+    keys: CanMotorKeys  # the others
 
     @property
     def where(self) -> str:

@@ -15,42 +15,25 @@ FAMILIES = ("damiao", "robstride", "cubemars", "moteus", "odrive")
 
 @dataclass(frozen=True)
 class MotorModel:
-    """What full scale in a model's frames is, at its output shaft; None where its frames carry plain numbers.
+    """What full scale in a model's frames is, at its output shaft; None where its frames carry plain numbers."""
 
-    Attributes:
-        position: ± [rad].
-        velocity: ± [rad/s].
-        torque: ± [N·m].
-        kp: from 0 [N·m/rad].
-        kd: from 0 [N·m·s/rad].
-        torque_constant: [N·m/A] of the motor before its gear; None where no document says it.
-    """
-
-    position: float | None = None
-    velocity: float | None = None
-    torque: float | None = None
-    kp: float | None = None
-    kd: float | None = None
-    torque_constant: float | None = None
+    position: float | None = None  # ± [rad]
+    velocity: float | None = None  # ± [rad/s]
+    torque: float | None = None  # ± [N·m]
+    kp: float | None = None  # from 0 [N·m/rad]
+    kd: float | None = None  # from 0 [N·m·s/rad]
+    torque_constant: float | None = None  # [N·m/A] of the motor before its gear; None where no document says it
 
 
 @dataclass(frozen=True)
 class MotorFamily:
-    """What the documents say of a family of motors.
+    """What the documents say of a family of motors."""
 
-    Attributes:
-        name: of the family and its driver.
-        models: name in robot files → scaling.
-        faults: number of a fault, or of its bit → what it means.
-        bits: whether a fault is a set of bits.
-        documents: what says so.
-    """
-
-    name: str
-    models: Mapping[str, MotorModel]
-    faults: Mapping[int, str]
-    bits: bool
-    documents: Mapping[str, str]
+    name: str  # of the family and its driver
+    models: Mapping[str, MotorModel]  # name in robot files → scaling
+    faults: Mapping[int, str]  # number of a fault, or of its bit → what it means
+    bits: bool  # whether a fault is a set of bits
+    documents: Mapping[str, str]  # what says so
 
     def fault_words(self, code: int) -> list[str]:
         """What a fault code means; empty where it means none."""

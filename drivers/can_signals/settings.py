@@ -152,64 +152,42 @@ class CanFramesKeys(CanSettings):
 
 @dataclass(frozen=True)
 class Poll:
-    """What makes the arm answer with one cycle of its frames.
+    """What makes the arm answer with one cycle of its frames."""
 
-    Attributes:
-        frames: sent one after the other.
-        period: [s].
-    """
-
-    frames: tuple[FixedFrame, ...]
-    period: float
+    frames: tuple[FixedFrame, ...]  # sent one after the other
+    period: float  # [s]
 
 
 @dataclass(frozen=True)
 class CommandTable:
-    """How joint positions become frames.
+    """How joint positions become frames."""
 
-    Attributes:
-        layouts: one frame each; quantities `position` (one a joint) and `counter` (of the commands).
-        templates: identifier → the frame's other bits and its length.
-    """
-
+    # one frame each; quantities `position` (one a joint) and `counter` (of the commands)
     layouts: tuple[FrameLayout, ...]
-    templates: Mapping[int, bytes]
+    templates: Mapping[int, bytes]  # identifier → the frame's other bits and its length
 
 
 @dataclass(frozen=True)
 class CanFramesSettings:
-    """An arm whose frames are described by a table.
+    """An arm whose frames are described by a table."""
 
-    Attributes:
-        interface, channel, bitrate, options: see `drivers.can.bus.open_bus`.
-        rate: of the cycles, nominal [Hz].
-        timeout: how long [s] the arm may take until all of its frames have come once.
-        signals: what it says.
-        cycle: identifier of a frame that begins each cycle and that no signal is in; None for the first signal's frame.
-        poll: None where the arm speaks by itself.
-        begin: frames that make it speak, sent when the connection is opened.
-        end: frames that silence it, sent when the connection is closed.
-        start: frames that enable its drives, sent before the first command.
-        stop: frames that halt it.
-        command: None where the table cannot move the arm.
-        watchdog: without a command for so long [s] the arm stops by itself; None where that is not known.
-    """
-
+    # interface, channel, bitrate, options: see `drivers.can.bus.open_bus`
     interface: str
     channel: str | int
-    rate: float
-    signals: tuple[Signal, ...]
+    rate: float  # of the cycles, nominal [Hz]
+    signals: tuple[Signal, ...]  # what it says
     bitrate: int
     options: Mapping[str, object]
-    timeout: float
+    timeout: float  # how long [s] the arm may take until all of its frames have come once
+    # identifier of a frame that begins each cycle and that no signal is in; None for the first signal's frame
     cycle: int | None
-    poll: Poll | None
-    begin: tuple[FixedFrame, ...]
-    end: tuple[FixedFrame, ...]
-    start: tuple[FixedFrame, ...]
-    stop: tuple[FixedFrame, ...]
-    command: CommandTable | None
-    watchdog: float | None
+    poll: Poll | None  # None where the arm speaks by itself
+    begin: tuple[FixedFrame, ...]  # frames that make it speak, sent when the connection is opened
+    end: tuple[FixedFrame, ...]  # frames that silence it, sent when the connection is closed
+    start: tuple[FixedFrame, ...]  # frames that enable its drives, sent before the first command
+    stop: tuple[FixedFrame, ...]  # frames that halt it
+    command: CommandTable | None  # None where the table cannot move the arm
+    watchdog: float | None  # without a command for so long [s] the arm stops by itself; None where that is not known
 
     @property
     def identifiers(self) -> frozenset[int]:

@@ -23,15 +23,10 @@ KB, MB, GB = 10**3, 10**6, 10**9
 
 @dataclass(frozen=True)
 class InputKind:
-    """A kind of input file.
+    """A kind of input file."""
 
-    Attributes:
-        name: in words, with the article.
-        largest: size [B] that is read; what is larger takes more than 20 s or 2 GB to read, or is no such file.
-    """
-
-    name: str
-    largest: int
+    name: str  # in words, with the article
+    largest: int  # size [B] that is read; what is larger takes more than 20 s or 2 GB to read, or is no such file
 
 
 ROBOT_FILE = InputKind("a robot file", 500 * KB)

@@ -36,36 +36,23 @@ _WIDTH = 112
 
 @dataclass(frozen=True)
 class Option:
-    """What a field declares beside its name, type and default.
+    """What a field declares beside its name, type and default."""
 
-    Attributes:
-        help: text of the command's `--help`; empty for an argument of the API alone.
-        meaning: text of the API's docstring, with the unit; the same as `help` where empty.
-        flag: on the command line; `--name` where empty.
-        short: the same in one letter, such as `-o`; empty for none.
-        allowed: range of the number, or of each number of a tuple.
-        one_of: allowed texts.
-        hint: what to do about a value that is refused.
-        metavar: what `--help` calls the value.
-        read: turns the text of the command line and the flag into the value; None where Typer does.
-        shown: default of the command line's text where `read` turns it into the field's default.
-        command_type: type on the command line where it is not that of the field, such as `Path` or `list[Path]`.
-        argument: name of a positional argument of the command; empty for an option.
-        panel: of the command's help; its dataclass's `PANEL` where None, the common options first where empty.
-    """
-
-    help: str = ""
-    meaning: str = ""
-    flag: str = ""
-    short: str = ""
-    allowed: Range | None = None
-    one_of: tuple[str, ...] = ()
-    hint: str = ""
-    metavar: str | None = None
+    help: str = ""  # text of the command's `--help`; empty for an argument of the API alone
+    meaning: str = ""  # text of the API's docstring, with the unit; the same as `help` where empty
+    flag: str = ""  # on the command line; `--name` where empty
+    short: str = ""  # the same in one letter, such as `-o`; empty for none
+    allowed: Range | None = None  # range of the number, or of each number of a tuple
+    one_of: tuple[str, ...] = ()  # allowed texts
+    hint: str = ""  # what to do about a value that is refused
+    metavar: str | None = None  # what `--help` calls the value
+    # turns the text of the command line and the flag into the value; None where Typer does
     read: Callable[[str, str], Any] | None = None
-    shown: str | None = None
+    shown: str | None = None  # default of the command line's text where `read` turns it into the field's default
+    # type on the command line where it is not that of the field, such as `Path` or `list[Path]`
     command_type: Any = None
-    argument: str = ""
+    argument: str = ""  # name of a positional argument of the command; empty for an option
+    # of the command's help; its dataclass's `PANEL` where None, the common options first where empty
     panel: str | None = None
 
     def check(self, flag: str, value: Any) -> None:

@@ -13,17 +13,11 @@ from drivers.core.errors import UsageError
 
 @dataclass(frozen=True)
 class Range:
-    """The values that a quantity can have.
+    """The values that a quantity can have."""
 
-    Attributes:
-        least: smallest value, in `unit`.
-        most: largest value, in `unit`.
-        unit: as messages write it; empty for a count.
-    """
-
-    least: float
-    most: float
-    unit: str = ""
+    least: float  # smallest value, in `unit`
+    most: float  # largest value, in `unit`
+    unit: str = ""  # as messages write it; empty for a count
 
     def holds(self, value: float) -> bool:
         """Whether a number is within; NaN is not."""

@@ -142,17 +142,11 @@ class SeveralProblems(ValueError):  # noqa: N818  # what a validator of a sectio
 
 @dataclass(frozen=True)
 class YamlProblem:
-    """One thing that is wrong with a file.
+    """One thing that is wrong with a file."""
 
-    Attributes:
-        key_path: as in `joints[0].velocity`; empty for the file as a whole.
-        message: what was wrong.
-        hint: what to do; empty when there is nothing to say.
-    """
-
-    key_path: str
-    message: str
-    hint: str
+    key_path: str  # as in `joints[0].velocity`; empty for the file as a whole
+    message: str  # what was wrong
+    hint: str  # what to do; empty when there is nothing to say
 
 
 def read_mapping(text: str, *, kind: str, where: str, refusal: type[InputError], hint: str = "") -> dict[Any, Any]:

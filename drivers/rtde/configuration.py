@@ -32,15 +32,11 @@ LONGEST_LINK = 10.0
 
 @dataclass(frozen=True)
 class Configuration:
-    """What a controller tells of its arm.
+    """What a controller tells of its arm."""
 
-    Attributes:
-        limits: (4, 6) lowest and highest position [rad], speed [rad/s] and acceleration [rad/s²] of the joints.
-        lengths: (4,) upper arm, forearm, shoulder offset, wrist offset [m]; None where it tells none.
-    """
-
+    # (4, 6) lowest and highest position [rad], speed [rad/s] and acceleration [rad/s²] of the joints
     limits: FloatArray
-    lengths: FloatArray | None
+    lengths: FloatArray | None  # (4,) upper arm, forearm, shoulder offset, wrist offset [m]; None where it tells none
 
 
 def read_configuration(

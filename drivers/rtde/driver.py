@@ -72,21 +72,13 @@ _STREAMS: Mapping[str, tuple[_Source, ...]] = {"joints": _REQUIRED + _TARGETS, "
 
 @dataclass(frozen=True)
 class ControllerIdentity:
-    """Who answers.
+    """Who answers."""
 
-    Attributes:
-        controller: address and port.
-        software: version of the controller's software.
-        rate: of the samples [Hz].
-        variables: that the controller delivers.
-        serial: number, as its dashboard tells it; empty where it does not.
-    """
-
-    controller: str
-    software: str
-    rate: float
-    variables: int
-    serial: str = ""
+    controller: str  # address and port
+    software: str  # version of the controller's software
+    rate: float  # of the samples [Hz]
+    variables: int  # that the controller delivers
+    serial: str = ""  # number, as its dashboard tells it; empty where it does not
 
 
 class ArmControl(Protocol):

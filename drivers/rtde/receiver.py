@@ -41,17 +41,11 @@ _Decoded = TypeVar("_Decoded")
 
 @dataclass(frozen=True)
 class Samples:
-    """Consecutive data packages.
+    """Consecutive data packages."""
 
-    Attributes:
-        rows: (N,) structured, the variables by name.
-        host_time: (N,) the host's monotonic clock at reception [s].
-        lost: packages that the controller's clock says are missing before or within these.
-    """
-
-    rows: npt.NDArray[np.void]
-    host_time: FloatArray
-    lost: int
+    rows: npt.NDArray[np.void]  # (N,) structured, the variables by name
+    host_time: FloatArray  # (N,) the host's monotonic clock at reception [s]
+    lost: int  # packages that the controller's clock says are missing before or within these
 
 
 class RtdeReceiver:
@@ -68,15 +62,12 @@ class RtdeReceiver:
         clock: the host's.
 
     Attributes:
-        version: of the controller, once connected.
-        recipe: what it delivers, once connected.
-        rate: at which [Hz], once connected.
         overflow: packages dropped because `take` stayed away.
     """
 
-    version: wire.ControlVersion
-    recipe: wire.Recipe
-    rate: float
+    version: wire.ControlVersion  # of the controller, once connected
+    recipe: wire.Recipe  # what it delivers, once connected
+    rate: float  # at which [Hz], once connected
 
     def __init__(
         self,

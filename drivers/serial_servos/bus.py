@@ -23,19 +23,12 @@ ATTEMPTS = 3
 
 @dataclass(frozen=True)
 class ServoFeedback:
-    """What all servos said in one cycle.
+    """What all servos said in one cycle."""
 
-    Attributes:
-        answers: id → its answer; a servo that did not answer is missing.
-        strange: bytes that belonged to no answer.
-        time: in the middle between the request and the last answer [s, host's monotonic clock].
-        received: when the last answer was complete.
-    """
-
-    answers: Mapping[int, Packet]
-    strange: int
-    time: float
-    received: float
+    answers: Mapping[int, Packet]  # id → its answer; a servo that did not answer is missing
+    strange: int  # bytes that belonged to no answer
+    time: float  # in the middle between the request and the last answer [s, host's monotonic clock]
+    received: float  # when the last answer was complete
 
 
 class ServoBus:

@@ -15,17 +15,11 @@ CALIBRATION = InputKind("a calibration file of LeRobot", 256 * KB)
 
 @dataclass(frozen=True)
 class JointScale:
-    """Position of a joint = direction · (steps − zero) · turn / steps a turn.
+    """Position of a joint = direction · (steps − zero) · turn / steps a turn."""
 
-    Attributes:
-        zero: steps that the servo reports where the joint is at 0; may lie between two.
-        direction: 1, or −1 where the servo counts against the joint.
-        step: [rad] of one.
-    """
-
-    zero: float
-    direction: int
-    step: float
+    zero: float  # steps that the servo reports where the joint is at 0; may lie between two
+    direction: int  # 1, or −1 where the servo counts against the joint
+    step: float  # [rad] of one
 
     def position(self, steps: float) -> float:
         """[rad] of the joint."""
@@ -38,18 +32,12 @@ class JointScale:
 
 @dataclass(frozen=True)
 class MotorCalibration:
-    """A motor's entry in a calibration file of LeRobot.
+    """A motor's entry in a calibration file of LeRobot."""
 
-    Attributes:
-        motor: id of the servo.
-        reversed: whether it counts against the joint (`drive_mode`).
-        homing_offset: that LeRobot wrote into the servo [steps].
-        lowest, highest: steps between which the joint moves.
-    """
-
-    motor: int
-    reversed: bool
-    homing_offset: int
+    motor: int  # id of the servo
+    reversed: bool  # whether it counts against the joint (`drive_mode`)
+    homing_offset: int  # that LeRobot wrote into the servo [steps]
+    # lowest, highest: steps between which the joint moves
     lowest: int
     highest: int
 

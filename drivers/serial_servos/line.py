@@ -33,16 +33,11 @@ LATENCY_TIMER = Path("/sys/bus/usb-serial/devices")
 
 @dataclass(frozen=True)
 class Heard:
-    """What came after a request.
+    """What came after a request."""
 
-    Attributes:
-        answers: whole ones, in the order in which they came.
-        strange: bytes that belonged to none.
-        sent, received: when the request went out and when the last answer was complete [s, host's monotonic clock].
-    """
-
-    answers: Sequence[Packet]
-    strange: int
+    answers: Sequence[Packet]  # whole ones, in the order in which they came
+    strange: int  # bytes that belonged to none
+    # sent, received: when the request went out and when the last answer was complete [s, host's monotonic clock]
     sent: float
     received: float
 

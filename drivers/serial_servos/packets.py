@@ -18,17 +18,11 @@ FAST_SYNC_READ, BULK_READ, FAST_BULK_READ = 0x8A, 0x92, 0x9A
 
 @dataclass(frozen=True)
 class Packet:
-    """A packet whose sum is right.
+    """A packet whose sum is right."""
 
-    Attributes:
-        motor: id of the servo that is asked or answers.
-        code: an instruction; in an answer, the error bits.
-        data: parameters.
-    """
-
-    motor: int
-    code: int
-    data: bytes
+    motor: int  # id of the servo that is asked or answers
+    code: int  # an instruction; in an answer, the error bits
+    data: bytes  # parameters
 
 
 def scanned(

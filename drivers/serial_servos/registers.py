@@ -18,25 +18,15 @@ _MINUTE = 60.0
 
 @dataclass(frozen=True)
 class Register:
-    """One entry of a servo's memory.
+    """One entry of a servo's memory."""
 
-    Attributes:
-        name: of the entry.
-        address: of its first byte.
-        size: number of bytes.
-        eeprom: whether it outlives the power; never written without `--configure`.
-        scale: of one count, in SI units (rad, rad/s, rad/s², V, A, °C, s, or a share).
-        sign: "none", "two's complement", or the number of the bit that says the sign of a magnitude.
-        big_endian: whether the high byte comes first.
-    """
-
-    name: str
-    address: int
-    size: int
-    eeprom: bool = False
-    scale: float = 1.0
-    sign: str | int = "none"
-    big_endian: bool = False
+    name: str  # of the entry
+    address: int  # of its first byte
+    size: int  # number of bytes
+    eeprom: bool = False  # whether it outlives the power; never written without `--configure`
+    scale: float = 1.0  # of one count, in SI units (rad, rad/s, rad/s², V, A, °C, s, or a share)
+    sign: str | int = "none"  # "none", "two's complement", or the number of the bit that says the sign of a magnitude
+    big_endian: bool = False  # whether the high byte comes first
 
     def decoded(self, data: bytes) -> int:
         """The counts, with their sign, in bytes read from the register."""
@@ -72,50 +62,29 @@ class Register:
 
 @dataclass(frozen=True)
 class Indirect:
-    """Bytes of a servo's memory in which it shows others, wherever those are.
+    """Bytes of a servo's memory in which it shows others, wherever those are."""
 
-    Attributes:
-        address: of the first of the words that say which byte is shown.
-        data: where the first of them is shown.
-        count: of words, and bytes.
-    """
-
-    address: int
-    data: int
-    count: int
+    address: int  # of the first of the words that say which byte is shown
+    data: int  # where the first of them is shown
+    count: int  # of words, and bytes
 
 
 @dataclass(frozen=True)
 class ServoTable:
-    """What the documents say of a servo model.
+    """What the documents say of a servo model."""
 
-    Attributes:
-        model: its name in robot files.
-        protocol: "feetech" or "dynamixel".
-        number: that it answers as its model.
-        steps: of its encoder in a turn.
-        registers: by name.
-        feedback: registers that are recorded, by the quantity of the recording; contiguous in memory.
-        errors: bit of its status → what it means.
-        sync_read: whether one request reads all servos.
-        fast_sync_read: whether their answers may come as one packet.
-        magnitudes: quantities of the feedback without a sign.
-        documents: what says so.
-        indirect: where it shows bytes from all over its memory; None where it does not.
-    """
-
-    model: str
-    protocol: str
-    number: int
-    steps: int
-    registers: Mapping[str, Register]
-    feedback: Mapping[str, str]
-    errors: Mapping[int, str]
-    sync_read: bool
-    fast_sync_read: bool
-    magnitudes: frozenset[str]
-    documents: Mapping[str, str]
-    indirect: Indirect | None = None
+    model: str  # its name in robot files
+    protocol: str  # "feetech" or "dynamixel"
+    number: int  # that it answers as its model
+    steps: int  # of its encoder in a turn
+    registers: Mapping[str, Register]  # by name
+    feedback: Mapping[str, str]  # registers that are recorded, by the quantity of the recording; contiguous in memory
+    errors: Mapping[int, str]  # bit of its status → what it means
+    sync_read: bool  # whether one request reads all servos
+    fast_sync_read: bool  # whether their answers may come as one packet
+    magnitudes: frozenset[str]  # quantities of the feedback without a sign
+    documents: Mapping[str, str]  # what says so
+    indirect: Indirect | None = None  # where it shows bytes from all over its memory; None where it does not
 
     @property
     def gathered(self) -> dict[str, int]:

@@ -73,38 +73,23 @@ class ServoKeys(ConnectionSettings):
 
 @dataclass(frozen=True)
 class ServoMotor:
-    """A servo and its joint.
+    """A servo and its joint."""
 
-    Attributes:
-        joint: name.
-        id: on the bus.
-        table: of its model.
-        scale: from steps to the joint.
-        calibration: of LeRobot; None without.
-        assumed_zero: whether nothing says where the joint is at 0.
-    """
-
-    joint: str
-    id: int
-    table: ServoTable
-    scale: JointScale
-    calibration: MotorCalibration | None
-    assumed_zero: bool
+    joint: str  # name
+    id: int  # on the bus
+    table: ServoTable  # of its model
+    scale: JointScale  # from steps to the joint
+    calibration: MotorCalibration | None  # of LeRobot; None without
+    assumed_zero: bool  # whether nothing says where the joint is at 0
 
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """A connection's keys, checked.
+    """A connection's keys, checked."""
 
-    Attributes:
-        url: of the port.
-        motors: in the joints' order, all of one protocol.
-        keys: the others.
-    """
-
-    url: str
-    motors: tuple[ServoMotor, ...]
-    keys: ServoKeys
+    url: str  # of the port
+    motors: tuple[ServoMotor, ...]  # in the joints' order, all of one protocol
+    keys: ServoKeys  # the others
 
 
 def parse_settings(

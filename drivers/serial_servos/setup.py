@@ -20,28 +20,17 @@ USUAL_TIMER = 1
 
 @dataclass(frozen=True)
 class ServoIdentity:
-    """What a servo says of itself.
+    """What a servo says of itself."""
 
-    Attributes:
-        joint: it moves.
-        id: on the bus.
-        model: of its table.
-        supply_voltage: [V].
-        temperature: [°C].
-        torque_on: whether its torque is on.
-        fault: in words; empty without.
-        return_delay: before an answer [s].
-        homing_offset, min_position, max_position: [steps].
-    """
-
-    joint: str
-    id: int
-    model: str
-    supply_voltage: float
-    temperature: float
-    torque_on: bool
-    fault: str
-    return_delay: float
+    joint: str  # it moves
+    id: int  # on the bus
+    model: str  # of its table
+    supply_voltage: float  # [V]
+    temperature: float  # [°C]
+    torque_on: bool  # whether its torque is on
+    fault: str  # in words; empty without
+    return_delay: float  # before an answer [s]
+    # homing_offset, min_position, max_position: [steps]
     homing_offset: int
     min_position: int
     max_position: int

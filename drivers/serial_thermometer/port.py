@@ -181,17 +181,11 @@ class SerialPort:
 
 @dataclass(frozen=True)
 class ThermometerReading:
-    """One temperature.
+    """One temperature."""
 
-    Attributes:
-        end: index of the byte at which its line ended, in the bytes last fed.
-        joint: name.
-        value: [°C].
-    """
-
-    end: int
-    joint: str
-    value: float
+    end: int  # index of the byte at which its line ended, in the bytes last fed
+    joint: str  # name
+    value: float  # [°C]
 
 
 class LineParser:

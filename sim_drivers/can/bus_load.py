@@ -31,19 +31,12 @@ PDO_BUFFERS = 2
 
 @dataclass(frozen=True)
 class Frame:
-    """A classic CAN frame.
+    """A classic CAN frame."""
 
-    Attributes:
-        id: identifier, 11 bits, or 29 where extended.
-        data: 0 to 8 bytes.
-        extended: whether the identifier has 29 bits.
-        remote: a request; its data give its length only.
-    """
-
-    id: int
-    data: bytes = b""
-    extended: bool = False
-    remote: bool = False
+    id: int  # identifier, 11 bits, or 29 where extended
+    data: bytes = b""  # 0 to 8 bytes
+    extended: bool = False  # whether the identifier has 29 bits
+    remote: bool = False  # a request; its data give its length only
 
 
 def _crc_table() -> tuple[int, ...]:
@@ -135,21 +128,13 @@ def worst_case_bits(frame: Frame) -> int:
 
 @dataclass(frozen=True)
 class Sent:
-    """A frame that has been on the bus.
+    """A frame that has been on the bus."""
 
-    Attributes:
-        frame: the frame.
-        own: whether a simulated node sent it.
-        time: when its last bit was over [s].
-        bits: its length.
-        ready: when it was handed over [s].
-    """
-
-    frame: Frame
-    own: bool
-    time: float
-    bits: int
-    ready: float
+    frame: Frame  # the frame
+    own: bool  # whether a simulated node sent it
+    time: float  # when its last bit was over [s]
+    bits: int  # its length
+    ready: float  # when it was handed over [s]
 
 
 @dataclass(frozen=True)

@@ -21,19 +21,12 @@ NOMINAL_VOLTAGE = 24.0
 
 @dataclass(frozen=True)
 class Command:
-    """What a motor is to do; of the motor.
+    """What a motor is to do; of the motor."""
 
-    Attributes:
-        goal: of its spring [rad].
-        speed: by which the goal moves on [rad/s].
-        stop: where that ends [rad]; nan for nowhere.
-        torque: beside spring and damper [N·m].
-    """
-
-    goal: float
-    speed: float = 0.0
-    stop: float = math.nan
-    torque: float = 0.0
+    goal: float  # of its spring [rad]
+    speed: float = 0.0  # by which the goal moves on [rad/s]
+    stop: float = math.nan  # where that ends [rad]; nan for nowhere
+    torque: float = 0.0  # beside spring and damper [N·m]
 
 
 class MotorPlant(ClockedArm):

@@ -32,27 +32,16 @@ from sim_drivers.server import LONGEST_LAG, with_troubles
 
 @dataclass
 class TableStatus:
-    """Counters of the arm.
+    """Counters of the arm."""
 
-    Attributes:
-        time: of the arm [s].
-        enabled: whether it follows commands.
-        cycles: of frames.
-        frames: sent.
-        withheld: by faults on request.
-        lost: frames that the bus had no room for.
-        load: share of the time that the bus was busy since the start.
-        stalls: times when the arm's time fell behind the clock.
-    """
-
-    time: float
-    enabled: bool = False
-    cycles: int = 0
-    frames: int = 0
-    withheld: int = 0
-    lost: int = 0
-    load: float = 0.0
-    stalls: int = 0
+    time: float  # of the arm [s]
+    enabled: bool = False  # whether it follows commands
+    cycles: int = 0  # of frames
+    frames: int = 0  # sent
+    withheld: int = 0  # by faults on request
+    lost: int = 0  # frames that the bus had no room for
+    load: float = 0.0  # share of the time that the bus was busy since the start
+    stalls: int = 0  # times when the arm's time fell behind the clock
 
 
 class ProprietaryCanServer(BusServer):

@@ -75,21 +75,13 @@ def drive_setups(robot: Robot, settings: CanopenSettings) -> tuple[DriveSetup, .
 
 @dataclass(frozen=True)
 class NetworkCounts:
-    """Counters of the network.
+    """Counters of the network."""
 
-    Attributes:
-        syncs: SYNCs on the bus.
-        sent: frames that drives have sent.
-        lost: frames that found no room on the bus.
-        bits: on the bus.
-        stalls: how often the arm's time was halted.
-    """
-
-    syncs: int = 0
-    sent: int = 0
-    lost: int = 0
-    bits: int = 0
-    stalls: int = 0
+    syncs: int = 0  # SYNCs on the bus
+    sent: int = 0  # frames that drives have sent
+    lost: int = 0  # frames that found no room on the bus
+    bits: int = 0  # on the bus
+    stalls: int = 0  # how often the arm's time was halted
 
 
 class DriveNetwork:

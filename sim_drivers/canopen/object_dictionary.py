@@ -45,24 +45,16 @@ class SdoAbortError(Exception):
 
 @dataclass(frozen=True)
 class ObjectEntry:
-    """One variable.
+    """One variable."""
 
-    Attributes:
-        name: in the EDS.
-        size: [byte]; 0 for a text.
-        signed: whether a number may be negative.
-        readable, writable: by SDO.
-        mappable: into a PDO.
-        default: value after a reset; None where the drive provides it.
-    """
-
-    name: str
-    size: int
-    signed: bool
+    name: str  # in the EDS
+    size: int  # [byte]; 0 for a text
+    signed: bool  # whether a number may be negative
+    # readable, writable: by SDO
     readable: bool
     writable: bool
-    mappable: bool
-    default: Value | None
+    mappable: bool  # into a PDO
+    default: Value | None  # value after a reset; None where the drive provides it
 
     def encode(self, value: Value) -> bytes:
         """The encoded bytes; a number that is too large is cut to the largest that fits."""

@@ -39,20 +39,14 @@ SAMPLE_IDENTIFIERS = range(TPDO1 + 1, 0x580)
 
 @dataclass(frozen=True)
 class CanopenStatus:
-    """State of bus and drives.
+    """State of bus and drives."""
 
-    Attributes:
-        counts: of the bus.
-        load: share of the last second that the bus was busy.
-        operational, enabled: drives that are.
-        faulted: frames withheld or spoilt by faults on request.
-    """
-
-    counts: NetworkCounts
-    load: float = 0.0
+    counts: NetworkCounts  # of the bus
+    load: float = 0.0  # share of the last second that the bus was busy
+    # operational, enabled: drives that are
     operational: int = 0
     enabled: int = 0
-    faulted: int = 0
+    faulted: int = 0  # frames withheld or spoilt by faults on request
 
 
 class CanopenServer(BusServer):

@@ -15,36 +15,22 @@ LARGEST_FOLLOWING_ERROR = 0.25
 
 @dataclass(frozen=True)
 class DriveSetup:
-    """Ratings of a drive and its mounting.
+    """Ratings of a drive and its mounting."""
 
-    Attributes:
-        serial: serial number.
-        increments: of the encoder a motor revolution.
-        gear: motor revolutions a joint revolution.
-        direction: of the drive's counts against the joint, 1 or -1.
-        zero: joint position at count 0 [rad].
-        rated_current: [A].
-        rated_torque: joint side [N·m].
-        velocity: of profiles, unless the master sets another [rad/s].
-        acceleration: of profiles, unless the master sets another [rad/s²].
-        lowest, highest: software position limits of the joint [rad]; none where they are infinite.
-        largest_velocity: of profiles [rad/s].
-        largest_torque: joint side [N·m].
-    """
-
-    serial: int
-    increments: int = 8192
-    gear: int = 64
-    direction: int = 1
-    zero: float = 0.0
-    rated_current: float = 5.0
-    rated_torque: float = 50.0
-    velocity: float = 0.5
-    acceleration: float = 5.0
+    serial: int  # serial number
+    increments: int = 8192  # of the encoder a motor revolution
+    gear: int = 64  # motor revolutions a joint revolution
+    direction: int = 1  # of the drive's counts against the joint, 1 or -1
+    zero: float = 0.0  # joint position at count 0 [rad]
+    rated_current: float = 5.0  # [A]
+    rated_torque: float = 50.0  # joint side [N·m]
+    velocity: float = 0.5  # of profiles, unless the master sets another [rad/s]
+    acceleration: float = 5.0  # of profiles, unless the master sets another [rad/s²]
+    # lowest, highest: software position limits of the joint [rad]; none where they are infinite
     lowest: float = -math.inf
     highest: float = math.inf
-    largest_velocity: float = math.inf
-    largest_torque: float = math.inf
+    largest_velocity: float = math.inf  # of profiles [rad/s]
+    largest_torque: float = math.inf  # joint side [N·m]
 
     @property
     def counts_per_radian(self) -> float:

@@ -24,17 +24,11 @@ TURNS = 5000
 
 @dataclass
 class Received:
-    """What came.
+    """What came."""
 
-    Attributes:
-        blocks: in their order.
-        notices: in their order.
-        error: that ended it; None where none did.
-    """
-
-    blocks: list[Batch] = field(default_factory=list)
-    notices: list[Notice] = field(default_factory=list)
-    error: ConnectionLostError | None = None
+    blocks: list[Batch] = field(default_factory=list)  # in their order
+    notices: list[Notice] = field(default_factory=list)  # in their order
+    error: ConnectionLostError | None = None  # that ended it; None where none did
 
     def __iadd__(self, later: Received) -> Received:
         """Go on with what came later."""

@@ -46,29 +46,17 @@ UNKNOWN_TORQUE_LIMIT = 100.0
 
 @dataclass(frozen=True)
 class FrictionParameters:
-    """Friction of n joints, joint side; every array is (n,) but `temperature`.
+    """Friction of n joints, joint side; every array is (n,) but `temperature`."""
 
-    Attributes:
-        coulomb: Fc [N·m].
-        viscous: Fv [N·m·(s/rad)^α].
-        alpha: α, without unit.
-        temperature: (3, n) β1, β2, β3 of eq. 5, for T in kelvin.
-        load: f_L [1/(N·m)].
-        offset: Fo [N·m].
-        stribeck: Fb [N·m].
-        stribeck_velocity: v_b [rad/s].
-        pre_sliding: travel [rad] until break-away.
-    """
-
-    coulomb: FloatArray
-    viscous: FloatArray
-    alpha: FloatArray
-    temperature: FloatArray
-    load: FloatArray
-    offset: FloatArray
-    stribeck: FloatArray
-    stribeck_velocity: FloatArray
-    pre_sliding: FloatArray
+    coulomb: FloatArray  # Fc [N·m]
+    viscous: FloatArray  # Fv [N·m·(s/rad)^α]
+    alpha: FloatArray  # α, without unit
+    temperature: FloatArray  # (3, n) β1, β2, β3 of eq. 5, for T in kelvin
+    load: FloatArray  # f_L [1/(N·m)]
+    offset: FloatArray  # Fo [N·m]
+    stribeck: FloatArray  # Fb [N·m]
+    stribeck_velocity: FloatArray  # v_b [rad/s]
+    pre_sliding: FloatArray  # travel [rad] until break-away
 
 
 def friction_parameters(robot: Robot, share: float = 1.0) -> FrictionParameters:

@@ -51,25 +51,16 @@ STIFF_STEP = 0.2
 
 @dataclass(frozen=True)
 class PlantSettings:
-    """How the arm is simulated and controlled; its parameters are in its robot file's truth.
+    """How the arm is simulated and controlled; its parameters are in its robot file's truth."""
 
-    Attributes:
-        step: of the integration [s].
-        control_steps: steps a control period; 2 steps of 1 ms give 500 Hz.
-        heat_steps: steps between two updates of the temperatures.
-        controller: "pid" or "computed-torque"; "none" leaves the drives without torque.
-        bandwidth: of the position loop, ω [rad/s].
-        velocity_filter: time constant of the drives' velocity [s].
-        nominal_share: inertial and friction parameters that the controller believes in, over the true ones.
-    """
-
-    step: float = 1e-3
-    control_steps: int = 2
-    heat_steps: int = 20
+    step: float = 1e-3  # of the integration [s]
+    control_steps: int = 2  # steps a control period; 2 steps of 1 ms give 500 Hz
+    heat_steps: int = 20  # steps between two updates of the temperatures
+    # "pid" or "computed-torque"; "none" leaves the drives without torque
     controller: Literal["pid", "computed-torque", "none"] = "pid"
-    bandwidth: float = 50.0
-    velocity_filter: float = 1e-3
-    nominal_share: float = 1.0
+    bandwidth: float = 50.0  # of the position loop, ω [rad/s]
+    velocity_filter: float = 1e-3  # time constant of the drives' velocity [s]
+    nominal_share: float = 1.0  # inertial and friction parameters that the controller believes in, over the true ones
 
     def __post_init__(self) -> None:
         if not 0.0 < self.step <= 0.01 or self.control_steps < 1 or self.heat_steps < 1:

@@ -15,31 +15,20 @@ from drivers.core.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Measurement:
-    """One sample of everything that the arm reports; arrays are (n,), in the robot file's order.
+    """One sample of everything that the arm reports; arrays are (n,), in the robot file's order."""
 
-    Attributes:
-        time: of the arm's clock [s].
-        position: encoder [rad or m].
-        velocity: filtered difference of the encoder [rad/s or m/s].
-        current: motor signal, torque over gain, sign included [A]; the torque where the gain is unknown.
-        torque: of the drive, joint side [N·m].
-        temperature: of the housing [°C].
-        target_position, target_velocity, target_acceleration: the controller's reference.
-        target_current: motor signal commanded by the controller.
-        model_torque: computes `target_torque`, which few ask for.
-    """
-
-    time: float
-    position: FloatArray
-    velocity: FloatArray
-    current: FloatArray
-    torque: FloatArray
-    temperature: FloatArray
+    time: float  # of the arm's clock [s]
+    position: FloatArray  # encoder [rad or m]
+    velocity: FloatArray  # filtered difference of the encoder [rad/s or m/s]
+    current: FloatArray  # motor signal, torque over gain, sign included [A]; the torque where the gain is unknown
+    torque: FloatArray  # of the drive, joint side [N·m]
+    temperature: FloatArray  # of the housing [°C]
+    # target_position, target_velocity, target_acceleration: the controller's reference
     target_position: FloatArray
     target_velocity: FloatArray
     target_acceleration: FloatArray
-    target_current: FloatArray
-    model_torque: Callable[[], FloatArray]
+    target_current: FloatArray  # motor signal commanded by the controller
+    model_torque: Callable[[], FloatArray]  # computes `target_torque`, which few ask for
 
     @cached_property
     def target_torque(self) -> FloatArray:

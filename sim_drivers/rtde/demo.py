@@ -63,23 +63,14 @@ FILES = ("identification.yaml", "validation.yaml", RESULT_FILE, REPORT_FILE)
 
 @dataclass(frozen=True)
 class Demo:
-    """Outcome of the demonstration.
+    """Outcome of the demonstration."""
 
-    Attributes:
-        identification: of the two recordings.
-        result: as written.
-        truth: (b,) true base parameters.
-        folder: where everything was written.
-        lost: samples that the two recordings lost.
-        samples: that they hold.
-    """
-
-    identification: Identification
-    result: Result
-    truth: FloatArray
-    folder: Path
-    lost: int
-    samples: int
+    identification: Identification  # of the two recordings
+    result: Result  # as written
+    truth: FloatArray  # (b,) true base parameters
+    folder: Path  # where everything was written
+    lost: int  # samples that the two recordings lost
+    samples: int  # that they hold
 
     @property
     def inside(self) -> int:

@@ -52,31 +52,18 @@ Service = Literal["rtde", "dashboard", "script", "secondary"]
 
 @dataclass
 class ServerStatus:
-    """Counters of the server.
+    """Counters of the server."""
 
-    Attributes:
-        time: of the controller [s].
-        rtde_clients: connected to the RTDE port now.
-        packages: data packages sent.
-        faulted: data packages withheld by faults.
-        overflowed: clients dropped because they did not read.
-        broken: clients dropped because they did not follow the protocol.
-        refused: connections beyond the server's capacity.
-        stalls: times when virtual time fell behind the clock.
-        safety_mode: 1 normal, 3 protective stop.
-        playing: whether the control script runs.
-    """
-
-    time: float
-    rtde_clients: int = 0
-    packages: int = 0
-    faulted: int = 0
-    overflowed: int = 0
-    broken: int = 0
-    refused: int = 0
-    stalls: int = 0
-    safety_mode: int = 1
-    playing: bool = False
+    time: float  # of the controller [s]
+    rtde_clients: int = 0  # connected to the RTDE port now
+    packages: int = 0  # data packages sent
+    faulted: int = 0  # data packages withheld by faults
+    overflowed: int = 0  # clients dropped because they did not read
+    broken: int = 0  # clients dropped because they did not follow the protocol
+    refused: int = 0  # connections beyond the server's capacity
+    stalls: int = 0  # times when virtual time fell behind the clock
+    safety_mode: int = 1  # 1 normal, 3 protective stop
+    playing: bool = False  # whether the control script runs
 
 
 class RtdeServer(FaultyServer):

@@ -34,23 +34,14 @@ NOISE_BYTES = bytes(range(256))
 
 @dataclass(frozen=True)
 class SimulatedThermometer:
-    """Lines of the thermometer.
+    """Lines of the thermometer."""
 
-    Attributes:
-        channels: one per value, in the order of the temperatures.
-        rate: lines per second.
-        baudrate: [bit/s].
-        template: of one value; `channel` and `value` in the unit.
-        separator: between the values of a line.
-        unit: degC, degF or K.
-    """
-
-    channels: tuple[str, ...]
-    rate: float = 5.0
-    baudrate: int = 9600
-    template: str = "T{channel}={value:.2f}"
-    separator: str = " "
-    unit: str = "degC"
+    channels: tuple[str, ...]  # one per value, in the order of the temperatures
+    rate: float = 5.0  # lines per second
+    baudrate: int = 9600  # [bit/s]
+    template: str = "T{channel}={value:.2f}"  # of one value; `channel` and `value` in the unit
+    separator: str = " "  # between the values of a line
+    unit: str = "degC"  # degC, degF or K
 
     def line(self, celsius: Sequence[float] | FloatArray) -> bytes:
         """A line with these temperatures [°C], one per channel."""

@@ -50,17 +50,11 @@ _numbers = itertools.count(1)
 
 @dataclass(frozen=True)
 class Arm:
-    """A separate robot file and multicast group.
+    """A separate robot file and multicast group."""
 
-    Attributes:
-        path: of the robot file.
-        group: multicast address of both CAN buses.
-        port: UDP port of the bus; programs that join all groups of a port (python-can's logger) see this bus.
-    """
-
-    path: Path
-    group: str
-    port: int
+    path: Path  # of the robot file
+    group: str  # multicast address of both CAN buses
+    port: int  # UDP port of the bus; programs that join all groups of a port (python-can's logger) see this bus
 
 
 def an_arm(folder: Path, **canopen: object) -> Arm:
@@ -219,23 +213,14 @@ class Probe:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of a recording with a fault.
+    """Outcome of a recording with a fault."""
 
-    Attributes:
-        status: exit status.
-        errors: standard error.
-        recording: the file; None where there is none.
-        seconds: from the fault to the end of the program; nan where not measured.
-        moved: how far a joint moves in 0.4 s afterwards [rad]; nan where unknown.
-        enabled: nodes enabled afterwards.
-    """
-
-    status: int
-    errors: str
-    recording: Recording | None
-    seconds: float = math.nan
-    moved: float = math.nan
-    enabled: Sequence[int] = ()
+    status: int  # exit status
+    errors: str  # standard error
+    recording: Recording | None  # the file; None where there is none
+    seconds: float = math.nan  # from the fault to the end of the program; nan where not measured
+    moved: float = math.nan  # how far a joint moves in 0.4 s afterwards [rad]; nan where unknown
+    enabled: Sequence[int] = ()  # nodes enabled afterwards
 
     def events(self) -> list[str]:
         """All events of the file, as level: message."""

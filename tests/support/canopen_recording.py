@@ -54,28 +54,17 @@ class Measured:
 
 @dataclass
 class Bench:
-    """An arm that can be recorded.
-
-    Attributes:
-        robot_file: of the arm.
-        plant: the arm itself.
-        server: its drives.
-        driver: open.
-        rate: of SYNC [Hz].
-        wire: receives all frames.
-        measured: of every SYNC, of every drive.
-        begun: when the recording began [s].
-    """
+    """An arm that can be recorded."""
 
     clock: SimulatedClock
-    robot_file: RobotFile
-    plant: Plant
-    server: CanopenServer
-    driver: Canopen402Driver
-    rate: float
-    wire: VirtualBus
-    measured: list[list[Measured]]
-    begun: float = float("nan")
+    robot_file: RobotFile  # of the arm
+    plant: Plant  # the arm itself
+    server: CanopenServer  # its drives
+    driver: Canopen402Driver  # open
+    rate: float  # of SYNC [Hz]
+    wire: VirtualBus  # receives all frames
+    measured: list[list[Measured]]  # of every SYNC, of every drive
+    begun: float = float("nan")  # when the recording began [s]
     _frames: list[can.Message] = field(default_factory=list)
 
     def frames(self) -> list[can.Message]:
@@ -140,19 +129,12 @@ class Bench:
 
 @dataclass(frozen=True)
 class Run:
-    """Outcome of a recording.
+    """Outcome of a recording."""
 
-    Attributes:
-        report: of the session.
-        recording: the file.
-        seconds: from its begin to the end of the session.
-        rate: of SYNC [Hz].
-    """
-
-    report: SessionReport
-    recording: Recording
-    seconds: float
-    rate: float
+    report: SessionReport  # of the session
+    recording: Recording  # the file
+    seconds: float  # from its begin to the end of the session
+    rate: float  # of SYNC [Hz]
 
     @property
     def slots(self) -> list[int]:

@@ -86,19 +86,12 @@ def keys_of(wire: str, **more: object) -> dict[str, Any]:
 
 @dataclass
 class MotorBench:
-    """A served arm and the keys that reach it.
+    """A served arm and the keys that reach it."""
 
-    Attributes:
-        server: the motors.
-        wire: name of the connection.
-        keys: of the connection.
-        clock: of both.
-    """
-
-    server: CanMotorServer
-    wire: str
-    keys: dict[str, Any]
-    clock: SimulatedClock
+    server: CanMotorServer  # the motors
+    wire: str  # name of the connection
+    keys: dict[str, Any]  # of the connection
+    clock: SimulatedClock  # of both
 
     def driver(self, **more: object) -> CanMotorDriver:
         """Not open yet."""

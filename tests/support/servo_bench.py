@@ -70,21 +70,13 @@ def robot_file() -> RobotFile:
 
 @dataclass
 class ServoBench:
-    """A served arm and the keys that reach it.
+    """A served arm and the keys that reach it."""
 
-    Attributes:
-        server: the servos.
-        line: between both.
-        wire: name of the connection.
-        keys: of the connection.
-        clock: of both.
-    """
-
-    server: SerialServoServer
-    line: SimulatedLine
-    wire: str
-    keys: dict[str, Any]
-    clock: SimulatedClock
+    server: SerialServoServer  # the servos
+    line: SimulatedLine  # between both
+    wire: str  # name of the connection
+    keys: dict[str, Any]  # of the connection
+    clock: SimulatedClock  # of both
 
     def port(self, timeout: float = 0.001) -> SerialPort:
         """The client's end, for a test that speaks for itself."""

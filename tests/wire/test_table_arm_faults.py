@@ -58,20 +58,14 @@ MINUTE = 60.0
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of a recording, and what the plant did meanwhile and afterwards.
+    """What came of a recording, and what the plant did meanwhile and afterwards."""
 
-    Attributes:
-        report: of the session.
-        recording: the file.
-        position, velocity: (N, 6) of the plant in every cycle since the start.
-        enabled: whether the arm would follow commands afterwards.
-    """
-
-    report: SessionReport
-    recording: Recording
+    report: SessionReport  # of the session
+    recording: Recording  # the file
+    # position, velocity: (N, 6) of the plant in every cycle since the start
     position: np.ndarray
     velocity: np.ndarray
-    enabled: bool
+    enabled: bool  # whether the arm would follow commands afterwards
 
     @property
     def cycles(self) -> np.ndarray:

@@ -39,17 +39,11 @@ MOST_FILES = 100_000
 
 @dataclass(frozen=True)
 class LeRobotEpisode:
-    """One episode, and the files that hold it.
+    """One episode, and the files that hold it."""
 
-    Attributes:
-        number: as the dataset counts.
-        table: its content.
-        files: that were read for it.
-    """
-
-    number: int
-    table: ForeignTable
-    files: tuple[Path, ...]
+    number: int  # as the dataset counts
+    table: ForeignTable  # its content
+    files: tuple[Path, ...]  # that were read for it
 
 
 @dataclass(frozen=True)

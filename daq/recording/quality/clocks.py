@@ -38,23 +38,14 @@ HOSTS_OWN = 1e-9
 
 @dataclass(frozen=True)
 class ClockEstimate:
-    """A source's clock against the host's: host_time = time + offset + drift·(time − reference), plus each delay.
+    """A source's clock against the host's: host_time = time + offset + drift·(time − reference), plus each delay."""
 
-    Attributes:
-        reference: middle of the time seen, of the source's clock [s].
-        offset: host's clock less the source's at `reference` [s], the least delay included.
-        drift: loss of the source's clock [s/s].
-        offset_error: how far `offset` may be above the line of no further delay [s].
-        drift_error: [s/s], either way.
-        span: time seen [s].
-    """
-
-    reference: float
-    offset: float
-    drift: float
-    offset_error: float
-    drift_error: float
-    span: float
+    reference: float  # middle of the time seen, of the source's clock [s]
+    offset: float  # host's clock less the source's at `reference` [s], the least delay included
+    drift: float  # loss of the source's clock [s/s]
+    offset_error: float  # how far `offset` may be above the line of no further delay [s]
+    drift_error: float  # [s/s], either way
+    span: float  # time seen [s]
 
     def host_time(self, source_time: float) -> float:
         """Host times of source times [s]; the least delay is included."""

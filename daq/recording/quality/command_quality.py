@@ -56,31 +56,19 @@ CLOCK_VARIANCE = 0.8
 
 @dataclass(frozen=True)
 class CommandQuality:
-    """How commands and measured positions go together.
+    """How commands and measured positions go together."""
 
-    Attributes:
-        before: time with samples before the first command [s].
-        after: time with samples after the last command, less a period of the commands [s].
-        delay: shift [s] by which the joint that follows its command most closely does so; nan where none tells.
-        apart: whether no delay that a servo can have explains its motion nearly as well.
-        ratios: change of position over change of command, by joint; of joints that follow their command.
-        swapped: joint → the joint whose command it follows instead of its own.
-        opposite: joints that move against their command.
-        still: joints whose position does not change although they are commanded to move.
-        frozen: joint → first and last time [s] between which its position rests while its command passes it by far.
-        resting: joints that neither are commanded to move nor do.
-    """
-
-    before: float
-    after: float
-    delay: float
-    apart: bool
-    ratios: dict[str, float]
-    swapped: dict[str, str]
-    opposite: tuple[str, ...]
-    still: tuple[str, ...]
+    before: float  # time with samples before the first command [s]
+    after: float  # time with samples after the last command, less a period of the commands [s]
+    delay: float  # shift [s] by which the joint that follows its command most closely does so; nan where none tells
+    apart: bool  # whether no delay that a servo can have explains its motion nearly as well
+    ratios: dict[str, float]  # change of position over change of command, by joint; of joints that follow their command
+    swapped: dict[str, str]  # joint → the joint whose command it follows instead of its own
+    opposite: tuple[str, ...]  # joints that move against their command
+    still: tuple[str, ...]  # joints whose position does not change although they are commanded to move
+    # joint → first and last time [s] between which its position rests while its command passes it by far
     frozen: dict[str, tuple[float, float]]
-    resting: tuple[str, ...]
+    resting: tuple[str, ...]  # joints that neither are commanded to move nor do
 
 
 def command_quality(motion: CommandedMotion) -> CommandQuality:

@@ -81,17 +81,11 @@ Cause = Literal["zero", "turn", "rows"]
 
 @dataclass(frozen=True, eq=False)
 class CleanSignal:
-    """A signal whose outliers are replaced.
+    """A signal whose outliers are replaced."""
 
-    Attributes:
-        values: (N, n) with the cubic's values in place of outliers.
-        replaced: (n,) number of samples that were.
-        left: (n,) number of outliers in columns that have too many of them, which stay.
-    """
-
-    values: FloatArray
-    replaced: npt.NDArray[np.int64]
-    left: npt.NDArray[np.int64]
+    values: FloatArray  # (N, n) with the cubic's values in place of outliers
+    replaced: npt.NDArray[np.int64]  # (n,) number of samples that were
+    left: npt.NDArray[np.int64]  # (n,) number of outliers in columns that have too many of them, which stay
 
 
 def without_outliers(time: FloatArray, values: FloatArray) -> CleanSignal:
@@ -250,21 +244,13 @@ def _fit_without_worst(basis: FloatArray, values: FloatArray, wanted: FloatArray
 
 @dataclass(frozen=True)
 class PositionJump:
-    """A jump.
+    """A jump."""
 
-    Attributes:
-        joint: name; of rows the one that jumps farthest.
-        row: index of the first sample after it.
-        time: its stamp [s].
-        size: [rad or m].
-        cause: a lost zero, a whole turn, or rows that are missing or stand twice.
-    """
-
-    joint: str
-    row: int
-    time: float
-    size: float
-    cause: Cause
+    joint: str  # name; of rows the one that jumps farthest
+    row: int  # index of the first sample after it
+    time: float  # its stamp [s]
+    size: float  # [rad or m]
+    cause: Cause  # a lost zero, a whole turn, or rows that are missing or stand twice
 
 
 def position_jumps(

@@ -51,29 +51,20 @@ LEAST_TRAVEL = 10.0
 
 @dataclass(frozen=True)
 class ColumnQuality:
-    """Figures of one column, in the channel's unit.
+    """Figures of one column, in the channel's unit."""
 
-    Attributes:
-        name: of the column (a joint).
-        smallest, largest: of its values.
-        noise: standard deviation of its white noise: from second differences, robust against the motion.
-        step: of quantisation; nan where the values lie on no grid.
-        clipped_percent: samples that stay at the smallest or largest value for `CLIPPED_RUN` samples or more [%]; of a
-            magnitude at the largest only.
-        filled_percent: samples that are exactly 0 between values far from it: drop-outs that were filled [%].
-        outliers: samples far from what their neighbours say (`daq.recording.quality.outliers`).
-        outliers_stay: whether they are too many for exceptions, and are left in the signal.
-    """
-
-    name: str
+    name: str  # of the column (a joint)
+    # smallest, largest: of its values
     smallest: float
     largest: float
-    noise: float
-    step: float
+    noise: float  # standard deviation of its white noise: from second differences, robust against the motion
+    step: float  # of quantisation; nan where the values lie on no grid
+    # samples that stay at the smallest or largest value for `CLIPPED_RUN` samples or more [%]; of a magnitude at the
+    # largest only
     clipped_percent: float
-    filled_percent: float = 0.0
-    outliers: int = 0
-    outliers_stay: bool = False
+    filled_percent: float = 0.0  # samples that are exactly 0 between values far from it: drop-outs that were filled [%]
+    outliers: int = 0  # samples far from what their neighbours say (`daq.recording.quality.outliers`)
+    outliers_stay: bool = False  # whether they are too many for exceptions, and are left in the signal
 
 
 def channel_quality(channel: Channel, time: FloatArray) -> tuple[ColumnQuality, ...]:

@@ -70,39 +70,26 @@ Evidence = Literal["velocity", "target", "jump"]
 
 @dataclass(frozen=True)
 class StuckEncoder:
-    """A joint's position that stands still while the joint does not.
+    """A joint's position that stands still while the joint does not."""
 
-    Attributes:
-        joint: name.
-        start, stop: stamps of its first and last sample [s].
-        evidence: what shows that the joint moves: its velocity, its target, or the jump of the position at the end.
-    """
-
-    joint: str
+    joint: str  # name
+    # start, stop: stamps of its first and last sample [s]
     start: float
     stop: float
+    # what shows that the joint moves: its velocity, its target, or the jump of the position at the end
     evidence: Evidence
 
 
 @dataclass(frozen=True, eq=False)
 class StaleSamples:
-    """What of a stream of N samples was not measured anew.
+    """What of a stream of N samples was not measured anew."""
 
-    Attributes:
-        repeated: (N,) rows whose values all repeat those of the row before.
-        held: (N,) rows whose positions repeat those of the row before, while other quantities do not.
-        stuck: (N,) rows during which an encoder is stuck.
-        encoders: these, in words.
-        beside: (N,) rows about a jump of the positions.
-        jumps: these.
-    """
-
-    repeated: BoolArray
-    held: BoolArray
-    stuck: BoolArray
-    encoders: tuple[StuckEncoder, ...]
-    beside: BoolArray
-    jumps: tuple[PositionJump, ...] = ()
+    repeated: BoolArray  # (N,) rows whose values all repeat those of the row before
+    held: BoolArray  # (N,) rows whose positions repeat those of the row before, while other quantities do not
+    stuck: BoolArray  # (N,) rows during which an encoder is stuck
+    encoders: tuple[StuckEncoder, ...]  # these, in words
+    beside: BoolArray  # (N,) rows about a jump of the positions
+    jumps: tuple[PositionJump, ...] = ()  # these
 
     @property
     def left_out(self) -> BoolArray:

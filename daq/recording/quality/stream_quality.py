@@ -36,43 +36,27 @@ LONGEST_INTERVAL = 1e9
 
 @dataclass(frozen=True)
 class Gap:
-    """A gap: a time without samples.
+    """A gap: a time without samples."""
 
-    Attributes:
-        start: last stamp before it [s].
-        duration: to the next stamp [s].
-        lost: samples that are missing, at the stream's period.
-    """
-
-    start: float
-    duration: float
-    lost: int
+    start: float  # last stamp before it [s]
+    duration: float  # to the next stamp [s]
+    lost: int  # samples that are missing, at the stream's period
 
 
 @dataclass(frozen=True)
 class StreamQuality:
-    """Figures of one stream's own clock.
+    """Figures of one stream's own clock."""
 
-    Attributes:
-        samples: number of samples.
-        duration: first to last stamp [s].
-        rate_hz: one over the median interval, or over the mean one of a quarter of a second where intervals scatter as
-            those of arrivals do; nan below two samples.
-        jitter_ms: root mean square deviation of the intervals without gaps from the median [ms].
-        longest_ms: longest interval [ms].
-        lost: samples missing in all gaps, those left out for which the samples around it make up.
-        duplicates: intervals that are zero or negative.
-        gaps: where samples are missing.
-    """
-
-    samples: int
-    duration: float
+    samples: int  # number of samples
+    duration: float  # first to last stamp [s]
+    # one over the median interval, or over the mean one of a quarter of a second where intervals scatter as those of
+    # arrivals do; nan below two samples
     rate_hz: float
-    jitter_ms: float
-    longest_ms: float
-    lost: int
-    duplicates: int
-    gaps: tuple[Gap, ...]
+    jitter_ms: float  # root mean square deviation of the intervals without gaps from the median [ms]
+    longest_ms: float  # longest interval [ms]
+    lost: int  # samples missing in all gaps, those left out for which the samples around it make up
+    duplicates: int  # intervals that are zero or negative
+    gaps: tuple[Gap, ...]  # where samples are missing
 
 
 def stream_quality(time: FloatArray) -> StreamQuality:

@@ -32,16 +32,11 @@ STEADY_SHARE = 0.9
 
 @dataclass(frozen=True)
 class Order:
-    """How the frames of a cycle come.
+    """How the frames of a cycle come."""
 
-    Attributes:
-        first: index of the layout that begins a cycle; the table's first where that is unknown.
-        span: from the first layout to the last [s]; infinite where that is unknown.
-        sequence: numbers of the layouts as they come, the first one in front; None where that changes.
-    """
-
-    first: int
-    span: float
+    first: int  # index of the layout that begins a cycle; the table's first where that is unknown
+    span: float  # from the first layout to the last [s]; infinite where that is unknown
+    # numbers of the layouts as they come, the first one in front; None where that changes
     sequence: tuple[int, ...] | None
 
 
@@ -109,23 +104,14 @@ cycle shows where that cycle's first frame follows within a pause so short. (Of 
 
 @dataclass(frozen=True)
 class Rows:
-    """Complete rows, and what was wrong with others.
+    """Complete rows, and what was wrong with others."""
 
-    Attributes:
-        host_time: (N,) arrival of the cycle's first frame [s, the host's monotonic clock].
-        values: (N, k), a column for each of the assembler's signals.
-        incomplete: cycles in which a frame was missing.
-        missing: layouts that the last of these lacked.
-        duplicates: frames that came twice.
-        short: frames with too few data bytes.
-    """
-
-    host_time: FloatArray
-    values: FloatArray
-    incomplete: int = 0
-    missing: tuple[FrameLayout, ...] = ()
-    duplicates: int = 0
-    short: int = 0
+    host_time: FloatArray  # (N,) arrival of the cycle's first frame [s, the host's monotonic clock]
+    values: FloatArray  # (N, k), a column for each of the assembler's signals
+    incomplete: int = 0  # cycles in which a frame was missing
+    missing: tuple[FrameLayout, ...] = ()  # layouts that the last of these lacked
+    duplicates: int = 0  # frames that came twice
+    short: int = 0  # frames with too few data bytes
 
 
 @dataclass
@@ -288,19 +274,12 @@ RESTART = 1.0
 
 @dataclass(frozen=True)
 class Times:
-    """What the clock says about some rows.
+    """What the clock says about some rows."""
 
-    Attributes:
-        kept: (N,) which of the rows are new.
-        time: (M,) of those that are kept [s].
-        lost: rows that are missing before or between them.
-        restarted: how often the clock jumped.
-    """
-
-    kept: npt.NDArray[np.bool_]
-    time: FloatArray
-    lost: int
-    restarted: int
+    kept: npt.NDArray[np.bool_]  # (N,) which of the rows are new
+    time: FloatArray  # (M,) of those that are kept [s]
+    lost: int  # rows that are missing before or between them
+    restarted: int  # how often the clock jumped
 
 
 class SourceClock:

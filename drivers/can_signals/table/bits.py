@@ -28,22 +28,15 @@ _FLOATS = {16: ("<e", "<f2"), 32: ("<f", "<f4"), 64: ("<d", "<f8")}
 class BitField:
     """Where a number stands in a frame, and of what kind it is.
 
-    Attributes:
-        start: of the lowest bit (little-endian) or the highest (big-endian).
-        length: [bit].
-        byte_order: "little" or "big".
-        signed: two's complement.
-        floating: IEEE 754 of 16, 32 or 64 bits.
-
     Raises:
         ValueError: it does not fit into 8 bytes, or no such float exists.
     """
 
-    start: int
-    length: int
-    byte_order: ByteOrder = "little"
-    signed: bool = False
-    floating: bool = False
+    start: int  # of the lowest bit (little-endian) or the highest (big-endian)
+    length: int  # [bit]
+    byte_order: ByteOrder = "little"  # "little" or "big"
+    signed: bool = False  # two's complement
+    floating: bool = False  # IEEE 754 of 16, 32 or 64 bits
 
     def __post_init__(self) -> None:
         if not 0 <= self.start < FRAME_BITS:

@@ -16,42 +16,28 @@ from drivers.core.files import DBC_FILE, read_bytes
 
 @dataclass(frozen=True)
 class DbcSignal:
-    """A signal as the DBC file has it: physical value = scale · number + offset, in `unit`.
+    """A signal as the DBC file has it: physical value = scale · number + offset, in `unit`."""
 
-    Attributes:
-        name: of the signal.
-        message: name of its message.
-        identifier: of the frame; `EXTENDED` is added to one of 29 bits.
-        field: its bits.
-        scale, offset, unit: as they stand there.
-        multiplexer: bits that say what else is in the frame; None without one.
-        selector: the multiplexer's value with which this signal is in the frame; None without one.
-    """
-
-    name: str
-    message: str
-    identifier: int
-    field: BitField
+    name: str  # of the signal
+    message: str  # name of its message
+    identifier: int  # of the frame; `EXTENDED` is added to one of 29 bits
+    field: BitField  # its bits
+    # scale, offset, unit: as they stand there
     scale: float
     offset: float
     unit: str
-    multiplexer: BitField | None = None
-    selector: int | None = None
+    multiplexer: BitField | None = None  # bits that say what else is in the frame; None without one
+    selector: int | None = None  # the multiplexer's value with which this signal is in the frame; None without one
 
 
 @dataclass(frozen=True)
 class Dbc:
-    """A DBC file.
+    """A DBC file."""
 
-    Attributes:
-        path: of the file.
-        signals: name → signals of this name, one a message that has it; multiplexers are left out.
-        unusable: name → why the signal cannot be used.
-    """
-
-    path: Path
+    path: Path  # of the file
+    # name → signals of this name, one a message that has it; multiplexers are left out
     signals: Mapping[str, tuple[DbcSignal, ...]]
-    unusable: Mapping[str, str]
+    unusable: Mapping[str, str]  # name → why the signal cannot be used
 
 
 def load_dbc(path: Path) -> Dbc:

@@ -16,29 +16,18 @@ from drivers.core.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Signal:
-    """A number in a frame, as one quantity of one joint: SI = gain · number + bias.
+    """A number in a frame, as one quantity of one joint: SI = gain · number + bias."""
 
-    Attributes:
-        quantity: position, current, …; also time, counter, fault.
-        joint: its name; empty for a quantity of the whole arm.
-        identifier: of the frame; `EXTENDED` is added to one of 29 bits.
-        field: its bits.
-        gain: SI (°C) a count.
-        bias: SI (°C) at count 0.
-        multiplexer: bits of the frame that say what else is in it; None where it is always the same.
-        selector: the multiplexer's value with which this signal is in the frame; None without one.
-        stream: where its samples go.
-    """
-
-    quantity: str
-    joint: str
-    identifier: int
-    field: BitField
-    gain: float = 1.0
-    bias: float = 0.0
+    quantity: str  # position, current, …; also time, counter, fault
+    joint: str  # its name; empty for a quantity of the whole arm
+    identifier: int  # of the frame; `EXTENDED` is added to one of 29 bits
+    field: BitField  # its bits
+    gain: float = 1.0  # SI (°C) a count
+    bias: float = 0.0  # SI (°C) at count 0
+    # bits of the frame that say what else is in it; None where it is always the same
     multiplexer: BitField | None = None
-    selector: int | None = None
-    stream: str = "joints"
+    selector: int | None = None  # the multiplexer's value with which this signal is in the frame; None without one
+    stream: str = "joints"  # where its samples go
 
     @property
     def label(self) -> str:
@@ -66,34 +55,21 @@ class Signal:
 
 @dataclass(frozen=True)
 class FixedFrame:
-    """A frame that is sent as it stands.
+    """A frame that is sent as it stands."""
 
-    Attributes:
-        identifier: `EXTENDED` is added to one of 29 bits.
-        data: 0 to 8 bytes.
-    """
-
-    identifier: int
-    data: bytes
+    identifier: int  # `EXTENDED` is added to one of 29 bits
+    data: bytes  # 0 to 8 bytes
 
 
 @dataclass(frozen=True)
 class FrameLayout:
-    """Signals of a table that come together: those of one frame, for one value of its multiplexer.
+    """Signals of a table that come together: those of one frame, for one value of its multiplexer."""
 
-    Attributes:
-        identifier: of the frame.
-        selector: value of the multiplexer; None without one.
-        multiplexer: its bits; None without one.
-        signals: the signals, in the table's order.
-        size: bytes that the frame must have.
-    """
-
-    identifier: int
-    selector: int | None
-    multiplexer: BitField | None
-    signals: tuple[Signal, ...]
-    size: int
+    identifier: int  # of the frame
+    selector: int | None  # value of the multiplexer; None without one
+    multiplexer: BitField | None  # its bits; None without one
+    signals: tuple[Signal, ...]  # the signals, in the table's order
+    size: int  # bytes that the frame must have
 
     @property
     def label(self) -> str:
@@ -148,17 +124,11 @@ def _place(field: BitField | None) -> frozenset[int] | None:
 
 @dataclass(frozen=True)
 class FrameBatch:
-    """Frames of one identifier.
+    """Frames of one identifier."""
 
-    Attributes:
-        order: (N,) their numbers among all frames that were taken together.
-        payloads: (N, 8).
-        sizes: (N,) data bytes.
-    """
-
-    order: npt.NDArray[np.int64]
-    payloads: Payloads
-    sizes: npt.NDArray[np.int64]
+    order: npt.NDArray[np.int64]  # (N,) their numbers among all frames that were taken together
+    payloads: Payloads  # (N, 8)
+    sizes: npt.NDArray[np.int64]  # (N,) data bytes
 
 
 def batches(frames: Sequence[Frame]) -> Mapping[int, FrameBatch]:

@@ -69,19 +69,12 @@ Phase = Literal["idle", "enabling", "moving", "led", "stopping", "off"]
 
 @dataclass(frozen=True)
 class DriveReport:
-    """What a drive said last.
+    """What a drive said last."""
 
-    Attributes:
-        time: of its arrival [s, host's monotonic clock].
-        statusword: of the drive.
-        mode: of operation, as it displays it.
-        position: [counts].
-    """
-
-    time: float
-    statusword: int
-    mode: int
-    position: int
+    time: float  # of its arrival [s, host's monotonic clock]
+    statusword: int  # of the drive
+    mode: int  # of operation, as it displays it
+    position: int  # [counts]
 
     @property
     def state(self) -> DriveState:

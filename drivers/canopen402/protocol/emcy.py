@@ -102,17 +102,11 @@ _REGISTER_BITS = ("generic", "current", "voltage", "temperature", "communication
 
 @dataclass(frozen=True)
 class Emergency:
-    """An emergency message.
+    """An emergency message."""
 
-    Attributes:
-        code: error code; 0 where the error is gone.
-        register: error register.
-        detail: five bytes of the manufacturer's own.
-    """
-
-    code: int
-    register: int
-    detail: bytes
+    code: int  # error code; 0 where the error is gone
+    register: int  # error register
+    detail: bytes  # five bytes of the manufacturer's own
 
     @property
     def cleared(self) -> bool:

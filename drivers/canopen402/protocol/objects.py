@@ -8,20 +8,14 @@ from enum import IntEnum
 
 @dataclass(frozen=True)
 class DriveObject:
-    """An entry of a drive's object dictionary.
+    """An entry of a drive's object dictionary."""
 
-    Attributes:
-        index, subindex: of the entry.
-        size: [bytes].
-        signed: whether the number may be negative.
-        name: in words.
-    """
-
+    # index, subindex: of the entry
     index: int
     subindex: int
-    size: int
-    signed: bool
-    name: str
+    size: int  # [bytes]
+    signed: bool  # whether the number may be negative
+    name: str  # in words
 
     def __str__(self) -> str:
         number = f"0x{self.index:04X}" + (f":{self.subindex}" if self.subindex else "")

@@ -42,22 +42,14 @@ _STATUS_DESCRIPTION = "statusword of the drive (object 0x6041, CiA 402)"
 
 @dataclass(frozen=True)
 class Scaling:
-    """Factors between a drive's numbers and a joint's; arrays (n,).
+    """Factors between a drive's numbers and a joint's; arrays (n,)."""
 
-    Attributes:
-        counts_per_turn: position counts a joint revolution.
-        direction: 1 or -1, of all that the drive says.
-        zero: joint position at count 0 [rad].
-        rated_current: [A].
-        rated_torque: [N·m].
-        coupling: R (n, n) of q_motor = R·q_joint; None where each drive moves its own joint alone.
-    """
-
-    counts_per_turn: FloatArray
-    direction: FloatArray
-    zero: FloatArray
-    rated_current: FloatArray
-    rated_torque: FloatArray
+    counts_per_turn: FloatArray  # position counts a joint revolution
+    direction: FloatArray  # 1 or -1, of all that the drive says
+    zero: FloatArray  # joint position at count 0 [rad]
+    rated_current: FloatArray  # [A]
+    rated_torque: FloatArray  # [N·m]
+    # R (n, n) of q_motor = R·q_joint; None where each drive moves its own joint alone
     coupling: FloatArray | None = None
 
     @property
@@ -101,17 +93,11 @@ class Scaling:
 
 @dataclass(frozen=True)
 class AlignedRows:
-    """What the drives said, a row a SYNC; (N, n) in the drives' own numbers.
+    """What the drives said, a row a SYNC; (N, n) in the drives' own numbers."""
 
-    Attributes:
-        slot: (N,) number of the SYNC in its producer's schedule.
-        sent: (N,) when it was sent [s, host's monotonic clock].
-        host_time: (N,) arrival of the last frame of the row [s, host's monotonic clock].
-    """
-
-    slot: IntArray
-    sent: FloatArray
-    host_time: FloatArray
+    slot: IntArray  # (N,) number of the SYNC in its producer's schedule
+    sent: FloatArray  # (N,) when it was sent [s, host's monotonic clock]
+    host_time: FloatArray  # (N,) arrival of the last frame of the row [s, host's monotonic clock]
     statusword: IntArray
     mode: IntArray
     position: IntArray
@@ -122,19 +108,12 @@ class AlignedRows:
 
 @dataclass(frozen=True)
 class Aligned:
-    """Rows, and what was wrong with the frames; counts are (2, n): TPDO, drive.
+    """Rows, and what was wrong with the frames; counts are (2, n): TPDO, drive."""
 
-    Attributes:
-        rows: complete ones.
-        missing: SYNCs without an answer.
-        extra: answers beyond one a SYNC; the last one counts.
-        misfit: frames of another length than the mapping's, left out.
-    """
-
-    rows: AlignedRows
-    missing: IntArray
-    extra: IntArray
-    misfit: IntArray
+    rows: AlignedRows  # complete ones
+    missing: IntArray  # SYNCs without an answer
+    extra: IntArray  # answers beyond one a SYNC; the last one counts
+    misfit: IntArray  # frames of another length than the mapping's, left out
 
 
 class _Answers:

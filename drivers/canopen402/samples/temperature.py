@@ -27,15 +27,10 @@ _LONGEST_NAME = 8
 
 @dataclass(frozen=True)
 class TemperatureReading:
-    """Temperatures of one round.
+    """Temperatures of one round."""
 
-    Attributes:
-        host_time: of the last answer [s, host's monotonic clock].
-        values: (m,) [°C]; nan where a drive did not answer.
-    """
-
-    host_time: float
-    values: FloatArray
+    host_time: float  # of the last answer [s, host's monotonic clock]
+    values: FloatArray  # (m,) [°C]; nan where a drive did not answer
 
 
 class TemperaturePoll:

@@ -104,51 +104,32 @@ def _communication(index: int, subindex: int, size: int) -> DriveObject:
 
 @dataclass(frozen=True)
 class Identity:
-    """Who a drive is and what it is rated for.
+    """Who a drive is and what it is rated for."""
 
-    Attributes:
-        joint: that it moves.
-        node: its id.
-        vendor, product, revision, serial: of object 0x1018; None where it does not say.
-        name: device name; empty where it does not say.
-        firmware: software version; empty where it does not say.
-        counts_per_turn: position counts a joint revolution, as used.
-        rated_current: [A], as used.
-        rated_torque: [N·m], as used.
-    """
-
-    joint: str
-    node: int
+    joint: str  # that it moves
+    node: int  # its id
+    # vendor, product, revision, serial: of object 0x1018; None where it does not say
     vendor: int | None
     product: int | None
     revision: int | None
     serial: int | None
-    name: str
-    firmware: str
-    counts_per_turn: float
-    rated_current: float
-    rated_torque: float
+    name: str  # device name; empty where it does not say
+    firmware: str  # software version; empty where it does not say
+    counts_per_turn: float  # position counts a joint revolution, as used
+    rated_current: float  # [A], as used
+    rated_torque: float  # [N·m], as used
 
 
 @dataclass(frozen=True)
 class Configured:
-    """What the configuration found.
+    """What the configuration found."""
 
-    Attributes:
-        identities: one a joint.
-        scaling: of their numbers.
-        controls: how each drive is watched, and watches.
-        limits: that each drive keeps itself.
-        cautions: what to mind before the drives move an arm.
-        notices: warnings.
-    """
-
-    identities: tuple[Identity, ...]
-    scaling: Scaling
-    controls: tuple[ErrorControl, ...]
-    limits: tuple[DriveLimits, ...]
-    cautions: tuple[str, ...]
-    notices: tuple[Notice, ...]
+    identities: tuple[Identity, ...]  # one a joint
+    scaling: Scaling  # of their numbers
+    controls: tuple[ErrorControl, ...]  # how each drive is watched, and watches
+    limits: tuple[DriveLimits, ...]  # that each drive keeps itself
+    cautions: tuple[str, ...]  # what to mind before the drives move an arm
+    notices: tuple[Notice, ...]  # warnings
 
 
 def configure(  # noqa: C901 — the steps, in their order

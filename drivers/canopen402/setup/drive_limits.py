@@ -34,24 +34,16 @@ _RAMP = {1: objects.PROFILE_DECELERATION, 5: objects.PROFILE_DECELERATION}
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """What one drive says, in its own numbers; None where it has no such object, or does not limit.
+    """What one drive says, in its own numbers; None where it has no such object, or does not limit."""
 
-    Attributes:
-        lowest, highest: position [counts], the home offset taken off.
-        velocity: [counts/s].
-        torque: [‰ of the rated torque].
-        following_error: largest [counts].
-        quick_stop: option (0x605A).
-        deceleration: of that quick stop [counts/s²]; None where it is not a ramp.
-    """
-
+    # lowest, highest: position [counts], the home offset taken off
     lowest: int | None
     highest: int | None
-    velocity: int | None
-    torque: int | None
-    following_error: int | None
-    quick_stop: int | None
-    deceleration: int | None
+    velocity: int | None  # [counts/s]
+    torque: int | None  # [‰ of the rated torque]
+    following_error: int | None  # largest [counts]
+    quick_stop: int | None  # option (0x605A)
+    deceleration: int | None  # of that quick stop [counts/s²]; None where it is not a ramp
 
 
 def read_drive_limits(drive: RemoteDrive) -> DriveLimits:

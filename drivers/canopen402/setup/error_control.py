@@ -33,17 +33,12 @@ STOPPING = frozenset({AbortOption.FAULT, AbortOption.DISABLE_VOLTAGE, AbortOptio
 
 @dataclass(frozen=True)
 class ErrorControl:
-    """How one drive is watched, and watches.
+    """How one drive is watched, and watches."""
 
-    Attributes:
-        present: whether it shows that it is there: by its heartbeat, or asked by guarding.
-        watching: object by which it watches dynid, 0 to end that; None where it cannot, or need not.
-        abort_option: what it does once dynid is gone; None where it does not say, or nothing will move.
-    """
-
-    present: bool
+    present: bool  # whether it shows that it is there: by its heartbeat, or asked by guarding
+    # object by which it watches dynid, 0 to end that; None where it cannot, or need not
     watching: DriveObject | None = None
-    abort_option: int | None = None
+    abort_option: int | None = None  # what it does once dynid is gone; None where it does not say, or nothing will move
 
 
 def configure_error_control(drive: RemoteDrive, settings: CanopenSettings) -> ErrorControl:

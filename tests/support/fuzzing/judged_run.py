@@ -33,22 +33,15 @@ BAD_WORDS = ("Traceback (most recent call last)", "Warning:", "HDF5-DIAG", "Segm
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command did.
+    """What a command did."""
 
-    Attributes:
-        status: exit status; minus the signal that ended it.
-        output, errors: on standard output and standard error.
-        seconds: of processor time, with that of its processes.
-        memory: the largest resident size of it or its processes [B].
-        problems: what it may not do, in words; empty where all was well.
-    """
-
-    status: int
+    status: int  # exit status; minus the signal that ended it
+    # output, errors: on standard output and standard error
     output: str
     errors: str
-    seconds: float
-    memory: int
-    problems: tuple[str, ...]
+    seconds: float  # of processor time, with that of its processes
+    memory: int  # the largest resident size of it or its processes [B]
+    problems: tuple[str, ...]  # what it may not do, in words; empty where all was well
 
 
 def load_all_modules() -> None:

@@ -103,15 +103,10 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 
 @dataclass(frozen=True)
 class Seeds:
-    """Sound files.
+    """Sound files."""
 
-    Attributes:
-        folder: that holds all of them; a command runs in a copy of it.
-        kinds: kind → the files of this kind in it, to be damaged.
-    """
-
-    folder: Path
-    kinds: dict[str, tuple[str, ...]]
+    folder: Path  # that holds all of them; a command runs in a copy of it
+    kinds: dict[str, tuple[str, ...]]  # kind → the files of this kind in it, to be damaged
 
 
 def make_seeds(folder: Path) -> Seeds:
