@@ -85,11 +85,12 @@ def fit_errors(series: Sequence[TorqueSeries], held_out: bool | None = None) -> 
 def overfitting_checks(fitted: Fit, held_out: Fit) -> list[Check]:
     """Whether errors on held-out data are much larger than the identification's, and the cause.
 
-    The relative error is larger, too, on a motion that needs less torque. That is no sign of a bad model: the errors in
-    N·m are compared, each joint's with its own.
+    A motion that needs less torque has larger relative errors, one that needs more has larger ones in N·m: no sign of a
+    bad model. Both must have grown, each joint's beside its own.
     """
     ratio = _times_larger(fitted.rmse, held_out.rmse)
-    if not ratio > MUCH_LARGER or held_out.relative_error - fitted.relative_error < LEAST_DIFFERENCE:
+    grown = min(ratio, _times_larger(fitted.joint_relative_error, held_out.joint_relative_error))
+    if not grown > MUCH_LARGER or held_out.relative_error - fitted.relative_error < LEAST_DIFFERENCE:
         return []
     larger = f"the validation's torque errors are {ratio:.1f} times the identification's"
     if np.isfinite(fitted.relative_error) and np.isfinite(held_out.relative_error):

@@ -21,7 +21,7 @@ from ident.model.base_parameters import BaseParameters, random_states
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import joint_column
 from ident.model.parameters import INERTIAL, LINK_SIZE, MASS, PAIR_SYMBOLS, StandardParameter
-from ident.model.regressor import regressor
+from ident.model.regressor import model_torque, regressor
 from ident.regression.estimate import Estimate
 
 INTERIOR = 1e-3
@@ -42,9 +42,6 @@ FRICTION_SHARE = 0.02
 PLAUSIBLE_RISE = 20.0
 """[K] of a joint's temperature over the reference."""
 
-UNKNOWN_TORQUE = 100.0
-"""[N·m] limit of joints whose file names none."""
-
 PLAUSIBLE = 10.0
 """Weight of plausible masses and centres over the prior's: with its default each counts as one equation of unit
 variance. The prior's own distance grows in proportion to the mass only, and leaves a link of ten times its mass to a
@@ -56,7 +53,9 @@ to 3700 ms where recordings determine it (wrist of a TX40; shoulder of a Panda),
 is public. An integrator with steps of a tenth of it is stable."""
 
 POSES = 24
-"""Random poses at which the least inertia of a joint holds."""
+"""Random states at which the least inertia of a joint holds, and a torque is predicted."""
+
+TINY = float(np.finfo(np.float64).tiny)
 
 LEAST_INERTIA = "least inertia"
 """What these conditions are called in messages."""
@@ -321,9 +320,10 @@ def _joint_sizes(
     """
     parameters = model.parameters
     sizes, pulls = np.ones(len(parameters)), np.ones(len(parameters))
+    torques = _greatest_torques(model, base, estimate)
     for index, parameter in enumerate(parameters[LINK_SIZE * links :], start=LINK_SIZE * links):
-        limits = model.limits[model.active.index(parameter.joint)]
-        torque = limits.torque if limits.torque is not None else UNKNOWN_TORQUE
+        motor = model.active.index(parameter.joint)
+        limits, torque = model.limits[motor], torques[motor]
         if parameter.symbol in ("Ia", "Iac"):
             sizes[index] = ROTOR_SHARE * torque / limits.acceleration
             pulls[index] = ROTOR_SHARE
@@ -338,6 +338,18 @@ def _joint_sizes(
             sizes[index] = max(sign * value if sign else abs(value), float(deviations[place]))
             pulls[index] = 1.0
     return sizes, pulls
+
+
+def _greatest_torques(model: DynamicModel, base: BaseParameters, estimate: Estimate) -> list[float]:
+    """The motors' limits [N·m or N]; where the file states none, the greatest torque that the estimate predicts."""
+    columns = [base.columns[column] for column in estimate.active]
+    position, velocity, acceleration = random_states(model, POSES)
+    heat = np.full_like(position, REFERENCE_TEMPERATURE)
+    predicted = model_torque(model, columns, estimate.values, position, velocity, acceleration, heat)
+    return [
+        limits.torque if limits.torque is not None else max(float(np.abs(row).max()), TINY)
+        for limits, row in zip(model.limits, predicted, strict=True)
+    ]
 
 
 def _signal_size(model: DynamicModel, parameter: StandardParameter, torque: float, velocity: float) -> float:

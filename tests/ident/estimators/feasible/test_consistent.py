@@ -131,6 +131,39 @@ def test_noise_free_data_give_the_truth_of_random_trees(random_tree: Callable[..
     np.testing.assert_allclose(found.base, expected, rtol=1e-5, atol=1e-5 * np.max(np.abs(expected)))
 
 
+FINGER = """
+name: finger
+model:
+  mdh:
+    - {joint: yaw, antecedent: base, alpha: 0, d: 0, theta0: 0, r: 0}
+    - {joint: pitch, antecedent: yaw, alpha: 1.5708, d: 0.02, theta0: 0, r: 0}
+    - {joint: distal, antecedent: pitch, alpha: 0, d: 0.04, theta0: 0, r: 0}
+joints:
+  - {name: yaw, position: [-1.3, 0], velocity: 1}
+  - {name: pitch, position: [0, 1.2], velocity: 1}
+  - {name: distal, position: [0, 1.2], velocity: 1}
+truth:
+  links:
+    yaw: {mass: 0.035, com: [0.011, -0.002, -0.001], inertia: [2e-6, 0, 0, 5e-6, 0, 5e-6]}
+    pitch: {mass: 0.048, com: [0.022, -0.004, 0], inertia: [4e-6, 0, 0, 1.2e-5, 0, 1.3e-5]}
+    distal: {mass: 0.022, com: [0.016, -0.003, 0], inertia: [1e-6, 0, 0, 4e-6, 0, 4e-6]}
+  joints:
+    yaw: {viscous: 1.6e-4, coulomb: 4.9e-4, motor_inertia: 7.6e-5}
+    pitch: {viscous: 1.0e-3, coulomb: 3.1e-3, motor_inertia: 4.9e-4}
+    distal: {viscous: 1.5e-4, coulomb: 4.6e-4, motor_inertia: 7.3e-5}
+"""
+
+
+def test_joints_without_torque_limits_are_as_weak_as_the_data_say() -> None:
+    """Motor inertias of a finger's size, some of which the data hold in sums with the links' alone."""
+    finger = parse_robot(FINGER, where="test", folder=None)
+    model, truth = build_model(finger), truth_vector(finger)
+    base, estimate = estimated(model, truth, 0.01)
+    found = consistent_parameters(model, base, estimate, finger)
+    check_possible(model, found)
+    assert found.misfit < 2.0 * base.count
+
+
 @pytest.mark.parametrize("seed", range(10))
 def test_noise_never_gives_what_cannot_exist(random_tree: Callable[..., DynamicModel], seed: int) -> None:
     model = random_tree(seed, dof=2 + seed % 5, aligned=seed % 2 == 0)
