@@ -92,7 +92,7 @@ def _claim(files: Iterable[Path]) -> None:
 
 
 def check_outputs(files: Iterable[Path | None], inputs: Iterable[Path | None] = (), *, overwrite: bool) -> None:
-    """Whether files may be written, before anything is computed for them; a command's are its own from here on.
+    """Check that files may be written, before anything is computed for them; a command's are its own from here on.
 
     Args:
         files: to be written; None for one that was not asked for.
@@ -123,7 +123,7 @@ def check_outputs(files: Iterable[Path | None], inputs: Iterable[Path | None] = 
 def check_output_folder(
     folder: Path, names: Sequence[str], inputs: Iterable[Path | None] = (), *, overwrite: bool
 ) -> None:
-    """Whether files of these names may be written into a folder, which is made where it does not exist.
+    """Check that files of these names may be written into a folder, which is made where it does not exist.
 
     Raises:
         UsageError: the folder is a file, or as `check_outputs` does of the files.
@@ -144,7 +144,7 @@ def _files_of(path: Path) -> list[Path]:
 
 
 def _same(path: Path, other: Path) -> bool:
-    """Whether two names lead to one file, by symbolic or hard links, whether it exists or not."""
+    """Return whether two names lead to one file, by symbolic or hard links, whether it exists or not."""
     try:
         return path.samefile(other)
     except OSError:
@@ -152,7 +152,7 @@ def _same(path: Path, other: Path) -> bool:
 
 
 def _regular_file(path: Path) -> bool:
-    """Whether a file exists; an error where its name cannot become a regular file."""
+    """Return whether a file exists; an error where its name cannot become a regular file."""
     where = str(path)
     try:
         mode = path.lstat().st_mode
@@ -189,7 +189,7 @@ def unfinished_name(path: Path) -> Path:
 
 
 def unfinished_files(path: Path) -> list[Path]:
-    """What was to take a file's place and lies beside it: it is being written, or its writer was killed."""
+    """Return what was to take a file's place and lies beside it: it is being written, or its writer was killed."""
     token = "[0-9a-f]" * 16
     return sorted(path.parent.glob(f"{glob.escape(_beginning(path))}{token}{glob.escape(path.suffix)}"))
 

@@ -109,7 +109,7 @@ class Driver(Protocol):
         """
 
     def streams(self) -> tuple[StreamLayout, ...]:
-        """What will be delivered; known once open."""
+        """Return what will be delivered; known once open."""
 
     def start(self) -> None:
         """Make samples flow.
@@ -126,7 +126,7 @@ class Driver(Protocol):
         """
 
     def notices(self) -> Sequence[Notice]:
-        """What the source reported since the last call."""
+        """Return what the source reported since the last call."""
 
     def command_rate(self) -> float:
         """The rate [Hz] at which it takes positions; 0 where it cannot move the arm; known once open."""
@@ -176,7 +176,7 @@ class Attributing(Protocol):
     """A driver that can name the cause of missing samples: this computer, or a device that does not answer."""
 
     def silence(self, stream: str, limit: float) -> str:
-        """Which devices are silent, and for how long, in words; empty where none is, or the cause is unknown.
+        """Return which devices are silent, and for how long, in words; empty where none is, or the cause is unknown.
 
         Args:
             stream: name of the stream.
@@ -220,7 +220,7 @@ class Holding(Protocol):
     """A driver that knows what its arm does where commands pause for longer than a few periods."""
 
     def holds(self) -> bool:
-        """Whether it comes to rest in order and is held, so that a motion may go on from there."""
+        """Return whether it comes to rest in order and is held, so that a motion may go on from there."""
 
 
 @runtime_checkable
@@ -228,10 +228,10 @@ class Buffering(Protocol):
     """A driver whose arm follows each position a fixed time after it was due: one that is sent late changes nothing."""
 
     def buffered(self) -> float:
-        """How late [s] one may be sent; 0 where lateness is felt."""
+        """Return how late [s] one may be sent; 0 where lateness is felt."""
 
     def command(self, position: FloatArray, due: float | None = None) -> None:
-        """As `Driver.command`; `due` [s, host's clock] is when it should have been sent, now where None."""
+        """Do the same as `Driver.command`; `due` [s, host's clock] is when it should have been sent, now where None."""
 
 
 @runtime_checkable
@@ -239,10 +239,10 @@ class Guidable(Protocol):
     """A driver whose arm can be led by hand: limp, or with torques that are commanded; `stop` ends it."""
 
     def guiding_refusal(self, *, pushed: bool) -> str:
-        """Why it cannot, in words, `pushed` by torques; empty where it can."""
+        """Return why it cannot, in words, `pushed` by torques; empty where it can."""
 
     def guiding_cautions(self, *, pushed: bool) -> Sequence[str]:
-        """What to mind before it is, one line each; known once open.
+        """Return what to mind before it is, one line each; known once open.
 
         Raises:
             DriverStateError: it is closed.
@@ -271,7 +271,7 @@ class Cautioning(Protocol):
     """A driver that knows what a person should mind before its arm is moved."""
 
     def cautions(self) -> Sequence[str]:
-        """What to mind, one line each; known once open.
+        """Return what to mind, one line each; known once open.
 
         Raises:
             DriverStateError: it is closed.
@@ -283,7 +283,7 @@ class ReportingSafety(Protocol):
     """A driver whose device reports its safety status, unless it is too old or refuses."""
 
     def unreported(self) -> Sequence[str]:
-        """What of it does not come: the device's own names; known once open."""
+        """Return what of it does not come: the device's own names; known once open."""
 
 
 def drained(queue: deque[_Item]) -> list[_Item]:

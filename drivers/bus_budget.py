@@ -97,7 +97,7 @@ class Budget:
 
     @property
     def beside_rate(self) -> float:
-        """What comes beside the cycle, at worst [bit/s]."""
+        """Return what comes beside the cycle, at worst [bit/s]."""
         return sum(group.bits * rate for group, rate in self.beside)
 
     @property

@@ -98,7 +98,7 @@ def refusal(problems: Iterable[ErrorDetails], schema: type[BaseModel], connectio
 
 
 def _words(problem: ErrorDetails, field: FieldInfo | None, section: type[BaseModel]) -> tuple[str, str, str]:
-    """What stands before and after the key's name, and the hint."""
+    """Return what stands before and after the key's name, and the hint."""
     kind, context = problem["type"], problem.get("ctx", {})
     if kind in {"extra_forbidden", "invalid_key"}:
         keys = list(fields_of(section))
@@ -113,7 +113,7 @@ def _words(problem: ErrorDetails, field: FieldInfo | None, section: type[BaseMod
 
 
 def _allowed(field: FieldInfo) -> str:
-    """What a field may be, in words: its type, its limits and its description."""
+    """Return what a field may be, in words: its type, its limits and its description."""
     plain = plain_type(field.annotation)
     limits: dict[str, float] = {}
     for constraint in field.metadata:

@@ -85,7 +85,7 @@ class DriverDeclaration:
         return made
 
     def budget_of(self, settings: DriverSettings) -> Budget | None:
-        """What a connection asks of its bus; None where the bus cannot be too full.
+        """Return what a connection asks of its bus; None where the bus cannot be too full.
 
         Raises:
             UsageError: the connection's keys are wrong.
@@ -94,12 +94,12 @@ class DriverDeclaration:
         return budget
 
     def advice_on(self, settings: DriverSettings) -> Sequence[str]:
-        """What `dynid check` warns of while nothing is opened, one line each."""
+        """Return what `dynid check` warns of while nothing is opened, one line each."""
         advice: Sequence[str] = named(self.advice)(settings) if self.advice else ()
         return advice
 
     def check_open(self, driver: Driver) -> Sequence[str]:
-        """What `dynid check --connect` warns of an open driver, one line each."""
+        """Return what `dynid check --connect` warns of an open driver, one line each."""
         warnings: Sequence[str] = named(self.connection_check)(driver) if self.connection_check else ()
         return warnings
 

@@ -55,7 +55,7 @@ def torque_at_joints(motor_torque: FloatArray, coupling: FloatArray) -> FloatArr
 
 
 def gives_torque(gains: Sequence[DriveGain], joints: Sequence[str]) -> bool:
-    """Whether currents become torques: every joint has a motor whose gain [N·m/A] is known."""
+    """Return whether currents become torques: every joint has a motor whose gain [N·m/A] is known."""
     return len(gains) == len(joints) and all(gain.gain is not None and gain.signal == "current" for gain in gains)
 
 

@@ -49,7 +49,7 @@ class LifeCycle(ABC):
         self._state = "open"
 
     def notices(self) -> Sequence[Notice]:
-        """What was reported since the last call."""
+        """Return what was reported since the last call."""
         return drained(self._notices)
 
     def close(self) -> None:

@@ -94,7 +94,7 @@ class PolledArm(LifeCycle):
 
     @abstractmethod
     def _new_cycle(self) -> PolledRows:
-        """What reads the motors from now on, not started."""
+        """Return what reads the motors from now on, not started."""
 
     @abstractmethod
     def _channels(self) -> tuple[ChannelLayout, ...]:
@@ -106,15 +106,15 @@ class PolledArm(LifeCycle):
 
     @abstractmethod
     def guiding_refusal(self, *, pushed: bool) -> str:
-        """Why the arm cannot be led by hand (see `drivers.base.Guidable`)."""
+        """Return why the arm cannot be led by hand (see `drivers.base.Guidable`)."""
 
     @abstractmethod
     def _stop_words(self) -> str:
-        """What the arm does when a motion ends or is stopped."""
+        """Return what the arm does when a motion ends or is stopped."""
 
     @abstractmethod
     def _stopped_words(self) -> str:
-        """How a stop has left the arm."""
+        """Return how a stop has left the arm."""
 
     def streams(self) -> tuple[StreamLayout, ...]:
         """`joints` at the connection's rate, and `commands`: what was sent, when it was sent."""
@@ -159,7 +159,7 @@ class PolledArm(LifeCycle):
         return 0.0 if self._read_only else self._rate
 
     def identify(self) -> Sequence[object]:
-        """What every motor said of itself when the connection was opened."""
+        """Return what every motor said of itself when the connection was opened."""
         self._require_open("identify")
         return self._identities
 
@@ -186,7 +186,7 @@ class PolledArm(LifeCycle):
             self._commanded = True
 
     def guiding_cautions(self, *, pushed: bool) -> Sequence[str]:
-        """What to mind before the arm is led by hand."""
+        """Return what to mind before the arm is led by hand."""
         self._require_open("tell cautions")
         carried = (
             f"while you hold the key, the {self._device}s carry the arm's weight as the model has it: it drifts, and "
@@ -226,7 +226,7 @@ class PolledArm(LifeCycle):
             self._state = "open"
 
     def silence(self, stream: str, limit: float) -> str:
-        """Which motors do not answer, in words; empty of another stream than `joints` (see `drivers.base`)."""
+        """Return which motors do not answer, in words; empty of another stream than `joints` (see `drivers.base`)."""
         if stream != "joints" or self._cycle is None:
             return ""
         heard = self._cycle.answered
@@ -237,7 +237,7 @@ class PolledArm(LifeCycle):
         return f"no answer of {', '.join(silent)}" if silent else ""
 
     def losses(self, stream: str) -> str:
-        """Why rows of `joints` were lost, in words (see `drivers.base`)."""
+        """Return why rows of `joints` were lost, in words (see `drivers.base`)."""
         return self._cycle.losses() if stream == "joints" and self._cycle is not None else ""
 
     def _require_movable(self) -> None:

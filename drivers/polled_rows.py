@@ -103,7 +103,7 @@ class PolledRows(ABC):
         return batches + rows_batch  # goals before the rows that they explain
 
     def losses(self) -> str:
-        """Why rows were lost, in words; empty where none were."""
+        """Return why rows were lost, in words; empty where none were."""
         said = [f"{name} did not answer {count} times" for name, count in self._silent.items()]
         if self._late:
             said.append(f"{self._late} while this computer was late to ask, or to look")

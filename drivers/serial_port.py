@@ -41,7 +41,7 @@ def open_port(url: str, baudrate: int, timeout: float, write_timeout: float | No
 
 
 def reason(error: Exception) -> str:
-    """Why a port failed, in words."""
+    """Return why a port failed, in words."""
     text = str(error) or type(error).__name__
     if "exclusively lock" in text:
         return "another program has opened it"

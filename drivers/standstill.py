@@ -1,4 +1,4 @@
-"""Whether an arm is at rest, judged from its positions."""
+"""Tells whether an arm is at rest, judged from its positions."""
 
 from __future__ import annotations
 
@@ -44,5 +44,5 @@ class StandstillWatch:
 
     @property
     def at_rest(self) -> bool:
-        """Whether no joint has moved for the window."""
+        """Return whether no joint has moved for the window."""
         return self._newest - self._since >= self._window

@@ -105,7 +105,7 @@ def _versions() -> list[str]:
 
 
 def _compiled() -> str:
-    """Where the compiled kernels are, or why there are none."""
+    """Return where the compiled kernels are, or why there are none."""
     from ident.compiled.library import kernels
 
     return f"compiled kernels: {kernels().said}"

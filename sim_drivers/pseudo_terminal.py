@@ -34,7 +34,7 @@ class PollableLineEnd(LineEnd, Protocol):
     """A line's end whose descriptor can be waited for, and does not block."""
 
     def fileno(self) -> int:
-        """Its descriptor."""
+        """Return its descriptor."""
 
 
 class PseudoTerminal:

@@ -70,7 +70,7 @@ class Served(Protocol):
         """Address for clients; known once started."""
 
     def live_line(self) -> str:
-        """Its state in one line."""
+        """Return its state in one line."""
 
     def obey(self, line: str) -> None:
         """Cause a fault as a person types it.

@@ -192,7 +192,7 @@ def _back_ends() -> list[SimulatedBackEnd]:
 
 
 def start_position(robot_file: RobotFile, text: str) -> FloatArray:
-    """Where an arm stands at first: `A,B,…`, a number for each joint [rad or m].
+    """Return where an arm stands at first: `A,B,…`, a number for each joint [rad or m].
 
     Raises:
         UsageError: not of that form, another number of joints, or beyond a joint's range.

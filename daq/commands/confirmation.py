@@ -25,7 +25,7 @@ _SHOWN = 3
 
 
 def motion_lines(figures: MotionFigures) -> list[str]:
-    """What will move where, a line per figure."""
+    """Return what will move where, a line per figure."""
     lines = [
         f"tool point: lowest {figures.lowest:.3f} m (above the base frame's origin), farthest {figures.farthest:.3f} m "
         f"from it, at most {figures.tool_speed:.2f} m/s",
@@ -96,7 +96,7 @@ class Confirmation:
             ask_on(self._question, "Move the arm? [y/N] ")
 
     def answer(self) -> bool | None:
-        """As `answer_of`; yes where no question is asked."""
+        """Answer as `answer_of`; yes where no question is asked."""
         return True if self._question is None else answer_of(self._question)
 
 
@@ -116,7 +116,7 @@ def answer_of(terminal: tuple[TextIO, TextIO]) -> bool | None:
 
 
 def _held(limits: Sequence[JointLimits]) -> list[str]:
-    """What the command gate holds."""
+    """Return what the command gate holds."""
     sliding = [joint.sliding for joint in limits]
     velocity, acceleration = (
         f"{', '.join(f'{getattr(joint, name):.3g}' for joint in limits)} {common_unit(unit, sliding)}"
@@ -147,5 +147,5 @@ def tell(title: str, lines: Sequence[str], out: TextIO) -> None:
 
 
 def terminal() -> tuple[TextIO, TextIO] | None:
-    """Where a person can be asked: standard input and error; None where either is no terminal."""
+    """Return where a person can be asked: standard input and error; None where either is no terminal."""
     return (sys.stdin, sys.stderr) if sys.stdin.isatty() and sys.stderr.isatty() else None

@@ -63,7 +63,7 @@ class KeyAtTerminal:
             ask_on(self._terminal, "Release the arm while you hold the space bar? [y/N] ")
 
     def answer(self) -> bool | None:
-        """As `daq.commands.confirmation.answer_of`; then single keys are read."""
+        """Answer as `daq.commands.confirmation.answer_of`; then single keys are read."""
         said = answer_of(self._terminal) if self._asks else True
         if said:
             import tty

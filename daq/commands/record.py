@@ -157,7 +157,7 @@ def _key(options: RecordOptions, clock: Clock) -> KeyAtTerminal:
 
 
 def _guiding(plan: SessionPlan, hand: KeyAtTerminal, model: Path | None) -> Guiding:
-    """How the arm is led; the model that carries it is read."""
+    """Return how the arm is led; the model that carries it is read."""
     from daq.session.guiding import Guiding, load_compensation
 
     return Guiding(plan.robot_file.robot, hand, None if model is None else load_compensation(plan.robot_file, model))
@@ -309,7 +309,7 @@ def recorded(
 
 
 def _to_mind(robot_file: RobotFile, driver: Driver, *, without_safety_status: bool) -> list[str]:
-    """What is shown of an opened arm before it moves; refused before a file is made."""
+    """Return what is shown of an opened arm before it moves; refused before a file is made."""
     from daq.session.device_limits import before_a_motion
     from daq.session.play import motion_rate, unreported_safety
 
@@ -323,7 +323,7 @@ def _to_mind(robot_file: RobotFile, driver: Driver, *, without_safety_status: bo
 
 
 def _to_mind_by_hand(driver: Driver, guiding: Guiding) -> list[str]:
-    """What is shown of an opened arm before it is let go; refused before a file is made."""
+    """Return what is shown of an opened arm before it is let go; refused before a file is made."""
     from daq.session.guiding import require_guidable
     from daq.session.play import motion_rate
 

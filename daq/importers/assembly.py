@@ -176,7 +176,7 @@ def _without_padding(samples: ImportedSamples) -> ImportedSamples:
 
 
 def _is_magnitude(quantity: str, given: QuantityColumns, in_si: Quantity, robot: Robot, notes: list[Note]) -> bool:
-    """Whether the values of a motor signal have lost their sign, as the file's names or the robot file say."""
+    """Return whether the values of a motor signal have lost their sign, as the file's names or the robot file say."""
     unsigned = [name for name in in_si.joints if robot.drive(name).signal == "magnitude"]
     if quantity not in MOTOR_SIGNALS or not (given.magnitude or unsigned):
         return False

@@ -82,7 +82,7 @@ def match_joints(names: Sequence[str], joints: Sequence[str], *, by_order: bool,
 
 
 def shares_joints(names: Sequence[str], joints: Sequence[str]) -> bool:
-    """Whether any of the file's names could be one of the robot's joints."""
+    """Return whether any of the file's names could be one of the robot's joints."""
     return any(name == joint or _ends_in(name, joint) or _ends_in(joint, name) for name in names for joint in joints)
 
 

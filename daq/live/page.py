@@ -129,7 +129,7 @@ def browser_page(
 
 
 def require_browser() -> None:
-    """Whether what serves the page is installed.
+    """Check that what serves the page is installed.
 
     Raises:
         UsageError: a package is missing.

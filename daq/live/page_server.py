@@ -63,7 +63,7 @@ class LivePage:
         self._clients: dict[asyncio.Queue[bytes | str], asyncio.Task[None]] = {}
 
     def permitted(self, request: HTTPConnection) -> bool:
-        """Whether a request is to this address, of no foreign page, and carries the token."""
+        """Return whether a request is to this address, of no foreign page, and carries the token."""
         origin = request.headers.get("origin")
         return (
             request.headers.get("host") in self._hosts

@@ -1,4 +1,4 @@
-"""Whether a motion keeps the limits of its joints at every time, not on a grid alone: its extremes, enclosed.
+"""Tells whether a motion keeps the limits of its joints at every time, not on a grid alone: its extremes, enclosed.
 
 Within an interval of width w a function exceeds the larger of its values at both ends by no more than w/2 times a
 bound of its first derivative, and by no more than w²/8 times one of its second (the error of linear interpolation).

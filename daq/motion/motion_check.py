@@ -90,7 +90,7 @@ def load_motion_check(robot_file: RobotFile, prior: Path | None = None) -> Motio
 
 
 def only_entry(group: str, needed: str) -> object:
-    """What is entered in a group of entry points, alone; `needed` says so in an error.
+    """Return what is entered in a group of entry points, alone; `needed` says so in an error.
 
     Raises:
         MotionRefusedError: nothing is, or several things are.

@@ -51,7 +51,7 @@ class Punctuality:
 
 
 def skip_limit(period: float) -> int:
-    """How many overdue positions are skipped at a period [s]."""
+    """Return how many overdue positions are skipped at a period [s]."""
     return int(np.clip(SKIP_TIME / period + 1e-9, 1, SKIP_LIMIT))
 
 
@@ -160,7 +160,7 @@ class Player:
 
     @property
     def done(self) -> bool:
-        """Whether the last position was sent."""
+        """Return whether the last position was sent."""
         return self._done
 
     @property
@@ -170,7 +170,7 @@ class Player:
 
     @property
     def delayed(self) -> float:
-        """How much later the motion ends since it went on from rest after stalls [s]."""
+        """Return how much later the motion ends since it went on from rest after stalls [s]."""
         return self._delayed
 
     @property
@@ -180,7 +180,7 @@ class Player:
 
     @property
     def failure(self) -> DynidError | None:
-        """Why it ended before its end; None while all is well."""
+        """Return why it ended before its end; None while all is well."""
         return self._failure
 
     def start(self) -> None:
@@ -291,7 +291,7 @@ class Player:
 
 
 def dry_run(rate: float, clock: Clock = SYSTEM_CLOCK) -> Punctuality:
-    """How punctual this computer is at a rate [Hz], without sending anything.
+    """Return how punctual this computer is at a rate [Hz], without sending anything.
 
     Raises:
         WorkError: the median lateness is above five periods: it cannot play a motion at this rate.

@@ -190,7 +190,7 @@ class PointToPoint:
         return position, velocity, acceleration
 
     def pieces(self) -> Pieces:
-        """Its moves; the rests have no further values."""
+        """Return its moves; the rests have no further values."""
         way = np.abs(np.diff(self.points, axis=0).T)
         factors = (QUINTIC_VELOCITY, QUINTIC_ACCELERATION, _JERK, _SNAP)
         largest = [factor * way / self.durations**power for power, factor in enumerate(factors, start=1)]

@@ -59,7 +59,7 @@ class Hdf5Bounds:
         return items
 
     def _stays_within(self, group: Any, path: str) -> bool:
-        """Whether a path leads to something without passing another link."""
+        """Return whether a path leads to something without passing another link."""
         place = group.file if path.startswith("/") else group
         for step in path.split("/"):
             if step in ("", "."):
@@ -70,7 +70,7 @@ class Hdf5Bounds:
         return True
 
     def check_dataset(self, dataset: Any) -> None:
-        """Whether a dataset's values stand in this file, and fit into memory with those before them.
+        """Check that a dataset's values stand in this file, and fit into memory with those before them.
 
         Raises:
             InputError: they stand in another file, or it declares more than the file can hold.
@@ -95,7 +95,7 @@ class Hdf5Bounds:
             )
 
     def check_attributes(self, owner: Any) -> None:
-        """Whether the attributes of a group or dataset fit into memory.
+        """Check that the attributes of a group or dataset fit into memory.
 
         Raises:
             InputError: one is larger than `MOST_TEXT`, or has more than `MOST_ENTRIES`.

@@ -148,7 +148,7 @@ def _check_time(clock: str, time: FloatArray) -> None:
 
 
 def _remedy(time: FloatArray, sample: int, repeats: bool) -> str:
-    """What to do about a stamp that does not rise."""
+    """Return what to do about a stamp that does not rise."""
     if repeats:
         return "keep the first of each"
     range_of_counter = counter_range(time, sample)

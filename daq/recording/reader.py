@@ -68,7 +68,7 @@ def read_stamps(path: Path) -> dict[str, FloatArray]:
 
 
 def recording_seconds(path: Path) -> float:
-    """How long a recording lasts [s], however large its file.
+    """Return how long a recording lasts [s], however large its file.
 
     Raises:
         RecordingError: as `read_recording`.
@@ -88,7 +88,7 @@ def _check_file(path: Path, kind: InputKind, hint: str = "") -> None:
 
 
 def _opened(path: Path, read: Callable[[Any], _Read]) -> _Read:
-    """What a function reads from the file."""
+    """Return what a function reads from the file."""
     where = str(path)
     try:
         file = h5py.File(path, "r")
@@ -221,7 +221,7 @@ def _read_versions(text: Any) -> dict[str, str]:
 
 
 def _is_in(time: float, within: tuple[float, float]) -> bool:
-    """Whether an event belongs to a part; those without a time belong to all."""
+    """Return whether an event belongs to a part; those without a time belong to all."""
     return math.isnan(time) or within[0] <= time < within[1]
 
 

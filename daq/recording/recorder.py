@@ -113,7 +113,7 @@ class Recorder:
 
     @property
     def failure(self) -> DiskError | None:
-        """Why nothing can be written any more; None while all is well."""
+        """Return why nothing can be written any more; None while all is well."""
         return self._failure
 
     def put(self, batch: Batch) -> None:

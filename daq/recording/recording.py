@@ -547,7 +547,7 @@ class Recording:
 
     @property
     def stopped_by(self) -> str:
-        """What stopped `dynid record` before the motion's end, in words; empty where nothing did."""
+        """Return what stopped `dynid record` before the motion's end, in words; empty where nothing did."""
         stops = [event.message for event in self.events if event.message.startswith(STOPPED)]
         return stops[-1].removeprefix(STOPPED) if stops else ""
 

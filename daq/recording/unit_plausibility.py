@@ -53,7 +53,7 @@ def other_unit(time: FloatArray, position: FloatArray, limits: JointLimits) -> s
 
 
 def near(ratio: float, expected: float) -> bool:
-    """Whether a ratio of units is the expected one."""
+    """Return whether a ratio of units is the expected one."""
     return 0.8 < ratio / expected < 1.25
 
 

@@ -219,7 +219,7 @@ class RecordingWriter:
                 raise DiskError(error.message, where=str(self.path), hint=error.hint) from error
 
     def bytes_of(self, rows: Mapping[str, int]) -> int:
-        """What rows of streams need on the disk at most [B]."""
+        """Return what rows of streams need on the disk at most [B]."""
         return sum(_bytes_of(self._layouts[stream], count) for stream, count in rows.items())
 
     def _check_disk(self) -> None:

@@ -147,7 +147,7 @@ def new_robot_of_joints(count: int) -> str:
 
 
 def to_fill_in(unknown: Sequence[str] | None) -> dict[str, str]:
-    """What is still to be filled in, by what needs it.
+    """Return what is still to be filled in, by what needs it.
 
     `unknown` are joints whose position limits the URDF does not state; None where there is no URDF.
     """

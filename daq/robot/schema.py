@@ -151,7 +151,7 @@ class JointLimits(Section):
 
     @property
     def sliding(self) -> bool:
-        """Whether the joint slides, as the kinematics say: its units are then m and N."""
+        """Return whether the joint slides, as the kinematics say: its units are then m and N."""
         return self._sliding
 
     def of_kind(self, *, sliding: bool) -> Self:
@@ -440,7 +440,7 @@ class Robot(Section):
 
     @property
     def sliding(self) -> tuple[bool, ...]:
-        """Whether each of these joints slides."""
+        """Return whether each of these joints slides."""
         return tuple(joint.sliding for joint in self.joints)
 
     def column_unit(self, unit: str, columns: Sequence[str]) -> str:

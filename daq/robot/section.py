@@ -127,7 +127,7 @@ def _velocity_limit(value: float, info: ValidationInfo) -> float:
 
 
 def _slides(info: ValidationInfo) -> bool:
-    """Whether the joint that these limits are of slides, by the context of the validation (`sliding`: names)."""
+    """Return whether the joint that these limits are of slides, by the context of the validation (`sliding`: names)."""
     return info.data.get("name") in (info.context or {}).get("sliding", ())
 
 

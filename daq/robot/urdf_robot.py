@@ -192,7 +192,7 @@ def assumed_of_urdf(arm: UrdfArm) -> tuple[str, ...]:
 
 
 def _mimics(joints: list[ElementTree.Element], driven: set[str], where: str) -> tuple[Mimic, ...]:
-    """What each of the joints follows, through others that follow too."""
+    """Return what each of the joints follows, through others that follow too."""
     stated = {}
     for joint in joints:
         mimic = joint.find("mimic")

@@ -103,7 +103,7 @@ class Course:
         return self.clock.now() + self.source_minus_host
 
     def cure(self, breach: Breach) -> str:
-        """What to do about a limit that was passed; soon after the arm went on from a stall, about the stall."""
+        """Return what to do about a limit that was passed; soon after the arm went on from a stall, about the stall."""
         ago = self.clock.now() - self.resumed
         if ago > RESUMED_LATELY:
             return breach.cure

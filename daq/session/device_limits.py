@@ -24,7 +24,7 @@ AGREEMENT = 0.01
 
 
 def before_a_motion(robot: Robot, driver: Driver) -> list[str]:
-    """What a person should know before a driver that is open moves its arm, one line each."""
+    """Return what a person should know before a driver that is open moves its arm, one line each."""
     main = driver.main if isinstance(driver, Sources) else driver
     said = looser_limits(robot, main.device_limits()) if isinstance(main, Limiting) else []
     return said + (list(main.cautions()) if isinstance(main, Cautioning) else [])

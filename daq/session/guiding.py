@@ -150,7 +150,7 @@ class HandGate:
             self.velocity = (position - first) / (when - begin)
 
     def check(self) -> None:
-        """Whether the arm may go on.
+        """Check that the arm may go on.
 
         Raises:
             SafetyStopError: it is too fast, beyond its range, or not heard of.

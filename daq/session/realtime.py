@@ -34,7 +34,7 @@ def ask_for_realtime() -> None:
 
 
 def may_have_realtime() -> bool:
-    """Whether the system allows it; tried in a short-lived thread, since priority is per thread."""
+    """Return whether the system allows it; tried in a short-lived thread, since priority is per thread."""
     refusals: list[UsageError] = []
 
     def ask() -> None:

@@ -238,7 +238,7 @@ def _note_clocks(recorder: SampleKeeper, course: Course) -> None:
 
 
 def _losses(driver: Driver, course: Course, *, heavy: bool) -> str:
-    """Which streams lost more than `LOSS_LIMIT`, or fewer for a cause that the driver knows, in words."""
+    """Return which streams lost more than `LOSS_LIMIT`, or fewer for a cause that the driver knows, in words."""
     said = []
     for stream, lost in course.lost.items():
         total = course.samples[stream] + lost

@@ -116,7 +116,7 @@ class Sources:
         return ""
 
     def unreported(self) -> Sequence[str]:
-        """What the main one does not report of its safety status."""
+        """Return what the main one does not report of its safety status."""
         return self._main.driver.unreported() if isinstance(self._main.driver, ReportingSafety) else ()
 
     def command_rate(self) -> float:

@@ -95,7 +95,7 @@ class StuckChannel:
         return np.flatnonzero(self._hangs)
 
     def stood(self, column: int) -> tuple[float, float]:
-        """How long a column has stood, and what is explained, both in what its stands are counted in."""
+        """Return how long a column has stood, and what is explained, both in what its stands are counted in."""
         return float((self._high - self._low)[column]), float(self._limits()[column])
 
     def _limits(self) -> FloatArray:
@@ -105,7 +105,7 @@ class StuckChannel:
         )
 
     def _tells(self, column: int) -> bool:
-        """Whether the last stands of a column tell of the next one."""
+        """Return whether the last stands of a column tell of the next one."""
         since = -(self._changes[column] % STANDS)
         stands, values = np.roll(self._stands[:, column], since), np.roll(self._values[:, column], since)
         if self._quantity == "temperature":

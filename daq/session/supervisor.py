@@ -60,7 +60,7 @@ class Breach:
 
     @property
     def cure(self) -> str:
-        """What to do about it."""
+        """Return what to do about it."""
         return CURES["stuck" if self.what.startswith("stuck") else self.what]
 
     def __str__(self) -> str:

@@ -23,7 +23,7 @@ class SampleKeeper(Protocol):
 
     @property
     def failure(self) -> DiskError | None:
-        """What ended the writing."""
+        """Return what ended the writing."""
 
     def put(self, batch: Batch) -> None:
         """Take a batch; never blocks."""

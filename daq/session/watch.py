@@ -25,10 +25,10 @@ class Watch(Protocol):
         """Note a batch; never raises."""
 
     def events(self) -> Sequence[tuple[float, str]]:
-        """What was noticed since the last call: when [s, clock of the joints' stream], and what in words."""
+        """Return what was noticed since the last call: when [s, clock of the joints' stream], and what in words."""
 
     def stop_reason(self) -> str:
-        """Why a motion must not go on, in words; empty where it may."""
+        """Return why a motion must not go on, in words; empty where it may."""
 
     def lines(self) -> Sequence[str]:
-        """Its state for a display."""
+        """Return its state for a display."""

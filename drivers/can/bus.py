@@ -52,12 +52,12 @@ _IP_MULTICAST_ALL, _IPV6_MULTICAST_ALL = 49, 29  # Linux's numbers, which the so
 
 
 def is_bus_off(message: can.Message) -> bool:
-    """Whether an error frame of socketcan says that the adapter has left the bus."""
+    """Return whether an error frame of socketcan says that the adapter has left the bus."""
     return bool(message.arbitration_id & _BUS_OFF)
 
 
 def error_frame_words(message: can.Message) -> str:
-    """What an error frame of socketcan says."""
+    """Return what an error frame of socketcan says."""
     kind, data = message.arbitration_id, bytes(message.data)
     if kind & _CONTROLLER and len(data) > 1:
         words = [text for bit, text in _CONTROLLER_TROUBLES.items() if data[1] & bit]
@@ -70,12 +70,12 @@ def error_frame_words(message: can.Message) -> str:
 
 
 def is_unreadable(error: Exception) -> bool:
-    """Whether an adapter met a frame that it does not understand, as opposed to being gone itself."""
+    """Return whether an adapter met a frame that it does not understand, as opposed to being gone itself."""
     return isinstance(error, can.CanOperationError) and not isinstance(error.__cause__, OSError | type(None))
 
 
 def reason(error: BaseException) -> str:
-    """Why an adapter failed: what the system said where it was the system."""
+    """Return why an adapter failed: what the system said where it was the system."""
     cause = error.__cause__ or error.__context__
     system = error if isinstance(error, OSError) else cause if isinstance(cause, OSError) else None
     if system is not None and system.strerror:
@@ -84,7 +84,7 @@ def reason(error: BaseException) -> str:
 
 
 def why_not_opened(error: Exception, interface: str, channel: str | int) -> tuple[str, str]:
-    """What was wrong when a bus could not be opened, and what to do about it."""
+    """Return what was wrong when a bus could not be opened, and what to do about it."""
     cause = error if isinstance(error, OSError) else error.__cause__ or error.__context__
     number = cause.errno if isinstance(cause, OSError) else None
     if isinstance(error, can.CanInterfaceNotImplementedError | ImportError):
@@ -158,12 +158,12 @@ def sends_in_kernel(bus: can.BusABC) -> bool:
 
 
 def returns_own_frames(bus: can.BusABC) -> bool:
-    """Whether a sender receives its own frames."""
+    """Return whether a sender receives its own frames."""
     return type(bus).__name__ == "UdpMulticastBus"
 
 
 def confirms_sending(interface: str, options: Mapping[str, object]) -> bool:
-    """Whether the adapters of an interface hand a frame back once the bus has carried it.
+    """Return whether the adapters of an interface hand a frame back once the bus has carried it.
 
     socketcan's do, where `open_bus` is given `RETURNED`; python-can's virtual bus where its options have that.
     """

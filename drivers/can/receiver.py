@@ -119,7 +119,7 @@ class Receiver:
 
     @property
     def failure(self) -> ConnectionLostError | None:
-        """Why nothing comes any more; None while all is well."""
+        """Return why nothing comes any more; None while all is well."""
         return self._failure
 
     def start(self) -> None:
@@ -143,7 +143,7 @@ class Receiver:
         return frames
 
     def pending(self) -> bool:
-        """Whether frames wait in the adapter's socket, since the thread that takes them is late; else no."""
+        """Return whether frames wait in the adapter's socket, since the thread that takes them is late; else no."""
         try:
             return bool(select.select([self._bus.fileno()], [], [], 0.0)[0])
         except (NotImplementedError, can.CanError, OSError, ValueError, TypeError):

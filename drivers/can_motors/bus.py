@@ -118,7 +118,7 @@ class MotorBus:
         self._bus = self._sender = self._receiver = None
 
     def notices(self) -> list[Notice]:
-        """What the bus had to say since the last call."""
+        """Return what the bus had to say since the last call."""
         return self._receiver.notices() if self._receiver is not None else []
 
     def send(self, frames: Sequence[CanFrame]) -> float:
@@ -287,7 +287,7 @@ class MotorBus:
         return None, None
 
     def _is_own(self, frame: CanFrame) -> bool:
-        """Whether a bus that returns what is sent returned this frame."""
+        """Return whether a bus that returns what is sent returned this frame."""
         if self._returned is None or frame not in self._returned:
             return False
         self._returned.remove(frame)
@@ -297,7 +297,7 @@ class MotorBus:
         return set(self.codecs[index].quantities(read_only=self._settings.keys.read_only))
 
     def _fast(self, index: int) -> set[str]:
-        """What a motor tells in each cycle."""
+        """Return what a motor tells in each cycle."""
         wanted = self._wanted(index)
         return wanted - {"temperature", "drive_temperature"} if self.codecs[index].slow_poll() else wanted
 

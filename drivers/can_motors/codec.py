@@ -66,7 +66,7 @@ class MotorCodec(ABC):
 
     @abstractmethod
     def quantities(self, *, read_only: bool) -> tuple[str, ...]:
-        """What it tells in every cycle; first of all `position`."""
+        """Return what it tells in every cycle; first of all `position`."""
 
     @abstractmethod
     def poll(self, *, read_only: bool) -> Sequence[CanFrame]:
@@ -98,7 +98,7 @@ class MotorCodec(ABC):
 
     @abstractmethod
     def parse(self, identifier: int, data: bytes, asked: int | None = None) -> Answer | None:
-        """What a frame says; None where it is not this motor's, or not understood.
+        """Return what a frame says; None where it is not this motor's, or not understood.
 
         Args:
             identifier: with `EXTENDED`.
@@ -111,16 +111,16 @@ class MotorCodec(ABC):
         return self.poll(read_only=read_only)[:1]
 
     def present(self, frames: Sequence[CanFrame]) -> int:
-        """How many motors with its id answered a roll call, by the frames that came then."""
+        """Return how many motors with its id answered a roll call, by the frames that came then."""
         answers = (self.parse(*frame) for frame in frames)
         return sum(answer is not None and "position" in answer.values for answer in answers)
 
     def preparation(self) -> Mapping[str, float]:
-        """What its registers shall hold before it is enabled: its command time-out, its limits, its mode."""
+        """Return what its registers shall hold before it is enabled: its command time-out, its limits, its mode."""
         return {}
 
     def release(self) -> Mapping[str, float]:
-        """What its registers shall hold when nobody commands it any more and it shall go on holding."""
+        """Return what its registers shall hold when nobody commands it any more and it shall go on holding."""
         return {}
 
     def release_frames(self, position: float) -> Sequence[CanFrame]:

@@ -179,7 +179,7 @@ class MotorControl:
                     self._bus.send([frame for codec in self._bus.codecs for frame in codec.disable()])
 
     def left_alone(self) -> str:
-        """What the motors do where nobody commands them any more, in words."""
+        """Return what the motors do where nobody commands them any more, in words."""
         if self._settings.when_lost == "hold":
             return "each holds its last goal with torque on"
         if self._settings.family == "moteus":

@@ -47,7 +47,7 @@ class MotorCycle(PolledRows):
         control.fresh = self._hurry
 
     def losses(self) -> str:
-        """Why rows were lost, in words; empty where none were."""
+        """Return why rows were lost, in words; empty where none were."""
         said = [
             super().losses(),
             f"{self._overdue} answers came too late" if self._overdue else "",

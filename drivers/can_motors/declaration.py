@@ -6,7 +6,7 @@ from drivers.declaration import DriverDeclaration, SimulatedBackEnd
 
 
 def _of(family: str) -> DriverDeclaration:
-    """What all have in common: their functions are called after the family."""
+    """Return what all have in common: their functions are called after the family."""
     return DriverDeclaration(
         driver=f"drivers.can_motors.driver:{family}",
         budget=f"drivers.can_motors.budget:{family}_budget",

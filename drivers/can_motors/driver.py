@@ -100,7 +100,7 @@ class CanMotorDriver(PolledArm):
         return DeviceLimits(nothing, nothing, nothing, torque, {"torque": "torque_limit of the connection's motors"})
 
     def cautions(self) -> Sequence[str]:
-        """What the arm does before, at a stop and where this computer dies."""
+        """Return what the arm does before, at a stop and where this computer dies."""
         codec = CODECS[self._settings.family]
         said = [f"first the motors are switched on: the arm stiffens where it is; then, {self._stop_words()}"]
         if codec.times_out:
@@ -120,7 +120,7 @@ class CanMotorDriver(PolledArm):
         return said
 
     def guiding_refusal(self, *, pushed: bool) -> str:
-        """Why the arm cannot be led by hand: motors that take no torques, or keep one for ever."""
+        """Return why the arm cannot be led by hand: motors that take no torques, or keep one for ever."""
         codec, family = CODECS[self._settings.family], self._settings.family
         if not pushed:
             return ""

@@ -144,7 +144,7 @@ class DamiaoCodec(MitCodec):
         return DAMIAO_REQUEST, self._asking + bytes([WRITE, number]) + packed
 
     def parse(self, identifier: int, data: bytes, asked: int | None = None) -> Answer | None:
-        """Its state, or a register that it was asked for."""
+        """Return its state, or a register that it was asked for."""
         if identifier != self.motor.host or len(data) != 8:
             return None
         if data[:2] == self._asking and data[2] in (READ, WRITE) and data[3] in self.registers.values():
@@ -177,7 +177,7 @@ class CubemarsCodec(MitCodec):
         return ()
 
     def parse(self, identifier: int, data: bytes, asked: int | None = None) -> Answer | None:
-        """Its state."""
+        """Return its state."""
         del asked
         if identifier != self.motor.host or len(data) != 8 or data[0] != self.motor.id:
             return None

@@ -35,7 +35,7 @@ class RobstrideCodec(MotorCodec):
         return tuple(READABLE.values()) if read_only else ("position", "velocity", "torque", "temperature")
 
     def poll(self, *, read_only: bool) -> Sequence[CanFrame]:
-        """Its parameters; else its torque limit is written, which it answers with its state."""
+        """Return its parameters; else its torque limit is written, which it answers with its state."""
         if read_only:
             return tuple(self._frame(READ, struct.pack("<H6x", number)) for number in READABLE)
         return (self.write("torque_limit", self._torque_limit),)
@@ -82,7 +82,7 @@ class RobstrideCodec(MotorCodec):
         )
 
     def parse(self, identifier: int, data: bytes, asked: int | None = None) -> Answer | None:
-        """Its state, or a parameter."""
+        """Return its state, or a parameter."""
         motor = self.motor
         if not identifier & EXTENDED or len(data) != 8:
             return None

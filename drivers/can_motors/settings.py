@@ -145,12 +145,12 @@ class CanMotor:
 
     @property
     def id(self) -> int:
-        """On the bus."""
+        """Return its identifier on the bus."""
         return self.address.id
 
     @property
     def name(self) -> str:
-        """In messages."""
+        """Return its name in messages."""
         return f"{self.joint} (id {self.id})"
 
     def to_joint(self, quantity: str, value: float) -> float:
@@ -186,7 +186,7 @@ class CanMotorSettings:
 
     @property
     def when_lost(self) -> OnStop:
-        """What the arm does where commands fail to come."""
+        """Return what the arm does where commands fail to come."""
         if not CODECS[self.family].times_out:
             return "hold"
         return self.keys.when_lost or self.keys.on_stop

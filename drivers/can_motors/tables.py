@@ -36,7 +36,7 @@ class MotorFamily:
     documents: Mapping[str, str]  # what says so
 
     def fault_words(self, code: int) -> list[str]:
-        """What a fault code means; empty where it means none."""
+        """Return what a fault code means; empty where it means none."""
         if not self.bits:
             return [self.faults.get(code, f"fault {code}")] if code else []
         told = [words for bit, words in self.faults.items() if code >> bit & 1]

@@ -124,7 +124,7 @@ class CanFramesDriver(LifeCycle):
         return False
 
     def cautions(self) -> tuple[str, ...]:
-        """What happens to the arm where nothing commands it any more."""
+        """Return what happens to the arm where nothing commands it any more."""
         watchdog = self._settings.watchdog
         if watchdog is None:
             said = "the arm is not known to have a watchdog (key 'watchdog')"
@@ -171,7 +171,7 @@ class CanFramesDriver(LifeCycle):
             self._state = "open"
 
     def silence(self, stream: str, limit: float) -> str:
-        """Which frames do not come, in words; empty of another stream than `joints` (see `drivers.base`)."""
+        """Return which frames do not come, in words; empty of another stream than `joints` (see `drivers.base`)."""
         receiver = self._receiver
         if stream != "joints" or self._state != "running" or receiver is None:
             return ""
@@ -188,7 +188,7 @@ class CanFramesDriver(LifeCycle):
         return f"no {', '.join(silent)}" if silent else ""
 
     def losses(self, stream: str) -> str:
-        """Why rows of `joints` were lost, in words; empty where the cause is unknown (see `drivers.base`)."""
+        """Return why rows of `joints` were lost, in words; empty where the cause is unknown (see `drivers.base`)."""
         dropped = self._receiver.overflow if self._receiver is not None else 0
         late = f"{dropped} frame(s) dropped: this computer was late to read them" if dropped else ""
         return "; ".join(words for words in (late, self._streams.losses()) if words) if stream == "joints" else ""

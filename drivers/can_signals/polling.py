@@ -28,7 +28,7 @@ class PollAnswers:
         self._since = 0.0
 
     def unanswered(self, poller: Poller, rows: Rows) -> int:
-        """How many more are known to be lost after these rows."""
+        """Return how many more are known to be lost after these rows."""
         if not len(rows.host_time):
             if self._missing is not None:
                 self._missing -= rows.incomplete
@@ -79,7 +79,7 @@ class Poller:
             self._thread.join()
 
     def take_until(self, moment: float) -> int:
-        """How many polls were sent before a time [s, host's monotonic clock] and not taken yet."""
+        """Return how many polls were sent before a time [s, host's monotonic clock] and not taken yet."""
         count = 0
         while self._sent and self._sent[0] < moment:
             self._sent.popleft()

@@ -201,7 +201,7 @@ class CanFramesSettings:
         return tuple(dict.fromkeys(("joints", *(signal.stream for signal in self.signals))))
 
     def frame_layouts(self, stream: str) -> tuple[FrameLayout, ...]:
-        """What comes together, of one stream."""
+        """Return what comes together, of one stream."""
         return frame_layouts([signal for signal in self.signals if signal.stream == stream])
 
 

@@ -74,11 +74,11 @@ class FrameStreams:
 
     @property
     def missing(self) -> str:
-        """What the last incomplete row lacked; empty where none was."""
+        """Return what the last incomplete row lacked; empty where none was."""
         return self._troubles.missing
 
     def losses(self) -> str:
-        """Why rows of the joints were lost since `forget`, in words."""
+        """Return why rows of the joints were lost since `forget`, in words."""
         return self._troubles.losses()
 
     def forget(self) -> None:

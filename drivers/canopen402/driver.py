@@ -117,11 +117,11 @@ class Canopen402Driver(LifeCycle):
         return self._configured.identities
 
     def holds(self) -> bool:
-        """Whether drives come to rest by themselves, as in mode "profile", or go on towards the next target."""
+        """Return whether drives come to rest by themselves, as in mode "profile", or go on towards the next target."""
         return self._settings.mode == "profile"
 
     def buffered(self) -> float:
-        """How late [s] a position may be sent: targets follow them so much later, but in mode "profile"."""
+        """Return how late [s] a position may be sent: targets follow them so much later, but in mode "profile"."""
         return 0.0 if self.holds() else STALL_LIMIT
 
     def device_limits(self) -> DeviceLimits:
@@ -178,7 +178,7 @@ class Canopen402Driver(LifeCycle):
         return blocks
 
     def notices(self) -> Sequence[Notice]:
-        """What drives and adapter reported since the last call."""
+        """Return what drives and adapter reported since the last call."""
         notices = [*super().notices()]
         if self._bus is not None:
             notices += self._receiver.notices()
@@ -235,7 +235,7 @@ class Canopen402Driver(LifeCycle):
         return f"the last torque would stay where this computer is gone: {', '.join(blind)}" if blind else ""
 
     def guiding_cautions(self, *, pushed: bool) -> Sequence[str]:
-        """What to mind before the arm is led by hand, and of the drives' own stops."""
+        """Return what to mind before the arm is led by hand, and of the drives' own stops."""
         self._require_open("tell cautions")
         carried = "while you hold the key, the drives carry the arm's weight as the model has it: it drifts, and falls"
         return [f"{carried} where the model is wrong", *self._configured.cautions]
@@ -299,7 +299,7 @@ class Canopen402Driver(LifeCycle):
         return self._silence.explain(self._clock.now(), self._receiver.drained, self._sync.latest, limit)
 
     def losses(self, stream: str) -> str:
-        """Why rows of `joints` were lost, in words; empty of another stream (see `drivers.base`)."""
+        """Return why rows of `joints` were lost, in words; empty of another stream (see `drivers.base`)."""
         return self._watch.losses() if stream == "joints" and self._state != "closed" else ""
 
     def _take_leave(self) -> None:
@@ -386,7 +386,7 @@ class Canopen402Driver(LifeCycle):
         return motion.mode if motion is not None and motion.active else None
 
     def _at_rest(self) -> bool:
-        """Whether the arm stands still, and nothing here moves it."""
+        """Return whether the arm stands still, and nothing here moves it."""
         motion = self._motion
         return (motion is None or motion.idle) and self._standstill.at_rest
 

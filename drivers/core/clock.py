@@ -103,7 +103,7 @@ class Clock:
     def select(
         self, readers: Sequence[HasFileno], writers: Sequence[HasFileno], seconds: float
     ) -> tuple[list[HasFileno], list[HasFileno]]:
-        """Which of some sockets can be read and written, waiting at most `seconds` [s] for the first."""
+        """Return which of some sockets can be read and written, waiting at most `seconds` [s] for the first."""
         readable, writable, _ = select.select(readers, writers, (), max(0.0, seconds))
         return readable, writable
 

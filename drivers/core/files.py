@@ -64,13 +64,13 @@ def path_of(given: object, hint: str = "") -> Path:
 
 
 def given_kind(given: object) -> str:
-    """What a caller of Python gave, with its article: `an int`, `a DataFrame`, `None`."""
+    """Return what a caller of Python gave, with its article: `an int`, `a DataFrame`, `None`."""
     name = type(given).__name__
     return "None" if given is None else f"{'an' if name[0] in 'aeiouAEIOU' else 'a'} {name}"
 
 
 def check_input(path: Path, kind: InputKind, refusal: type[InputError], hint: str = "") -> int:
-    """Whether a file may be opened by its name; its size [B].
+    """Check that a file may be opened by its name; its size [B].
 
     `hint` is what to do where there is no such file.
 

@@ -95,7 +95,7 @@ def required(help: str, **more: Any) -> dict[str, Option]:
 
 
 def declared(of: Field[Any]) -> Option | None:
-    """What a field declares; None of a field that is no option."""
+    """Return what a field declares; None of a field that is no option."""
     return of.metadata.get(_METADATA)
 
 
@@ -271,7 +271,7 @@ def _quoted(value: str) -> str:
 
 
 def _of_a_command(match: re.Match[str]) -> bool:
-    """Whether an option belongs to a command that stands before it."""
+    """Return whether an option belongs to a command that stands before it."""
     return re.search(r"\bdynid \w+[^,:;()]*$", match.string[: match.start()]) is not None
 
 

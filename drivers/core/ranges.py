@@ -20,7 +20,7 @@ class Range:
     unit: str = ""  # as messages write it; empty for a count
 
     def holds(self, value: float) -> bool:
-        """Whether a number is within; NaN is not."""
+        """Return whether a number is within; NaN is not."""
         return self.least <= value <= self.most
 
     def __str__(self) -> str:

@@ -132,7 +132,7 @@ def _last_answer(answers: BinaryIO, progress: Progress) -> tuple[str, Any]:
 
 
 def _read_and_exit(read: Callable[[Progress], Any], sending: int, time_limit: float, waiting_limit: float) -> NoReturn:
-    """What the child does; it never returns to its caller's code, and leaves no output of it twice."""
+    """Return what the child does; it never returns to its caller's code, and leaves no output of it twice."""
     status = 1
     try:
         with os.fdopen(sending, "wb") as answers:

@@ -194,7 +194,7 @@ class RtdeDriver(LifeCycle):
         return None
 
     def cautions(self) -> tuple[str, ...]:
-        """Why `device_limits` has none, or empty; whether our own program moves the arm."""
+        """Return why `device_limits` has none, or empty; whether our own program moves the arm."""
         own = self._take_control is MotionProcess and not has_ur_rtde()
         return (*self._cautions, OWN_PROGRAM) if own else self._cautions
 
@@ -219,7 +219,7 @@ class RtdeDriver(LifeCycle):
         return tuple(layouts)
 
     def unreported(self) -> Sequence[str]:
-        """Which of safety mode, robot mode and runtime state the controller refuses to deliver."""
+        """Return which of safety mode, robot mode and runtime state the controller refuses to deliver."""
         self._require_open("list what is not reported")
         delivered = self._receiver.recipe.variables
         return [source.variable for source in _MODES if source.variable not in delivered]

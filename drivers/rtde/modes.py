@@ -114,7 +114,7 @@ _OTHERWISE = {
 
 
 def describe_mode(variable: str, value: int) -> tuple[Level, str, str]:
-    """How much a mode matters, in words, and what to do about it where it stops a session."""
+    """Return how much a mode matters, in words, and what to do about it where it stops a session."""
     text = f"{variable.replace('_', ' ')}: {NAMES[variable].get(value, f'unknown ({value})')}"
     sound = _SOUND.get(variable)
     if sound is None or value in sound:

@@ -116,7 +116,7 @@ class Worker(Protocol):
 
 
 def has_ur_rtde() -> bool:
-    """Whether ur_rtde is installed; there are no wheels of it from Python 3.13 on."""
+    """Return whether ur_rtde is installed; there are no wheels of it from Python 3.13 on."""
     return find_spec("rtde_control") is not None
 
 

@@ -165,7 +165,7 @@ def encode_output_recipe(variables: Sequence[str], rate: float) -> bytes:
 
 
 def decode_accepted(payload: bytes) -> bool:
-    """Whether the controller agreed (answers to protocol request, start and pause)."""
+    """Return whether the controller agreed (answers to protocol request, start and pause)."""
     return bool(_unpack(">B", payload, "an answer")[0])
 
 

@@ -109,7 +109,7 @@ class RtdeReceiver:
 
     @property
     def connected(self) -> bool:
-        """Whether there is a connection, as far as known."""
+        """Return whether there is a connection, as far as known."""
         return self._socket is not None
 
     def connect(self) -> None:
@@ -162,7 +162,7 @@ class RtdeReceiver:
         self._thread.start()
 
     def take(self, timeout: float) -> Samples | None:
-        """What has arrived since the last call; None where nothing has.
+        """Return what has arrived since the last call; None where nothing has.
 
         It waits for the samples of `TOGETHER`, at most `timeout` [s]: handling each by itself takes most of a core.
 

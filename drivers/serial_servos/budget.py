@@ -14,7 +14,7 @@ from drivers.serial_servos.setup import USUAL_TIMER
 
 
 def servo_budget(connection: DriverSettings, driver: str) -> Budget:
-    """What a connection to servos asks of its line.
+    """Return what a connection to servos asks of its line.
 
     Raises:
         UsageError: the connection's keys are wrong.
@@ -44,7 +44,7 @@ def servo_budget(connection: DriverSettings, driver: str) -> Budget:
 
 
 def servo_advice(connection: DriverSettings, driver: str) -> list[str]:
-    """What to mind of a connection to servos, one line each."""
+    """Return what to mind of a connection to servos, one line each."""
     settings, said = _parsed(connection, driver), []
     timer = ServoLine(settings.url, settings.keys.baudrate, ServoBus(settings).line.protocol).latency_timer()
     if timer is not None and timer > USUAL_TIMER:

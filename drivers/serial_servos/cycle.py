@@ -24,7 +24,7 @@ class ServoCycle(PolledRows):
         self._garbled = 0
 
     def losses(self) -> str:
-        """Why rows were lost, in words; empty where none were."""
+        """Return why rows were lost, in words; empty where none were."""
         said = [super().losses(), f"{self._garbled} bytes belonged to no answer" if self._garbled else ""]
         return "; ".join(filter(None, said))
 

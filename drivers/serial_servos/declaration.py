@@ -6,7 +6,7 @@ from drivers.declaration import DriverDeclaration, SimulatedBackEnd
 
 
 def _of(protocol: str) -> DriverDeclaration:
-    """What both have in common: their functions are called after the protocol."""
+    """Return what both have in common: their functions are called after the protocol."""
     return DriverDeclaration(
         driver=f"drivers.serial_servos.driver:{protocol}",
         budget=f"drivers.serial_servos.budget:{protocol}_budget",

@@ -74,7 +74,7 @@ class SerialServoDriver(PolledArm):
         return DeviceLimits(lowest, highest, nothing, nothing, {"position": "the servos' position limits"})
 
     def cautions(self) -> Sequence[str]:
-        """What the arm does before, at a stop and where this computer dies."""
+        """Return what the arm does before, at a stop and where this computer dies."""
         keys, motors = self._settings.keys, self._settings.motors
         said = [f"first the servos' torque is switched on: the arm stiffens where it is; then, {self._stop_words()}"]
         if motors[0].table.protocol == "feetech":
@@ -94,7 +94,7 @@ class SerialServoDriver(PolledArm):
         return said
 
     def guiding_refusal(self, *, pushed: bool) -> str:
-        """Why the arm cannot be led by hand: not with torques."""
+        """Return why the arm cannot be led by hand: not with torques."""
         return "these servos follow positions and accept no torques" if pushed else ""
 
     def _stop_words(self) -> str:

@@ -67,11 +67,11 @@ class DynamixelProtocol:
         return self.request(BROADCAST, SYNC_WRITE, _words(address, size) + parts)
 
     def answer(self, motor: int, errors: int, data: bytes = b"") -> bytes:
-        """What a servo answers."""
+        """Return what a servo answers."""
         return self.request(motor, STATUS, bytes([errors]) + data)
 
     def fast_answer(self, rows: Sequence[tuple[int, int, bytes]]) -> bytes:
-        """What servos answer together to a fast sync read: (id, errors, data) of each, in their order."""
+        """Return what servos answer together to a fast sync read: (id, errors, data) of each, in their order."""
         length = 1 + sum(len(data) + 4 for _, _, data in rows)
         packet = HEADER + bytes([BROADCAST]) + length.to_bytes(2, "little") + bytes([STATUS])
         for motor, errors, data in rows:

@@ -52,7 +52,7 @@ class FeetechProtocol:
         return self.request(BROADCAST, SYNC_WRITE, bytes([address, size]) + parts)
 
     def answer(self, motor: int, errors: int, data: bytes = b"") -> bytes:
-        """What a servo answers: as a request, with its errors in the instruction's place."""
+        """Return what a servo answers: as a request, with its errors in the instruction's place."""
         return self.request(motor, errors, data)
 
     def answer_size(self, size: int) -> int:

@@ -1,4 +1,4 @@
-"""From a servo's steps to its joint: direction, zero and range; also as LeRobot's calibration files have them."""
+"""Maps a servo's steps to its joint: direction, zero and range; also as LeRobot's calibration files have them."""
 
 from __future__ import annotations
 

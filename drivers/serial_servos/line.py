@@ -146,7 +146,7 @@ class ServoLine:
         return Heard(answers, strange + len(data), sent, self._clock.now())
 
     def latency_timer(self) -> int | None:
-        """How long [ms] the USB adapter collects bytes before it hands them on; None where it does not say."""
+        """Return how long [ms] the USB adapter collects bytes before it hands them on; None where it does not say."""
         name = os.path.basename(os.path.realpath(self.url))
         try:
             return int((LATENCY_TIMER / name / "latency_timer").read_text("ascii"))

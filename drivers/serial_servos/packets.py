@@ -94,7 +94,7 @@ class ServoProtocol(Protocol):
         """The request that writes equally many bytes to several servos; none answers."""
 
     def answer(self, motor: int, errors: int, data: bytes = b"") -> bytes:
-        """What a servo answers."""
+        """Return what a servo answers."""
 
     def answer_size(self, size: int) -> int:
         """Bytes of an answer with so many data."""

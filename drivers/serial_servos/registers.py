@@ -109,7 +109,7 @@ class ServoTable:
         return first, max(entry.address + entry.size for entry in entries) - first
 
     def error_words(self, bits: int) -> list[str]:
-        """What the bits of a status mean."""
+        """Return what the bits of a status mean."""
         return [words for bit, words in self.errors.items() if bits >> bit & 1]
 
 

@@ -71,7 +71,7 @@ def identity(bus: ServoBus, motor: ServoMotor) -> ServoIdentity:
 
 
 def reading_time(bus: ServoBus, clock: Clock) -> float:
-    """How long [s] one reading of all servos takes: the median of a few.
+    """Return how long [s] one reading of all servos takes: the median of a few.
 
     Raises:
         ConnectionLostError: the port is gone.
@@ -85,7 +85,7 @@ def reading_time(bus: ServoBus, clock: Clock) -> float:
 
 
 def slow_reading(bus: ServoBus, settings: ServoSettings, lasted: float) -> list[str]:
-    """What to do where readings of so long [s] leave no room at the connection's rate; nothing where they do."""
+    """Return what to do where readings of so long [s] leave no room at the connection's rate; nothing where they do."""
     if lasted < TIGHT / settings.keys.rate:
         return []
     said = [f"one reading of all servos takes {1e3 * lasted:.1f} ms: {settings.keys.rate:g} Hz cannot be reached"]

@@ -105,7 +105,7 @@ class SerialPort:
         self._thread.start()
 
     def take(self, timeout: float) -> list[Arrival]:
-        """What has arrived since the last call, waiting at most `timeout` [s] for the first."""
+        """Return what has arrived since the last call, waiting at most `timeout` [s] for the first."""
         with self._changed:
             self._changed.wait_for(lambda: self._arrivals, timeout)
             arrivals = list(self._arrivals)

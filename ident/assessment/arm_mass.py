@@ -88,7 +88,7 @@ def mass_of_length(length: float, part: bool) -> ArmMass:
 
 
 def part_of_arm(model: DynamicModel) -> bool:
-    """Whether the joints' frames may show a part of the arm's length only."""
+    """Return whether the joints' frames may show a part of the arm's length only."""
     return len(model.joints) < WHOLE_ARM or any(joint.prismatic for joint in model.joints)
 
 

@@ -114,7 +114,7 @@ def column_checks(recording: Recording, of: str = "") -> list[Check]:
 
 
 def _is(signal: FloatArray, motion: FloatArray) -> bool:
-    """Whether two columns (N,) are one signal, in any units and with either sign."""
+    """Return whether two columns (N,) are one signal, in any units and with either sign."""
     largest = float(np.max(np.abs(motion), initial=0.0))
     if not np.ptp(motion) > SAME * largest:
         return False

@@ -20,7 +20,7 @@ OTHER_UNIT = 20.0
 
 
 def command_checks(motion: CommandedMotion, of: str = "") -> list[Check]:
-    """What is wrong with commands beside measured positions; `of` begins the sentences."""
+    """Return what is wrong with commands beside measured positions; `of` begins the sentences."""
     return _checks(motion, command_quality(motion), of)
 
 

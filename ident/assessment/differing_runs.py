@@ -85,7 +85,7 @@ def _weights(runs: Sequence[Reduction], solution: LeastSquares) -> FloatArray:
 def _without_friction(
     run: Reduction, friction: Sequence[int], bodies: Sequence[int], weights: FloatArray
 ) -> FloatArray:
-    """What is left of a run for bodies and torque (s + 1, s + 1) with the best friction for any bodies."""
+    """Return what is left of a run for bodies and torque (s + 1, s + 1) with the best friction for any bodies."""
     stacked = run.stacked(weights)
     factor = triangular(stacked[:, [*friction, *bodies, run.column_count]])
     return factor[len(friction) :, len(friction) :]

@@ -147,7 +147,7 @@ def later_motion(segment: Segment, joint: int, seconds: float, time: FloatArray)
 
 
 def instants(kernel: RegressorKernel, runs: Sequence[Prepared]) -> Instants:
-    """At most `MOST_INSTANTS` instants, spread evenly over all used samples of the filtered torques."""
+    """Return at most `MOST_INSTANTS` instants, spread evenly over all used samples of the filtered torques."""
     parameters = kernel.model.parameters
     others = RegressorKernel(kernel.model, [c for c in kernel.columns if parameters[c].kind != "inertial"])
     parts: dict[str, list[FloatArray]] = {}

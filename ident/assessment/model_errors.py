@@ -102,7 +102,7 @@ DIRECTIONS = tuple(np.array(sign * axis) for axis in np.eye(3) for sign in (1.0,
 
 
 def reported(deviation: Deviation) -> bool:
-    """Whether a deviation is clear and large enough to be named."""
+    """Return whether a deviation is clear and large enough to be named."""
     level = LATE_LEVEL if deviation.unknown.kind == "late" else LIKELIHOOD_LEVEL
     if abs(deviation.value) < MOST_UNCERTAIN * deviation.std or deviation.likelihood < level:
         return False
@@ -197,7 +197,7 @@ def most_likely(
 
 
 def _price(deviation: Deviation) -> float:
-    """What several lengths must explain more than a single number."""
+    """Return what several lengths must explain more than a single number."""
     return RIVAL_LIKELIHOOD * max(0, len(deviation.parts) - 1)
 
 
@@ -210,7 +210,7 @@ def _judged(deviation: Deviation, worth: float) -> Deviation:
 
 
 def _plausible(model: DynamicModel, one: Deviation) -> bool:
-    """Whether a length is off by no more than half, a zero by no more than 60°: not a mirrored arm."""
+    """Return whether a length is off by no more than half, a zero by no more than 60°: not a mirrored arm."""
     if one.unknown.kind == "zero":
         return abs(one.value) <= MOST_OF_ZERO
     if one.unknown.kind == "late":  # a torque that is late is found, and taken into account, where delays are sought
@@ -358,7 +358,7 @@ def _joints(model: DynamicModel, unknown: Unknown) -> list[str]:
 
 
 def _clause(model: DynamicModel, one: Deviation) -> str:
-    """What the torques agree better with."""
+    """Return what the torques agree better with."""
     between = WITHIN_95_PERCENT * one.std
     if one.unknown.kind == "gain":
         factor = 1.0 / (1.0 + one.value)  # the gain multiplies the recorded torque, the unknown the model's
@@ -383,7 +383,7 @@ def _clause(model: DynamicModel, one: Deviation) -> str:
 
 
 def _origin(model: DynamicModel, unknown: Unknown, shift: float, between: float) -> str:
-    """Where a joint's origin fits better [m]."""
+    """Return where a joint's origin fits better [m]."""
     joint, axis = model.joints[unknown.joint], unknown.axis or 0
     parent = "the base" if joint.parent < 0 else model.joints[joint.parent].name
     believed = float(joint.translation[axis])

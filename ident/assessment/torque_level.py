@@ -116,7 +116,7 @@ def _carries_stated_masses(robot_file: RobotFile, model: DynamicModel, peak: Flo
 
 
 def _load_checks(names: Sequence[str], model: DynamicModel, peak: FloatArray) -> list[Check]:
-    """Whether the peak torque would hold a mass that no arm of this size has; needs no limits."""
+    """Return whether the peak torque would hold a mass that no arm of this size has; needs no limits."""
     reach = _length(model)
     turning = [row for row, joint in enumerate(model.active) if not model.joints[joint].prismatic]
     if not turning:
@@ -201,7 +201,7 @@ def weight_checks(
 
 
 def _small_beside(gravity: float, expected: float, apparent: float | None, friction: float | None) -> str:
-    """What is too small beside gravity's largest share of a torque limit; empty where nothing is."""
+    """Return what is too small beside gravity's largest share of a torque limit; empty where nothing is."""
     if apparent is not None:
         ratio = apparent / expected
         if gravity < LITTLE and ratio < LIGHT and gravity * ratio < LITTLE_OF_BOTH:

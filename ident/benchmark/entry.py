@@ -136,7 +136,7 @@ def kind_of(method: Method) -> Kind:
 
 
 def torque_predictor(returned: Any, place: str) -> TorquePredictor:
-    """What a method returned, with what it left out.
+    """Return what a method returned, with what it left out.
 
     Raises:
         UsageError: it has no function `torque`, or `bodies` of another shape.
@@ -154,7 +154,7 @@ def torque_predictor(returned: Any, place: str) -> TorquePredictor:
 
 
 def servo_predictor(returned: Any, place: str) -> ServoPredictor:
-    """What a method for servo arms returned.
+    """Return what a method for servo arms returned.
 
     Raises:
         UsageError: it has no function `roll_out`.

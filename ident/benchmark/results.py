@@ -69,7 +69,7 @@ class Benchmark(SavedResult):
 
     @property
     def judges_ours(self) -> bool:
-        """Whether dynid's default is among the entries with a score."""
+        """Return whether dynid's default is among the entries with a score."""
         return any(entry.method in DEFAULTS and entry.score is not None for entry in self.entries)
 
     @property

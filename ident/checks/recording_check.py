@@ -118,7 +118,7 @@ def _commanded(recording: Recording, robot: Robot) -> CommandedMotion | None:
 
 
 def _without_torque_checks(recording: Recording, commanded: CommandedMotion | None) -> list[Check]:
-    """What a recording without a signed torque is good for, and whether its commands are sound."""
+    """Return what a recording without a signed torque is good for, and whether its commands are sound."""
     stream = recording.streams.get(JOINTS_STREAM)
     magnitudes = [name for name in MOTOR_SIGNALS if stream is not None and name in stream.channels]
     what = f"the {' and '.join(magnitudes)} has no sign" if magnitudes else "neither torque nor current is recorded"
@@ -146,7 +146,7 @@ def _delays(motion: RecordedMotion, search: DelaySearch | None) -> PreprocessCho
 
 
 def _excitation_checks(recording: Recording, excitation: ExcitationReached | None) -> list[Check]:
-    """Whether the motion shows the parameters."""
+    """Return whether the motion shows the parameters."""
     if excitation is None:
         return [raised("no-motion", "no motion to analyse: record an excitation trajectory")]
     checks = []
@@ -169,7 +169,7 @@ def _excitation_checks(recording: Recording, excitation: ExcitationReached | Non
 
 
 def _precision_checks(sufficiency: Sufficiency | None) -> list[Check]:
-    """Whether the motion determines most parameters, by the error bars that it is expected to give."""
+    """Return whether the motion determines most parameters, by the error bars that it is expected to give."""
     rsds = [] if sufficiency is None else [parameter.rsd_percent for parameter in sufficiency.forecast.parameters]
     ratios = [ratio for ratio in rsds if ratio is not None]
     determined = sum(ratio < SIGNIFICANT_RSD for ratio in ratios)

@@ -112,7 +112,7 @@ def _joints(model: DynamicModel, arm: RigidArm, positions: FloatArray) -> Iterat
 
 
 def _motion_check(robot_file: RobotFile) -> tuple[ArmMotionCheck, bool]:
-    """What judges poses, and whether no mounting surface can be assumed."""
+    """Return what judges poses, and whether no mounting surface can be assumed."""
     try:
         return ArmMotionCheck(robot_file), False
     except RobotFileError:

@@ -46,7 +46,7 @@ class Kernels:
 
 
 def address(array: np.ndarray[Any, Any]) -> int:
-    """Where an array's data begin; whoever passes it on keeps the array."""
+    """Return where an array's data begin; whoever passes it on keeps the array."""
     return int(array.ctypes.data)
 
 
@@ -104,7 +104,7 @@ def _fingerprint(compiler: str) -> str:
 
 
 def _processor() -> str:
-    """What the instructions of a build depend on: a home folder may be that of several computers."""
+    """Return what the instructions of a build depend on: a home folder may be that of several computers."""
     import platform
 
     with suppress(OSError), open("/proc/cpuinfo") as lines:

@@ -86,7 +86,7 @@ class EnergyEquations(Protocol):
 
     @property
     def overlap(self) -> int:
-        """How many consecutive rows share data; 1 where they do not."""
+        """Return how many consecutive rows share data; 1 where they do not."""
 
     def rows(self, segment: Segment, parallel_filter: ZeroPhaseFilter) -> Iterator[EnergyRows]:
         """The equations of one segment."""
@@ -167,7 +167,7 @@ class EnergyWindows:
 
     @property
     def overlap(self) -> int:
-        """How many consecutive rows share data."""
+        """Return how many consecutive rows share data."""
         return OVERLAP
 
     def rows(self, segment: Segment, parallel_filter: ZeroPhaseFilter) -> Iterator[EnergyRows]:
@@ -339,7 +339,7 @@ def estimable(model: DynamicModel, base: BaseParameters) -> tuple[int, ...]:
 def fits_energy_better(
     other: Estimator, runs: Sequence[Prepared], active: Sequence[int], residual_sum: float, independent: float
 ) -> bool:
-    """Whether another energy model's residual is significantly smaller than `residual_sum`.
+    """Return whether another energy model's residual is significantly smaller than `residual_sum`.
 
     Args:
         other: of the other model's equations; the torque equations' never fit better in this sense.

@@ -102,7 +102,7 @@ class Estimator(Protocol):
     """One way to estimate base parameters."""
 
     def notes(self, run: Prepared) -> tuple[Step, ...]:
-        """Its processing of a run before the regression, for the list of steps."""
+        """Return its processing of a run before the regression, for the list of steps."""
 
     def reduce(self, runs: Sequence[Prepared]) -> Reduction:
         """The plain equations of all data: they tell the excited columns and the condition."""

@@ -139,7 +139,7 @@ def describe_methods() -> str:
 
 
 def _values(schema: dict[str, Any]) -> str:
-    """What an option can be, in words."""
+    """Return what an option can be, in words."""
     if "enum" in schema:
         return "|".join(str(value) for value in schema["enum"])
     kinds = {schema.get("type"), *(other.get("type") for other in schema.get("anyOf", ()))}

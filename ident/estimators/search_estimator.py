@@ -101,7 +101,7 @@ class SearchEstimator(TorqueEstimator):
         )
 
     def _step(self, exact: LeastSquares, parameters: FloatArray, cost: float, minimum: Minimum, box: SearchBox) -> Step:
-        """What the search found, beside the exact optimum."""
+        """Return what the search found, beside the exact optimum."""
         above = cost / max(float(np.sqrt(exact.residual_sum)), np.finfo(float).tiny) - 1.0
         used = list(exact.active)
         distance = np.abs(parameters - exact.parameters)[used] / exact.std[used]

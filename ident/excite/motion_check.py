@@ -83,7 +83,7 @@ class ArmMotionCheck:
         return self._check(motion, GRID_RATE, where, from_here=False)
 
     def refusal(self, motion: Motion) -> str:
-        """Why `trajectory` would refuse a motion, in words; empty where it does not."""
+        """Return why `trajectory` would refuse a motion, in words; empty where it does not."""
         try:
             self.trajectory(motion, "")
         except MotionRefusedError as error:
@@ -99,7 +99,7 @@ class ArmMotionCheck:
         return self._check(motion, APPROACH_RATE, "the approach to the start pose", from_here=True)
 
     def clear(self, position: FloatArray) -> BoolArray:
-        """Whether an arm at rest in poses (n, N) keeps what a motion must keep: distances and torques (N,)."""
+        """Return whether an arm at rest in poses (n, N) keeps what a motion must keep: distances and torques (N,)."""
         still = np.zeros_like(position)
         path = JointPath(np.arange(position.shape[1], dtype=np.float64), position, still, still)
         fine = np.ones(position.shape[1], dtype=bool)

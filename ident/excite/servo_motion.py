@@ -212,7 +212,7 @@ class _Known:
         ]
 
     def wide(self, information: Sequence[FloatArray]) -> BoolArray:
-        """Whether each parameter's interval is wider than wanted, all joints one after the other."""
+        """Return whether each parameter's interval is wider than wanted, all joints one after the other."""
         return np.concatenate(self.half_widths(information)) > 1.0
 
     def cost(self, information: Sequence[FloatArray]) -> float:

@@ -109,7 +109,7 @@ def _from_torque(motion: RecordedMotion) -> Sufficiency:
 
 
 def times_needed(sufficiency: Sufficiency, wanted_rsd_percent: float) -> TimesNeeded:
-    """How long the recorded motion must last for a wanted RSD [%] of every significant parameter."""
+    """Return how long the recorded motion must last for a wanted RSD [%] of every significant parameter."""
     entries = [
         TimeNeeded(p.name, p.rsd_percent, sufficiency.seconds * (p.rsd_percent / wanted_rsd_percent) ** 2)
         for p in sufficiency.forecast.parameters

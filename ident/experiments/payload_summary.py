@@ -252,7 +252,7 @@ def consistent_load_result(pair: RunPair, load: ConsistentLoad) -> ConsistentLoa
 
 
 def consistent_load_sentences(load: ConsistentLoadResult) -> list[str]:
-    """What it costs that load and links can exist."""
+    """Return what it costs that load and links can exist."""
     errors = "; ".join(
         f"{error.run}: {percent_text(error.unconstrained)} unconstrained, {percent_text(error.consistent)} consistent"
         for error in load.errors

@@ -57,7 +57,7 @@ class ExportedArm:
 
     @property
     def closed(self) -> bool:
-        """Whether some joints have no motor and follow the others."""
+        """Return whether some joints have no motor and follow the others."""
         return self.model.transmission.closed
 
     @cached_property

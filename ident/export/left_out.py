@@ -13,7 +13,7 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 
 def left_out_of_urdf(arm: ExportedArm) -> tuple[str, ...]:
-    """What a URDF lacks; friction and limits of joints, and the bodies of links, are in it."""
+    """Return what a URDF lacks; friction and limits of joints, and the bodies of links, are in it."""
     joints = arm.at_joints
     coupled = np.array(arm.coupled)
     sentences = []
@@ -36,7 +36,7 @@ def left_out_of_urdf(arm: ExportedArm) -> tuple[str, ...]:
 
 
 def left_out_of_mjcf(arm: ExportedArm) -> tuple[str, ...]:
-    """What an MJCF lacks."""
+    """Return what an MJCF lacks."""
     unlimited = _without_torque_limit(arm)
     limits = [f"control limits of {unlimited}, whose torque limit is not known"] if unlimited else []
     return (
@@ -48,7 +48,7 @@ def left_out_of_mjcf(arm: ExportedArm) -> tuple[str, ...]:
 
 
 def left_out_of_ros2_inertial(arm: ExportedArm) -> tuple[str, ...]:
-    """What the inertial parameters alone lack."""
+    """Return what the inertial parameters alone lack."""
     rest = [name for name, closed in (("loops", arm.closed), ("coupled motors", any(arm.coupled))) if closed]
     return (f"everything but the links' bodies: {', '.join(['friction', 'motor inertia', 'offsets', *rest])}",)
 

@@ -30,7 +30,7 @@ from ident.export.reading import (
 
 
 def mujoco_installed() -> bool:
-    """Whether there is a MuJoCo to read with."""
+    """Return whether there is a MuJoCo to read with."""
     return find_spec("mujoco") is not None
 
 
@@ -132,7 +132,7 @@ def loaded(text: str, where: str) -> Any:
 
 
 def _order(arm: ExportedArm, model: Any) -> list[int]:
-    """Where the arm's joints stand among MuJoCo's."""
+    """Return where the arm's joints stand among MuJoCo's."""
     return [int(model.jnt_dofadr[model.joint(name).id]) for name in arm.model.link_names]
 
 
@@ -238,7 +238,7 @@ def _without_log_file() -> Iterator[None]:
 
 
 def _finite(data: Any) -> bool:
-    """Whether all states were finite so far; MuJoCo starts anew, and counts a warning, where one is not."""
+    """Return whether all states were finite so far; MuJoCo starts anew, and counts a warning, where one is not."""
     import mujoco
 
     bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)

@@ -72,7 +72,7 @@ def inertial_names(arm: ExportedArm) -> tuple[str, ...]:
 
 
 def has_ur_frames(arm: ExportedArm) -> bool:
-    """Whether the arm has a UR's six joints, with link frames that lie as in the package."""
+    """Return whether the arm has a UR's six joints, with link frames that lie as in the package."""
     joints = arm.model.joints
     if arm.model.link_names != tuple(UR_LINKS):
         return False

@@ -76,7 +76,7 @@ class Fleet:
 
     @property
     def summary(self) -> str:
-        """How many there are of each grade, and how many failed, in a line."""
+        """Return how many there are of each grade, and how many failed, in a line."""
         grades = [outcome.grade for outcome in self.done]
         counts = [f"{grades.count(grade)} {grade}" for grade in GRADES if grade in grades]
         failed = [f"{len(self.failures)} failed"] if self.failures else []
@@ -185,7 +185,7 @@ def _of_what_stands(job: Job, by_name: Mapping[str, JobOutcome]) -> Job:
 
 
 def _kept(job: Job, folder: Path, by_name: dict[str, JobOutcome]) -> bool:
-    """Whether an earlier call has done a job already; its outcome is then among those known."""
+    """Return whether an earlier call has done a job already; its outcome is then among those known."""
     outcome = by_name.get(job.name) or finished(job, folder)
     if outcome is not None:
         by_name[job.name] = outcome
@@ -193,7 +193,7 @@ def _kept(job: Job, folder: Path, by_name: dict[str, JobOutcome]) -> bool:
 
 
 def _is_of_a_fleet(file: Path) -> bool:
-    """Whether a regular file is what an earlier call has written."""
+    """Return whether a regular file is what an earlier call has written."""
     try:
         content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() and not file.is_symlink() else None
     except (OSError, ValueError):

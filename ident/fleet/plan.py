@@ -107,7 +107,7 @@ def read_fleet(path: Path) -> list[Job]:
 
 
 def is_url(place: str) -> bool:
-    """Whether a recording is named by a URL (s3://…, https://…), which fsspec opens."""
+    """Return whether a recording is named by a URL (s3://…, https://…), which fsspec opens."""
     return "://" in place
 
 

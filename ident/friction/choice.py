@@ -48,7 +48,7 @@ def check_friction(text: str) -> None:
 
 
 def friction_columns(text: str) -> tuple[str, ...]:
-    """Which of the columns viscous and coulomb every joint has."""
+    """Return which of the columns viscous and coulomb every joint has."""
     return ("coulomb", "viscous") if text == AUTO else tuple(text.split("+")[0].split("-"))
 
 

@@ -63,7 +63,7 @@ class FrictionProblem(Protocol[Fit]):
         ...
 
     def no_worse(self, fit: Fit, before: Fit) -> bool:
-        """Whether the misfit of a fit is not larger than that of the fit before."""
+        """Return whether the misfit of a fit is not larger than that of the fit before."""
         ...
 
     def reloaded(self, fit: Fit) -> tuple[Callable[[], Fit], float]:
@@ -196,7 +196,7 @@ def shape_change(before: FrictionTerms, after: FrictionTerms) -> float:
 
 
 def _brakes(problem: FrictionProblem[Fit], fit: Fit) -> bool:
-    """Whether the friction around an estimated exponent brakes: Fv and Fs are not negative (AUBO eq. 16).
+    """Return whether the friction around an estimated exponent brakes: Fv and Fs are not negative (AUBO eq. 16).
 
     On a poor motion a flat power law and Coulomb friction of opposite signs fit as well as one of them alone.
     """

@@ -236,7 +236,7 @@ def _stribeck_by_velocity_slope(at: Operands) -> Any:
 
 
 def temperature_factor(kind: str, kelvin: FloatArray) -> FloatArray | float:
-    """What √|q̇| is multiplied with in one of the three temperature columns."""
+    """Return what √|q̇| is multiplied with in one of the three temperature columns."""
     if kind == "temperature":
         return 1.0
     rise = kelvin - REFERENCE_TEMPERATURE

@@ -54,13 +54,13 @@ class FrictionTerms:
     sensitivities: bool = False
 
     def has(self, kind: str, motor: int) -> bool:
-        """Whether a motor has a column of this further kind."""
+        """Return whether a motor has a column of this further kind."""
         if kind in SHAPED:
             return self.sensitivities and self.is_free(kind, motor)
         return self.asks(kind, motor) and (TERM[kind].needs != "load" or self.load_torque is not None)
 
     def asks(self, kind: str, motor: int) -> bool:
-        """Whether a motor is to have a column of this further kind, once its load torque is known."""
+        """Return whether a motor is to have a column of this further kind, once its load torque is known."""
         return bool(self.kinds) and kind in self.kinds[motor]
 
     def shape(self, name: str, motor: int) -> float:
@@ -76,26 +76,26 @@ class FrictionTerms:
         return 1.0 if shape is None else self.shape(shape.name, motor)
 
     def is_free(self, name: str, motor: int) -> bool:
-        """Whether a motor's shape of this name is estimated."""
+        """Return whether a motor's shape of this name is estimated."""
         return name in self.free and self.free[name][motor]
 
     def bent(self, name: str, motor: int) -> bool:
-        """Whether a motor's shape of this name is another than the plain one, or is to be."""
+        """Return whether a motor's shape of this name is another than the plain one, or is to be."""
         return self.is_free(name, motor) or self.shape(name, motor) != SHAPES[name].plain
 
     @property
     def shaped(self) -> bool:
-        """Whether some shape is to be estimated."""
+        """Return whether some shape is to be estimated."""
         return any(any(free) for free in self.free.values())
 
     @property
     def loaded(self) -> bool:
-        """Whether some friction is to follow a load torque, known or not."""
+        """Return whether some friction is to follow a load torque, known or not."""
         return any(TERM[kind].needs == "load" for kinds in self.kinds for kind in kinds)
 
     @property
     def plain(self) -> bool:
-        """Whether there is no further column, and no shape but plain ones."""
+        """Return whether there is no further column, and no shape but plain ones."""
         bent = (
             value != shape.plain
             for name, shape in SHAPES.items()
@@ -148,7 +148,7 @@ class FrictionTerms:
         return terms.with_shape(shape.name, motor, shape.first if own is None else own, free=own is None)
 
     def option(self, group: str, motor: int) -> FrictionOption | None:
-        """What a motor has of a group of options; None where it has nothing of it."""
+        """Return what a motor has of a group of options; None where it has nothing of it."""
         for option in OPTIONS:
             if option.group != group:
                 continue

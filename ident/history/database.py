@@ -39,7 +39,7 @@ PATIENCE = 30.0
 
 
 def check_history(path: Path) -> None:
-    """Whether results can be added to a history, before they are computed; it need not exist.
+    """Check that results can be added to a history, before they are computed; it need not exist.
 
     Raises:
         UsageError: its folder does not exist; or as `add_entries`.
@@ -173,7 +173,7 @@ def _damaged(path: Path, said: str) -> ResultFileError:
 
 
 def _refused(error: Exception, path: Path) -> DynidError:
-    """What SQLite's error means to a person."""
+    """Return what SQLite's error means to a person."""
     code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_CORRUPT) & 0xFF
     where = str(path)
     if code == sqlite3.SQLITE_NOTADB:

@@ -62,7 +62,7 @@ def body_checks(
     *,
     whole: bool,
 ) -> list[Check]:
-    """What no arm of this size and geometry has, and what was assumed of its motors.
+    """Return what no arm of this size and geometry has, and what was assumed of its motors.
 
     Args:
         model: the arm.

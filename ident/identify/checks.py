@@ -216,7 +216,7 @@ def _size_checks(identification: Identification) -> list[Check]:
 
 
 def _few_equations(identification: Identification, advised: int) -> str:
-    """How much motion gives the equations that are advised."""
+    """Return how much motion gives the equations that are advised."""
     solution, first = identification.solution, identification.runs[0].prepared
     seconds = sum(
         int(segment.used.sum()) / segment.rate for run in identification.runs for segment in run.prepared.segments
@@ -238,7 +238,7 @@ def _few_equations(identification: Identification, advised: int) -> str:
 
 
 def _weight_checks(identification: Identification) -> list[Check]:
-    """Whether gravity's torque is that of a mass that no arm of this size has."""
+    """Return whether gravity's torque is that of a mass that no arm of this size has."""
     consistent, solution = identification.consistent, identification.solution
     parameters = solution.parameters
     if consistent is not None:
@@ -287,7 +287,7 @@ def _whole_recording(identification: Identification) -> list[Prepared]:
 
 
 def _differing_run_checks(identification: Identification) -> list[Check]:
-    """Whether recordings, held-out ones among them, show the same bodies; parts of one recording do."""
+    """Return whether recordings, held-out ones among them, show the same bodies; parts of one recording do."""
     if identification.choices.estimator.equations != "torque":
         return []
     runs = list({id(run.signals): run for run in (*identification.validation_runs, *identification.runs)}.values())
@@ -511,7 +511,7 @@ def _indefinite_share(identification: Identification) -> float:
 
 
 def _fits_opposite_gravity(identification: Identification) -> bool:
-    """Whether the energy's equations with gravity of the opposite sign fit clearly better, both by OLS."""
+    """Return whether the energy's equations with gravity of the opposite sign fit clearly better, both by OLS."""
     active, model, method = identification.solution.active, identification.model, identification.choices.estimator
     base = identification.base
     residual_sum = ordinary_least_squares(identification.reduction, active).residual_sum

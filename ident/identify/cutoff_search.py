@@ -102,7 +102,7 @@ def lowered_cutoffs(
 
 
 def cutoff_checks(lowered: LoweredCutoffs | None) -> list[Check]:
-    """What was done about positions that jitter."""
+    """Return what was done about positions that jitter."""
     if lowered is None:
         return []
     text = (
@@ -115,7 +115,7 @@ def cutoff_checks(lowered: LoweredCutoffs | None) -> list[Check]:
 
 
 def _jitters(prepared: Prepared, lower: Prepared, torques: Sequence[int]) -> bool:
-    """Whether the acceleration of most motors grows with the cut-off."""
+    """Return whether the acceleration of most motors grows with the cut-off."""
     first, second = (_acceleration(run)[list(torques)] for run in (prepared, lower))
     moving = second > 0.0
     return bool(moving.any()) and float(np.median(first[moving] / second[moving])) > GROWTH

@@ -100,7 +100,7 @@ def split_data(
     chosen: PreprocessChoices,
     split: float | None,
 ) -> DataSplit:
-    """What to identify from and what to hold out: other recordings, or the last part of each.
+    """Return what to identify from and what to hold out: other recordings, or the last part of each.
 
     Args:
         recordings: to identify from.

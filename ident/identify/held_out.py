@@ -164,7 +164,7 @@ def held_out_run(parameters: ParameterSets, data: HeldOutData, fitted: Fit | Non
 
 
 def consistency_cost(joints: Sequence[str], delivered: Fit, full: Fit) -> list[Check]:
-    """Whether the consistent model predicts clearly worse than the full one, on the whole or for some joint."""
+    """Return whether the consistent model predicts clearly worse than the full one, on the whole or for some joint."""
     worse = [
         joint
         for joint, ours, free in zip(joints, delivered.joint_relative_error, full.joint_relative_error, strict=True)
@@ -237,7 +237,7 @@ def _nothing(joints: Sequence[str]) -> Evidence:
 
 
 def _evidence(result: Result, run: HeldOutErrors) -> Evidence:
-    """What a grade follows from; nothing where the recording is the identification's own."""
+    """Return what a grade follows from; nothing where the recording is the identification's own."""
     joints = result.joints
     if run.overlap >= 1.0:
         return _nothing(joints)
@@ -272,7 +272,7 @@ def _motions(result: Result, run: HeldOutErrors) -> Iterator[MotionError]:
 
 
 def _basis(result: Result, runs: Sequence[HeldOutErrors]) -> str:
-    """What was compared with what, and how much the model holds."""
+    """Return what was compared with what, and how much the model holds."""
     parameters = delivered_parameters(result.consistent)
     sentences = [
         f"On {labelled(run.recording, run.overlap)}, the torque of the {DELIVERED_WORDS[parameters]} model, which "
@@ -313,7 +313,7 @@ def _not_held_out(data: HeldOutData) -> Check:
 
 
 def _costly(delivered: float | None, full: float | None, least: float = LEAST_DIFFERENCE) -> bool:
-    """Whether two relative errors differ by what a user has to know, at `least` by so much."""
+    """Return whether two relative errors differ by what a user has to know, at `least` by so much."""
     if delivered is None or full is None:
         return False
     difference = delivered - full
@@ -356,7 +356,7 @@ def _graded(parameters: ParameterSets, errors: Fit) -> list[float | None]:
 
 
 def _whole(parameters: ParameterSets) -> bool:
-    """Whether the parameters are those of the whole arm."""
+    """Return whether the parameters are those of the whole arm."""
     return parameters.base.count == base_parameters(parameters.model).count
 
 

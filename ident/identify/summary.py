@@ -183,7 +183,7 @@ def _validation(identification: Identification, figures: Fit) -> Fit:
 
 
 def model_options(model: DynamicModel) -> ModelOptions:
-    """Which columns the model has."""
+    """Return which columns the model has."""
     return ModelOptions.model_validate(model, from_attributes=True)
 
 
@@ -213,7 +213,7 @@ def _experiment_step(identification: Identification) -> Step:
 
 
 def _friction_step(identification: Identification) -> tuple[Step, ...]:
-    """How the friction's shapes and load torque were found, among the steps; none where all were known."""
+    """Return how the friction's shapes and load torque were found, among the steps; none where all were known."""
     friction = identification.friction
     of_position: tuple[Step, ...] = ()
     if friction.by_run is not None:

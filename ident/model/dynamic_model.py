@@ -70,7 +70,7 @@ class DynamicModel:
 
     @property
     def sliding(self) -> tuple[bool, ...]:
-        """Whether each joint with a motor slides: forces [N] and metres in place of torques and radians."""
+        """Return whether each joint with a motor slides: forces [N] and metres in place of torques and radians."""
         return tuple(self.joints[index].prismatic for index in self.active)
 
     @property
@@ -135,7 +135,7 @@ class DynamicModel:
         ]
 
     def has(self, kind: str) -> tuple[bool, ...]:
-        """Whether each motor has a column of this kind."""
+        """Return whether each motor has a column of this kind."""
         if kind == "inertial":
             return (True,) * self.dof
         if kind not in ("motor_inertia", "viscous", "coulomb", "offset"):
@@ -144,23 +144,23 @@ class DynamicModel:
         return present
 
     def needs(self, condition: Need) -> tuple[bool, ...]:
-        """Whether each motor's friction depends on the load torque, the temperature or the position."""
+        """Return whether each motor's friction depends on the load torque, the temperature or the position."""
         kinds = [term.kind for term in TERMS if term.needs == condition]
         return tuple(any(self.terms.has(kind, motor) for kind in kinds) for motor in range(self.dof))
 
     @property
     def needs_temperature(self) -> bool:
-        """Whether its friction depends on the temperature."""
+        """Return whether its friction depends on the temperature."""
         return any(self.needs("temperature"))
 
     @property
     def needs_load_torque(self) -> bool:
-        """Whether its friction depends on the load."""
+        """Return whether its friction depends on the load."""
         return any(self.needs("load"))
 
     @property
     def needs_position(self) -> bool:
-        """Whether its friction depends on the position, by itself or by the load."""
+        """Return whether its friction depends on the position, by itself or by the load."""
         return self.needs_load_torque or any(self.needs("position"))
 
     def require_temperature(self, temperature: FloatArray | None, where: str = "") -> None:

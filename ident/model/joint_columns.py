@@ -39,7 +39,7 @@ class JointColumn:
 
 
 def joint_column(model: DynamicModel, parameter: StandardParameter) -> JointColumn:
-    """Where a joint parameter acts, and on what; of an inertial parameter it has no meaning."""
+    """Return where a joint parameter acts, and on what; of an inertial parameter it has no meaning."""
     transmission = model.transmission
     motor = transmission.active.index(parameter.joint)
     if parameter.kind != "coupling":
@@ -60,7 +60,7 @@ class AlikeColumns:
     values: FloatArray  # (k, 1) of their parameters
 
     def torques(self, model: DynamicModel, velocity: FloatArray, conditions: FrictionConditions) -> FloatArray:
-        """What they add (k, m) to the motors' torques, for joint velocities (n, m)."""
+        """Return what they add (k, m) to the motors' torques, for joint velocities (n, m)."""
         rate = velocity[self.joints]
         direction = None
         if term_of(self.column.quantity).dry:
@@ -189,7 +189,7 @@ def _shape(model: DynamicModel, kind: str, motor: int) -> float:
 
 
 def quantity_of(parameter: StandardParameter) -> str:
-    """What a joint parameter's column follows.
+    """Return what a joint parameter's column follows.
 
     Raises:
         ValueError: it is a link's.

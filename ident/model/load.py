@@ -70,7 +70,7 @@ class KnownLoad:
 
     @property
     def known(self) -> tuple[int, ...]:
-        """Which of the ten parameters are known."""
+        """Return which of the ten parameters are known."""
         if self.com is None:
             return (MASS,)
         return (*FIRST_MOMENTS, MASS) if self.inertia is None else tuple(range(len(INERTIAL)))

@@ -27,7 +27,7 @@ def own_column(model: DynamicModel, columns: Sequence[int], kind: str, motor: in
 
 
 def gravity_of(base: BaseParameters, parameters: FloatArray) -> LoadTorque:
-    """What the links' parameters among base parameters (b,) say of gravity (AUBO eq. 18)."""
+    """Return what the links' parameters among base parameters (b,) say of gravity (AUBO eq. 18)."""
     links = [place for place, kind in enumerate(base.kinds) if kind == "inertial"]
     return LoadTorque(tuple(base.columns[place] for place in links), tuple(parameters[links].tolist()))
 

@@ -78,7 +78,7 @@ class DryFriction:
         return sorted({motor for column, _ in self.columns[name] for motor, _ in column.rows})
 
     def conditions(self, position: FloatArray) -> FrictionConditions:
-        """What the static friction depends on at positions (n, N) [rad or m]."""
+        """Return what the static friction depends on at positions (n, N) [rad or m]."""
         return FrictionConditions(
             LoadTorqueKernel(self.model).torque(position) if self.model.needs_load_torque else None, position=position
         )

@@ -158,7 +158,7 @@ class IntervalTorque:
         return samples if kept.all() else _rows(samples, np.flatnonzero(kept))
 
     def _unbroken(self, time: FloatArray) -> int:
-        """How many samples follow the ones before without a gap; at least one where there are none before."""
+        """Return how many samples follow the ones before without a gap; at least one where there are none before."""
         steps = self._steps(time)
         broken = np.flatnonzero((steps > LONGEST_STEP * self._period) | (steps < 0.0))
         return int(broken[0]) if len(broken) else len(time)

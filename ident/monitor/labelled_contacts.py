@@ -77,7 +77,7 @@ def read_contacts(path: Path, first: float) -> tuple[LabelledContact, ...]:
 def operating_point(
     time: FloatArray, ratio: FloatArray, contacts: Sequence[LabelledContact], threshold: float, hours: float
 ) -> OperatingPoint:
-    """What a detector does whose ratio (N,) passes one threshold, with so many hours watched without contact."""
+    """Return what a detector does whose ratio (N,) passes one threshold, with so many hours watched without contact."""
     passed = time[ratio > threshold]
     free = np.ones(len(passed), dtype=bool)
     delays = []

@@ -208,7 +208,7 @@ class LiveMonitor:
         return [(contact.time, contact_text(contact)) for contact in begun]
 
     def stop_reason(self) -> str:
-        """Why a motion must not go on, where contacts end it."""
+        """Return why a motion must not go on, where contacts end it."""
         if not self._stops:
             return ""
         if self.failure:
@@ -286,7 +286,7 @@ def contact_text(contact: Contact) -> str:
 
 
 def now_or_end(contact: Contact, newest: WatchedBatch) -> str:
-    """Whether a contact lasts, or how long ago it was."""
+    """Return whether a contact lasts, or how long ago it was."""
     if np.isnan(contact.end):
         return "now"
     return f"{float(newest.intervals.time[-1]) - contact.end:.0f} s ago"

@@ -45,7 +45,7 @@ class ToolLoad:
 
 
 def changed_load(load: ToolLoad | None) -> str:
-    """That contacts are the weight of another load on the tool, in words; empty where it is not significant."""
+    """Say that contacts are the weight of another load on the tool, in words; empty where it is not significant."""
     if load is None or load.seconds < SURE_SECONDS or abs(load.mass) < SURE_MARGINS * load.margin:
         return ""
     what = "a load" if load.mass > 0.0 else "the lack of a load"

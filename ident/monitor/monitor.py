@@ -143,7 +143,7 @@ class Monitor:
         return np.asarray(held[np.searchsorted(due, np.arange(count), side="right")])
 
     def _judged(self, time: float, external: FloatArray, threshold: FloatArray, ratio: FloatArray) -> bool:
-        """Whether an alarm is on; contacts begin and end here."""
+        """Return whether an alarm is on; contacts begin and end here."""
         largest = float(ratio.max())
         lasting = bool(self.contacts) and np.isnan(self.contacts[-1].end)
         if largest > 1.0 and self._after_restart >= self._settle:
@@ -188,7 +188,7 @@ class Monitor:
 
 
 def another_arm(model: Model, robot_file: RobotFile) -> str:
-    """How a robot file's arm differs from the one that a model is of, in words; empty where it does not."""
+    """Return how a robot file's arm differs from the one that a model is of, in words; empty where it does not."""
     own, theirs = model.stored.robot_file.robot, robot_file.robot
     if own.joint_names != theirs.joint_names:
         return (

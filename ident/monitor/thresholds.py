@@ -137,7 +137,7 @@ class Thresholds:
         return threshold
 
     def beyond(self, names: Sequence[str], velocity: FloatArray, celsius: FloatArray | None) -> tuple[str, ...]:
-        """What of a motion the thresholds were not learnt on, in words: speeds and temperatures.
+        """Return what of a motion the thresholds were not learnt on, in words: speeds and temperatures.
 
         Args:
             names: (n,) of the joints.
@@ -303,7 +303,7 @@ def _second_difference(values: FloatArray) -> FloatArray:
 def _settled(
     restarted: np.ndarray[tuple[int], np.dtype[np.bool_]], samples: int
 ) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Which samples lie more than so many after a restart."""
+    """Return which samples lie more than so many after a restart."""
     count = np.arange(len(restarted))
     last = np.maximum.accumulate(np.where(restarted, count, 0))
     return np.asarray(count - last >= samples)

@@ -48,7 +48,7 @@ class Estimate:
     shape_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     def combinations(self, projection: FloatArray) -> FloatArray:
-        """What the values are values of (a, k), from that (b, k) of all base parameters of the experiment."""
+        """Return what the values are values of (a, k), from that (b, k) of all base parameters of the experiment."""
         others = [column for column in range(len(projection)) if column not in self.active]
         return np.asarray(projection[list(self.active)] + self.taken_up @ projection[others])
 

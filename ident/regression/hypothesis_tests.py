@@ -36,7 +36,7 @@ class SignificanceTest:
     @computed_field  # type: ignore[prop-decorator]
     @property
     def passed(self) -> bool:
-        """Whether the difference is not statistically significant."""
+        """Return whether the difference is not statistically significant."""
         return self.p_value >= LEVEL
 
     @property
@@ -53,7 +53,7 @@ def p_text(p_value: float) -> str:
 def chi_square_test(
     difference: FloatArray, covariance: FloatArray, blocks: int, explained_by: FloatArray | None = None
 ) -> SignificanceTest | None:
-    """Whether a difference is significant, once its component in the span of some columns has been removed.
+    """Return whether a difference is significant, once its component in the span of some columns has been removed.
 
     Args:
         difference: (m,).

@@ -124,7 +124,7 @@ def weighted_least_squares(
 
 
 def _with_rows(reduction: Reduction) -> npt.NDArray[np.bool_]:
-    """Whether (n,) each joint has rows in the system."""
+    """Return whether (n,) each joint has rows in the system."""
     return np.array([joint.rows > 0 for joint in reduction.joints])
 
 

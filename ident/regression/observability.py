@@ -246,7 +246,7 @@ def predictable_torques(
 
 
 def _difference(model: DynamicModel, experiment: Experiment, position: FloatArray, rest_tolerance: float) -> str | None:
-    """Why a recording is not of the kind that an experiment was; None where it is."""
+    """Return why a recording is not of the kind that an experiment was; None where it is."""
     moved, allowed = ranges(position, rest_tolerance)
     for joint in experiment.locked:
         if moved[joint] > allowed[joint]:

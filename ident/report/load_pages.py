@@ -83,7 +83,7 @@ def _load_series(label: str, rows: Sequence[LoadParameter], marker: dict[str, An
 
 
 def _changes_figure(changes: Sequence[BaseParameterChange]) -> Figure | None:
-    """What the load changed, and what remains once the estimated load is taken off, in σ."""
+    """Return what the load changed, and what remains once the estimated load is taken off, in σ."""
     sigma = {
         row.name: (row.free_std**2 + row.loaded_std**2) ** 0.5
         for row in changes

@@ -48,7 +48,7 @@ class HeldOutErrors(Stored):
 
     @property
     def held_out(self) -> bool:
-        """Whether none of its samples was used in the identification."""
+        """Return whether none of its samples was used in the identification."""
         return self.overlap == 0.0
 
 

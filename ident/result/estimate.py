@@ -196,7 +196,7 @@ class Contradiction(Stored):
 
 
 class Consistency(Stored):
-    """Whether the merged models agree on what they share, as a chi-square test."""
+    """Tells whether the merged models agree on what they share, as a chi-square test."""
 
     statistic: float
     freedom: int = Field(description="number of combinations that more than one model identifies")

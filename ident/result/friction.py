@@ -151,7 +151,7 @@ REPEATED_KINDS: tuple[str, ...] = ("viscous", "coulomb", "offset")
 
 
 def friction_note(runs: int, repeatability: FloatArray | None) -> str:
-    """What the intervals of friction hold of changes between the runs that were identified together."""
+    """Return what the intervals of friction hold of changes between the runs that were identified together."""
     if repeatability is not None:
         return (
             f"Intervals of friction hold for its mean over the {runs} runs and count how much it changed between them; "

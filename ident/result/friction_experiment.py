@@ -105,7 +105,7 @@ class FrictionExperimentResult(BaseModel):
 
     @property
     def warnings(self) -> list[str]:
-        """What to know before the values are used."""
+        """Return what to know before the values are used."""
         sentences = [f"{joint.joint}: {note}" for joint in self.joints for note in joint.notes]
         sentences += [f"{joint.joint}: shapes did not settle" for joint in self.joints if not joint.settled]
         if self.not_moved:

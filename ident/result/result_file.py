@@ -82,7 +82,7 @@ def checked(form: type[Kind], content: Mapping[str, Any], path: Path, kind: str,
 
 
 def kind_of(path: Path) -> str:
-    """What kind of result a result.json says that it is; empty where it cannot be read."""
+    """Return what kind of result a result.json says that it is; empty where it cannot be read."""
     try:
         return str(read_content(path).get("kind", ""))
     except ResultFileError:

@@ -289,7 +289,7 @@ class Result(Stored):
 
     @property
     def sliding(self) -> tuple[bool, ...]:
-        """Whether each joint slides."""
+        """Return whether each joint slides."""
         kinds = {joint.joint: joint.sliding for joint in self.friction}
         return tuple(kinds.get(name, False) for name in self.joints)
 

@@ -198,7 +198,7 @@ def cell_text(cell: Cell, unit: str = "") -> str:
 
 
 def numeric(cells: Sequence[Cell]) -> bool:
-    """Whether a column holds numbers."""
+    """Return whether a column holds numbers."""
     there = [cell for cell in cells if cell is not None]
     return bool(there) and all(isinstance(cell, (int, float)) and not isinstance(cell, bool) for cell in there)
 

@@ -100,7 +100,7 @@ def tool_point(robot_file: RobotFile, links: ServoLinks) -> tuple[int, FloatArra
 def find_contact(
     lanes: Lanes, values: FloatArray, link: int, point: FloatArray, least: float, known: Contact | None = None
 ) -> Contact | None:
-    """What the arm touches, where it lowers the error of pieces that it was not fitted to.
+    """Return what the arm touches, where it lowers the error of pieces that it was not fitted to.
 
     Args:
         lanes: of all joints, with what they may touch.
@@ -208,7 +208,7 @@ def _cost(residual: FloatArray, scale: FloatArray, surface: FloatArray, start: F
 
 
 def _helps(lanes: Lanes, values: FloatArray, point: FloatArray, surface: FloatArray, least: float) -> bool:
-    """Whether a surface lowers the cost of pieces clearly."""
+    """Return whether a surface lowers the cost of pieces clearly."""
     away = np.array([surface[0] - 1e3, surface[1]])
     without, touched = _residual(lanes, values, point, np.stack([away, surface]))
     scale = robust_scale(without, lanes, len(values), least)

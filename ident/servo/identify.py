@@ -198,7 +198,7 @@ def read_motions(recording: Recording, robot_file: RobotFile) -> list[ServoMotio
 
 
 def contact_of(result: ServoResult, links: ServoLinks) -> Contact | None:
-    """What a stored model's arm touches."""
+    """Return what a stored model's arm touches."""
     stored = result.contact
     if stored is None:
         return None
@@ -329,7 +329,7 @@ def verdict(
 
 
 def _contact_words(contact: Contact, stretches: Sequence[ContactStretch]) -> str:
-    """What the arm touches, and when."""
+    """Return what the arm touches, and when."""
     text = f"the arm touches something at a height of {contact.height:.3f} m"
     if not stretches:
         return f"{text} in other motions; the joints are fitted without these times"

@@ -224,7 +224,7 @@ def read_servo_result(path: Path) -> ServoResult:
 
 
 def _impossible(joint: ServoJoint) -> str:
-    """What is wrong with a joint's values, in words; empty where nothing is."""
+    """Return what is wrong with a joint's values, in words; empty where nothing is."""
     for name, parameter in joint.parameters.items():
         term, value = TERMS[INDEX[name]], parameter.value
         low, high = parameter.interval or (value, value)

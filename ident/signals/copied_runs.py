@@ -95,7 +95,7 @@ def copied_run(
 
 
 def same_noise(time: FloatArray, torque: FloatArray, other_time: FloatArray, other_torque: FloatArray) -> bool:
-    """Whether one of two signals, with rising times [s] and torques (N, n), holds the other's noise."""
+    """Return whether one of two signals, with rising times [s] and torques (N, n), holds the other's noise."""
     pair = _aligned(time, torque, other_time, other_torque)
     if pair is None:
         return False
@@ -116,7 +116,7 @@ def same_noise(time: FloatArray, torque: FloatArray, other_time: FloatArray, oth
 
 
 def _copied(slopes: FloatArray) -> bool:
-    """Whether slopes, shares of noise and deviations of the slopes (K, 3) are those of a copy."""
+    """Return whether slopes, shares of noise and deviations of the slopes (K, 3) are those of a copy."""
     certain = slopes[slopes[:, 2] < UNCERTAIN]
     noisy = certain[certain[:, 1] >= NOISY]
     least = max(1.0, COUNTED * len(slopes))
@@ -132,7 +132,7 @@ def _copied(slopes: FloatArray) -> bool:
 
 
 def _same_motion(first: FloatArray, second: FloatArray) -> bool:
-    """Whether the torques (N, n) of most joints agree but for a factor."""
+    """Return whether the torques (N, n) of most joints agree but for a factor."""
     centred, centred_other = (values - values.mean(axis=0) for values in (first, second))
     power = np.sum(centred**2, axis=0) * np.sum(centred_other**2, axis=0)
     shared = np.sum(centred * centred_other, axis=0)[power > 0.0] ** 2 / power[power > 0.0]
@@ -142,7 +142,7 @@ def _same_motion(first: FloatArray, second: FloatArray) -> bool:
 def _left_of_noise(
     time: FloatArray, torque: FloatArray, source_time: FloatArray, source: FloatArray, step: float
 ) -> float:
-    """What the best estimate of a run from another one leaves, over its noise; the median of the joints."""
+    """Return what the best estimate of a run from another one leaves, over its noise; the median of the joints."""
     from scipy.interpolate import CubicSpline
 
     rising = np.concatenate([[True], np.diff(np.maximum.accumulate(source_time)) > 0.0])
@@ -209,7 +209,7 @@ def _left_by_averages(
 
 
 def _only_noise_added(of: FloatArray, on: FloatArray, noise: FloatArray, other: FloatArray) -> bool:
-    """Whether (N, n) is (N, n), which has next to no noise, times a factor and with white noise.
+    """Return whether (N, n) is (N, n), which has next to no noise, times a factor and with white noise.
 
     What is left of a shift and of interpolation is in proportion to the derivatives.
     """

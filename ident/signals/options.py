@@ -108,7 +108,7 @@ class FilterOptions(Options):
 
     @property
     def without_low_pass(self) -> bool:
-        """Whether the Chebyshev decimation is all that filters the positions."""
+        """Return whether the Chebyshev decimation is all that filters the positions."""
         return self.differentiation == "butterworth" and self.position_decimate > 1 and self.position_cutoff is None
 
 

@@ -77,13 +77,13 @@ def own_period(velocity: FloatArray) -> int | None:
 
 
 def _minima(difference: FloatArray) -> list[int]:
-    """Where each interval of similar motion has its smallest difference."""
+    """Return where each interval of similar motion has its smallest difference."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], difference < SIMILAR, [False]]).astype(np.int8)))
     return [start + int(np.argmin(difference[start:stop])) for start, stop in edges.reshape(-1, 2).tolist()]
 
 
 def _repeats(first: FloatArray, second: FloatArray) -> bool:
-    """Whether two velocities (n, M) are the same motion, but for ramps at the ends."""
+    """Return whether two velocities (n, M) are the same motion, but for ramps at the ends."""
     scale = np.sqrt(np.mean(first**2 + second**2, axis=1, keepdims=True))
     scale, window = np.where(scale > 0, scale, 1.0), -(-first.shape[1] // WINDOWS)
     starts = np.arange(0, first.shape[1], window)

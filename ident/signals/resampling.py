@@ -74,7 +74,7 @@ def check_rate(rate: float, where: str = "") -> None:
 
 
 def measure_irregularity(time: FloatArray) -> Irregularity:
-    """How irregular the stamps `time` (N,) [s] are; N ≥ 2, checked by `check_stamps`.
+    """Return how irregular the stamps `time` (N,) [s] are; N ≥ 2, checked by `check_stamps`.
 
     Raises:
         DataError: fewer than two different stamps.

@@ -39,7 +39,7 @@ def with_even_goals(joints: Stream, commands: Stream | None) -> Stream:
 
 
 def _ahead(stamps: FloatArray, goals: FloatArray, times: FloatArray, ages: FloatArray) -> FloatArray:
-    """How far the evenly moving goal is ahead of the one in force (N,) [rad].
+    """Return how far the evenly moving goal is ahead of the one in force (N,) [rad].
 
     Args:
         stamps: (M,) of the goals [s].

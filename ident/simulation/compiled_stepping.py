@@ -115,7 +115,7 @@ class CompiledStepping:
         self._pointers = ctypes.addressof(self._compiled), ctypes.addressof(self._run)
 
     def done(self, index: int) -> bool:
-        """Whether the step from row `index` was done; what was not needs the step in Python, which says why."""
+        """Return whether the step from row `index` was done; what was not needs the step in Python, which says why."""
         if self._arm.changing_friction:
             position, velocity = self._motion[0][index], self._motion[1][index]
             middle = position + 0.5 * self._step * velocity

@@ -168,7 +168,7 @@ class ForwardArm:
 
     @property
     def changing_friction(self) -> bool:
-        """Whether anything but linear viscous friction that brakes, Coulomb friction and offsets is there."""
+        """Return whether anything but linear viscous friction that brakes, Coulomb friction and offsets is there."""
         return bool(self._smooth or self._further_dry or self._ripple or self._accelerating.any())
 
 

@@ -47,7 +47,7 @@ Drive = Callable[[float, FloatArray, FloatArray], FloatArray]
 
 
 def diverged(velocity: FloatArray) -> bool:
-    """Whether a velocity (n,) is beyond all bounds, or no number."""
+    """Return whether a velocity (n,) is beyond all bounds, or no number."""
     return not bool(np.all(np.abs(velocity) < DIVERGED))
 
 
@@ -81,7 +81,7 @@ def divergence(
 
 
 def _hint(arm: ForwardArm, name: str, torque: FloatArray) -> str:
-    """What to do, from the last torques of the joint."""
+    """Return what to do, from the last torques of the joint."""
     if name in arm.accelerated:
         return (
             "its viscous friction is negative and accelerates it: simulate the physically consistent model "

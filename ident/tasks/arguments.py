@@ -210,7 +210,7 @@ class GradedResult(SavedResult):
 
     @property
     def verdict(self) -> str:
-        """How far the model can be trusted for its purpose, in a sentence, and what spoils it."""
+        """Return how far the model can be trusted for its purpose, in a sentence, and what spoils it."""
         return str(self.result.verdict)
 
     @property

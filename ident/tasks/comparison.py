@@ -156,7 +156,7 @@ class MethodComparison(SavedResult):
 
     @property
     def _several(self) -> bool:
-        """Whether recordings can be compared with each other."""
+        """Return whether recordings can be compared with each other."""
         return len(self.recordings) > 1
 
     def difference(self, model: ComparedModel) -> PairedDifference:

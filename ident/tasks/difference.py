@@ -54,7 +54,7 @@ class ModelDifference:
 
     @property
     def agree(self) -> bool | None:
-        """Whether the parameters agree within their errors (p ≥ 0.01); None where that is not known."""
+        """Return whether the parameters agree within their errors (p ≥ 0.01); None where that is not known."""
         return None if self.test is None else self.test.passed
 
     @property
@@ -222,7 +222,7 @@ def _checks(first: Result, other: Result) -> Table:
 
 
 def _test(result: Result, other: Result) -> SignificanceTest | None:
-    """Whether the parameters that both estimate with a known variance differ significantly.
+    """Return whether the parameters that both estimate with a known variance differ significantly.
 
     Where the jackknives have too few blocks for the test, their variances count by their mean alone, as in merging.
     """

@@ -50,7 +50,7 @@ class IdentifiedFriction(SavedResult):
 
     @property
     def result(self) -> FrictionExperimentResult:
-        """What `friction.json` holds."""
+        """Return what `friction.json` holds."""
         return self.experiment.result
 
     @property
@@ -60,7 +60,7 @@ class IdentifiedFriction(SavedResult):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What the recordings do not tell."""
+        """Return what the recordings do not tell."""
         return tuple(self.result.warnings)
 
     def _page(self) -> str:
@@ -184,7 +184,7 @@ def identify_gravity(
 
 
 def load_gravity(path: str | PathLike[str]) -> IdentifiedGravity:
-    """What `identify_gravity(…).save` wrote, to be validated.
+    """Return what `identify_gravity(…).save` wrote, to be validated.
 
     Args:
         path: the folder, or its result.json.

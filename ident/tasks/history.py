@@ -35,12 +35,12 @@ class ArmTrends(PagedResult):
 
     @property
     def sentences(self) -> list[str]:
-        """What changed, the most significant first."""
+        """Return what changed, the most significant first."""
         return sentences(self.history)
 
     @property
     def notes(self) -> list[str]:
-        """What was left out, and how certain findings are."""
+        """Return what was left out, and how certain findings are."""
         return notes(self.history)
 
     @property
@@ -152,7 +152,7 @@ class History:
         return tuple(dict.fromkeys(entry.arm for entry in read_entries(self.path)))
 
     def trend(self, arm: str | None = None) -> ArmTrends:
-        """What became of the parameters of an arm.
+        """Return what became of the parameters of an arm.
 
         Args:
             arm: one of `arms`; not needed where there is only one.

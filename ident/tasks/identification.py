@@ -70,12 +70,12 @@ class IdentificationResult(SavedResult):
 
     @property
     def verdict(self) -> Verdict:
-        """How far the model can be trusted: headline, purposes, joints, checks; printed as a few lines."""
+        """Return how far the model can be trusted: headline, purposes, joints, checks; printed as a few lines."""
         return self.result.verdict
 
     @property
     def acceptance(self) -> Acceptance | None:
-        """Whether the declared limits are kept, limit by limit; None where none were declared."""
+        """Return whether the declared limits are kept, limit by limit; None where none were declared."""
         return self.result.acceptance
 
     @property

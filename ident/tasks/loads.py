@@ -65,7 +65,7 @@ class IdentifiedPayload(SavedResult):
 
     @property
     def mass_std(self) -> float:
-        """Its standard deviation σ [kg]."""
+        """Return its standard deviation σ [kg]."""
         return float(self.estimate.load.standard_deviations(np.eye(10))[MASS])
 
     @property
@@ -76,7 +76,7 @@ class IdentifiedPayload(SavedResult):
 
     @property
     def com_std(self) -> FloatArray | None:
-        """Its standard deviations σ (3,) [m]."""
+        """Return its standard deviations σ (3,) [m]."""
         centre = (self.estimate.with_mass or self.estimate.load).centre
         return None if centre is None else centre[1]
 

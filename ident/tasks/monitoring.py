@@ -127,12 +127,12 @@ class MonitoredRun(PagedResult):
 
     @property
     def explanation(self) -> list[str]:
-        """Where the thresholds come from, a sentence each."""
+        """Return where the thresholds come from, a sentence each."""
         said = [*explanation(self.thresholds, self.delay), *self.beyond]
         return [*said, carried] if self.contacts and (carried := changed_load(self.load)) else said
 
     def to_dict(self) -> dict[str, Any]:
-        """What `dynid monitor --json` prints."""
+        """Return what `dynid monitor --json` prints."""
         first = float(self.time[0])
         return {
             "recording": self.label,

@@ -36,7 +36,7 @@ class NewRobot:
 
     @property
     def todo(self) -> int:
-        """How many values no command runs without are still to be filled in."""
+        """Return how many values no command runs without are still to be filled in."""
         return sum(line.partition("#")[0].count(TODO) for line in self.text.splitlines())
 
 

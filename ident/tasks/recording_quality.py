@@ -38,7 +38,7 @@ class RecordingQuality:
 
     @property
     def verdict(self) -> Verdict:
-        """What a model that is identified from it can be good for, at best, with all checks."""
+        """Return what a model that is identified from it can be good for, at best, with all checks."""
         return self.figures.verdict
 
     @property
@@ -83,7 +83,7 @@ class RecordingQuality:
         write_page(path_of(folder), self.figures, self.file, overwrite=overwrite)
 
     def to_json(self) -> str:
-        """What `dynid info --json` prints."""
+        """Return what `dynid info --json` prints."""
         return json_text(info_object(self.figures, self.file))
 
     def __repr__(self) -> str:

@@ -139,7 +139,7 @@ class ServoModel(GradedResult):
         return Recording.from_dict(self._robot, arrays, comment="rolled out on commands by a servo model")
 
     def play(self, trajectory: str | PathLike[str]) -> Recording:
-        """What the arm does with the commands of a trajectory file, sent 50 times a second: as `simulate`.
+        """Return what the arm does with the commands of a trajectory file, sent 50 times a second: as `simulate`.
 
         Raises:
             UsageError: it cannot be read, or is of another arm.

@@ -98,7 +98,7 @@ class JudgedLimit:
 
 @dataclass(frozen=True)
 class Acceptance:
-    """Whether a model keeps all declared limits.
+    """Tells whether a model keeps all declared limits.
 
     Attributes:
         passed: whether every criterion passed.

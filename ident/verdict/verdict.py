@@ -39,7 +39,7 @@ AT_BEST: dict[Severity, Grade] = {"note": "good", "warning": "usable", "serious"
 
 @dataclass(frozen=True)
 class PurposeVerdict:
-    """Whether a model serves a purpose, and why no better."""
+    """Tells whether a model serves a purpose, and why no better."""
 
     grade: Grade
     because: str
@@ -47,7 +47,7 @@ class PurposeVerdict:
 
 @dataclass(frozen=True)
 class JointVerdict:
-    """Whether a joint's torque is predicted well, and why no better.
+    """Tells whether a joint's torque is predicted well, and why no better.
 
     Attributes:
         joint: its name.
@@ -82,7 +82,7 @@ class Verdict:
 
     @property
     def grades(self) -> str:
-        """What it is good, usable and poor for, without the reasons, in one sentence."""
+        """Return what it is good, usable and poor for, without the reasons, in one sentence."""
         by_grade: dict[Grade, list[str]] = {}
         for grade in GRADES:
             if words := [PURPOSE_WORDS[name] for name, judged in self.purposes.items() if judged.grade == grade]:
@@ -271,7 +271,7 @@ def _negative(badness: tuple[int, float]) -> tuple[int, float]:
 
 
 def _headline(purposes: dict[Purpose, PurposeVerdict], joints: Sequence[JointVerdict]) -> str:
-    """What the model is good, usable and poor for, each with its reason; the worst joint if it is not good."""
+    """Return what the model is good, usable and poor for, each with its reason; the worst joint if it is not good."""
     sentences = []
     for grade in GRADES:
         by_reason: dict[str, list[str]] = {}

@@ -99,7 +99,7 @@ def step_table(history: ArmHistory) -> Table:
 
 
 def sentences(history: ArmHistory) -> list[str]:
-    """What changed, a sentence per parameter, the most significant first; and one where nothing did."""
+    """Return what changed, a sentence per parameter, the most significant first; and one where nothing did."""
     findings = [_sentence(finding) for finding in history.findings]
     if findings:
         return findings
@@ -112,7 +112,7 @@ def sentences(history: ArmHistory) -> list[str]:
 
 
 def notes(history: ArmHistory) -> list[str]:
-    """What was left out, and how certain findings are."""
+    """Return what was left out, and how certain findings are."""
     said = []
     if any(parameter.trend is not None for parameter in history.parameters):
         said.append(

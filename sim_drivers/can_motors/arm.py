@@ -96,7 +96,7 @@ class MotorPlant(ClockedArm):
         super().advance(now)
 
     def measured(self, index: int) -> dict[str, float]:
-        """What a motor's own sensors hold: its position, velocity, torque, temperatures and supply."""
+        """Return what a motor's own sensors hold: its position, velocity, torque, temperatures and supply."""
         if index not in self._sensed:
             self._sensed[index] = self._sense(index)
         return self._sensed[index]

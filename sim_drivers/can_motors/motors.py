@@ -81,7 +81,7 @@ class SimulatedMotor(ABC):
         self._let_go()
 
     def of_other(self, identifier: int, data: bytes) -> bytes:
-        """What another motor with the same id answers: it stands elsewhere."""
+        """Return what another motor with the same id answers: it stands elsewhere."""
         del identifier
         place = self.position_byte
         return data[:place] + bytes([data[place] ^ 8]) + data[place + 1 :] if len(data) > place else data

@@ -93,7 +93,7 @@ class CanMotorServer(BusServer):
         self._begun = clock.now()
 
     def live_line(self) -> str:
-        """Its state in one line."""
+        """Return its state in one line."""
         on = sum(motor.enabled for motor in self.motors)
         load = self._model.bits / self.settings.keys.bitrate / max(self._clock.now() - self._begun, 1e-9)
         line = f"{self.requests} requests, {self.answers} answers, {on} motors on, bus load {percent_text(load, 2)}"

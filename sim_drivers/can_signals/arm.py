@@ -122,7 +122,7 @@ class TableArm:
         return frames
 
     def is_poll(self, identifier: int, data: bytes) -> bool:
-        """Whether a frame requests a cycle: the last one of a poll."""
+        """Return whether a frame requests a cycle: the last one of a poll."""
         poll = self._settings.poll
         return poll is not None and poll.frames[-1] == FixedFrame(identifier, data)
 

@@ -80,7 +80,7 @@ class ProprietaryCanServer(BusServer):
         return super().ready() | {"rate_hz": self.settings.rate}
 
     def live_line(self) -> str:
-        """Its state in one line."""
+        """Return its state in one line."""
         status = self._status
         state = "enabled" if status.enabled else "not enabled"
         line = f"{status.time:8.1f} s  {state}, {status.frames} frames, bus load {percent_text(status.load, 2)}"

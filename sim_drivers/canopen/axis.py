@@ -61,7 +61,7 @@ class Axis:
 
     @property
     def enabled(self) -> bool:
-        """Whether the motor moves the joint; else the brake holds it."""
+        """Return whether the motor moves the joint; else the brake holds it."""
         return self.machine.state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
 
     @property

@@ -67,7 +67,7 @@ class SimulatedDrive:
 
     @property
     def enabled(self) -> bool:
-        """Whether the motor moves the joint; else the brake holds it."""
+        """Return whether the motor moves the joint; else the brake holds it."""
         return self.axis.enabled
 
     def network_command(self, content: bytes) -> None:

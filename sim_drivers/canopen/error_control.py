@@ -102,5 +102,5 @@ class NodeErrorControl:
 
 
 def _is_used(value: int) -> bool:
-    """Whether an entry of object 0x1016 names a producer and a time; others are to be ignored."""
+    """Return whether an entry of object 0x1016 names a producer and a time; others are to be ignored."""
     return 1 <= value >> 16 <= HIGHEST_NODE and value & 0xFFFF > 0

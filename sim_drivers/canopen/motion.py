@@ -52,7 +52,7 @@ class ReferenceMotion(Protocol):
 
     @property
     def finished(self) -> bool:
-        """Whether it has come to rest."""
+        """Return whether it has come to rest."""
 
 
 class Standstill:
@@ -69,7 +69,7 @@ class Standstill:
 
     @property
     def finished(self) -> bool:
-        """Whether the joint is at rest."""
+        """Return whether the joint is at rest."""
         return self._velocity == 0.0
 
     def step(self, duration: float) -> AxisReference:
@@ -102,11 +102,11 @@ class SyncClock:
         self._first, self._cycles, self._astray = 0.0, 0.0, 0.0
 
     def age(self, time: float) -> float:
-        """How long ago the last SYNC was [s]."""
+        """Return how long ago the last SYNC was [s]."""
         return time - self._time
 
     def passed(self, time: float) -> int:
-        """How many cycles a SYNC that comes at `time` is after the last one, by time; at least 1."""
+        """Return how many cycles a SYNC that comes at `time` is after the last one, by time; at least 1."""
         cycles = (time - self._time) / self.cycle + 1.0 - NEXT_SHARE if self.cycle > 0.0 else 1.0
         return int(min(max(cycles, 1.0), LONGEST_COAST))
 
@@ -160,7 +160,7 @@ class CyclicPosition:
 
     @property
     def finished(self) -> bool:
-        """Whether it follows no set-point any more."""
+        """Return whether it follows no set-point any more."""
         late = self._time - self._newest > (LAG_CYCLES + EXTRAPOLATED_CYCLES) * self._cycle
         return late and abs(self._reference.velocity) < ARRIVED
 
@@ -261,7 +261,7 @@ class Profile:
 
     @property
     def finished(self) -> bool:
-        """Whether the target is reached."""
+        """Return whether the target is reached."""
         return self._velocity == 0.0 and self._position == self._target
 
     def step(self, duration: float) -> AxisReference:

@@ -54,7 +54,7 @@ class _Pdo:
 
     @property
     def synchronous(self) -> bool:
-        """Whether SYNC makes it happen."""
+        """Return whether SYNC makes it happen."""
         return self.type <= LARGEST_SYNCHRONOUS
 
     def _compiled(self, entries: list[int]) -> _Mapping:
@@ -122,7 +122,7 @@ class TransmitPdo(_Pdo):
         return self._mapped.layout.pack(*[read() for read in self._mapped.readers])
 
     def on_sync(self) -> bytes | None:
-        """Its frame at a SYNC; None where it sends nothing."""
+        """Return its frame at a SYNC; None where it sends nothing."""
         if self.identifier is None or not self.synchronous:
             return None
         if self.type == 0:
@@ -132,7 +132,7 @@ class TransmitPdo(_Pdo):
         return self.content() if self._syncs % self.type == 0 else None
 
     def on_time(self, time: float) -> bytes | None:
-        """Its event-driven frame: where its content has changed, or its event timer has expired."""
+        """Return its event-driven frame: where its content has changed, or its event timer has expired."""
         if self.identifier is None or self.synchronous:
             return None
         content = self.content()

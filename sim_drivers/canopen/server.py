@@ -101,7 +101,7 @@ class CanopenServer(BusServer):
         return super().ready() | adapter | {"nodes": self._nodes()}
 
     def live_line(self) -> str:
-        """Its state in one line."""
+        """Return its state in one line."""
         status = self.status()
         counts = status.counts
         line = (

@@ -59,7 +59,7 @@ class Received:
         return np.concatenate(values) if values else None
 
     def last(self, seconds: float) -> Received:
-        """What arrived within the last so many seconds."""
+        """Return what arrived within the last so many seconds."""
         end = max((block.host_time[-1] for block in self.blocks if len(block.host_time)), default=0.0)
         recent = [block for block in self.blocks if len(block.host_time) and block.host_time[0] >= end - seconds]
         return Received(recent, self.notices, self.error)

@@ -154,7 +154,7 @@ class SimulatedClock(Clock):
         return ready[0], ready[1]
 
     def made(self, thread: threading.Thread) -> bool:
-        """Whether a thread is this clock's."""
+        """Return whether a thread is this clock's."""
         return isinstance(thread, _Thread)
 
     def end(self) -> list[str]:

@@ -72,5 +72,5 @@ class ClockedArm(ABC):
 
 
 def start_position(file: RobotFile, position: FloatArray | None) -> FloatArray:
-    """Where an arm stands at first (n,) [rad]; in the middle of the joints' ranges where None."""
+    """Return where an arm stands at first (n,) [rad]; in the middle of the joints' ranges where None."""
     return np.array([0.5 * sum(joint.position) for joint in file.robot.joints]) if position is None else position

@@ -112,7 +112,7 @@ class Contacts:
 
     @property
     def present(self) -> bool:
-        """Whether something touches the arm, or will."""
+        """Return whether something touches the arm, or will."""
         return bool(self._touching)
 
     def torque(self, position: FloatArray, velocity: FloatArray, time: float) -> FloatArray:

@@ -123,7 +123,7 @@ class Controller:
 
     @property
     def steady(self) -> bool:
-        """Whether the arm is steady."""
+        """Return whether the arm is steady."""
         return self.arm.time - self._still_since >= STEADY_TIME
 
     def step(self) -> None:
@@ -154,7 +154,7 @@ class Controller:
             self._still_since = self.arm.time
 
     def allowed(self, position: FloatArray, velocity: FloatArray | None = None) -> bool:
-        """Whether positions (n,), and speeds, are numbers within the joint limits."""
+        """Return whether positions (n,), and speeds, are numbers within the joint limits."""
         inside = bool(np.all((position >= self.lower - 1e-9) & (position <= self.upper + 1e-9)))
         if velocity is None or not inside:
             return inside

@@ -154,7 +154,7 @@ class RtdeServer(FaultyServer):
         }
 
     def live_line(self) -> str:
-        """Its state in one line."""
+        """Return its state in one line."""
         status = self._status
         state = "protective stop" if status.safety_mode != 1 else "program running" if status.playing else "idle"
         line = f"{self.host} {status.time:8.1f} s  {state}, {status.rtde_clients} clients, {status.packages} packages"

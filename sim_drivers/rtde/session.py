@@ -69,7 +69,7 @@ class ClientConnection:
 
     @property
     def has_waiting(self) -> bool:
-        """Whether bytes wait for the client to read."""
+        """Return whether bytes wait for the client to read."""
         return bool(self._waiting)
 
     def send(self, content: bytes) -> None:

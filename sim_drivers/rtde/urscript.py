@@ -161,7 +161,7 @@ class UrscriptProgram:
         return value
 
     def _answer(self, name: str, values: list[object], controller: Controller) -> object:
-        """What a function that takes no time returns."""
+        """Return what a function that takes no time returns."""
         registers = {"read_input_integer_register": "input_int", "read_input_float_register": "input_double"}
         match name, values:
             case "get_steptime", []:

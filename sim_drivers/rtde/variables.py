@@ -63,11 +63,11 @@ class ControllerVersion:
 
     @property
     def has_dashboard(self) -> bool:
-        """Whether port 29999 is served; PolyScope X has none."""
+        """Return whether port 29999 is served; PolyScope X has none."""
         return self.major < 10
 
     def has(self, cb3: int | None, e_series: int) -> bool:
-        """Whether something that came with 3.`cb3` (None: never) and 5.`e_series` is in this version."""
+        """Return whether something that came with 3.`cb3` (None: never) and 5.`e_series` is in this version."""
         if self.major == 3:
             return cb3 is not None and self.minor >= cb3
         return self.major > 5 or self.minor >= e_series

@@ -84,7 +84,7 @@ class SimulatedServo:
         self._memory[entry.address : entry.address + entry.size] = data
 
     def holds(self, name: str) -> bool:
-        """Whether the model has a register."""
+        """Return whether the model has a register."""
         return name in self.table.registers
 
     def read(self, address: int, size: int) -> bytes:

@@ -111,7 +111,7 @@ class SerialServoServer(FaultyServer):
         return {"port": self.path, "baudrate": self.settings.keys.baudrate}
 
     def live_line(self) -> str:
-        """Its state in one line."""
+        """Return its state in one line."""
         torque = sum(bool(servo.get("torque_enable")) for servo in self.servos)
         line = f"{self.path}: {self.requests} requests, {self.answers} answers, torque on in {torque} servos"
         return with_troubles(line, stalls=self.plant.stalls)
@@ -163,7 +163,7 @@ class SerialServoServer(FaultyServer):
             self._write(self._outgoing.popleft()[1])
 
     def _heard(self, now: float) -> bytes:
-        """What a client has sent, waiting for it until the next answer is due."""
+        """Return what a client has sent, waiting for it until the next answer is due."""
         due = self._outgoing[0][0] - now if self._outgoing else IDLE
         if not self._plugged:
             self._stopping.wait(IDLE)
@@ -199,7 +199,7 @@ class SerialServoServer(FaultyServer):
             self._outgoing.append((when, answer))
 
     def _obeyed(self, servo: SimulatedServo, request: Packet, now: float) -> bytes:
-        """What a servo answers to a request of its own."""
+        """Return what a servo answers to a request of its own."""
         size_of_address = 1 if self._protocol.name == "feetech" else 2
         address = int.from_bytes(request.data[:size_of_address], "little")
         rest = request.data[size_of_address:]
@@ -221,7 +221,7 @@ class SerialServoServer(FaultyServer):
         return self._answer(servo, error if self._protocol.name == "dynamixel" else 0, data)
 
     def _obeyed_by_all(self, request: Packet, listening: list[SimulatedServo], now: float) -> tuple[bytes, float]:
-        """What the servos answer to a request to all of them, and how long they wait."""
+        """Return what the servos answer to a request to all of them, and how long they wait."""
         by_id = {servo.motor.id: servo for servo in listening}
         word = 1 if self._protocol.name == "feetech" else 2
         address, size = (int.from_bytes(request.data[k : k + word], "little") for k in (0, word))
@@ -346,7 +346,7 @@ class SerialServoServer(FaultyServer):
 
 
 def _other(data: bytes) -> bytes:
-    """What another servo with the same id tells: its encoder shows something else."""
+    """Return what another servo with the same id tells: its encoder shows something else."""
     return bytes(value ^ 0x2A for value in data)
 
 

@@ -75,7 +75,7 @@ class ThermometerAlone(FaultyServer):
         return _ready(self._thermometer)
 
     def live_line(self) -> str:
-        """Its state in one line."""
+        """Return its state in one line."""
         return _live_line(self._thermometer)
 
     def obey(self, line: str) -> None:

@@ -138,7 +138,7 @@ def read_commands(
 def _columns(
     names: tuple[str, ...], joints: Sequence[str], by_order: bool, where: str, notes: list[Note]
 ) -> tuple[int, ...]:
-    """Where the robot's joints are in a message; those of a message without names are in the robot's order."""
+    """Return where the robot's joints are in a message; those of a message without names are in the robot's order."""
     if not names:
         notes.append(Note("info", f"commands matched by order (their messages have no names): {', '.join(joints)}"))
         return tuple(range(len(joints)))

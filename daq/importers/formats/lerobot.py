@@ -56,7 +56,7 @@ class _Feature:
 
 
 def is_lerobot(path: Path) -> bool:
-    """Whether a folder is a LeRobot dataset."""
+    """Return whether a folder is a LeRobot dataset."""
     return (path / INFO).is_file()
 
 

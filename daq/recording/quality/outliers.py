@@ -112,7 +112,7 @@ def without_outliers(time: FloatArray, values: FloatArray) -> CleanSignal:
 
 
 def _replace_outliers(time: FloatArray, values: FloatArray) -> BoolArray:
-    """Which of the values (N,) are outliers; they are replaced in place."""
+    """Return which of the values (N,) are outliers; they are replaced in place."""
     outlying = np.zeros(len(values), dtype=bool)
     if not np.all(np.isfinite(values)) or len(values) < 4 * NEIGHBOURS or not np.all(np.abs(time) <= STAMP.most):
         return outlying
@@ -167,7 +167,7 @@ def _distance_from_four(time: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _confirmed(time: FloatArray, values: FloatArray, suspects: IntArray, scale: float) -> BoolArray:
-    """Which of the suspects are outliers, shortest runs first; they are replaced in `values`."""
+    """Return which of the suspects are outliers, shortest runs first; they are replaced in `values`."""
     outlying = np.zeros(len(values), dtype=bool)
     for length in range(1, LONGEST_OUTLIER + 1):
         # A run of wrong samples may begin at a suspect or just before one.

@@ -169,7 +169,7 @@ def unsigned_joints(signal: FloatArray, position: FloatArray) -> tuple[int, ...]
 
 
 def _reversals(position: FloatArray) -> int:
-    """How often a position (N,) reverses by more than its noise and its encoder's steps."""
+    """Return how often a position (N,) reverses by more than its noise and its encoder's steps."""
     travel = max(LEAST_TRAVEL * resolution(position), 0.05 * float(np.ptp(position)))
     levels = np.round(position / travel) if np.isfinite(travel) and travel > 0.0 else np.zeros(0)
     steps = np.diff(levels)

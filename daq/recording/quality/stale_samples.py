@@ -204,7 +204,7 @@ def _standstills(
 
 
 def _moves(time: FloatArray, velocity: FloatArray, whole: FloatArray, floor: float, step: float) -> bool:
-    """Whether a velocity (M,) is that of a moving joint, by that of the whole recording (N,)."""
+    """Return whether a velocity (M,) is that of a moving joint, by that of the whole recording (N,)."""
     if not np.all(np.isfinite(whole)):
         return False
     size = float(np.sqrt(np.mean(velocity**2)))
@@ -214,7 +214,7 @@ def _moves(time: FloatArray, velocity: FloatArray, whole: FloatArray, floor: flo
 
 
 def _leaves(position: FloatArray, target: FloatArray, start: int, stop: int, step: float) -> bool:
-    """Whether a target (N,) moves on during a standstill of the position."""
+    """Return whether a target (N,) moves on during a standstill of the position."""
     outside = np.ones(len(position), dtype=np.bool_)
     outside[start : min(len(position), stop + _AROUND)] = False
     error = np.abs(target - position)[outside]

@@ -72,7 +72,7 @@ class CycleOrder:
 
     @property
     def enough(self) -> bool:
-        """Whether every frame has come often enough to know their order."""
+        """Return whether every frame has come often enough to know their order."""
         return all(len(pauses) > ENOUGH for pauses in self._pauses)
 
     def result(self) -> Order:
@@ -177,7 +177,7 @@ class Assembler:
 
     @property
     def wanted(self) -> int:
-        """At least so many frames are missing until the next row can be given out."""
+        """Return how many frames at least are missing until the next row can be given out."""
         if self._waiting is not None:
             return 1
         return len(self._layouts) - (0 if self._complete else len(self._row))
@@ -302,7 +302,7 @@ class SourceClock:
         self._last = None
 
     def follows(self, before: float, after: float) -> bool:
-        """Whether a value of the signal is that of the very next row."""
+        """Return whether a value of the signal is that of the very next row."""
         step = (after - before) * self._unit
         if np.isfinite(self._modulus):
             step %= self._modulus

@@ -31,7 +31,7 @@ class Signal:
 
     @property
     def label(self) -> str:
-        """What a message calls it."""
+        """Return what a message calls it."""
         return f"{self.quantity} of {self.joint}" if self.joint else self.quantity
 
     @property
@@ -73,7 +73,7 @@ class FrameLayout:
 
     @property
     def label(self) -> str:
-        """What a message calls it."""
+        """Return what a message calls it."""
         which = "" if self.selector is None else f" with {self.selector} in its multiplexer"
         return f"frame {identifier_text(self.identifier)}{which} ({', '.join(signal.label for signal in self.signals)})"
 
@@ -147,7 +147,7 @@ def batches(frames: Sequence[Frame]) -> Mapping[int, FrameBatch]:
 
 
 def decode(layout: FrameLayout, batch: FrameBatch) -> tuple[npt.NDArray[np.int64], FloatArray, int]:
-    """What the frames of a layout's identifier say about it.
+    """Return what the frames of a layout's identifier say about it.
 
     Returns:
         (M,) numbers of the frames that hold it; (M, k) values of its signals; how many frames were too short.

@@ -229,7 +229,7 @@ class DriveWatch:
         self._report(now, "warning", "; ".join(said))
 
     def losses(self) -> str:
-        """Why rows were lost since `start`, in words: this computer was late, or drives did not answer."""
+        """Return why rows were lost since `start`, in words: this computer was late, or drives did not answer."""
         said = [f"{self._all_skipped} SYNC(s) not sent: this computer was late"] if self._all_skipped else []
         silent = [f"{self._joints[index]} {self._unanswered[index]}" for index in np.flatnonzero(self._unanswered)]
         if silent:
@@ -237,11 +237,11 @@ class DriveWatch:
         return "; ".join(said)
 
     def powered(self, index: int) -> bool:
-        """Whether the drive's last statusword says that its motor is powered."""
+        """Return whether the drive's last statusword says that its motor is powered."""
         return self._status is not None and drive_state(int(self._status[index])) in POWERED
 
     def cause(self, index: int) -> str:
-        """What a drive said last about its error, in words; empty where it said nothing."""
+        """Return what a drive said last about its error, in words; empty where it said nothing."""
         emergency = self._emergency[index]
         return "" if emergency is None else str(emergency)
 

@@ -32,7 +32,7 @@ class HeartbeatClocks:
 
     @property
     def wrong(self) -> str:
-        """What is wrong, in words, where all drives whose heartbeats come agree; else empty."""
+        """Return what is wrong, in words, where all drives whose heartbeats come agree; else empty."""
         said = [self._said[index] for index, beats in enumerate(self._beats) if beats]
         return said[0] if said and all(said) else ""
 
@@ -42,7 +42,7 @@ class HeartbeatClocks:
         self._said[index] = self._rates[index].add(self._period * self._beats[index], arrived)
 
     def wait(self, clock: Clock) -> str:
-        """What is wrong, once the clocks could be compared, or `COMPARING_LIMIT` has passed."""
+        """Return what is wrong, once the clocks could be compared, or `COMPARING_LIMIT` has passed."""
         end = clock.now() + COMPARING_LIMIT
         while not any(rate.compared for rate in self._rates) and clock.now() < end:
             clock.sleep(_POLL)
@@ -137,7 +137,7 @@ class Silence:
         return words, max(silent.values(), default=-math.inf)
 
     def explain(self, now: float, drained: float, last_sync: float, limit: float) -> str:
-        """Why no row came for about `limit` [s]; empty where all drives answer.
+        """Return why no row came for about `limit` [s]; empty where all drives answer.
 
         Args:
             now: [s, host's monotonic clock].

@@ -1,4 +1,4 @@
-"""Whether the drives are still there: their heartbeats, or node guarding (CiA 301, 7.2.8.3.2)."""
+"""Tells whether the drives are still there: their heartbeats, or node guarding (CiA 301, 7.2.8.3.2)."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Presence(Protocol):
 
     @property
     def limit(self) -> float:
-        """How long [s] a drive may be silent, about."""
+        """Return how long [s] a drive may be silent, about."""
 
     @property
     def back(self) -> str:
-        """What there is to say of a drive that is heard again."""
+        """Return what there is to say of a drive that is heard again."""
 
     def start(self, now: float) -> None:
         """Begin anew at a time [s, host's monotonic clock]."""
@@ -30,7 +30,7 @@ class Presence(Protocol):
         """A drive's frame, whose first byte is `content`; arrival [s, host's monotonic clock]."""
 
     def missing(self, index: int, drained: float) -> str:
-        """Why a drive counts as gone, in words; empty where it does not.
+        """Return why a drive counts as gone, in words; empty where it does not.
 
         Args:
             index: of the drive.
@@ -52,12 +52,12 @@ class Heartbeats:
 
     @property
     def limit(self) -> float:
-        """How long [s] a drive may be silent."""
+        """Return how long [s] a drive may be silent."""
         return self._limit
 
     @property
     def back(self) -> str:
-        """What there is to say of a drive that is heard again."""
+        """Return what there is to say of a drive that is heard again."""
         return "its heartbeat is back"
 
     def start(self, now: float) -> None:
@@ -70,7 +70,7 @@ class Heartbeats:
         self._last[index] = arrived
 
     def missing(self, index: int, drained: float) -> str:
-        """Why a drive counts as gone; empty where it does not."""
+        """Return why a drive counts as gone; empty where it does not."""
         age = drained - self._last[index]
         return f"no heartbeat for {age:.2f} s" if age > self._limit else ""
 
@@ -94,12 +94,12 @@ class NodeGuarding:
 
     @property
     def limit(self) -> float:
-        """How long [s] a drive may be silent."""
+        """Return how long [s] a drive may be silent."""
         return self._period * self._factor
 
     @property
     def back(self) -> str:
-        """What there is to say of a drive that is heard again."""
+        """Return what there is to say of a drive that is heard again."""
         return "it answers node guarding again"
 
     def start(self, now: float) -> None:
@@ -130,7 +130,7 @@ class NodeGuarding:
             self._invalid[index] = 0
 
     def missing(self, index: int, drained: float) -> str:
-        """Why a drive counts as gone; empty where it does not."""
+        """Return why a drive counts as gone; empty where it does not."""
         with self._lock:
             overdue = sum(asked <= drained - self._period for asked in self._unanswered[index])
             invalid = self._invalid[index]

@@ -136,36 +136,36 @@ class DriveMotion:
 
     @property
     def idle(self) -> bool:
-        """Whether the drives have not been enabled, or are off again."""
+        """Return whether the drives have not been enabled, or are off again."""
         return self._phase == "idle"
 
     @property
     def moving(self) -> bool:
-        """Whether the drives are enabled and follow targets."""
+        """Return whether the drives are enabled and follow targets."""
         return self._phase == "moving"
 
     @property
     def active(self) -> bool:
-        """Whether the drives follow targets, or did until one of them left the motion by itself."""
+        """Return whether the drives follow targets, or did until one of them left the motion by itself."""
         return self._phase in ("moving", "led") or self._left is not None
 
     @property
     def mode(self) -> int:
-        """Of operation, in which the drives are to be."""
+        """Return the mode of operation, in which the drives are to be."""
         return self._mode
 
     @property
     def ended_by(self) -> str | None:
-        """Why it ended by itself: a drive that left operation enabled; None where it did not."""
+        """Return why it ended by itself: a drive that left operation enabled; None where it did not."""
         return self._left
 
     @property
     def dropped_out(self) -> int | None:
-        """Which joint's drive left operation enabled by itself; None where none did."""
+        """Return which joint's drive left operation enabled by itself; None where none did."""
         return self._dropped_out
 
     def heard(self, index: int) -> DriveReport | None:
-        """What a drive said last; None where it said nothing yet."""
+        """Return what a drive said last; None where it said nothing yet."""
         frame = self._latest.get(TPDO1 + self._ids[index])
         if frame is None or len(frame[2]) != _STATE.size:
             return None

@@ -137,7 +137,7 @@ class TargetPath:
 
 
 def _closer(offset: float, speed: float, period: float) -> tuple[float, float]:
-    """How far and how fast from a target, a period [s] later; `speed` per period. Critically damped, exactly."""
+    """Return how far and how fast from a target, a period [s] later; `speed` per period. Critically damped, exactly."""
     share = period / RETURN_TIME
     mixed = speed + share * offset
     decay = math.exp(-share)
@@ -160,7 +160,7 @@ class SdoStop:
             self._answered[self._index[identifier - SDO_ANSWER]] = arrived, state
 
     def is_off(self, index: int, asked: float, controlword: int) -> bool:
-        """Whether a drive has said by SDO that it is without power.
+        """Return whether a drive has said by SDO that it is without power.
 
         Args:
             index: of the drive.

@@ -110,7 +110,7 @@ class Emergency:
 
     @property
     def cleared(self) -> bool:
-        """Whether it says that an error is gone."""
+        """Return whether it says that an error is gone."""
         return self.code & 0xFF00 == 0
 
     def __str__(self) -> str:

@@ -23,7 +23,7 @@ class DriveObject:
 
     @property
     def mapping(self) -> int:
-        """Its entry in a PDO's mapping (CiA 301, 7.5.2.36): index, subindex, length [bit]."""
+        """Return its entry in a PDO's mapping (CiA 301, 7.5.2.36): index, subindex, length [bit]."""
         return self.index << 16 | self.subindex << 8 | 8 * self.size
 
     def decode(self, data: bytes) -> int:

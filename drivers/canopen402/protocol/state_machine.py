@@ -64,7 +64,7 @@ POWERED = frozenset({DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.FAULT
 
 
 def drive_state(statusword: int) -> DriveState:
-    """What a statusword says; UNKNOWN for a pattern that the standard does not have."""
+    """Return what a statusword says; UNKNOWN for a pattern that the standard does not have."""
     for mask, value, state in _BY_STATUSWORD:
         if statusword & mask == value:
             return state
@@ -72,5 +72,5 @@ def drive_state(statusword: int) -> DriveState:
 
 
 def supports_mode(supported: int, mode: int) -> bool:
-    """Whether object 0x6502 names a mode of operation (bit mode − 1)."""
+    """Return whether object 0x6502 names a mode of operation (bit mode − 1)."""
     return bool(supported >> (mode - 1) & 1)

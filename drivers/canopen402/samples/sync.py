@@ -81,12 +81,12 @@ class SyncProducer:
 
     @property
     def failure(self) -> ConnectionLostError | None:
-        """Why no SYNC is sent any more; None while all is well."""
+        """Return why no SYNC is sent any more; None while all is well."""
         return self._failure
 
     @property
     def running(self) -> bool:
-        """Whether SYNCs are being sent."""
+        """Return whether SYNCs are being sent."""
         thread = self._thread
         return thread is not None and thread.is_alive()
 

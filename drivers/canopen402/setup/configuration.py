@@ -231,7 +231,7 @@ def _probe(drives: Sequence[RemoteDrive], sender: Sender, deadline: float, clock
 
 
 def _answers_to_one_question(drive: RemoteDrive, clock: Clock) -> int:
-    """How many devices have this node id; a drive that was asked again may have answered late, and so twice."""
+    """Return how many devices have this node id; a drive that was asked again may have answered late, and so twice."""
     drive.ask_for(objects.DEVICE_TYPE)
     end = clock.now() + drive.timeout
     while not drive.answers and clock.now() < end:

@@ -100,7 +100,7 @@ def at_joints(limits: Sequence[DriveLimits], scaling: Scaling) -> DeviceLimits:
 
 
 def cautions_of(joints: Sequence[str], limits: Sequence[DriveLimits]) -> list[str]:
-    """What a person should know of the drives' quick stop and supervision before they move an arm."""
+    """Return what a person should know of the drives' quick stop and supervision before they move an arm."""
     odd: dict[str, list[str]] = {}
     for joint, limit in zip(joints, limits, strict=True):
         if limit.quick_stop is None:

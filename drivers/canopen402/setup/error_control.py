@@ -65,7 +65,7 @@ def configure_error_control(drive: RemoteDrive, settings: CanopenSettings) -> Er
 
 
 def warnings_of(controls: Sequence[tuple[str, ErrorControl]], settings: CanopenSettings) -> list[str]:
-    """What a person must know of drives, each named as given: who cannot be watched, or does not watch dynid."""
+    """Return what a person must know of drives, each named as given: who cannot be watched, or does not watch dynid."""
     warnings = [
         f"{who} has no heartbeat ({HEARTBEAT_TIME} does not exist): only its silence would show that it is gone; "
         "'guarding' instead of 'heartbeat' polls such drives"

@@ -1,4 +1,4 @@
-"""Whether drives may be configured, and moved: nothing else has powered them, and none is in fault."""
+"""Tells whether drives may be configured, and moved: nothing else has powered them, and none is in fault."""
 
 from __future__ import annotations
 

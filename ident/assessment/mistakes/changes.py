@@ -244,7 +244,7 @@ class Changes:
                     yield Change("friction", joint, start, before, rows)
 
     def _rubs(self, column: int) -> bool:
-        """Whether a base parameter is friction's or an offset."""
+        """Return whether a base parameter is friction's or an offset."""
         return self._base.kinds[column] not in ("inertial", "motor_inertia")
 
     def _fit(self, change: Change) -> FittedChange:
@@ -327,7 +327,7 @@ class Changes:
 
 
 def _clear(one: FittedChange, rival: float) -> bool:
-    """Whether a change is one that is reported, against friction of a likelihood."""
+    """Return whether a change is one that is reported, against friction of a likelihood."""
     least = {"zero": LEAST_ZERO, "load": 0.0, "friction": np.inf}.get(one.change.what, LEAST_GAIN)
     likely = OF_LOAD if one.change.what == "load" else LIKELIHOOD
     fall = LEAST_FALL if one.change.what == "gain" else FALL_OF_OTHERS

@@ -41,7 +41,7 @@ def mistake_checks(
     independent: float,
     whole: Sequence[Prepared] = (),
 ) -> list[Check]:
-    """At most one check: the mistake that explains the data best, if one does.
+    """Return at most one check: the mistake that explains the data best, if one does.
 
     Args:
         model: as believed.
@@ -151,7 +151,7 @@ def _check(model: DynamicModel, found: Sequence[Mistake], turns: Sequence[Deviat
 
 
 def _clause(model: DynamicModel, one: Mistake) -> str:
-    """What a mistake says."""
+    """Return what a mistake says."""
     columns = one.positions if one.signal == "position" else one.torques
     if len(one.joints) > 2 and one.name.endswith("s-exchanged"):
         held = ", ".join(model.joint_names[columns.order.index(joint)] for joint in one.joints)

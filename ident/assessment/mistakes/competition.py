@@ -139,7 +139,7 @@ class Competition:
         return system.fit(mistake.torques, conditions, blocks)
 
     def well_explained(self) -> bool:
-        """Whether the recording as it is leaves nothing to explain."""
+        """Return whether the recording as it is leaves nothing to explain."""
         free, bound = self.free(self.recorded), self.bound(self.recorded)
         if free is None or bound is None:
             return False
@@ -164,7 +164,7 @@ class Competition:
         return sorted(found, key=lambda one: one.fit.level)
 
     def explains(self, one: Explanation, recorded: HypothesisFit) -> bool:
-        """Whether a mistake explains what the recording as it is does not, in all of it and well."""
+        """Return whether a mistake explains what the recording as it is does not, in all of it and well."""
         if recorded.level - one.fit.level < HALVED:
             return False
         joints = list(one.mistake.joints)
@@ -211,7 +211,7 @@ class Competition:
         return None if fit is None else (fit, _whole(system, torques, fit))
 
     def explained_by(self, deviation: Deviation) -> bool:
-        """Whether a deviation leaves what still is an explanation."""
+        """Return whether a deviation leaves what still is an explanation."""
         found = self.with_deviation(deviation)
         return found is not None and found[1] < EXPLAINED
 

@@ -110,7 +110,7 @@ def _switches(competition: Competition, tried: Iterable[Mistake], blocks: Iterab
 
 
 def _falls(competition: Competition, switches: Iterable[Switch]) -> list[tuple[float, Switch]]:
-    """How much each switch lowers the level, the most first, without conditions."""
+    """Return how much each switch lowers the level, the most first, without conditions."""
     plain: dict[int, HypothesisFit | None] = {}
     falls = []
     for switch in switches:

@@ -114,7 +114,7 @@ def _servo_arm(urdf: str | None, names: tuple[str, ...], stiffness: float) -> An
 
 
 def _change(name: str, term: str) -> Any:
-    """What writes a parameter into the spec."""
+    """Return what writes a parameter into the spec."""
 
     def change(spec: Any, parameter: Any) -> None:
         value = float(parameter.value[0])

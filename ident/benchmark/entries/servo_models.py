@@ -15,7 +15,7 @@ from ident.tasks.servo import ServoModel, identify_servo
 
 
 def dynid_servo(training: Training) -> ServoPredictor:
-    """What `dynid identify --method servo` identifies."""
+    """Return what `dynid identify --method servo` identifies."""
     model: ServoModel = identify_servo(list(training.recordings), validation=list(training.recordings[:1]))
 
     def roll_out(time: FloatArray, command: FloatArray, start: FloatArray) -> FloatArray:

@@ -1,1 +1,1 @@
-"""From recordings to models, one or many."""
+"""Commands that make models of recordings, one or many."""

@@ -26,7 +26,7 @@ _TAKEN = frozenset({"runs", "validation", "robot", "method", "progress"})
 
 
 def is_servo(method: str) -> bool:
-    """Whether --method names the servo model.
+    """Return whether --method names the servo model.
 
     Raises:
         UsageError: with an option; it has none.

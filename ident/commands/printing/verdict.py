@@ -26,7 +26,7 @@ def print_purposes(verdict: Verdict) -> None:
 
 
 def next_steps(verdict: Verdict, otherwise: str) -> list[str]:
-    """What to do next, a line each: remedies of the checks that cost a grade, or else `otherwise`."""
+    """Return what to do next, a line each: remedies of the checks that cost a grade, or else `otherwise`."""
     spoiling = [check for check in verdict.checks if check.severity != "note" and check.name in CATALOGUE]
     names = list(dict.fromkeys(check.name for check in spoiling))
     steps = [f"{CATALOGUE[name].remedy} [{name}]" for name in names[:MOST_STEPS]]

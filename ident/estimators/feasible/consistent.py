@@ -169,7 +169,7 @@ def consistent_parameters(
 def _contradicted(
     model: DynamicModel, base: BaseParameters, estimate: Estimate, robot_file: RobotFile, fit: FeasibleFit
 ) -> tuple[tuple[str, ...], FloatArray | None]:
-    """What of the file makes the sum of squares more than twice as large, and the base parameters without it."""
+    """Return what of the file makes the sum of squares more than twice as large, and the base parameters without it."""
     robot = robot_file.robot
     links = {
         name: link.model_copy(update={"com_box": None, "com_hull": None}) for name, link in robot.prior.links.items()
@@ -207,7 +207,7 @@ def _of_data(
     free: ConsistentParameters,
     model: DynamicModel,
 ) -> str:
-    """What the file and the data say of a key, in words: behind the key."""
+    """Return what the file and the data say of a key, in words: behind the key."""
     name = key.split(".")[1]
     if name in known:
         one = known[name]
@@ -297,7 +297,7 @@ def feasible_fit(problem: FeasibilityProblem, estimate: Estimate, projection: Fl
 
 
 def cost_test(fit: FeasibleFit, estimate: Estimate) -> SignificanceTest | None:
-    """Whether the rise in the sum of squares is what noise makes of it, given the conditions that are active.
+    """Return whether the rise in the sum of squares is what noise makes of it, given the conditions that are active.
 
     Where a polyhedron's face is active, the rise is a chi-square variable with as many degrees of freedom as the face
     takes from the parameters (Bartholomew 1961). Here it is a weighted sum of squares, its mean and variance those of

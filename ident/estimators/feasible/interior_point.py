@@ -85,7 +85,7 @@ class Conditions:
         return np.asarray(self.rows @ y - self.limits)
 
     def hold(self, y: FloatArray) -> bool:
-        """Whether y is strictly inside."""
+        """Return whether y is strictly inside."""
         return bool(np.all(self.slacks(y) > 0) and np.all(np.linalg.eigvalsh(self.matrices(y)) > 0))
 
 

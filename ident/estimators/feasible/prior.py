@@ -193,7 +193,7 @@ def _described(link: FloatArray, stated: PriorLink, where: str) -> tuple[FloatAr
 
 
 def can_exist(mass: float, inertia: Sequence[float]) -> bool:
-    """Whether a body has this mass [kg] and inertia xx, xy, xz, yy, yz, zz about its centre of mass [kg·m²]."""
+    """Return whether a body has this mass [kg] and inertia xx, xy, xz, yy, yz, zz about its centre of mass [kg·m²]."""
     xx, xy, xz, yy, yz, zz = inertia
     return _extended(mass, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
 

@@ -353,7 +353,7 @@ def _greatest_torques(model: DynamicModel, base: BaseParameters, estimate: Estim
 
 
 def _signal_size(model: DynamicModel, parameter: StandardParameter, torque: float, velocity: float) -> float:
-    """What a friction parameter is multiplied with at the limits of the torque and the velocity."""
+    """Return what a friction parameter is multiplied with at the limits of the torque and the velocity."""
     if parameter.kind == "coupling":
         return velocity if PAIR_SYMBOLS[parameter.symbol] == "viscous" else 1.0
     term, shape = TERM[parameter.kind], joint_column(model, parameter).shape

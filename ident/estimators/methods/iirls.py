@@ -94,7 +94,7 @@ class FullFrictionEstimator(RobustEstimator):
 
     @property
     def bounded(self) -> bool:
-        """Whether the parameters are estimated within bounds."""
+        """Return whether the parameters are estimated within bounds."""
         terms = self.setup.kernel.model.terms
         further = terms.shaped or terms.loaded
         return self.largest_friction is not None or (further and not self.consistent and not self.decoupled)

@@ -156,7 +156,7 @@ def reweighting(
 
 
 def estimation(fit: RobustFit, loops: Reweighting, method: str) -> Estimation:
-    """What the inner loops ended with, as an estimator gives it: least squares of the last whitened system."""
+    """Return what the inner loops ended with, as an estimator gives it: least squares of the last whitened system."""
     solution = ordinary_least_squares(fit.done.reduction, loops.active)
     settled = loops.changes[-1] < COVARIANCE_TOLERANCE, loops.steps[-1] < PARAMETER_TOLERANCE
     return Estimation(

@@ -65,7 +65,7 @@ def target_motions(runs: Sequence[Prepared]) -> list[tuple[Segment, ...]] | None
 
 
 def independent_rows(runs: Sequence[Prepared], rows: int) -> float:
-    """How many of the filtered equations are independent: two per period of the torques' cut-off."""
+    """Return how many of the filtered equations are independent: two per period of the torques' cut-off."""
     share = np.mean([min(1.0, 2.0 * run.cutoffs.torque / run.filtered_rate) for run in runs])
     return float(share * rows)
 
@@ -235,7 +235,7 @@ class InstrumentalEstimator(TorqueEstimator):
         solution: LeastSquares,
         ordinary: LeastSquares,
     ) -> Step:
-        """Whether least squares differs by more than noise."""
+        """Return whether least squares differs by more than noise."""
         kernel = self.setup.kernel
         series = [
             compared
@@ -349,7 +349,7 @@ def _strength(system: FloatArray, active: Sequence[int], rows: float) -> float:
 
 
 def _step(source: _Source, strength: float) -> Step:
-    """What the instruments were, and how strong."""
+    """Return what the instruments were, and how strong."""
     text = f"{source.words}; first-stage F of the weakest combination {strength:.3g}"
     return Step("instruments", {"first_stage_f": min(strength, sys.float_info.max)}, text)
 

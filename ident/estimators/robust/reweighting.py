@@ -159,7 +159,7 @@ class RobustFit:
 
     @property
     def misfit(self) -> float:
-        """What falls as the fit improves: minus the logarithm of the likelihood, per equation.
+        """Return what falls as the fit improves: minus the logarithm of the likelihood, per equation.
 
         Rejected residuals leave Ω; what each of them costs here keeps a fit from rejecting all that it misses.
         """
@@ -251,7 +251,7 @@ class Reweighting:
 
     @property
     def settled(self) -> bool:
-        """Whether the last pass changed neither Ω nor the parameters."""
+        """Return whether the last pass changed neither Ω nor the parameters."""
         return self.steps[-1] < PARAMETER_TOLERANCE and self.changes[-1] < COVARIANCE_TOLERANCE
 
     def _pass(

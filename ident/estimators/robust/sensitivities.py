@@ -73,7 +73,7 @@ class ShapeSystem:
 
     @classmethod
     def at(cls, loops: Reweighting, fit: RobustFit) -> ShapeSystem:
-        """Where the inner loops ended, with their Ω and weights; one pass where there are free shapes."""
+        """Return where the inner loops ended, with their Ω and weights; one pass where there are free shapes."""
         shapes = shape_columns(fit.kernel, loops.torques)
         if not shapes.kinds:
             return cls(shapes, fit.done.reduction)

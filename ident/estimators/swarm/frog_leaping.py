@@ -97,7 +97,7 @@ class FrogLeaping:
         costs[left, worst[left]] = search.costs(members[left, worst[left]])
 
     def _landing(self, search: Search, start: FloatArray, target: FloatArray) -> FloatArray:
-        """Where frogs (k, d) land that leap from `start` towards `target`."""
+        """Return where frogs (k, d) land that leap from `start` towards `target`."""
         numbers = 1 if self.random == "leap" else search.box.size
         leap = search.generator.random((len(start), numbers)) * self.reach * (target - start)
         if self.largest_leap is not None:

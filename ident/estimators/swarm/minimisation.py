@@ -208,7 +208,7 @@ class Optimiser(Protocol):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a user should know of the settings; nothing where they are sound."""
+        """Return what a user should know of the settings; nothing where they are sound."""
 
     def run(self, search: Search) -> None:
         """Evaluate generation after generation, until `search` or a criterion of its own ends it."""

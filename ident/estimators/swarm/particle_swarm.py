@@ -48,7 +48,7 @@ class Stability:
 
     @property
     def remark(self) -> str:
-        """What follows from it; empty where both settle."""
+        """Return what follows from it; empty where both settle."""
         if self.mean >= 1.0:
             return f"the mean position grows {self.mean:.3g}-fold per generation; only the clamps bound the particles"
         if self.variance >= 1.0:
@@ -101,7 +101,7 @@ class ConstantWeight:
 
     @property
     def mean_square(self) -> float:
-        """Its square."""
+        """Return its square."""
         return self.value**2
 
     def __str__(self) -> str:

@@ -87,7 +87,7 @@ class Identified:
 
     @property
     def identifiable(self) -> bool:
-        """Whether the torque determines it."""
+        """Return whether the torque determines it."""
         return self.determined >= DETERMINED
 
 

@@ -58,7 +58,7 @@ def constraints_of(
 
 
 def checked_pairs(robot_file: RobotFile, model: DynamicModel, geometry: ArmGeometry) -> LinkPairs:
-    """Which pairs of links are kept apart.
+    """Return which pairs of links are kept apart.
 
     Raises:
         RobotFileError: none, since the file's `link_radius` makes all of them touch.

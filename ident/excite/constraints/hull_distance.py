@@ -248,7 +248,7 @@ class HullDistances:
         return np.where(exact, np.minimum(result, 0.5 * (result + following - way)), result - way)
 
     def ways(self, pair: Pair, position: FloatArray) -> FloatArray:
-        """How far (N,) [m] a point of one link may move, seen from the other, from each sample to the next."""
+        """Return how far (N,) [m] a point of one link may move, seen from the other, from each sample to the next."""
         tree = self._model.tree_position(position)
         steps = np.abs(np.diff(tree, axis=1, append=tree[:, -1:]))
         bends = np.abs(np.diff(tree, 2, axis=1))  # what a joint moves beyond a straight line, or there and back

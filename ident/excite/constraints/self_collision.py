@@ -101,7 +101,7 @@ def _anywhere(model: DynamicModel) -> FloatArray:
 
 
 def _moves_loops(model: DynamicModel) -> npt.NDArray[np.bool_]:
-    """Which of the joints with a motor (n,) move joints without one."""
+    """Return which of the joints with a motor (n,) move joints without one."""
     passive = [joint for joint in range(len(model.joints)) if joint not in model.active]
     if not passive:
         return np.zeros(model.dof, dtype=bool)

@@ -252,7 +252,7 @@ def _refuse_inescapable(
 
 
 def _reach(model: DynamicModel, links: IndexArray, places: FloatArray) -> FloatArray:
-    """How far each point (K,) gets from where it is first, at random configurations [m]."""
+    """Return how far each point (K,) gets from where it is first, at random configurations [m]."""
     points = place_arm(model, random_states(model, 50)[0]).points(links, places)
     return np.asarray(np.abs(points - points[..., :1]).max(axis=(1, 2)) * (links != BASE_INDEX))
 
@@ -315,7 +315,7 @@ def _can_be_clear(
     obstacle: Obstacle,
     plane: HalfSpace,
 ) -> npt.NDArray[np.bool_]:
-    """Which ends (K,) of capsules the joints raise, some configuration clear of the mounting surface.
+    """Return which ends (K,) of capsules the joints raise, some configuration clear of the mounting surface.
 
     Raises:
         RobotFileError: the centre of one is below the surface in every configuration.

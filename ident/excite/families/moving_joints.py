@@ -65,7 +65,7 @@ class MovingJoints:
 
     @property
     def count(self) -> int:
-        """How many move (m)."""
+        """Return how many move (m)."""
         return len(self.moving)
 
     @cached_property

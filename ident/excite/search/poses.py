@@ -92,7 +92,7 @@ class _Tried:
 
     @property
     def conclusion(self) -> str:
-        """Which limit excludes them, in one line."""
+        """Return which limit excludes them, in one line."""
         names, allowed = self._problem.limits, percent_text(self._problem.allowed)
         worst = int(np.argmax(self._least))
         if self._least[worst] > self._problem.allowed:

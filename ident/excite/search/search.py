@@ -180,7 +180,7 @@ class SearchChoices(SearchOptions):
 
     @property
     def processes(self) -> int:
-        """How many processes search, this one included: never more than there are starts."""
+        """Return how many processes search, this one included: never more than there are starts."""
         workers = self.workers if self.workers is not None else os.cpu_count() or 1
         return workers if self.starts is None else min(workers, self.starts)
 

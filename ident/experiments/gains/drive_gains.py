@@ -76,7 +76,7 @@ class JointGain(Stored):
 
     @property
     def change(self) -> float | None:
-        """How much the gain is above the robot file's [%]."""
+        """Return how much the gain is above the robot file's [%]."""
         return 100.0 * (self.gain / self.file_gain - 1.0) if self.file_gain and np.isfinite(self.gain) else None
 
 

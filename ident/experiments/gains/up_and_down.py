@@ -206,7 +206,7 @@ def _joint_rows(model: DynamicModel, robot: Robot, sweeps: Sequence[Sweep]) -> l
 
 
 def _reasons(rows: Sequence[_JointRows], known: KnownLoad, dof: int) -> list[str]:
-    """Why a joint gets no gain, in words; empty where it gets one."""
+    """Return why a joint gets no gain, in words; empty where it gets one."""
     reasons = ["no slow passes up and down with the others at rest, in both runs"] * dof
     moments = FIRST_MOMENTS if known.com is None else ()
     for joint_rows in rows:
@@ -250,13 +250,13 @@ def _with_moments(used: Sequence[_JointRows], known: KnownLoad, where: str) -> _
 
 
 def _carries(joint_rows: _JointRows, known: KnownLoad) -> bool:
-    """Whether the known load has a moment about a joint's axis."""
+    """Return whether the known load has a moment about a joint's axis."""
     weight = np.max(np.abs(joint_rows.gravity @ known.values))
     return bool(weight > 1e-6 * np.max(np.abs(joint_rows.gravity)) * known.mass)
 
 
 def _unknown_moments(joints: Sequence[_JointRows], known: KnownLoad) -> tuple[int, ...] | None:
-    """Which first moments show; None where the known mass does not show beside them."""
+    """Return which first moments show; None where the known mass does not show beside them."""
     if not joints:
         return None
     columns = np.vstack([_wide(joint_rows, FIRST_MOMENTS, known)[:, :-1] for joint_rows in joints])

@@ -311,12 +311,12 @@ def _errors(joints: Sequence[GravityJoint]) -> tuple[FloatArray, FloatArray]:
 
 
 def _weighs(base: BaseParameters, model: DynamicModel, index: int) -> bool:
-    """Whether a parameter has a part of some link's inertia in it."""
+    """Return whether a parameter has a part of some link's inertia in it."""
     return bool(np.any(base.projection[index, : LINK_SIZE * len(model.joints)]))
 
 
 def _slides_along(base: BaseParameters, model: DynamicModel, joint: int) -> bool:
-    """Whether a joint's offset holds a weight."""
+    """Return whether a joint's offset holds a weight."""
     return any(
         model.active[joint] == of and kind == "offset" and _weighs(base, model, index)
         for index, (of, kind) in enumerate(zip(base.joints, base.kinds, strict=True))

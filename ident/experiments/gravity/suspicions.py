@@ -81,7 +81,7 @@ def doubts(
     fit: GravityFit,
     still_though_commanded: Sequence[str],
 ) -> list[tuple[bool, str]]:
-    """What is wrong, or not known: whether it makes the model poor, and a sentence."""
+    """Return what is wrong, or not known: whether it makes the model poor, and a sentence."""
     suspicions: list[tuple[bool, str]] = []
     seen = visits.visits
     for name in still_though_commanded:
@@ -209,7 +209,7 @@ def _sizes_of_gravity(visits: Sequence[Visit], fit: GravityFit) -> FloatArray:
 
 
 def _sizes(visits: Sequence[Visit], fit: GravityFit) -> FloatArray:
-    """What each joint's torques vary by (n,); infinite of those that hardly vary beside their noise."""
+    """Return what each joint's torques vary by (n,); infinite of those that hardly vary beside their noise."""
     spread = _sizes_of_gravity(visits, fit)
     noise = np.sqrt(np.mean(np.square([visit.noise for visit in visits]), axis=0))
     return np.where(spread > SHOWN * noise, np.maximum(spread, _TINY), np.inf)

@@ -118,7 +118,7 @@ _SHAPES = (
 
 
 def _first_difference(mine: str, theirs: str) -> str:
-    """Where two texts differ first, in words."""
+    """Return where two texts differ first, in words."""
     pairs = zip([*mine.splitlines(), ""], [*theirs.splitlines(), ""], strict=False)
     line, (a, b) = next(((n, pair) for n, pair in enumerate(pairs, 1) if pair[0] != pair[1]), (1, ("", "")))
     return f"line {line}: '{a.strip()}' and '{b.strip()}'"

@@ -109,7 +109,7 @@ class Graph:
         return sorted(needed)
 
     def operations(self, outputs: Sequence[Expression]) -> Operations:
-        """What computing all outputs together takes."""
+        """Return what computing all outputs together takes."""
         kinds = [self.nodes[number].kind for number in self.live(outputs)]
         return Operations(
             multiplications=kinds.count("multiply"),
@@ -166,7 +166,7 @@ class Expression:
 
     @property
     def constant(self) -> float | None:
-        """Its value if it is a number."""
+        """Return its value if it is a number."""
         node = self.graph.nodes[self.node]
         if node.kind != "constant":
             return None
@@ -247,7 +247,7 @@ class Expression:
         )
 
     def _without(self, term: Expression) -> Expression | None:
-        """What is left of this sum where −`term` is one of its two parts."""
+        """Return what is left of this sum where −`term` is one of its two parts."""
         node = self.graph.nodes[self.node]
         if node.kind not in ("add", "subtract"):
             return None

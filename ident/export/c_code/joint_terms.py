@@ -104,7 +104,7 @@ def presliding_torque(
     states: Sequence[Expression],
     load_torque: Sequence[Expression],
 ) -> tuple[Expression, ...]:
-    """What Dahl's states (s,) in place of sign(q̇) add to the joints' torques (n,)."""
+    """Return what Dahl's states (s,) in place of sign(q̇) add to the joints' torques (n,)."""
     by_motion: Mapping[Motion, Expression] = dict(zip(presliding_motions(model), states, strict=True))
     totals = [graph.constant(0.0)] * model.dof
     for column, motion, torques in terms.sliding:

@@ -83,7 +83,7 @@ def link_motion(velocity: ExpressionArray, acceleration: ExpressionArray, linear
 
 
 def link_wrench(motion: LinkMotion, inertial: Sequence[float] | FloatArray) -> LinkWrench:
-    """What moves a link with ten parameters (10,), as the numbers of `INERTIAL`."""
+    """Return what moves a link with ten parameters (10,), as the numbers of `INERTIAL`."""
     xx, xy, xz, yy, yz, zz, *_, mass = (float(value) for value in inertial)
     graph = motion.linear[0].graph
     first_moment = graph.constants(inertial[6:9])
@@ -99,7 +99,7 @@ def link_wrench(motion: LinkMotion, inertial: Sequence[float] | FloatArray) -> L
 
 
 def unit_wrench(motion: LinkMotion, kind: int) -> LinkWrench:
-    """What moves a link whose parameter number `kind` of ten is 1 and the others 0."""
+    """Return what moves a link whose parameter number `kind` of ten is 1 and the others 0."""
     return link_wrench(motion, [float(kind == number) for number in range(len(INERTIAL))])
 
 
@@ -124,7 +124,7 @@ def to_parent(frame: JointFrame, wrench: LinkWrench) -> LinkWrench:
 
 
 def along_axis(frame: JointFrame, wrench: LinkWrench) -> Expression:
-    """What the joint's drive must give of a wrench."""
+    """Return what the joint's drive must give of a wrench."""
     along: Expression = frame.joint.axis @ (wrench.force if frame.joint.prismatic else wrench.moment)
     return along
 

@@ -115,7 +115,7 @@ class _Solved:
 
     @property
     def misfit(self) -> float:
-        """What falls as the fit improves: Σ log σ of all motors' residuals, or the squared residuals of OLS."""
+        """Return what falls as the fit improves: Σ log σ of all motors' residuals, or the squared residuals of OLS."""
         spread = self.solution.joint_std
         if self.solution.method == "ols":
             return self.solution.residual_sum
@@ -133,7 +133,7 @@ class _Solved:
 
     @property
     def load_torque(self) -> LoadTorque:
-        """What the links' parameters say of gravity."""
+        """Return what the links' parameters say of gravity."""
         return gravity_of(self.base, self.solution.parameters)
 
 
@@ -336,7 +336,7 @@ class _Fit:
         )
 
     def _shares(self, series: Sequence[TorqueSeries]) -> FloatArray:
-        """How many independent equations each motor's are worth (n,), per equation."""
+        """Return how many independent equations each motor's are worth (n,), per equation."""
         independent = [independent_share(value[None]) for value in residual_autocorrelation(series)]
         return np.array(independent) * distinct_samples(series).share
 

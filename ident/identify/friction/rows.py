@@ -198,7 +198,7 @@ class FrictionRows:
             yield tuple(place for place, _ in ordered), np.array([*(row for _, row in ordered), part.torque[motor]])
 
     def _conditions(self, model: DynamicModel, part: _SegmentRows) -> FrictionConditions:
-        """What friction depends on along a segment; kept until load torque or travels change."""
+        """Return what friction depends on along a segment; kept until load torque or travels change."""
         needed = model.terms.load_torque if model.needs_load_torque else None
         key, segment = (needed, model.presliding), part.segment
         if part not in self._given or self._given[part][0] != key:
@@ -208,7 +208,7 @@ class FrictionRows:
         return self._given[part][1]
 
     def _changed(self, name: str, column: JointColumn, states: States) -> bool:
-        """Whether a column is none of the plain model's."""
+        """Return whether a column is none of the plain model's."""
         if name not in self._places or (column.quantity == "viscous" and column.shape != 1.0):
             return True
         return column.quantity == "coulomb" and column.motion in states

@@ -140,7 +140,7 @@ class InverseDynamics:
         return self.model.transmission.from_tree(motion, tree)
 
     def conditions(self, position: FloatArray | None, temperature: FloatArray | None) -> FrictionConditions:
-        """What friction depends on beside the velocity, at positions (n, N) and temperatures (n, N) [K]."""
+        """Return what friction depends on beside the velocity, at positions (n, N) and temperatures (n, N) [K]."""
         if self._load is None or position is None:
             return FrictionConditions(None, temperature, position=position)
         if self._load_arms and position.shape[1] < LOOP_BELOW:

@@ -35,7 +35,7 @@ class LinkJacobians:
         pin.computeJointJacobians(self._arm, self._data, np.ascontiguousarray(motion.position[:, 0]))
 
     def point(self, link: int, local: FloatArray) -> FloatArray:
-        """Where a point (3,) [m] of a link's frame is (3,) [m], in the base frame."""
+        """Return where a point (3,) [m] of a link's frame is (3,) [m], in the base frame."""
         placement = self._data.oMi[link + 1]
         return np.asarray(placement.rotation @ local + placement.translation)
 

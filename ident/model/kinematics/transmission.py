@@ -41,22 +41,22 @@ class Transmission(ABC):
 
     @property
     def direct(self) -> bool:
-        """Whether every joint of the tree has a motor that it moves alone."""
+        """Return whether every joint of the tree has a motor that it moves alone."""
         return False
 
     @property
     def closed(self) -> bool:
-        """Whether some joint has no motor."""
+        """Return whether some joint has no motor."""
         return self.joint_count > len(self.active)
 
     @property
     def solved_numerically(self) -> bool:
-        """Whether the joints without a motor follow by equations that some positions may not fulfil."""
+        """Return whether the joints without a motor follow by equations that some positions may not fulfil."""
         return False
 
     @property
     def coupled(self) -> tuple[bool, ...]:
-        """Whether each motor is moved by several joints."""
+        """Return whether each motor is moved by several joints."""
         return tuple(bool(count > 1) for count in np.count_nonzero(self.coupling, axis=1))
 
     @property

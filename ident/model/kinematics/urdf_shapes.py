@@ -116,7 +116,7 @@ def lengths(shape: LinkShape, *names: str) -> FloatArray:
 
 
 def mesh_folders(robot_file: RobotFile) -> tuple[Path, ...]:
-    """Where a mesh may lie: at the URDF, in a folder above it, in a known package."""
+    """Return where a mesh may lie: at the URDF, in a folder above it, in a known package."""
     folders: list[Path] = []
     if robot_file.folder is not None:
         own = (robot_file.folder / Path(robot_file.robot.model.urdf or "").expanduser()).parent

@@ -127,7 +127,7 @@ def axis_name(letter: str, index: int) -> str:
 
 
 def axis_ref(letter: str, index: int) -> str:
-    """How a trace names an axis, numbered from 1: `x`, `x2` and so on."""
+    """Return how a trace names an axis, numbered from 1: `x`, `x2` and so on."""
     return f"{letter}{index if index > 1 else ''}"
 
 

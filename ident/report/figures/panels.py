@@ -145,7 +145,7 @@ def _places(rows: Sequence[Sequence[Panel]]) -> list[tuple[int, int]]:
 
 
 def _last_of_its_axis(rows: Sequence[Sequence[Panel]], row: int, column: int) -> bool:
-    """Whether no panel below repeats this panel's horizontal axis."""
+    """Return whether no panel below repeats this panel's horizontal axis."""
     if row + 1 == len(rows) or column >= len(rows[row + 1]):
         return True
     return rows[row][column].x.get("title") != rows[row + 1][column].x.get("title")

@@ -40,7 +40,7 @@ def section(data: ReportData) -> ReportSection:
 
 
 def _columns(result: Result) -> list[dict[str, Any]]:
-    """Which joint has which of the model's optional columns, in words."""
+    """Return which joint has which of the model's optional columns, in words."""
     options = result.model_options
     named = (
         ("motor inertia", options.motor_inertia),

@@ -18,7 +18,7 @@ from ident.views.result_tables import merge_tables
 
 
 def section(data: ReportData) -> ReportSection:
-    """What one looks at first, unfolded."""
+    """Return what one looks at first, unfolded."""
     result = data.result
     held_out, delivered = bool(data.validation), result.delivered
     errors = result.fit

@@ -26,7 +26,7 @@ class Comparison:
 
     @property
     def inside(self) -> bool | None:
-        """Whether the 95 % interval holds the truth."""
+        """Return whether the 95 % interval holds the truth."""
         return None if self.ratio is None else abs(self.ratio) <= WITHIN_95_PERCENT
 
 

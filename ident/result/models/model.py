@@ -84,11 +84,11 @@ class Model(ExportedModel):
 
     @property
     def slides_gradually(self) -> bool:
-        """Whether some joint has a pre-sliding travel."""
+        """Return whether some joint has a pre-sliding travel."""
         return bool(self._stored.model.presliding)
 
     def presliding_torque(self, q: npt.ArrayLike, dq: npt.ArrayLike, rate: float) -> FloatArray:
-        """What presliding adds to `torque` along a motion in time [N·m]; shape of `q`.
+        """Return what presliding adds to `torque` along a motion in time [N·m]; shape of `q`.
 
         Near a velocity reversal, dry friction follows Dahl's model in place of sign(q̇) where `identify` found a travel;
         0 elsewhere. It slides at the first motion.

@@ -169,7 +169,7 @@ class ServoReplay:
 
     @property
     def faithful(self) -> bool:
-        """Whether the file moves as the model does."""
+        """Return whether the file moves as the model does."""
         return self.error <= FAITHFUL * self.model_error
 
     def __str__(self) -> str:

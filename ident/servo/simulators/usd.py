@@ -37,7 +37,7 @@ BASE_MASS = 1.0
 
 
 def usd_installed() -> bool:
-    """Whether usd-core can be imported."""
+    """Return whether usd-core can be imported."""
     from importlib.util import find_spec
 
     return find_spec("pxr") is not None

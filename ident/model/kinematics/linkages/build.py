@@ -189,7 +189,7 @@ def _all_rows(equations: LoopEquations, tree: FloatArray) -> tuple[FloatArray, F
 
 
 def _worst(equations: LoopEquations, tree: FloatArray) -> str | None:
-    """Which loop does not close at a tree position (n,), and by how much; None where all do."""
+    """Return which loop does not close at a tree position (n,), and by how much; None where all do."""
     for chain, state in zip(equations.chains, equations.at(tree[:, None]).states, strict=True):
         apart = float(np.linalg.norm(state.value[0]))
         if not np.isfinite(apart):
@@ -313,7 +313,7 @@ def _check_dead_points(equations: LoopEquations, tree: FloatArray, names: tuple[
 def _refused(
     equations: LoopEquations, last: FloatArray, targets: FloatArray, names: tuple[str, ...], where: str
 ) -> RobotFileError:
-    """Why the branch ends at tree positions (n, K) on the way to targets (a, K): the worst of those examined."""
+    """Return why the branch ends at tree positions (n, K) on the way to targets (a, K): the worst of those examined."""
     worst: tuple[float, RobotFileError] | None = None
     for here, target in zip(last.T[:REASONS], targets.T[:REASONS], strict=True):
         tree = here.copy()

@@ -42,7 +42,7 @@ class ToyBusDrives(BusServer):
         self._count = 0
 
     def live_line(self) -> str:
-        """Its state in one line."""
+        """Return its state in one line."""
         return f"{self._count} periods, {'following' if self._following else 'holding'}"
 
     def _work(self) -> Mapping[str, Callable[[], None]]:
