@@ -241,11 +241,8 @@ def write_folder(folder: Path, texts: Mapping[str, str]) -> None:
     """Write text files by their names into a folder, which is made where it does not exist; all of them or none.
 
     A new folder appears with all its files at once, even where the writer is killed; in one that exists already the
-    files are replaced as by `replace_files`.
-
-    Args:
-        folder: to be written.
-        texts: name → content; the first one, a JSON object, takes its place last, with the hashes of the others.
+    files are replaced as by `replace_files`. The first text, a JSON object, takes its place last, with the hashes of
+    the others.
 
     Raises:
         UsageError: it is a file, cannot be written, or another program writes it.

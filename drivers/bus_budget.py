@@ -36,9 +36,7 @@ def can_frames(meaning: str, count: int, data_bytes: int, *, extended: bool = Fa
 def fd_frame_bits(data_bytes: int, speed_up: float) -> float:
     """Longest length of a CAN FD frame with a 29-bit identifier [bit of the slow rate], intermission included.
 
-    Args:
-        data_bytes: 0 to 64.
-        speed_up: bit rate of its data over that of the arbitration.
+    It has 0 to 64 bytes of data, which go `speed_up` times as fast.
     """
     slow, fast = 36, 8 * data_bytes + 5  # identifier and control bits; data, error state and length
     checked = 4 + (17 if data_bytes <= 16 else 21)

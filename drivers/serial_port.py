@@ -15,11 +15,8 @@ BITS_A_BYTE = 10
 def open_port(url: str, baudrate: int, timeout: float, write_timeout: float | None = None) -> serial.SerialBase:
     """Open a port for this program alone: two readers of one device would each get a part of the bytes.
 
-    Args:
-        url: device or pyserial URL.
-        baudrate: [bit/s].
-        timeout: of a reading [s].
-        write_timeout: of a writing [s]; without end where None.
+    Its baud rate is in bit/s; a reading waits for `timeout` [s], a writing for `write_timeout` [s], without end where
+    None.
 
     Raises:
         ConnectionFailedError: no such device, no permission, or it is in use.

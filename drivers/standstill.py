@@ -20,9 +20,7 @@ FLICKER = 0.0016
 class StandstillWatch:
     """Follows the positions of an arm's joints; begins with an arm that may be moving, and again after each gap.
 
-    Args:
-        longest_gap: between positions, so that the arm cannot have moved meanwhile [s].
-        window: how long no joint may move [s].
+    At rest no joint moves within `window` [s]; in `longest_gap` [s] between positions the arm cannot have moved.
     """
 
     def __init__(self, longest_gap: float, window: float = REST_WINDOW) -> None:

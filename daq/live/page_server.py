@@ -45,13 +45,9 @@ FAREWELL = 0.3
 
 
 class LivePage:
-    """What the pages show.
+    """What the pages show of the session's rows.
 
-    Args:
-        rows: of the session.
-        about: the first message to a page: names of arm and channels, kinematics.
-        token: that every request carries.
-        port: of the server.
+    `about` is the first message to a page: names of arm and channels, kinematics. Every request carries the token.
     """
 
     def __init__(self, rows: SharedRows, about: str, token: str, port: int) -> None:
@@ -151,12 +147,8 @@ async def _ignore(client: WebSocket) -> None:
 def serve(pipe: Connection, handle: RowsHandle, about: str, token: str, listening: socket.socket) -> None:
     """Serve the page until the pipe ends: the server's process.
 
-    Args:
-        pipe: with an alarm per message.
-        handle: of the rows.
-        about: the first message to a page.
-        token: that every request must carry.
-        listening: the server's socket, on loopback.
+    The pipe has an alarm per message; `about` is the first message to a page. Every request must carry the token, and
+    the server's socket is on loopback.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     import uvicorn

@@ -83,12 +83,8 @@ class Status:
 class Publisher:
     """Receives the state of a session; never blocks and never raises.
 
-    Args:
-        pipe: file descriptor of a pipe's writing end; it is made non-blocking.
-        limits: of the arm.
-        recorder: whose backlog is shown.
-        clock: the host's.
-        watch: whose lines are shown, too.
+    The pipe is the file descriptor of its writing end, which is made non-blocking. The recorder's backlog and the lines
+    of `watch` are shown, too.
     """
 
     def __init__(

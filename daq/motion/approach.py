@@ -34,13 +34,7 @@ def approaches(position: FloatArray, start: FloatArray, limits: Sequence[JointLi
 def checked_approach(
     position: FloatArray, start: FloatArray, limits: Sequence[JointLimits], check: MotionCheck
 ) -> tuple[PointToPoint, MotionFigures]:
-    """The first of these ways that passes the check.
-
-    Args:
-        position: where the arm is (n,) [rad or m].
-        start: where it is to go (n,) [rad or m].
-        limits: of the joints.
-        check: of the arm.
+    """The first of these ways from where the arm is to where it is to go (n,) [rad or m] that passes the check.
 
     Raises:
         MotionRefusedError: none does; says what is wrong with the straight one.

@@ -68,9 +68,7 @@ class _Intervals:
 def motion_extremes(motion: Motion, sufficient: FloatArray | None = None) -> Extremes:
     """The extremes of a motion over its duration.
 
-    Args:
-        motion: any.
-        sufficient: (4, n), rows as in `Extremes`: a bound that is not above is not narrowed further; None narrows all.
+    A bound that is not above `sufficient` (4, n), rows as in `Extremes`, is not narrowed further; None narrows all.
     """
     with np.errstate(all="ignore"):  # a motion may be too fast for floating point; its bound is then infinite
         pieces = motion.pieces()

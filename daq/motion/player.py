@@ -56,11 +56,9 @@ def skip_limit(period: float) -> int:
 
 
 class MotionSequence:
-    """Motions one after the other, each from rest to rest and begun at a tick of the player.
+    """Motions one after the other, each from rest to rest, where the one before ends, begun at a tick of the player.
 
-    Args:
-        motions: of which each begins where the one before ends.
-        rate: of the ticks [Hz].
+    Ticks come at a rate [Hz].
     """
 
     def __init__(self, motions: Sequence[Motion], rate: float) -> None:

@@ -198,12 +198,7 @@ class PointToPoint:
 
 
 class SampledMotion:
-    """A cubic spline through samples, at rest at both ends.
-
-    Args:
-        time: (N,) [s], rising from 0.
-        position: (n, N) [rad or m].
-    """
+    """A cubic spline through samples (n, N) [rad or m] at times (N,) [s] that rise from 0, at rest at both ends."""
 
     def __init__(self, time: FloatArray, position: FloatArray) -> None:
         from scipy.interpolate import CubicSpline
@@ -237,11 +232,8 @@ class SampledMotion:
 def quintic_pace(since: FloatArray, ramp: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """A path's own time, its pace and the pace's rate of change (N,) on the way from standstill to full pace.
 
-    ṡ = 10u³ − 15u⁴ + 6u⁵ with u = t/ramp; after the ramp, the values at its end.
-
-    Args:
-        since: (N,) time t since the standstill [s].
-        ramp: duration [s].
+    ṡ = 10u³ − 15u⁴ + 6u⁵ with u = t/ramp and t (N,) since the standstill [s]; after the ramp [s], the values at its
+    end.
     """
     u = np.clip(since / ramp, 0.0, 1.0)
     risen = ramp * (u**4 * (2.5 - 3.0 * u + u**2))

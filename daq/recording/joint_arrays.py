@@ -27,12 +27,9 @@ class JointArrays:
 
 
 def joint_arrays(robot_file: RobotFile, time: npt.ArrayLike, given: Mapping[str, npt.ArrayLike | None]) -> JointArrays:
-    """Check arrays of joint signals.
+    """Check arrays (N, n) of joint signals in the robot's order, by quantity, with their stamps (N,) [s].
 
-    Args:
-        robot_file: whose joints they belong to, in that order.
-        time: (N,) [s].
-        given: quantity → (N, n), or None where it was not recorded; `position` must be there.
+    What was not recorded is None; `position` must be there.
 
     Raises:
         DataError: names the array, the sample and the joint, and what to do.

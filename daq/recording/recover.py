@@ -35,9 +35,7 @@ _Read = TypeVar("_Read")
 def follow_recording(path: Path, part: tuple[float, float] | None = None) -> Recording:
     """The flushed data of a recording that is still being written, or whose writer crashed.
 
-    Args:
-        path: of the file.
-        part: from and until [s] after the first stamp; all of it where None.
+    A part is from and until [s] after the first stamp.
 
     Raises:
         RecordingError: not a recording, or nothing of it can be read.

@@ -35,13 +35,7 @@ def beyond_reach(position: FloatArray, limits: tuple[float, float]) -> bool:
 
 
 def other_unit(time: FloatArray, position: FloatArray, limits: JointLimits) -> str | None:
-    """The unit that a joint's positions are in by its limits, "degrees" or "mm"; None where rad or m can be right.
-
-    Args:
-        time: (N,) [s], rising.
-        position: (N,) of the joint.
-        limits: of the joint.
-    """
+    """The unit of a joint's positions (N,) by its limits, "degrees" or "mm"; None where rad or m can be right."""
     if limits.sliding:
         far = float(np.abs(position).max(initial=0.0)) > BEYOND_TRAVEL * max(abs(limit) for limit in limits.position)
     else:
@@ -60,10 +54,7 @@ def near(ratio: float, expected: float) -> bool:
 def displacement_ratios(time: FloatArray, position: FloatArray, velocity: FloatArray) -> list[float | None]:
     """Per joint the slope of Δposition over ∫velocity dt (trapezoids); None where they don't go together.
 
-    Args:
-        time: (N,) [s].
-        position: (N, n) [rad or m].
-        velocity: (N, n) [rad/s or m/s].
+    Positions [rad or m] and velocities [rad/s or m/s] are (N, n).
     """
     edges = np.unique(np.linspace(0, len(time) - 1, min(BLOCKS, len(time) - 1) + 1).astype(np.intp))
     if len(edges) < 5:

@@ -74,13 +74,7 @@ def unknown_positions(arm: UrdfArm) -> tuple[str, ...]:
 
 
 def new_robot_of_urdf(arm: UrdfArm, urdf: str, guess: ArmGuess | None = None) -> str:
-    """The text of a robot file for a URDF.
-
-    Args:
-        arm: content of the URDF.
-        urdf: its path, relative to where the robot file will be, or absolute.
-        guess: None where nothing is guessed.
-    """
+    """The text of a robot file for a URDF, whose path is relative to where the robot file will be, or absolute."""
     guess = ArmGuess() if guess is None else guess
     note = f"; here: link {arm.tool_link} of the URDF".replace("\n", " ")
     rounded = [[round(value, 9) for value in values] for values in (arm.tool, arm.tool_rotation)]

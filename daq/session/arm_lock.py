@@ -24,13 +24,9 @@ _THIS_COMPUTER = ("127.0.0.1", "::1", "0.0.0.0", "::")
 def only_mover(robot: Robot, wire: str | None = None, host: str | None = None) -> Iterator[None]:
     """Hold the lock on the arm at the end of a connection; the system releases it when this program dies.
 
-    However its place is spelled: a host is locked by each of its addresses, a serial port by its file. A connection
-    that does not say where its arm is, and computers without `flock`, have no lock.
-
-    Args:
-        robot: names the connections.
-        wire: which of them; the first where None.
-        host: in place of the connection's own.
+    However its place is spelled: a host, the connection's own where none is given, is locked by each of its addresses,
+    a serial port by its file. A connection that does not say where its arm is, and computers without `flock`, have no
+    lock. The connection is the first one where `wire` is None.
 
     Raises:
         MotionRefusedError: another program holds it.

@@ -122,10 +122,8 @@ def require_guidable(driver: Driver, guiding: Guiding) -> Guidable:
 class HandGate:
     """Passes a torque on to the driver, or refuses it; after a refusal nothing is passed any more.
 
-    Args:
-        send: takes torques (n,); a driver's `push`.
-        robot: whose limits of position and torque are kept, and `HAND_SPEED`.
-        now: the host's clock [s].
+    `send` takes torques (n,), as a driver's `push`. The robot's limits of position and torque are kept, and
+    `HAND_SPEED`.
     """
 
     def __init__(self, send: Callable[[FloatArray], None], robot: Robot, now: Callable[[], float]) -> None:

@@ -42,11 +42,7 @@ LOOKING_BACK = 0.005
 def way_back(here: FloatArray, path: MotionSequence, elapsed: float, limits: Sequence[JointLimits]) -> PointToPoint:
     """From where the arm stands (n,) [rad or m] back to where it was safe on its path, by a point in between.
 
-    Args:
-        here: at rest.
-        path: that it was on.
-        elapsed: until its last command [s].
-        limits: of the joints.
+    It is at rest, `elapsed` [s] on its path.
 
     Raises:
         MotionRefusedError: the arm is far from the path.

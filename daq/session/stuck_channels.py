@@ -33,13 +33,7 @@ TOGETHER, MOST_TOGETHER = 0.0099, 10
 
 
 class StuckChannel:
-    """One quantity of a stream.
-
-    Args:
-        quantity: one of `WATCHED`.
-        columns: how many it has.
-        patience: how long [s] one must have stood beyond what is explained.
-    """
+    """One quantity of a stream, of `WATCHED`; a column may stand for `patience` [s] beyond what is explained."""
 
     def __init__(self, quantity: str, columns: int, patience: float) -> None:
         self._quantity, self._least, self._patience = quantity, WATCHED[quantity], patience

@@ -171,14 +171,9 @@ def confirms_sending(interface: str, options: Mapping[str, object]) -> bool:
 
 
 class Sender:
-    """Sends frames from any thread, one at a time.
+    """Sends frames from any thread, one at a time; with `fd` those of CAN FD, their data at its higher bit rate.
 
     Sending raises ConnectionLostError where the adapter is gone, or does not take a frame.
-
-    Args:
-        bus: open.
-        clock: the host's.
-        fd: whether frames are of CAN FD, their data at its higher bit rate.
 
     Attributes:
         unconfirmed: since when frames are being sent of which none came back [s, the host's monotonic clock]; None

@@ -72,13 +72,9 @@ def _clock_offset(clock: Clock) -> float:
 class Receiver:
     """Stores what comes on a bus, in a thread of its own, until it is taken.
 
-    Args:
-        bus: open; the receiver does not close it.
-        stored: identifiers to store; None for all.
-        other: is called with every other frame (identifier, data, arrival [s]) in the receiving thread; must be quick.
-        clock: the host's.
-        own: takes the identifier of a frame that a program of this computer sent; whether it was this program.
-        fd: whether frames of CAN FD are stored.
+    All frames are stored where `stored` is None, those of CAN FD where `fd`. `other` is called with every other frame
+    (identifier, data, arrival [s]) in the receiving thread, and must be quick. `own` takes the identifier of a frame
+    that a program of this computer sent, and says whether it was this program.
     """
 
     def __init__(

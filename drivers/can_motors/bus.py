@@ -152,12 +152,9 @@ class MotorBus:
         self._surplus = [min(surplus, 0) for surplus in self._surplus]
 
     def exchange(self, frames: Sequence[CanFrame], patience: float, of: int | None = None) -> Feedback:
-        """Send frames and hear what the motors say, waiting until all have told everything.
+        """Send frames and hear what the motors say, waiting until all have told everything, `patience` [s] at most.
 
-        Args:
-            frames: to send.
-            patience: longest wait [s].
-            of: index of the only motor that is waited for, also for what it tells slowly; all where None.
+        Where an index is given (`of`), only that motor is waited for, also for what it tells slowly.
         """
         sender, receiver = self._opened()
         with self._lock:

@@ -100,10 +100,7 @@ class MotorCodec(ABC):
     def parse(self, identifier: int, data: bytes, asked: int | None = None) -> Answer | None:
         """Return what a frame says; None where it is not this motor's, or not understood.
 
-        Args:
-            identifier: with `EXTENDED`.
-            data: of the frame.
-            asked: number of the register that it was asked for last, while its answer is awaited.
+        `asked` is the number of the register that it was asked for last, while its answer is awaited.
         """
 
     def roll_call(self, *, read_only: bool) -> Sequence[CanFrame]:

@@ -271,12 +271,7 @@ class FaultWatch:
 
 
 class RateWatch:
-    """Tells once where the arm's cycles come at another rate than the robot file says.
-
-    Args:
-        notices: are appended to.
-        rate: that the file says [Hz].
-    """
+    """Tells once where the arm's cycles come at another rate [Hz] than the robot file says."""
 
     def __init__(self, notices: deque[Notice], rate: float) -> None:
         self._notices = notices

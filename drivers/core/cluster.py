@@ -14,10 +14,7 @@ CONNECT_TIMEOUT = 20.0
 
 @contextmanager
 def cluster_executor(scheduler: str) -> Iterator[Executor]:
-    """The workers behind a scheduler; what they are given and return is pickled, so paths and not samples.
-
-    Args:
-        scheduler: its address (tcp://host:8786).
+    """The workers behind a scheduler (tcp://host:8786), which are given and return pickled paths, and not samples.
 
     Raises:
         UsageError: Dask is not installed.

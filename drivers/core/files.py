@@ -166,8 +166,7 @@ def _unreadable(error: Exception, path: Path, refusal: type[InputError]) -> Inpu
 def held_lock(key: str) -> Iterator[bool]:
     """Hold the lock of a name; false where it is held already. Computers without `flock` have no locks.
 
-    Args:
-        key: what is locked; programs with one folder for temporary files share it.
+    Programs with one folder for temporary files share it.
 
     Raises:
         OSError: there is no place for temporary files.

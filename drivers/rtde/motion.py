@@ -150,14 +150,10 @@ def start_process(factory: ControlFactory, host: str, rate: float, timeout: floa
 
 
 class MotionProcess:
-    """Control of one arm, taken by the constructor and given back by `stop`.
+    """Control of one arm, taken by the constructor within `timeout` [s] and given back by `stop`.
 
-    Args:
-        host: name or address of the controller; ur_rtde chooses the ports.
-        rate: of the commands [Hz].
-        timeout: for taking control [s].
-        factory: makes the control interface, there.
-        start: a worker that takes control and obeys the pipe.
+    Commands come at a rate [Hz]; ur_rtde chooses the host's ports. `start` makes a worker, which makes the control
+    interface by `factory` and obeys the pipe.
 
     Raises:
         ConnectionFailedError: no control of the arm within the time limit.
@@ -265,15 +261,7 @@ def _run(pipe: Pipe, factory: ControlFactory, host: str, rate: float, timeout: f
 def obey(pipe: Pipe, factory: ControlFactory, host: str, rate: float, taken: Callable[[], None]) -> bool:
     """Take control of an arm, pass on what comes through the pipe, halt the arm in the end.
 
-    Args:
-        pipe: to who commands.
-        factory: makes the control interface.
-        host: name or address of the controller.
-        rate: of the commands [Hz].
-        taken: called once control is had.
-
-    Returns:
-        Whether the arm has halted, as far as it was moved.
+    Whether it has halted, as far as it was moved. Commands come at a rate [Hz]; `taken` is called once control is had.
     """
     try:
         control = factory(host, rate)

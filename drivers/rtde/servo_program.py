@@ -73,11 +73,7 @@ end
 class ServoProgram:
     """Control of an arm by `PROGRAM`, under the names of ur_rtde's RTDEControlInterface (`motion.Control`).
 
-    Args:
-        host: name or address of the controller.
-        rate: of the commands [Hz].
-        connect: reaches a port of the controller.
-        clock: the host's.
+    Commands come at a rate [Hz]; `connect` reaches the ports of the controller.
 
     Raises:
         ConnectionFailedError: the controller does not answer, another client has the registers, or the program does

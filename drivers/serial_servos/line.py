@@ -47,12 +47,6 @@ class ServoLine:
 
     Whatever exchanges bytes raises ConnectionLostError where the port is gone.
 
-    Args:
-        url: device or pyserial URL.
-        baudrate: [bit/s].
-        protocol: of the servos.
-        clock: the host's.
-
     Attributes:
         echo: whether the adapter returns what is sent; found out by `notice_echo`.
         patience: beyond the time on the wire that the answers of a cycle are waited for [s].
@@ -92,13 +86,8 @@ class ServoLine:
     def exchange(self, request: bytes, answer_bytes: int, packets: int, motor: int | None = None) -> Heard:
         """Send a request, and wait until so many answers have come, or nothing more can come.
 
-        Where one is missing, what may still be on its way is thrown away: it would be taken for the next answer.
-
-        Args:
-            request: to send.
-            answer_bytes: of all answers together.
-            packets: number of answers.
-            motor: the only servo that is waited for, without hurry; None for any.
+        Where one is missing, what may still be on its way is thrown away: it would be taken for the next answer. The
+        bytes are those of all answers together; where `motor` is given, only this servo is waited for, without hurry.
         """
         self._write(request)
         sent = received = self._clock.now()

@@ -27,10 +27,8 @@ class _Mapping:
 class _Pdo:
     """Common base of both directions: COB-ID, transmission type, mapping, and a master's access to them.
 
-    Args:
-        objects: of the node.
-        pdo_index: from 0.
-        communication, mapping: first objects of their kind (0x1400 and 0x1600, or 0x1800 and 0x1A00).
+    `communication` and `mapping` are the first objects of their kind (0x1400 and 0x1600, or 0x1800 and 0x1A00), from
+    which `pdo_index` counts.
     """
 
     def __init__(self, objects: ObjectDictionary, pdo_index: int, communication: int, mapping: int) -> None:

@@ -23,11 +23,8 @@ POWER_UP = 0.4
 class ClockedArm(ABC):
     """Advances an arm with the goals that `_goals` gives for each step.
 
-    Args:
-        file: its truth has a servo for every joint.
-        position: (n,) at which it stands at first [rad].
-        now: the clock's time [s].
-        nominal: voltage of a supply that the truth does not name [V].
+    The file's truth has a servo for every joint; the arm stands at `position` (n,) [rad] at first. A supply that the
+    truth does not name has the nominal voltage [V].
 
     Attributes:
         arm: the bodies.

@@ -139,13 +139,9 @@ class Contacts:
 
 
 def parse_contact(line: str, model: DynamicModel, tool: FloatArray, now: float) -> Event:
-    """Read a typed contact.
+    """Read a typed contact, as the module describes.
 
-    Args:
-        line: as the module describes.
-        model: of the arm.
-        tool: (3,) its tool point in the last joint's frame [m].
-        now: time from which `after` counts [s].
+    The tool point (3,) is that in the last joint's frame [m]; `after` counts from `now` [s].
 
     Raises:
         UsageError: not of that form, no such link, or a number out of its range.

@@ -29,12 +29,9 @@ COUPLING_LIMIT = 3.0
 def independent_inertia(inertias: FloatArray, inverse_inertias: FloatArray) -> FloatArray:
     """Inertias J (n,) that independent joint controllers may be tuned for.
 
-    The mean diagonal of the joint-space inertia M, lowered where another posture or the other joints leave a joint
-    lighter, until no eigenvalue of M⁻¹·diag(J), hence no ω², is more than `COUPLING_LIMIT` times the design value.
-
-    Args:
-        inertias: (K, n) diagonal of M at K postures.
-        inverse_inertias: (K, n, n) M⁻¹ there.
+    The mean diagonal of the joint-space inertia M, given as (K, n) at K postures, lowered where another posture or the
+    other joints leave a joint lighter, until no eigenvalue of M⁻¹·diag(J), hence no ω², is more than `COUPLING_LIMIT`
+    times the design value; M⁻¹ is (K, n, n) there.
     """
     lightest = 1.0 / np.max(np.diagonal(inverse_inertias, axis1=1, axis2=2), axis=0)
     inertia = np.minimum(np.mean(inertias, axis=0), COUPLING_LIMIT * lightest)
@@ -69,11 +66,7 @@ class JointController(Protocol):
 
 
 class ErrorIntegral:
-    """Integral of the position error, stopped for the joints whose drive saturates.
-
-    Args:
-        period: between two calls [s].
-        torque_limit: (n,) [N·m].
+    """Integral of the position error over periods [s], stopped for the joints whose drive saturates.
 
     Attributes:
         limit: (n,) of the torque, which may change [N·m].
@@ -182,9 +175,7 @@ class ComputedTorque:
 class Braking:
     """The target of a joint-wise stop: every velocity falls at its deceleration to zero, then the position is held.
 
-    Args:
-        start: the target at the start of the stop.
-        deceleration: (n,) [rad/s²].
+    It begins at the target `start`, with decelerations (n,) [rad/s²].
     """
 
     def __init__(self, start: Reference, deceleration: FloatArray) -> None:

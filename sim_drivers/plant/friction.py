@@ -94,12 +94,8 @@ def bristle_stiffness(
 ) -> tuple[FloatArray, FloatArray]:
     """Stiffness [N·m/rad] and damping [N·m·s/rad] (n,) of the bristles.
 
-    The stiffness gives break-away after the pre-sliding travel, unless the integration needs a softer one.
-
-    Args:
-        parameters: of the friction.
-        inverse_inertias: (K, n, n) inverse joint-space inertia at K postures.
-        step: of the integration [s].
+    The stiffness gives break-away after the pre-sliding travel, unless the integration needs a softer one, by its step
+    [s] and the inverse joint-space inertia (K, n, n) at K postures.
     """
     inertia = 1.0 / np.max(np.diagonal(inverse_inertias, axis1=1, axis2=2), axis=0)
     stiffness = (parameters.coulomb + parameters.stribeck) / parameters.pre_sliding
@@ -113,10 +109,7 @@ def bristle_stiffness(
 class SimulatedFriction:
     """The friction of n joints in motion: parameters, operating conditions and the bristles' deflection.
 
-    Args:
-        parameters: of the friction.
-        stiffness: (n,) of the bristles [N·m/rad].
-        damping: (n,) of the bristles [N·m·s/rad].
+    Stiffness [N·m/rad] and damping [N·m·s/rad] of the bristles are (n,).
     """
 
     def __init__(self, parameters: FrictionParameters, stiffness: FloatArray, damping: FloatArray) -> None:
@@ -198,12 +191,7 @@ def _heat_matrix(thermal: TruthThermal) -> FloatArray:
 
 
 class JointHeat:
-    """Temperatures of n joints, exact for heat that is constant within a step.
-
-    Args:
-        thermal: the constants.
-        dof: number of joints.
-        step: [s] between two calls of `advance`.
+    """Temperatures of n joints, exact for heat that is constant within a step [s] of `advance`.
 
     Attributes:
         winding: (n,) [°C].

@@ -49,10 +49,7 @@ def drive_gains(robot: Robot) -> FloatArray:
 class EncoderSpeed:
     """Velocity in a drive: the difference of encoder positions through a first-order low-pass.
 
-    Args:
-        position: (n,) encoder position at the start.
-        period: between two calls [s].
-        time_constant: of the low-pass [s].
+    Positions (n,) come once a period [s]; the low-pass has a time constant [s].
     """
 
     def __init__(self, position: FloatArray, period: float, time_constant: float) -> None:
@@ -70,12 +67,9 @@ class EncoderSpeed:
 
 
 class TorqueSensor:
-    """Drive torque with white noise and a ripple that follows the joint's angle, some steps late.
+    """Drive torque with white noise and a ripple that follows the joint's angle, some steps [s] late.
 
-    Args:
-        robot: its truth has their sizes.
-        step: between two calls of `push` [s].
-        generator: of noise and ripple phases.
+    The robot's truth has their sizes.
     """
 
     def __init__(self, robot: Robot, step: float, generator: np.random.Generator) -> None:

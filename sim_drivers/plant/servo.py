@@ -61,10 +61,8 @@ def true_servos(robot: Robot, where: str) -> list[TruthServo]:
 class ServoArm:
     """State of a simulated servo arm; arrays (n,), joint side.
 
-    Args:
-        file: its truth has a servo for every joint.
-        position: (n,) at which it stands at first [rad or m].
-        celsius: of windings and housings at first; the truth's ambient one where None.
+    It stands at `position` [rad or m] at first; windings and housings have `celsius`, the truth's ambient temperature
+    where None.
 
     Attributes:
         step: of `advance` [s].

@@ -41,11 +41,7 @@ _OFFSET = re.compile(r"reg_offset_int\s*=[^\n]*\n\s*(\d+)")
 
 
 class ControlScript:
-    """One run of the program.
-
-    Args:
-        register_offset: 0, or 24 for ur_rtde's FLAG_UPPER_RANGE_REGISTERS.
-    """
+    """One run of the program; its registers begin at 24 for ur_rtde's FLAG_UPPER_RANGE_REGISTERS, else at 0."""
 
     def __init__(self, register_offset: int) -> None:
         self._offset = register_offset

@@ -35,14 +35,8 @@ class JointMotion(Protocol):
 class MoveJ:
     """movej: straight in joint space, a trapezoid of speed; the joint with the longest distance leads.
 
-    A moving arm is stopped first, with the same acceleration.
-
-    Args:
-        start: the reference to go on from.
-        target: (n,) positions of the joints.
-        speed: of the leading joint [rad/s].
-        acceleration: of the leading joint [rad/s²].
-        speed_limit: (n,) of each joint [rad/s]; the whole motion is slowed down to keep it.
+    A moving arm is stopped first, with the same acceleration. Speed [rad/s] and acceleration [rad/s²] are the leading
+    joint's; the whole motion is slowed down to keep the speed limits (n,) [rad/s].
     """
 
     def __init__(
@@ -100,10 +94,7 @@ class MoveJ:
 class VelocityRamp:
     """speedj and stopj: the velocity vector goes straight to its target; the joint with most to change leads.
 
-    Args:
-        start: the reference to go on from.
-        velocity: (n,) to reach; zeros to stop.
-        acceleration: of the leading joint [rad/s²].
+    The velocities (n,) are zeros to stop; the acceleration [rad/s²] is the leading joint's.
     """
 
     def __init__(self, start: Reference, velocity: FloatArray, acceleration: float) -> None:

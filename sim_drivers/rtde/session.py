@@ -50,13 +50,7 @@ class Session(Protocol):
 
 
 class ClientConnection:
-    """One client's socket and the bytes that it has not yet read.
-
-    Args:
-        sock: connected; made non-blocking here.
-        session: of the client.
-        limit: bytes that may wait for a client that does not read.
-    """
+    """One client's socket, made non-blocking here, and the bytes that it has not yet read, so many at most."""
 
     def __init__(self, sock: socket.socket, session: Session, limit: int) -> None:
         sock.setblocking(False)

@@ -20,15 +20,7 @@ NOMINAL_VOLTAGE = 12.0
 
 
 class ServoPlant(ClockedArm):
-    """An arm of servos in the time of a clock.
-
-    Args:
-        file: its truth has a servo for every joint.
-        servos: in the joints' order.
-        position: (n,) at which it stands at first [rad].
-        now: the clock's time [s].
-        seed: of the jitter.
-    """
+    """An arm of servos, in the joints' order, in the time of a clock; it stands at `position` (n,) [rad] at first."""
 
     def __init__(
         self, file: RobotFile, servos: list[SimulatedServo], position: FloatArray, now: float, seed: int = 0

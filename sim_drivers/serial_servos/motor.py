@@ -32,9 +32,7 @@ DEFAULTS = {
 class SimulatedServo:
     """Memory and state of a servo; the plant behind it is the server's.
 
-    Args:
-        motor: id and table; its calibration, where it has one, is in its EEPROM.
-        voltage: of its supply [V].
+    The calibration of the motor, where it has one, is in its EEPROM; the voltage [V] is its supply's.
 
     Attributes:
         motor: as given.

@@ -52,13 +52,8 @@ CHUNK = 4096
 class SerialServoServer(FaultyServer):
     """Servos on a line; `start` plugs the adapter in, `stop` pulls it out.
 
-    Args:
-        file: of the arm; its truth has a servo for every joint.
-        settings: of the connection that reaches them.
-        position: (n,) at which it stands at first [rad]; the middle of the ranges where None.
-        seed: of noise and garbage.
-        line_end: the adapter's end of the line; a pseudo-terminal where None.
-        clock: the host's.
+    The arm stands at `position` (n,) [rad] at first, in the middle of the ranges where None. `line_end` is the
+    adapter's end of the line, a pseudo-terminal where None.
 
     Attributes:
         servos: in the joints' order.

@@ -86,12 +86,8 @@ def record_servo(
 ) -> Recording:
     """Record a simulated servo arm on commands (N, n) [rad or m] that are held between their times (N,) [s].
 
-    Args:
-        file: its truth has a servo for every joint.
-        time: of commands and samples.
-        command: (N, n).
-        seed: of the commands' jitter.
-        celsius: of windings and housings at first; the ambient one where None.
+    The seed is that of the commands' jitter; windings and housings have `celsius` at first, the ambient temperature
+    where None.
 
     Raises:
         RobotFileError: a joint has no true servo.

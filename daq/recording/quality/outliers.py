@@ -215,15 +215,9 @@ def _confirm_runs(
 
 
 def _fit_without_worst(basis: FloatArray, values: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Cubics through all neighbours but the one without which they fit best.
+    """Deviation (M,) of neighbours from cubics without the one without which they fit best, and its values (M, r).
 
-    Args:
-        basis: (M, k, 4) powers of the neighbours' times.
-        values: (M, k) of the neighbours.
-        wanted: (M, r, 4) powers of the times to predict.
-
-    Returns:
-        Standard deviation (M,) of the remaining neighbours about the cubic, and its values (M, r).
+    `basis` (M, k, 4) and `wanted` (M, r, 4) are powers of the times, `values` (M, k) those of the neighbours.
     """
     axes, factor = np.linalg.qr(basis)
     inverse = np.linalg.solve(factor, axes.swapaxes(1, 2))
@@ -256,13 +250,9 @@ class PositionJump:
 def position_jumps(
     time: FloatArray, joints: tuple[str, ...], position: FloatArray, ignored: BoolArray
 ) -> tuple[PositionJump, ...]:
-    """The jumps of positions.
+    """The jumps of positions (N, n) [rad or m] at rising stamps (N,) [s].
 
-    Args:
-        time: (N,) [s], rising.
-        joints: (n,) names.
-        position: (N, n) [rad or m].
-        ignored: (N,) rows that say nothing of the changes beside them.
+    Rows that are `ignored` (N,) say nothing of the changes beside them.
     """
     count = len(time)
     if count < 4 * AROUND or not np.all(np.isfinite(position)):

@@ -149,11 +149,8 @@ def unsigned_joints(signal: FloatArray, position: FloatArray) -> tuple[int, ...]
     """Joints whose signal stays on one side of zero and reaches it, although they reverse again and again.
 
     Empty where any joint's signal has both signs: one kind of drive gives one kind of signal. A signed signal may stay
-    on one side while gravity outweighs friction, but then it keeps away from zero, or noise takes it across.
-
-    Args:
-        signal: (N, n) current, voltage or torque.
-        position: (N, n) of the same joints [rad or m].
+    on one side while gravity outweighs friction, but then it keeps away from zero, or noise takes it across. The signal
+    (N, n) is a current, voltage or torque.
     """
     finite = np.isfinite(signal).all(axis=1) & np.isfinite(position).all(axis=1)
     signal, position = signal[finite], position[finite]

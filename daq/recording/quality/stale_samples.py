@@ -100,12 +100,9 @@ class StaleSamples:
 
 
 def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[str, FloatArray]) -> StaleSamples:
-    """Find the stale samples among those of N stamps.
+    """Find the stale samples among those of N rising stamps [s].
 
-    Args:
-        time: (N,) [s], rising.
-        joints: (n,) names.
-        measured: `position` and others of `MEASURED`, and `target_position`: (N, n) each, in the order of the joints.
+    Measured are `position`, others of `MEASURED`, and `target_position`: (N, n) each, in the order of the joints.
     """
     position = measured["position"]
     none = np.zeros(len(time), dtype=np.bool_)

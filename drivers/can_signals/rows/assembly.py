@@ -283,12 +283,7 @@ class Times:
 
 
 class SourceClock:
-    """Unwraps a counter (of rows) or a time.
-
-    Args:
-        signal: `counter`, a count a row, or `time` [s].
-        rate: of the rows [Hz].
-    """
+    """Unwraps a counter, a count a row, or a time [s], of rows at a rate [Hz]."""
 
     def __init__(self, signal: Signal, rate: float) -> None:
         self._rate = rate

@@ -168,10 +168,7 @@ class DriveWatch:
     def check_status(self, time: FloatArray, statusword: IntArray, mode: IntArray) -> None:
         """Report changes of state, and drives that leave the mode of the motion.
 
-        Args:
-            time: (N,) of the rows [s, source's clock].
-            statusword: (N, n).
-            mode: (N, n) of operation, as displayed.
+        Rows have the source's time (N,) [s]; statuswords and modes, as displayed, are (N, n).
         """
         if not len(time):
             return
@@ -196,10 +193,7 @@ class DriveWatch:
     def check_alignment(self, aligned: Aligned, skipped: int, now: float) -> None:
         """Note frames that did not come once a SYNC, and SYNCs that were not sent; reported from time to time.
 
-        Args:
-            aligned: what came.
-            skipped: SYNCs that were not sent since the last call.
-            now: [s, host's monotonic clock].
+        `skipped` SYNCs were not sent since the last call; `now` is in the host's monotonic clock [s].
         """
         self._troubles += np.stack([aligned.missing, aligned.extra, aligned.misfit])
         self._skipped += skipped

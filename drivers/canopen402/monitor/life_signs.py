@@ -17,11 +17,9 @@ _POLL = 0.01
 
 
 class HeartbeatClocks:
-    """Compares the clocks of several drives with this computer's; one drive alone may have another heartbeat time.
+    """Compares clocks of several drives with this computer's, by heartbeats of a period [s].
 
-    Args:
-        count: of drives.
-        period: of their heartbeats, as it was written to them [s].
+    One drive alone may have another heartbeat time.
     """
 
     def __init__(self, count: int, period: float) -> None:
@@ -50,14 +48,9 @@ class HeartbeatClocks:
 
 
 class LifeSigns:
-    """A thread that sends one of some frames after the other, as long as this process runs.
+    """A thread that sends one of some frames after the other, at an interval [s], as long as this process runs.
 
-    Args:
-        sender: of the bus.
-        frames: identifier and data of each.
-        interval: between two frames [s].
-        before: called with the number of a frame and the time [s, host's monotonic clock] before it is sent.
-        clock: the host's.
+    `before` is called with the number of a frame and the time [s, host's monotonic clock] before it is sent.
     """
 
     def __init__(
@@ -112,13 +105,7 @@ def guard_requests(
 
 
 class Silence:
-    """Response time-outs of the drives.
-
-    Args:
-        joints: names.
-        ids: node ids, in the joints' order.
-        latest: identifier → the newest frame; written by the receiving thread.
-    """
+    """Response time-outs of the drives, by the newest frame of each identifier."""
 
     def __init__(self, joints: Sequence[str], ids: Sequence[int], latest: Mapping[int, Frame]) -> None:
         self._joints, self._ids, self._latest = tuple(joints), tuple(ids), latest
@@ -139,11 +126,7 @@ class Silence:
     def explain(self, now: float, drained: float, last_sync: float, limit: float) -> str:
         """Return why no row came for about `limit` [s]; empty where all drives answer.
 
-        Args:
-            now: [s, host's monotonic clock].
-            drained: all that arrived before this time [s, host's monotonic clock] is known.
-            last_sync: when the last SYNC was sent [s, host's monotonic clock].
-            limit: [s].
+        Times are of the host's monotonic clock [s]; all that arrived before `drained` is known.
         """
         recent = 0.5 * limit  # a row is handed out one SYNC after its frames came, and the session looks later still
         if now - last_sync > recent:

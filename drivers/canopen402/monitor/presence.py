@@ -32,19 +32,12 @@ class Presence(Protocol):
     def missing(self, index: int, drained: float) -> str:
         """Return why a drive counts as gone, in words; empty where it does not.
 
-        Args:
-            index: of the drive.
-            drained: all that arrived before this time [s, host's monotonic clock] has been taken.
+        All that arrived before `drained` [s, host's monotonic clock] has been taken.
         """
 
 
 class Heartbeats:
-    """Drives that send their heartbeat by themselves.
-
-    Args:
-        count: of drives.
-        period: of the heartbeat [s].
-    """
+    """Drives that send their heartbeat by themselves, once a period [s]."""
 
     def __init__(self, count: int, period: float) -> None:
         self._last = [math.nan] * count
@@ -76,15 +69,10 @@ class Heartbeats:
 
 
 class NodeGuarding:
-    """Drives that are asked for their state, and answer with a bit that alternates.
+    """Drives that are asked for their state once a period [s], and answer with a bit that alternates.
 
     An answer whose bit does not alternate counts as none, as the standard has it: one that is lost makes the next one
-    invalid, too.
-
-    Args:
-        count: of drives.
-        period: how often each is asked [s].
-        factor: requests in a row that may stay without a valid answer.
+    invalid, too. So many requests in a row as `factor` may stay without a valid answer.
     """
 
     def __init__(self, count: int, period: float, factor: int) -> None:

@@ -66,15 +66,7 @@ class _Client(SdoClient):
 
 
 class RemoteDrive:
-    """The object dictionary of one drive, read and written by SDO.
-
-    Args:
-        network: that answers are handed to.
-        joint: that it moves.
-        node: its id.
-        timeout: how long it may take to answer a request [s].
-        clock: the host's.
-    """
+    """The object dictionary of one drive, read and written by SDO; it may take `timeout` [s] to answer a request."""
 
     def __init__(self, network: Network, joint: str, node: int, timeout: float, clock: Clock = SYSTEM_CLOCK) -> None:
         self.joint, self.node = joint, node

@@ -216,13 +216,10 @@ class Aligner:
     def feed(
         self, frames: Sequence[Frame], syncs: Sequence[tuple[int, float]], drained: float, *, at_rest: bool = False
     ) -> Aligned:
-        """Hand out as many rows as can be.
+        """Hand out as many rows as can be, given new frames, and slots and times [s] of new SYNCs.
 
-        Args:
-            frames: new ones, as they were stored.
-            syncs: slot and time [s] of new SYNCs.
-            drained: all that arrived before this time [s] has been fed.
-            at_rest: whether answers may stay behind for `REST_LATENESS`, in place of `LATENESS`.
+        All that arrived before `drained` [s] has been fed. At rest answers may stay behind for `REST_LATENESS`, in
+        place of `LATENESS`.
         """
         self._frames.extend(frames)
         self._syncs.extend(syncs)
