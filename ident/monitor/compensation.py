@@ -9,7 +9,7 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from ident.monitor.monitor import another_arm
+from ident.monitor.monitor import another_arm, dry_friction
 from ident.result.models.gravity_model import GravityModel
 from ident.result.models.load_model import load_model
 
@@ -17,8 +17,6 @@ FRICTION_SHARE = 0.5
 """Of the friction that is compensated: all of it would let the arm run on by itself."""
 FADING = 0.1
 """[rad/s or m/s] below which that fades: at rest, dry friction keeps the arm from drifting."""
-CREEPING = 1e-3
-"""[rad/s or m/s] at which friction is dry alone."""
 
 
 class WeightCompensation:
@@ -44,13 +42,10 @@ class WeightCompensation:
             raise UsageError("gravity compensation of coupled motors is not supported", where=robot_file.where)
         drives = [robot_file.robot.drive(name) for name in robot_file.robot.joint_names]
         self._gain = np.array([drive.gain or 1.0 if drive.signal == "torque" else 1.0 for drive in drives])
-        still = np.zeros(self._model.dof)
         self._rubs = not isinstance(self._model, GravityModel) and not self._model.dynamics.model.needs_temperature
-        self.leaning: FloatArray = np.zeros_like(still)
+        self.leaning: FloatArray = np.zeros(self._model.dof)
         if self._rubs:
-            creeping = np.full_like(still, CREEPING)
-            dry = self._model.friction(creeping, still) - self._model.friction(-creeping, still)
-            self.leaning = np.abs(dry / self._gain) / 2.0
+            self.leaning = dry_friction(self._model) / np.abs(self._gain)
 
     def torque(self, position: FloatArray, velocity: FloatArray) -> FloatArray:
         """Torques (n,) as the drives count them [N·m or N], at a position and a velocity (n,) [rad or m, per s]."""

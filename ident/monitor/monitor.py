@@ -18,11 +18,13 @@ from ident.monitor.choices import BANDWIDTH, Kind
 from ident.monitor.contact_forces import Wrench, tool_wrench
 from ident.monitor.interval_torque import Intervals, IntervalTorque, JointSamples, rows_of
 from ident.monitor.load_estimate import LoadEstimator, ToolLoad
-from ident.monitor.thresholds import SETTLING, STD_EVERY, Thresholds, learn
+from ident.monitor.thresholds import REST, SETTLING, STD_EVERY, Thresholds, learn
 from ident.result.models.model import Model
 from ident.signals.joint_signals import read_joint_signals
 from ident.signals.resampling import measure_irregularity
 
+CREEPING = 1e-3
+"""[rad/s or m/s] at which friction is dry alone."""
 RELEASE = 0.7
 """Share of the threshold below which an alarm ends."""
 RELEASE_TIME = 0.1
@@ -92,6 +94,8 @@ class Monitor:
         self._after_restart = 0
         self._below = 0.0
         self._last: WatchedBatch | None = None
+        self._dry = dry_friction(model, None if thresholds.celsius is None else thresholds.celsius.mean(axis=0))
+        self._hidden = np.zeros(model.dof, dtype=bool)  # since a contact at rest: friction may hold the joint by all
         self.contacts: list[Contact] = []
         self.lag = self._intervals.lag
 
@@ -107,9 +111,12 @@ class Monitor:
         spread = self.thresholds.spread_of(way, self._model_std(intervals))
         threshold = self.thresholds.of(way, spread, intervals.celsius)
         alarm = np.zeros(len(intervals), dtype=bool)
-        ratio = np.abs(external) / threshold
+        resting = way == REST
+        spare = self._held_by_friction(resting)
+        ratio = (np.abs(external) - spare) / threshold
         lasting = bool(self.contacts) and np.isnan(self.contacts[-1].end)
         if not lasting and not np.any(ratio > 1.0) and not intervals.restarted.any():
+            self._hidden &= resting.all(axis=0)
             self._after_restart += len(intervals)
             if self._load is not None:
                 self._load.add(intervals, way)
@@ -117,17 +124,26 @@ class Monitor:
             begun = 0
             for row, restarted in enumerate(intervals.restarted.tolist()):
                 self._after_restart = 0 if restarted else self._after_restart + 1
+                self._hidden &= resting[row]
                 before = len(self.contacts)
                 alarm[row] = self._judged(float(intervals.time[row]), external[row], threshold[row], ratio[row])
+                if len(self.contacts) > before:
+                    self._hidden, after = resting[row], slice(row + 1, None)
+                    spare[after] = self._held_by_friction(resting[after])
+                    ratio[after] = (np.abs(external[after]) - spare[after]) / threshold[after]
                 if len(self.contacts) > before and self._load is not None:
                     self._load.add(rows_of(intervals, slice(begun, row)), way[begun:row])
                     self._load.restart()  # what was grasped is another load from now on
                     begun = row
             if self._load is not None:
                 self._load.add(rows_of(intervals, slice(begun, None)), way[begun:])
-        result = WatchedBatch(intervals, external, threshold, spread, way, alarm)
+        result = WatchedBatch(intervals, external, threshold + spare, spread, way, alarm)
         self._last = result if len(intervals) else self._last
         return result
+
+    def _held_by_friction(self, resting: BoolArray) -> FloatArray:
+        """(N, n) torque by which friction may hold joints that rest since a contact began, by `resting` (N, n)."""
+        return np.asarray(self._dry * (np.logical_and.accumulate(resting, axis=0) & self._hidden))
 
     def _model_std(self, intervals: Intervals) -> FloatArray:
         """(N, n) σ of the model, which changes slowly: of every `STD_EVERY`-th sample, held in between."""
@@ -221,6 +237,17 @@ def joint_samples(model: Model, recording: Recording) -> JointSamples:
 def sample_period(samples: JointSamples) -> float:
     """The nominal period [s] of samples."""
     return measure_irregularity(samples.time).median_period
+
+
+def dry_friction(model: Model, celsius: FloatArray | None = None) -> FloatArray:
+    """Friction (n,) that may hold a resting joint [N·m or N], at temperatures (n,) [°C]; 0 where these are unknown."""
+    still = np.zeros(model.dof)
+    if celsius is None and model.dynamics.model.needs_temperature:
+        return still
+    creeping = np.array([CREEPING, -CREEPING])[:, None] + still
+    heat = None if celsius is None or not model.dynamics.model.needs_temperature else np.array([celsius, celsius])
+    one, other = model.friction(creeping, np.zeros_like(creeping), heat)
+    return np.asarray(np.abs(one - other) / 2.0)
 
 
 def earned_thresholds(

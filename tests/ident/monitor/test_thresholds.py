@@ -23,7 +23,7 @@ from ident.monitor.interval_torque import JointSamples
 from ident.monitor.labelled_contacts import LabelledContact, found_at, operating_point, read_contacts, roc
 from ident.monitor.live import LiveMonitor
 from ident.monitor.load_estimate import LoadEstimator, changed_load
-from ident.monitor.monitor import Monitor, another_arm, earned_thresholds
+from ident.monitor.monitor import Monitor, another_arm, dry_friction, earned_thresholds
 from ident.monitor.thresholds import MotionWays, Thresholds
 from ident.tasks.monitoring import at_rate
 from sim_drivers.plant.altered_arm import with_load
@@ -154,6 +154,31 @@ def test_no_alarm_without_contact_and_one_for_a_push(noisy: tuple[JointSamples, 
     assert contact.torque > contact.threshold > 0.0
 
 
+@pytest.mark.parametrize("together", [1500, 5])
+def test_what_friction_may_hold_after_a_contact_at_rest_is_no_contact(
+    noisy: tuple[JointSamples, Thresholds], together: int
+) -> None:
+    """The joint may lean against its friction since then, until it moves again; a further push is a contact."""
+    model, _ = known_model("ur5e")
+    quiet, thresholds = noisy
+    count, dry = 1500, dry_friction(model)
+    position = np.tile(quiet.position[0], (count, 1))
+    torque = np.tile(model.torque(quiet.position[0]), (count, 1))
+    torque[300:600, 1] += 3.0 * thresholds.limit[:, 1].max() + 2.0 * dry[1]
+    torque[600:, 1] += 0.9 * dry[1]
+    torque[1200:, 2] -= 2.0 * thresholds.limit[:, 2].max() + 2.0 * dry[2]
+    assert 0.9 * dry[1] > thresholds.limit[0, 1]
+    watched = Monitor(model, thresholds, load=False)
+    time = 0.002 * np.arange(count)
+    for begin in range(0, count, together):
+        rows = slice(begin, begin + together)
+        watched.add(JointSamples(time[rows], position[rows], torque[rows]))
+    first, second = watched.contacts
+    assert (first.joint, second.joint) == ("shoulder_lift_joint", "elbow_joint")
+    assert time[600] < first.end < time[680]
+    assert time[1200] < second.time < time[1220]
+
+
 def test_the_torque_that_is_noticed_is_so_in_95_percent_of_the_cases(noisy: tuple[JointSamples, Thresholds]) -> None:
     model, _ = known_model("ur5e")
     quiet, thresholds = noisy
@@ -254,7 +279,7 @@ def test_recordings_at_another_rate_are_not_learnt_from(noisy: tuple[JointSample
     both = [("slow", slow), ("quick", quiet)]
     assert [name for name, _ in at_rate(both, 0.002)] == ["quick"]
     assert [name for name, _ in at_rate(both, 0.0081)] == ["slow"]
-    with pytest.raises(DataError, match=r"has 250 Hz, those without contact have not \(slow: 125 Hz\)"):
+    with pytest.raises(DataError, match=r"has 250 Hz, unlike those without contact \(slow: 125 Hz\)"):
         at_rate(both, 0.004)
 
 
