@@ -20,7 +20,7 @@ from ident.estimators.feasible.consistent import ConsistentParameters, found_con
 from ident.identify.identification import Identification
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.kinematics.urdf import urdf_inertias
+from ident.model.kinematics.urdf import UrdfBody, urdf_inertias
 from ident.model.parameters import INERTIAL, MASS
 from ident.regression.comparison import compare_torques
 from ident.regression.estimate import Estimate
@@ -34,6 +34,10 @@ best, those of the wrist; one of a third of its usual mass brings simulated arms
 URDF_FACTOR = 5.0
 """Apparent mass over that of a URDF's bodies, or the reverse, beyond which one of them is wrong. Bodies of CAD models
 lack cables, grease and motors, hardly more than half of the mass."""
+
+URDF_AGREES = 1.5
+"""Factor within which the data confirm a mass that the URDF states: what arms of this size weigh says nothing then. A
+gripper's fingers or a pendulum may weigh more."""
 
 BESIDE = 0.5
 """Distance of a link's centre of mass from the lines between its joints, over the arm's length, that no link has: 0.13
@@ -76,9 +80,10 @@ def body_checks(
     links = _links(consistent)
     masses = links[:, MASS]
     apparent = consistent.apparent_mass if whole and end_shown(model) else None
-    checks = _total_checks(mass_of_size(model), _urdf_mass(model, robot_file), robot_file.robot.payload, apparent)
-    checks += _link_checks(model, masses)
-    if far := _far_centres(model, masses, links[:, 6:9] / masses[:, None]):
+    bodies = urdf_inertias(robot_file, model.link_names)
+    checks = _total_checks(mass_of_size(model), _urdf_mass(bodies), robot_file.robot.payload, apparent)
+    checks += _link_checks(model, masses, bodies)
+    if far := _far_centres(model, masses, links[:, 6:9] / masses[:, None], bodies):
         boxed = found_consistent(model, base, estimate, _with_centres_near(model, robot_file, list(far)))
         # The data may leave open where they lie: masses that are not known make centres of known moments.
         if boxed is None or boxed.misfit > consistent.misfit + DENIED_MISFIT:
@@ -162,7 +167,8 @@ def _total_checks(
     """The mass that the torques show against what arms of this size, and with this payload, weigh, and the URDF."""
     if apparent is None:
         return []
-    if size is not None and not size.least / WRIST <= apparent <= size.most:
+    confirmed = urdf is not None and _agrees(apparent, urdf)
+    if size is not None and not confirmed and not size.least / WRIST <= apparent <= size.most:
         text = (
             f"the torques imply an arm of about {_kilograms(apparent)}; arms of this length weigh "
             f"{_kilograms(size.least)} to {_kilograms(size.most)}: check the unit of torque or current, the gains, "
@@ -187,11 +193,21 @@ def _total_checks(
     return []
 
 
-def _link_checks(model: DynamicModel, masses: FloatArray) -> list[Check]:
-    """Links heavier than any of an arm of this size."""
+def _agrees(mass: float, urdf: float) -> bool:
+    return 1.0 / URDF_AGREES <= mass / urdf <= URDF_AGREES
+
+
+def _link_checks(model: DynamicModel, masses: FloatArray, bodies: Sequence[UrdfBody | None]) -> list[Check]:
+    """Links heavier than any of an arm of this size, and than the URDF's."""
     size = mass_of_size(model)
-    heavy = [] if size is None else [link for link, mass in enumerate(masses) if mass > size.heaviest_link]
-    if size is None or not heavy:
+    if size is None:
+        return []
+    heavy = [
+        link
+        for link, (mass, body) in enumerate(zip(masses, bodies, strict=True))
+        if mass > size.heaviest_link and (body is None or not _agrees(mass, body[0]))
+    ]
+    if not heavy:
         return []
     names = [model.link_names[link] for link in heavy]
     figures = ", ".join(f"{model.link_names[link]} {_kilograms(masses[link])}" for link in heavy)
@@ -202,11 +218,15 @@ def _link_checks(model: DynamicModel, masses: FloatArray) -> list[Check]:
     return [raised("implausible-link", text, [name for name in names if name in model.joint_names])]
 
 
-def _far_centres(model: DynamicModel, masses: FloatArray, centres: FloatArray) -> dict[int, float]:
-    """Links whose centres of mass (k, 3) lie far from them, and how far [m]."""
+def _far_centres(
+    model: DynamicModel, masses: FloatArray, centres: FloatArray, bodies: Sequence[UrdfBody | None]
+) -> dict[int, float]:
+    """Links whose centres of mass (k, 3) lie far from them and from the URDF's, and how far [m]."""
     far = {}
-    for link, (mass, centre) in enumerate(zip(masses, centres, strict=True)):
+    for link, (mass, centre, body) in enumerate(zip(masses, centres, bodies, strict=True)):
         distance = min(_distance(centre, end) for end in _ends(model, link))
+        if body is not None:
+            distance = min(distance, float(np.linalg.norm(centre - body[1])))
         sliding = model.joints[link].prismatic or any(j.prismatic for j in model.joints if j.parent == link)
         if not sliding and mass > LEAST_SHARE * masses.sum() and distance > _allowed(model, link) > 0.0:
             far[link] = distance
@@ -256,9 +276,8 @@ def _distance(point: FloatArray, end: FloatArray) -> float:
     return float(np.linalg.norm(point - share * end))
 
 
-def _urdf_mass(model: DynamicModel, robot_file: RobotFile) -> float | None:
+def _urdf_mass(bodies: Sequence[UrdfBody | None]) -> float | None:
     """Mass [kg] of a URDF's bodies; None where a link has none, or all have the same, as placeholders do."""
-    bodies = urdf_inertias(robot_file, model.link_names)
     masses = [body[0] for body in bodies if body is not None]
     if len(masses) < len(bodies) or len(set(masses)) < 2:
         return None

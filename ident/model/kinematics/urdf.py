@@ -148,10 +148,12 @@ def _standard_error(lines: list[str]) -> Iterator[None]:
             lines += taken.read().decode("utf-8", "replace").splitlines()
 
 
-def urdf_inertias(
-    robot_file: RobotFile, names: Sequence[str]
-) -> tuple[tuple[float, np.ndarray, np.ndarray] | None, ...]:
-    """Mass [kg], centre of mass (3,) [m] and inertia (3, 3) about it [kg·m²] of what each joint of `names` moves.
+UrdfBody = tuple[float, np.ndarray, np.ndarray]
+"""Mass [kg], centre of mass (3,) [m] and inertia (3, 3) about it [kg·m²]."""
+
+
+def urdf_inertias(robot_file: RobotFile, names: Sequence[str]) -> tuple[UrdfBody | None, ...]:
+    """The body that each joint of `names` moves.
 
     In the joint's frame; None for a body without mass, and for all where the robot has no URDF.
 

@@ -27,6 +27,8 @@ from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.true_parameters import truth_vector
 from ident.result.models.model import Model
 from ident.signals.pipeline import PreprocessChoices
+from ident.tasks.new_robot import new_robot_file
+from sim_drivers.synthetic.measurement import simulate
 
 pytestmark = pytest.mark.usefixtures("mistakes_not_sought")
 
@@ -146,6 +148,25 @@ def test_torques_of_another_unit_are_no_arm_of_this_size(factor: float) -> None:
     assert "implausible-mass" in {check.name for check in identification.checks}
 
 
+def test_bodies_that_the_urdf_states_may_be_heavy_for_their_length(tmp_path: Path) -> None:
+    """A gripper's fingers of 0.1 kg, 4 cm long, with their centres beyond; of 20 kg they are no fingers."""
+    bodies = "".join(
+        f'<link name="l{number}"><inertial><origin xyz="0 0 {centre}"/><mass value="{mass}"/>'
+        '<inertia ixx="8e-5" ixy="0" ixz="0" iyy="7e-5" iyz="0" izz="2e-5"/></inertial></link>'
+        f'<joint name="j{number}" type="revolute"><parent link="{parent}"/><child link="l{number}"/>'
+        f'<origin xyz="0 0 {length}"/><axis xyz="{axis}"/><limit lower="-1" upper="1" effort="2" velocity="2"/></joint>'
+        for number, parent, mass, centre, length, axis in (
+            (1, "base", 0.1, 0.055, 0.01, "1 0 0"),
+            (2, "l1", 0.11, 0.05, 0.03, "0 1 0"),
+        )
+    )
+    (tmp_path / "fingers.urdf").write_text(f'<robot name="fingers"><link name="base"/>{bodies}</robot>')
+    file = new_robot_file(tmp_path / "fingers.urdf", out=tmp_path / "fingers.yaml").path
+    run = simulate(file, duration=10.0, seed=1, rate=100.0)
+    assert not OF_BODIES & {check.name for check in identify([run], [], QUICK).checks}
+    assert "implausible-mass" in {check.name for check in identify([scaled(run, 200.0)], [], QUICK).checks}
+
+
 def stating(**known: float) -> RobotFile:
     """The arm whose file has known values."""
     content = yaml.safe_load(arm(1, False).text) | {"known": known}
@@ -166,7 +187,7 @@ def test_what_the_file_says_against_the_data_is_named() -> None:
 def test_what_no_data_fit_is_refused_with_what_they_say() -> None:
     """A total mass of a tenth of that which the torques show."""
     given = stating(total_mass=0.1 * float(masses(found(1, False)).sum()))
-    with pytest.raises(RobotFileError, match=r"no data fit known.total_mass = .* \(the data say about .* kg\)"):
+    with pytest.raises(RobotFileError, match=r"no data agree with known.total_mass = .* \(the data say about .* kg\)"):
         identify([recording(1, False)], [], QUICK, given)
 
 
