@@ -23,7 +23,7 @@ Task = Callable[[Recording, Path], None]
 
 CASES = [
     *((motion, "none") for motion in MOTIONS),
-    *(("together", damage) for damage in DAMAGES),
+    *(("together", damage) for damage in DAMAGES if damage != "none"),
     *(("second joint forth and back in 1 s", damage) for damage in ("torque held", "a torque zero", "coarse encoder")),
     *(("one after the other", damage) for damage in ("a torque zero", "segments of 17 samples", "rows repeated")),
     *(("nothing", damage) for damage in ("positions jitter", "torque zero", "60 samples")),

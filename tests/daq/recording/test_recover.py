@@ -205,6 +205,7 @@ def test_a_file_over_which_hdf5_loops_is_refused(tmp_path, monkeypatch):
     path.write_bytes(content)
     for module in (recover_module, reading_process):  # a busy computer may need minutes for a second of processor time
         monkeypatch.setattr(module, "WAITING_LIMIT", 3600.0)
+    monkeypatch.setattr(reading_process, "_TIME_TO_CLEAN_UP", 0)
     monkeypatch.setattr(recover_module, "read_apart", functools.partial(read_apart, time_limit=1.0))
     monkeypatch.setattr(reader_module, "read_apart", functools.partial(read_apart, time_limit=1.0))
     with pytest.raises(RecordingError, match="cannot be read within 1 s of CPU time") as refused:

@@ -37,6 +37,8 @@ from drivers.serial_servos.settings import parse_settings
 from drivers.serial_thermometer.driver import SerialThermometerDriver
 from dynid.testing import Bench, DriverConformance, SimulatedClock, declared_bench, simulated_time
 from sim_drivers.can_motors.server import CanMotorServer
+from sim_drivers.canopen import network
+from sim_drivers.plant import servo
 from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.server import RtdeServer
 from sim_drivers.serial_servos.server import SerialServoServer
@@ -87,6 +89,13 @@ TABLE = {
     },
 }
 THERMOMETER = {"pattern": r"T(?P<channel>\d)=(?P<value>[-+.\d]+)", "channels": {1: "shoulder", 2: "elbow"}, "rate": 20}
+
+
+@pytest.fixture(autouse=True)
+def coarse_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Simulated servos take the steps of their bench, drives on CANopen turn every 5 ms."""
+    monkeypatch.setattr(servo, "STEP", motor_bench.STEP)
+    monkeypatch.setattr(network, "LOOP_PERIOD", 5e-3)
 
 
 def arm(driver: str, keys: Mapping[str, object]) -> RobotFile:
