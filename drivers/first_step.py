@@ -29,13 +29,9 @@ def finite_position(position: FloatArray, joints: Sequence[str]) -> FloatArray:
 def check_first_step(
     target: FloatArray, measured: FloatArray | None, joints: Sequence[str], sliding: Sequence[bool] = ()
 ) -> None:
-    """Refuse a first command that the arm could only reach by a jump.
+    """Refuse a first command (n,) [rad or m] that the arm could only reach by a jump.
 
-    Args:
-        target: (n,) commanded position [rad or m].
-        measured: (n,) newest measured position [rad or m]; None before the first sample.
-        joints: n names.
-        sliding: n, whether each slides; all turn where empty.
+    What was measured is None before the first sample. All joints turn where `sliding` is empty.
 
     Raises:
         DriverStateError: it is further than `FIRST_STEP_LIMIT` from the measured position, or either of them is

@@ -64,13 +64,8 @@ class MotorsControl(Protocol):
 class PolledArm(LifeCycle):
     """Implements `drivers.base.Driver` and `Guidable` on `_connect`, `_disconnect`, `_new_cycle` and `_channels`.
 
-    Args:
-        settings: of the arm.
-        where: the connection, for messages.
-        rate: of rows and commands [Hz].
-        names: id → what messages call the motor.
-        device: what messages call a motor.
-        read_only: whether the connection only reads.
+    Rows and commands come at a rate [Hz]. Messages call the motors by `names`, id → name, any of them a `device`, and
+    the connection `where`.
     """
 
     def __init__(

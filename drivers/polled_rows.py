@@ -22,14 +22,10 @@ NOTED_AGAIN = 10.0
 
 
 class PolledRows(ABC):
-    """Reads all devices of a connection at a rate; `start` and `stop` begin and end its thread.
+    """Reads all devices of a connection at a rate [Hz]; `start` and `stop` begin and end its thread.
 
-    Args:
-        name: of the thread.
-        rate: [Hz].
-        sent: commands, (when [s, host's monotonic clock], (n,) position [rad]), which `take` hands out and removes.
-        clock: the host's.
-        gains: quantity → (n,) of the loop that follows the commands, handed out beside each of them.
+    `take` hands out and removes the commands that were `sent`, (when [s, host's monotonic clock], (n,) position [rad]),
+    and beside each the gains of the loop that follows it, quantity → (n,).
 
     Attributes:
         latest: (n,) newest position [rad]; None before the first row.

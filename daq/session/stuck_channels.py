@@ -48,13 +48,10 @@ class StuckChannel:
         self._hangs = np.zeros(columns, dtype=bool)
 
     def add(self, time: float, values: FloatArray, way: FloatArray, speed: FloatArray) -> IndexArray:
-        """Take consecutive samples; returns the columns that hang.
+        """Take consecutive samples (N, m), the last one at a time [s]; returns the columns that hang.
 
-        Args:
-            time: of the last sample [s].
-            values: (N, m) samples.
-            way: (m,) what should change them, at the last sample [rad, m or s].
-            speed: (m,) of the joints [rad/s or m/s], where it is a new one, else NaN.
+        `way` (m,) is what should change them, at the last sample [rad, m or s]; `speed` (m,) that of the joints [rad/s
+        or m/s] where it is a new one, else NaN.
         """
         before = np.concatenate([self._last[np.newaxis], values[:-1]]) if len(values) > 1 else self._last
         changes = np.abs(values - before)

@@ -273,9 +273,8 @@ class Supervisor:
     def check_ages(self, now: float, explain: Callable[[str, float], str] | None = None) -> Breach | None:
         """What has been silent for too long, once it has begun: a stream, or a quantity of joints that has a limit.
 
-        Args:
-            now: [s, host clock].
-            explain: gives the cause of a stream's silence longer than a limit [s]; empty if unknown.
+        `now` is the host's clock [s]; `explain` gives the cause of a stream's silence longer than a limit [s]; empty if
+        unknown.
         """
         for stream, arrival in self._last_arrival.items():
             allowed = self._stale_after.get(stream, np.inf)

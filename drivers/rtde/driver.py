@@ -97,12 +97,10 @@ OWN_PROGRAM = (
 
 
 class RtdeDriver(LifeCycle):
-    """A Universal Robots arm on RTDE; implements `drivers.base.Driver`.
+    """A Universal Robots arm of six joints on RTDE; implements `drivers.base.Driver`.
 
-    Args:
-        settings: joints (six), the connection's keys (see `drivers.rtde.settings.RtdeSettings`) and the gains.
-        connect: reaches the controller's ports.
-        take_control: of the arm: host, rate of the commands [Hz], time limit [s].
+    The connection's keys are those of `drivers.rtde.settings.RtdeSettings`. `take_control` gets the host, the rate of
+    the commands [Hz] and a time limit [s].
 
     Raises:
         UsageError: the connection's keys are wrong, or the arm does not have six joints.

@@ -30,14 +30,7 @@ class Command:
 
 
 class MotorPlant(ClockedArm):
-    """An arm of motors in the time of a clock.
-
-    Args:
-        file: its truth has a servo for every joint.
-        motors: in the joints' order.
-        position: (n,) at which it stands at first [rad].
-        now: the clock's time [s].
-    """
+    """An arm of motors, in the joints' order, in the time of a clock; it stands at `position` (n,) [rad] at first."""
 
     def __init__(self, file: RobotFile, motors: Sequence[CanMotor], position: FloatArray, now: float) -> None:
         super().__init__(file, position, now, NOMINAL_VOLTAGE)

@@ -42,12 +42,8 @@ REMEMBERED = 256
 class CanMotorServer(BusServer):
     """Motors that are switched on by `start` and off by `stop`.
 
-    Args:
-        file: of the arm; its truth has a servo for every joint.
-        settings: of the connection that reaches them.
-        position: (n,) at which it stands at first [rad]; the middle of the ranges where None.
-        clock: the host's.
-        held: whether it is held there, as a program before left it; else it is limp.
+    The arm stands at `position` (n,) [rad] at first, in the middle of the ranges where None; `held` there, as a program
+    before left it, or limp.
 
     Attributes:
         settings: as given.

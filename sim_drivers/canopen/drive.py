@@ -118,11 +118,8 @@ class SimulatedDrive:
     def sync(self, time: float, cycle: float) -> None:
         """Obey a SYNC: apply received values and the cyclic set-point, send the measurement.
 
-        The axis' feedback must be that of the SYNC's time.
-
-        Args:
-            time: of the SYNC in the drives' own clock [s].
-            cycle: distance of two SYNCs [s]; 0 where that is unknown.
+        The axis' feedback must be that of the SYNC's time [s, the drives' own clock]; `cycle` is the distance of two
+        SYNCs [s], 0 where that is unknown.
         """
         if self.nmt != objects.STATE_OPERATIONAL:
             return

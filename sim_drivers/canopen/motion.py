@@ -56,12 +56,7 @@ class ReferenceMotion(Protocol):
 
 
 class Standstill:
-    """Brakes from the present velocity to rest at a deceleration, then holds.
-
-    Args:
-        start: where it begins.
-        deceleration: [rad/s²].
-    """
+    """Brakes from the present velocity to rest at a deceleration [rad/s²], then holds."""
 
     def __init__(self, start: AxisReference, deceleration: float) -> None:
         self._position, self._velocity = start.position, start.velocity
@@ -86,10 +81,8 @@ class Standstill:
 class SyncClock:
     """The drives' own clock, locked to SYNC: its jitter must not become a jitter of the motion.
 
-    A second-order phase-locked loop. SYNCs left out are counted; a long pause, or another rate, starts it anew.
-
-    Args:
-        cycle: distance of two SYNCs [s] where it is known beforehand, else 0.
+    A second-order phase-locked loop. SYNCs left out are counted; a long pause, or another rate, starts it anew. The
+    distance of two SYNCs [s] is 0 where it is not known beforehand.
 
     Attributes:
         cycle: smoothed; 0 where unknown.
@@ -244,14 +237,7 @@ class CyclicPosition:
 
 
 class Profile:
-    """Profile position: to a target with limited speed, acceleration and deceleration.
-
-    Args:
-        start: where it begins, in motion or not.
-        target: [rad].
-        speed: [rad/s].
-        acceleration, deceleration: [rad/s²].
-    """
+    """Profile position: to a target [rad] with limited speed [rad/s], acceleration and deceleration [rad/s²]."""
 
     def __init__(
         self, start: AxisReference, target: float, speed: float, acceleration: float, deceleration: float
