@@ -26,7 +26,8 @@ class SimulatedBackEnd:
     Attributes:
         wire: word of `dynid sim --wire`.
         serve: `module:function` of (RobotFile, Plant, SimOptions, Clock), which returns what is served, not started yet
-            (`sim_drivers.served.Served`).
+            (`sim_drivers.served.Served`); raises UsageError where the connection or the options are wrong, and
+            RobotFileError where the truth lacks what the devices need.
         beside: `module:function` of (Served, RobotFile, Plant, SimOptions, Clock), which serves its device beside an
             arm on another bus; empty where it cannot.
         arm: whether it is the arm that answers; else a sensor on it.
@@ -49,8 +50,8 @@ class DriverDeclaration:
     Attributes:
         driver: (DriverSettings) -> Driver, or its `module:name`; raises UsageError where the connection's keys are
             wrong.
-        budget: `module:function` of (DriverSettings), which returns the load of the bus (`Budget`); empty where the
-            bus cannot be too full.
+        budget: `module:function` of (DriverSettings), which returns the load of the bus (`Budget`), and raises as
+            `driver`; empty where the bus cannot be too full.
         read_only: keys of the connection with which the driver prepares nothing for a motion, and sends no device
             anything that could end another program's; they replace the robot file's where the arm is not to be moved.
         reset_faults: keys with which opening resets faults of the devices and enables nothing; empty where it cannot.

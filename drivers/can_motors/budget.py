@@ -18,11 +18,7 @@ FD_ANSWER = 32
 
 
 def motor_budget(settings: DriverSettings, family: str) -> Budget:
-    """The budget of a connection: a cycle with goals, or with readings alone where it only reads.
-
-    Raises:
-        UsageError: the connection's keys are wrong.
-    """
+    """The budget of a connection: a cycle with goals, or with readings alone where it only reads."""
     parsed = parse_settings(settings.connection, settings.joints, family)
     keys, codecs = parsed.keys, parsed.codecs()
     codec, speed_up = codecs[0], keys.data_bitrate / keys.bitrate

@@ -12,11 +12,7 @@ from drivers.declaration import DriverDeclaration, SimulatedBackEnd
 
 
 def table_budget(settings: DriverSettings) -> Budget:
-    """The budget of a connection.
-
-    Raises:
-        UsageError: the connection's keys are wrong.
-    """
+    """The budget of a connection."""
     bus = parse_settings(settings.connection, settings.joints, settings.folder)
 
     def group(meaning: str, identifiers: Sequence[tuple[int, int]]) -> list[FrameGroup]:

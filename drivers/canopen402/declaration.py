@@ -20,11 +20,7 @@ def synchronous_cycle(nodes: int, tpdos: Sequence[int], rpdos: Sequence[int] = (
 
 
 def canopen_budget(settings: DriverSettings) -> Budget:
-    """The budget of a connection.
-
-    Raises:
-        UsageError: the connection's keys are wrong.
-    """
+    """The budget of a connection."""
     bus = parse_settings(settings.connection, settings.joints)
     nodes = len(bus.nodes)
     tpdos = [sum(entry.size for entry in carried) for carried in objects.TPDO_OBJECTS]

@@ -14,11 +14,7 @@ from drivers.serial_servos.setup import USUAL_TIMER
 
 
 def servo_budget(connection: DriverSettings, driver: str) -> Budget:
-    """Return what a connection to servos asks of its line.
-
-    Raises:
-        UsageError: the connection's keys are wrong.
-    """
+    """Return what a connection to servos asks of its line."""
     settings = _parsed(connection, driver)
     bus, motors = ServoBus(settings), settings.motors
     protocol, (address, size), count = bus.line.protocol, bus.block, len(motors)

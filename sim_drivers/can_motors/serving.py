@@ -14,12 +14,7 @@ from sim_drivers.served import SimOptions
 
 
 def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock, family: str) -> CanMotorServer:
-    """Motors of a family as the robot file's connection has them.
-
-    Raises:
-        UsageError: there is no such connection, or its keys are wrong.
-        RobotFileError: the truth has no servos.
-    """
+    """Motors of a family as the robot file's connection has them."""
     robot = robot_file.robot
     keys = table_keys(robot, family, options, "there are no ids", "docs/can-motors.md")
     settings = parse_settings(keys, robot.joint_names, family)

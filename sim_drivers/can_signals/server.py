@@ -201,11 +201,7 @@ DRIVER = "can_frames"
 
 
 def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> ProprietaryCanServer:
-    """An arm with the signal table of the robot file's connection.
-
-    Raises:
-        UsageError: there is no such connection, or its keys are wrong.
-    """
+    """An arm with the signal table of the robot file's connection."""
     robot = robot_file.robot
     keys = table_keys(robot, DRIVER, options, "there is no signal table", "docs/can.md")
     return ProprietaryCanServer(plant, robot, keys, robot_file.folder, clock)

@@ -28,11 +28,7 @@ DEFAULT_BUS = {"interface": "udp_multicast", "channel": "239.74.163.2", "options
 
 
 def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> CanopenServer:
-    """CiA 402 drives on the bus of the robot file's connection.
-
-    Raises:
-        UsageError: the connection's keys, or the options, are wrong.
-    """
+    """CiA 402 drives on the bus of the robot file's connection."""
     return _drives(robot_file, plant, options, _keys(robot_file.robot, options), None, clock)
 
 

@@ -329,11 +329,7 @@ def _is_loopback(host: str) -> bool:
 
 
 def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> RtdeServer:
-    """A controller of the version that is asked for, which knows the arm's lengths.
-
-    Raises:
-        UsageError: no such version, or not six turning joints.
-    """
+    """A controller of the version that is asked for, which knows the arm's lengths."""
     server = RtdeServer(plant, host=options.host, version=options.version, joints=robot_file.robot.joints, clock=clock)
     if (lengths := arm_lengths(robot_file)) is not None:
         server.controller.lengths = lengths.tolist()

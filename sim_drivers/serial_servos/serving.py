@@ -15,12 +15,7 @@ from sim_drivers.server import stated_keys
 
 
 def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock, driver: str) -> SerialServoServer:
-    """Servos of a protocol as the robot file's connection has them; `--channel` is the path of their port.
-
-    Raises:
-        UsageError: there is no such connection, or its keys are wrong.
-        RobotFileError: the truth has no servos.
-    """
+    """Servos of a protocol as the robot file's connection has them; `--channel` is the path of their port."""
     robot = robot_file.robot
     keys = stated_keys(robot, driver, "there are no ids", "docs/serial-servos.md")
     if options.channel is not None:

@@ -110,11 +110,7 @@ def serve(
     clock: Clock = SYSTEM_CLOCK,
     line_end: WritableLineEnd | None = None,
 ) -> ThermometerAlone:
-    """The thermometer of a robot file, on its arm at rest; its end of the line is a pseudo-terminal where None.
-
-    Raises:
-        UsageError: the robot file has no serial thermometer, or its keys are wrong.
-    """
+    """The thermometer of a robot file, on its arm at rest; its end of the line is a pseudo-terminal where None."""
     keys = thermometer_keys(robot_file.robot)
     return ThermometerAlone(plant, serve_thermometer(plant, keys, options.seed, line_end, clock), clock)
 
@@ -122,11 +118,7 @@ def serve(
 def serve_beside(
     served: Served, robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock
 ) -> BesideThermometer:
-    """The thermometer of a robot file beside its arm, which is served on its own bus.
-
-    Raises:
-        UsageError: the robot file has no serial thermometer, or its keys are wrong.
-    """
+    """The thermometer of a robot file beside its arm, which is served on its own bus."""
     keys = thermometer_keys(robot_file.robot)
     return BesideThermometer(served, serve_thermometer(plant, keys, options.seed, clock=clock))
 

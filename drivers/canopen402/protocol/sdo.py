@@ -66,7 +66,10 @@ class _Client(SdoClient):
 
 
 class RemoteDrive:
-    """The object dictionary of one drive, read and written by SDO; it may take `timeout` [s] to answer a request."""
+    """The object dictionary of one drive, read and written by SDO; it may take `timeout` [s] to answer a request.
+
+    Reading and writing raise ConnectionFailedError: no answer, refused, or too late.
+    """
 
     def __init__(self, network: Network, joint: str, node: int, timeout: float, clock: Clock = SYSTEM_CLOCK) -> None:
         self.joint, self.node = joint, node
@@ -96,55 +99,31 @@ class RemoteDrive:
         return int(self._client.responses.qsize())
 
     def read(self, entry: DriveObject) -> int:
-        """A number.
-
-        Raises:
-            ConnectionFailedError: no answer, refused, or too late.
-        """
+        """A number."""
         return entry.decode(self.read_bytes(entry))
 
     def read_bytes(self, entry: DriveObject) -> bytes:
-        """An object as it is.
-
-        Raises:
-            ConnectionFailedError: no answer, refused, or too late.
-        """
+        """An object as it is."""
         with self._in_words(entry, "read"):
             return bytes(self._client.upload(entry.index, entry.subindex))
 
     def read_optional(self, entry: DriveObject) -> int | None:
-        """A number, or None where the drive does not have the object.
-
-        Raises:
-            ConnectionFailedError: no answer, or too late.
-        """
+        """A number, or None where the drive does not have the object."""
         data = self._bytes_optional(entry)
         return None if data is None else entry.decode(data)
 
     def read_text(self, entry: DriveObject) -> str:
-        """A text; empty where the drive does not have the object.
-
-        Raises:
-            ConnectionFailedError: no answer, or too late.
-        """
+        """A text; empty where the drive does not have the object."""
         data = self._bytes_optional(entry) or b""
         return "".join(c for c in data.decode("latin-1") if c.isprintable()).strip()
 
     def write(self, entry: DriveObject, value: int) -> None:
-        """Write a number.
-
-        Raises:
-            ConnectionFailedError: no answer, refused, or too late.
-        """
+        """Write a number."""
         with self._in_words(entry, f"write {value} to"):
             self._client.download(entry.index, entry.subindex, entry.encode(value))
 
     def write_optional(self, entry: DriveObject, value: int) -> bool:
-        """Write a number; whether the drive has the object.
-
-        Raises:
-            ConnectionFailedError: no answer, or too late.
-        """
+        """Write a number; whether the drive has the object."""
         try:
             self.write(entry, value)
         except ConnectionFailedError as error:
