@@ -59,7 +59,7 @@ class _Watched:
 class ArmMotionCheck:
     """Keeps an arm clear of its mounting surface, obstacles and itself, and within its torque limits."""
 
-    def __init__(self, robot_file: RobotFile, prior: Path | None = None, *, self_collision: bool = True) -> None:
+    def __init__(self, robot_file: RobotFile, prior: str | Path | None = None, *, self_collision: bool = True) -> None:
         """Prepare for an arm; the parameters of the result.json `prior`, or of the file's truth, predict its torque.
 
         Raises:

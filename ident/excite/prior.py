@@ -49,7 +49,7 @@ def recording_rate(robot: Robot) -> float:
     return robot.truth.noise.rate
 
 
-def find_prior(robot_file: RobotFile, result: Path | None = None) -> PriorKnowledge:
+def find_prior(robot_file: RobotFile, result: str | Path | None = None) -> PriorKnowledge:
     """Prior of an arm: from an earlier identification, else from the file's truth, else assumed.
 
     Raises:

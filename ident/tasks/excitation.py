@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from daq.motion.trajectories import Motion, PointToPoint
-from daq.motion.trajectory_file import SamplesTrajectory, dump_trajectory, parse_trajectory
+from daq.motion.trajectories import Motion
+from daq.motion.trajectory_file import SamplesTrajectory, Trajectory, dump_trajectory, parse_trajectory
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
 from daq.robot.assumptions import assumed_limits
 from daq.robot.loader import RobotFile, fingerprint, load_robot
@@ -19,7 +19,7 @@ from drivers.core.errors import IdentificationError, UsageError
 from drivers.core.files import path_of
 from drivers.core.options import keywords_of, same_named
 from drivers.core.text import percent_text, percentage_text
-from ident.excite.choices import DEFAULT_SECONDS, DesignChoices, GravityChoices, ServoMotionChoices, SweepChoices
+from ident.excite.choices import DEFAULT_SECONDS, DesignChoices
 from ident.excite.constraints.workspace import surroundings_warning
 from ident.excite.design import Design, design
 from ident.excite.forecast import ExcitationFigures, excitation_figures
@@ -184,7 +184,7 @@ def design_excitation(options: ExciteOptions) -> ExcitationTrajectory:
         ('position [%]', True)
     """
     robot_file = load_robot(options.robot)
-    prior = find_prior(robot_file, None if options.prior is None else result_path(options.prior))
+    prior = find_prior(robot_file, options.prior)
     joints = None if options.joints is None else tuple(options.joints)
     choices = same_named(options, DesignChoices, joints=joints)
     time = DEFAULT_SECONDS if options.time is None and options.starts is None else options.time
@@ -314,14 +314,12 @@ def design_gravity_motion(options: GravityMotionOptions) -> tuple[ExcitationTraj
         (True, ('S',))
     """
     robot_file = load_robot(options.robot)
-    prior_path = None if options.prior is None else result_path(options.prior)
-    prior = find_prior(robot_file, prior_path)
-    choices = same_named(options, GravityChoices)
-    designed = gravity_motion(robot_file, ArmMotionCheck(robot_file, prior_path), prior, choices)
-    comment = f"designed by dynid excite --for gravity: {len(designed.poses)} poses, each passed slowly in both "
-    "directions"
-    text, motion = _points_text(robot_file, designed.motion, comment)
-    return ExcitationTrajectory(robot_file, text, motion, prior), designed
+    prior = find_prior(robot_file, options.prior)
+    designed = gravity_motion(robot_file, ArmMotionCheck(robot_file, options.prior), prior, options)
+    comment = (
+        f"designed by dynid excite --for gravity: {len(designed.poses)} poses, each passed slowly in both directions"
+    )
+    return _as_played(robot_file, trajectory_of(designed.motion, robot_file.robot.name, comment), prior), designed
 
 
 @keywords_of(ServoMotionOptions)
@@ -346,22 +344,18 @@ def design_servo_motion(options: ServoMotionOptions) -> tuple[ExcitationTrajecto
     result = None if options.after is None else read_servo_result(result_path(options.after))
     if result is not None and tuple(result.joints) != robot_file.robot.joint_names:
         raise UsageError(f"is a model of {result.robot}, whose joints are others", where=str(options.after))
-    designed = servo_excitation(
-        robot_file, ArmMotionCheck(robot_file, None), result, same_named(options, ServoMotionChoices)
-    )
+    designed = servo_excitation(robot_file, ArmMotionCheck(robot_file), result, options)
     if designed.motion is None:
         return None, designed
     kinds = ", ".join(f"{sum(segment.kind == kind for segment in designed.segments)} {kind}" for kind in KINDS)
-    trajectory = SamplesTrajectory(
+    content = SamplesTrajectory(
         robot=robot_file.robot.name,
         comment=f"designed by dynid excite --for servo: {kinds}",
         kind="samples",
         time=tuple((np.arange(len(designed.position)) * PERIOD).round(9).tolist()),
         position=tuple(map(tuple, designed.position.round(9).tolist())),
     )
-    text = dump_trajectory(trajectory)
-    motion = parse_trajectory(text, robot_file.robot, where="the designed motion", folder=None).motion
-    return ExcitationTrajectory(robot_file, text, motion, find_prior(robot_file, None)), designed
+    return _as_played(robot_file, content, find_prior(robot_file)), designed
 
 
 @keywords_of(SweepOptions)
@@ -376,16 +370,14 @@ def design_sweep(options: SweepOptions) -> tuple[ExcitationTrajectory, tuple[Joi
         MotionRefusedError: no joint can move.
     """
     robot_file = load_robot(options.robot)
-    prior = None if options.prior is None else result_path(options.prior)
-    choices = same_named(options, SweepChoices, joints=tuple(options.joints))
-    sweep = velocity_sweep(robot_file, ArmMotionCheck(robot_file, prior), choices)
+    sweep = velocity_sweep(robot_file, ArmMotionCheck(robot_file, options.prior), options)
     comment = "designed by dynid sweep: one joint at a time, back and forth, for friction"
-    text, motion = _points_text(robot_file, sweep.motion, comment)
-    return ExcitationTrajectory(robot_file, text, motion, find_prior(robot_file, prior)), sweep.joints
+    content = trajectory_of(sweep.motion, robot_file.robot.name, comment)
+    return _as_played(robot_file, content, find_prior(robot_file, options.prior)), sweep.joints
 
 
-def _points_text(robot_file: RobotFile, motion: PointToPoint, comment: str) -> tuple[str, Motion]:
-    """The trajectory file's text of a motion, and the motion as read back from it."""
-    trajectory = trajectory_of(motion, robot_file.robot.name, comment)
-    text = dump_trajectory(trajectory)
-    return text, parse_trajectory(text, robot_file.robot, where="the designed motion", folder=None).motion
+def _as_played(robot_file: RobotFile, content: Trajectory, prior: PriorKnowledge) -> ExcitationTrajectory:
+    """The motion as it is read back from the text of its file."""
+    text = dump_trajectory(content)
+    read = parse_trajectory(text, robot_file.robot, where="the designed motion", folder=None)
+    return ExcitationTrajectory(robot_file, text, read.motion, prior)
