@@ -107,8 +107,10 @@ def column_checks(recording: Recording, of: str = "") -> list[Check]:
             if right is None and turned is not None and abs(turned - 1.0) < AGREE
         ]
         if names:
-            text = f"{of}position and velocity of {', '.join(names)} are swapped: the first is the rate of change "
-            "of the second"
+            text = (
+                f"{of}position and velocity of {', '.join(names)} are swapped: the first is the rate of change "
+                "of the second"
+            )
             checks.append(raised("position-velocity-exchanged", text, names))
     return checks
 

@@ -307,8 +307,10 @@ def time_axis_checks(recording: Recording, of: str = "", stuck: Collection[str] 
     checks = []
     unit = axis.velocity_unit
     if unit is not None:
-        text = f"{of}judging by the positions, the recorded velocities of all joints are in {unit}, not in rad/s: "
-        "convert them"
+        text = (
+            f"{of}judging by the positions, the recorded velocities of all joints are in {unit}, not in rad/s: "
+            "convert them"
+        )
         checks.append(raised("velocity-scale", text, axis.velocity_ratios))
     elif axis.factor is not None:
         text = (
@@ -320,8 +322,9 @@ def time_axis_checks(recording: Recording, of: str = "", stuck: Collection[str] 
         off = {name: ratio for name, ratio in axis.velocity_ratios.items() if abs(ratio - 1.0) > SAME_FACTOR}
         if off:
             ratios = ", ".join(f"{name} {ratio:.4g}" for name, ratio in off.items())
-            text = f"{of}the recorded velocity differs from the change of position by a factor: {ratios}; check its "
-            "unit"
+            text = (
+                f"{of}the recorded velocity differs from the change of position by a factor: {ratios}; check its unit"
+            )
             checks.append(raised("velocity-scale", text, off))
     for name, clock in axis.clocks.items():
         if abs(clock.drift) > max(CLOCK_DRIFT, DRIFT_INTERVALS * clock.drift_error):

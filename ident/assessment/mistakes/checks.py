@@ -145,8 +145,9 @@ def _check(model: DynamicModel, found: Sequence[Mistake], turns: Sequence[Deviat
             ),
         ]
     )
-    text = f"a sign or a column is wrong: {what}; each of these explains the data equally well, unlike what was "
-    "recorded"
+    text = (
+        f"a sign or a column is wrong: {what}; each of these explains the data equally well, unlike what was recorded"
+    )
     return raised("sign-or-column", text, names)
 
 
