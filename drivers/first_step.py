@@ -48,7 +48,9 @@ def check_first_step(
     if np.isfinite(away[worst]):
         message = f"the first position is {away[worst]:.3f} {unit} away from the measured one"
     else:
-        message = f"the first position, {target[worst]:g}, cannot be compared with the measured {measured[worst]:g}"
+        message = (
+            f"the first position, {target[worst]:g}, cannot be compared with the measured one, {measured[worst]:g}"
+        )
     raise DriverStateError(
         message,
         where=f"joint {joints[worst]}",
