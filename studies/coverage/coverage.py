@@ -35,6 +35,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.models.model import Model
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
+from studies.coverage.seeds import of_cases
 from studies.synthetic.random_points import random_points_motion
 
 Play = Literal["periodic", "points"]
@@ -79,8 +80,9 @@ def identified(arm: RobotFile, method: str, play: Play, seed: int) -> tuple[Iden
     return identify([recording], [], replace(choices, split=DURATION)), recording
 
 
-def deviations(arm: RobotFile, method: str, play: Play, seed: int) -> tuple[list[FloatArray], float]:
+def deviations(robot: str, method: str, play: Play, seed: int) -> tuple[list[FloatArray], float]:
     """Errors over standard deviations, an array for each of `COLUMNS`, and the ratio `wide`."""
+    arm = another_arm(robot, seed)
     found, recording = identified(arm, method, play, seed)
     result = summarise(found, [recording], [])
     truth = dict(zip(found.base.names, found.base.projection @ truth_vector(arm), strict=True))
@@ -114,8 +116,7 @@ def line(robot: str, seeds: int, method: str, play: Play) -> str:
     """The figures of one arm."""
     columns: list[list[FloatArray]] = [[] for _ in COLUMNS]
     ratios = []
-    for seed in range(seeds):
-        figures, ratio = deviations(another_arm(robot, seed), method, play, seed)
+    for figures, ratio in of_cases(deviations, [(robot, method, play, seed) for seed in range(seeds)]):
         ratios.append(ratio)
         for column, figure in zip(columns, figures, strict=True):
             column.append(np.abs(figure) <= WITHIN_95_PERCENT)

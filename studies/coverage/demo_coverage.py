@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -26,6 +27,7 @@ from ident.model.true_parameters import truth_vector
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from sim_drivers.plant.plant import Plant
 from sim_drivers.synthetic.measurement import random_fourier_motion
+from studies.coverage.seeds import of_cases
 from studies.synthetic.controlled_run import record_plant
 
 PERIODS = {"identification": (15.0, 2), "validation": (10.0, 1)}
@@ -64,21 +66,31 @@ def errors_of(found: Identification) -> list[tuple[str, str, float, float]]:
     ]
 
 
+def of_seed(name: str, methods: Sequence[str], seed: int) -> dict[str, tuple[bool, list[tuple[str, float]]]]:
+    """For each method whether there are further friction terms, and kind and |error| over σ of the base parameters."""
+    recordings = [played(load_robot(name), part, seed) for part in PERIODS]
+    print(f"# {name}, seed {seed}", file=sys.stderr, flush=True)
+    models = {method: identify(recordings[:1], recordings[1:], IdentifyChoices(method)) for method in methods}
+    return {
+        method: (
+            bool(found.model.terms.shaped or found.model.terms.loaded),
+            [(kind, abs(error) / sigma) for kind, _, error, sigma in errors_of(found)],
+        )
+        for method, found in models.items()
+    }
+
+
 def main(seeds: int = 20, arms: str = "ur5e,panda,rocr6", methods: str = "wls,iirls") -> None:
     """Print a line per arm and method."""
     print("| arm, method | " + " | ".join(KINDS) + " | all | seeds with further friction terms |")
     print("|---" * (len(KINDS) + 3) + "|")
     for name in arms.split(","):
-        arm = load_robot(name)
         ratios: dict[str, list[tuple[str, float]]] = {method: [] for method in methods.split(",")}
         further = dict.fromkeys(ratios, 0)
-        for seed in range(seeds):
-            recordings = [played(arm, part, seed) for part in PERIODS]
-            for method in ratios:
-                found = identify(recordings[:1], recordings[1:], IdentifyChoices(method))
-                further[method] += bool(found.model.terms.shaped or found.model.terms.loaded)
-                ratios[method] += [(kind, abs(error) / sigma) for kind, _, error, sigma in errors_of(found)]
-            print(f"# {name}, seed {seed}", file=sys.stderr, flush=True)
+        for outcome in of_cases(of_seed, [(name, tuple(ratios), seed) for seed in range(seeds)]):
+            for method, (more, values) in outcome.items():
+                further[method] += more
+                ratios[method] += values
         for method, values in ratios.items():
             inside = np.array([ratio < WITHIN_95_PERCENT for _, ratio in values])
             kinds = np.array([kind for kind, _ in values])

@@ -23,6 +23,7 @@ from daq.robot.loader import load_robot
 from ident.servo.fit import TORQUES
 from ident.servo.links import servo_links
 from sim_drivers.synthetic.servo import simulate_servo
+from studies.coverage.seeds import of_cases
 from studies.synthetic.altered_arms import true_values, with_servos
 
 ARMS = ("so101", "koch", "openarm")
@@ -36,6 +37,32 @@ BREAKAWAY = {"stribeck": 0.03, "stribeck_velocity": 0.05}
 """[N·m], [rad/s]"""
 
 
+def of_seed(name: str, spoilt: bool, seed: int) -> tuple[dict[str, list[bool]], list[bool]]:
+    """Which counted parameters are inside, and which torque scales without gravity are refused or right."""
+    file = load_robot(name)
+    if spoilt:
+        file = with_servos(file, joint=BREAKAWAY, backlash=PLAY)
+    truth, names = true_values(file), file.robot.joint_names
+    inside: dict[str, list[bool]] = {term: [] for term in COUNTED}
+    refused: list[bool] = []
+    run, other = (simulate_servo(file, duration=seconds, seed=seed) for seconds in (30.0, 6.0))
+    model = dynid.identify_servo(run, validation=other)
+    weighted = {names[row] for row in servo_links(file).weighted(run.position.T)}
+    for joint in model.result.servo:
+        stiffness = joint.parameters["stiffness"]
+        if joint.joint not in weighted:
+            low, high = stiffness.interval or (0.0, np.inf)
+            right = low <= truth[joint.joint]["stiffness"] <= high
+            refused.append(stiffness.unidentifiable or right)
+        for term, estimate in joint.parameters.items():
+            true = truth[joint.joint].get(term, 0.0)
+            scaled = term in TORQUES and stiffness.origin == "assumed"
+            counted = term in inside and (true > 0 or term in SIGNED) and not scaled
+            if counted and estimate.interval is not None and not estimate.unidentifiable:
+                inside[term].append(estimate.interval[0] <= true <= estimate.interval[1])
+    return inside, refused
+
+
 def main() -> None:
     """Print a row per arm."""
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 20
@@ -43,30 +70,12 @@ def main() -> None:
     print("| arm | " + " | ".join(COUNTED) + " | all | no gravity: torque scale refused, or right |")
     print("|---|" + "---|" * (len(COUNTED) + 2))
     for name in arms:
-        plain = load_robot(name)
-        spoilt = with_servos(plain, joint=BREAKAWAY, backlash=PLAY)
-        for file, suffix in ((plain, ""), (spoilt, ", play and breakaway")):
-            truth, names = true_values(file), file.robot.joint_names
-            inside: dict[str, list[bool]] = {term: [] for term in COUNTED}
-            refused: list[bool] = []
-            for seed in range(seeds):
-                run, other = (simulate_servo(file, duration=seconds, seed=seed) for seconds in (30.0, 6.0))
-                model = dynid.identify_servo(run, validation=other)
-                weighted = {names[row] for row in servo_links(file).weighted(run.position.T)}
-                for joint in model.result.servo:
-                    stiffness = joint.parameters["stiffness"]
-                    if joint.joint not in weighted:
-                        low, high = stiffness.interval or (0.0, np.inf)
-                        right = low <= truth[joint.joint]["stiffness"] <= high
-                        refused.append(stiffness.unidentifiable or right)
-                    for term, found in joint.parameters.items():
-                        true = truth[joint.joint].get(term, 0.0)
-                        scaled = term in TORQUES and stiffness.origin == "assumed"
-                        known = term in inside and (true > 0 or term in SIGNED) and not scaled
-                        if known and found.interval is not None and not found.unidentifiable:
-                            inside[term].append(found.interval[0] <= true <= found.interval[1])
-            every = [value for column in inside.values() for value in column]
-            cells = [f"{100 * np.mean(column):.0f} %" if column else "–" for column in inside.values()]
+        for spoilt, suffix in ((False, ""), (True, ", play and breakaway")):
+            outcomes = list(of_cases(of_seed, [(name, spoilt, seed) for seed in range(seeds)]))
+            columns = {term: [value for inside, _ in outcomes for value in inside[term]] for term in COUNTED}
+            refused = [value for _, of_joints in outcomes for value in of_joints]
+            every = [value for column in columns.values() for value in column]
+            cells = [f"{100 * np.mean(column):.0f} %" if column else "–" for column in columns.values()]
             scale = f"{sum(refused)} of {len(refused)}" if refused else "–"
             print(f"| {name}{suffix} | {' | '.join(cells)} | {100 * np.mean(every):.0f} % | {scale} |", flush=True)
 
