@@ -17,7 +17,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
-from multiprocessing.process import BaseProcess
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +27,7 @@ from daq.robot.arm_lengths import joint_axes
 from daq.robot.loader import RobotFile
 from daq.session.course import View
 from daq.session.realtime import ordinary_priority
-from drivers.core.child_process import started_without_interrupt
+from drivers.core.child_process import leave, started_without_interrupt
 from drivers.core.errors import UsageError
 from drivers.core.text import json_text
 from drivers.core.units import joint_unit
@@ -156,14 +155,7 @@ def _server(rows: SharedRows, about: str, token: str, listening: socket.socket) 
         yield writer.fileno()
     finally:
         writer.close()
-        _leave(process)
-
-
-def _leave(process: BaseProcess) -> None:
-    process.join(LEAVE_LIMIT)
-    if process.is_alive():
-        process.kill()
-        process.join()
+        leave(process, LEAVE_LIMIT)
 
 
 def skeleton(robot_file: RobotFile) -> list[dict[str, object]] | None:

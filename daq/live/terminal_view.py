@@ -18,7 +18,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -29,7 +28,7 @@ from daq.session.supervisor import Limits
 from daq.session.unrecorded import SampleKeeper
 from daq.session.watch import Watch
 from drivers.core.arrays import FloatArray
-from drivers.core.child_process import started_without_interrupt
+from drivers.core.child_process import leave, started_without_interrupt
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.terminal import styled, visible
 from drivers.core.text import percent_text
@@ -203,14 +202,7 @@ def live_view(
     finally:
         writer.close()
         if started:
-            _leave(process)
-
-
-def _leave(process: BaseProcess) -> None:
-    process.join(LEAVE_LIMIT)
-    if process.is_alive():
-        process.kill()
-        process.join()
+            leave(process, LEAVE_LIMIT)
 
 
 def draw(reader: Connection) -> None:

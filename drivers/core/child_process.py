@@ -5,6 +5,23 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
+
+
+class Worker(Protocol):
+    """A process, under the names of `multiprocessing.Process`."""
+
+    @property
+    def pid(self) -> int | None: ...  # noqa: D102
+
+    @property
+    def exitcode(self) -> int | None: ...  # noqa: D102
+
+    def is_alive(self) -> bool: ...  # noqa: D102
+
+    def join(self, timeout: float | None = None) -> None: ...  # noqa: D102
+
+    def kill(self) -> None: ...  # noqa: D102
 
 
 @contextmanager
@@ -24,3 +41,11 @@ def started_without_interrupt() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def leave(process: Worker, patience: float) -> None:
+    """Wait until a process has ended, for so long [s]; then kill it."""
+    process.join(patience)
+    if process.is_alive():
+        process.kill()
+        process.join()

@@ -24,7 +24,7 @@ from typing import Protocol
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from drivers.core.child_process import started_without_interrupt
+from drivers.core.child_process import Worker, leave, started_without_interrupt
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError
 from drivers.rtde.servo_program import ServoProgram
 
@@ -97,22 +97,6 @@ class Pipe(Protocol):
     def send_bytes(self, buf: bytes) -> None: ...  # noqa: D102
 
     def close(self) -> None: ...  # noqa: D102
-
-
-class Worker(Protocol):
-    """The process that moves the arm, under the names of `multiprocessing.Process`."""
-
-    @property
-    def pid(self) -> int | None: ...  # noqa: D102
-
-    @property
-    def exitcode(self) -> int | None: ...  # noqa: D102
-
-    def is_alive(self) -> bool: ...  # noqa: D102
-
-    def join(self, timeout: float | None = None) -> None: ...  # noqa: D102
-
-    def kill(self) -> None: ...  # noqa: D102
 
 
 def has_ur_rtde() -> bool:
@@ -236,10 +220,7 @@ class MotionProcess:
         self._unanswered -= 1
 
     def _end(self, patience: float) -> bool:
-        self._process.join(patience)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
+        leave(self._process, patience)
         self._pipe.close()
         return self._process.exitcode == 0
 

@@ -66,33 +66,28 @@ class DriveWatch:
         self._moved_in = moved_in
         self._notices: deque[Notice] = deque()
         self._emergency: list[Emergency | None] = [None] * len(self._ids)
-        self._heard = [math.nan] * len(self._ids)
-        self._nmt: list[int | None] = [None] * len(self._ids)
-        self._gone = [False] * len(self._ids)
-        self._not_operational = [False] * len(self._ids)
         self._begin = math.inf
-        self._status: IntArray | None = None
-        self._mode: IntArray | None = None
         self._other_master = False
-        self._troubles = np.zeros((3, 2, len(self._ids)), dtype=np.int64)
-        self._skipped = 0
         self._troubles_reported = -math.inf
-        self._all_skipped = 0
-        self._other_master = False
-        self._unanswered = np.zeros(len(self._ids), dtype=np.int64)
+        self._forget(math.nan)
 
     def start(self, now: float) -> None:
         """Begin anew; drives are to be heard from `now` [s, host's monotonic clock] on."""
         self._begin = now
         self._presence.start(now)
-        self._heard = [now] * len(self._ids)
-        self._nmt = [None] * len(self._ids)
-        self._gone = [False] * len(self._ids)
-        self._not_operational = [False] * len(self._ids)
-        self._status = self._mode = None
-        self._troubles[:] = 0
+        self._forget(now)
+
+    def _forget(self, now: float) -> None:
+        """Know nothing of the drives but that they were heard at a time [s, host's monotonic clock]."""
+        count = len(self._ids)
+        self._heard = [now] * count
+        self._nmt: list[int | None] = [None] * count
+        self._gone, self._not_operational = [False] * count, [False] * count
+        self._status: IntArray | None = None
+        self._mode: IntArray | None = None
+        self._troubles = np.zeros((3, 2, count), dtype=np.int64)
+        self._unanswered = np.zeros(count, dtype=np.int64)
         self._skipped = self._all_skipped = 0
-        self._unanswered[:] = 0
 
     def stop(self) -> None:
         """Expect nothing more."""
