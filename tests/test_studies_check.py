@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
 
 import pytest
 
+from studies import check
+
 ROOT = Path(__file__).parents[1]
-
-
-@pytest.fixture(scope="module")
-def check():
-    path = ROOT / "studies" / "check.py"
-    spec = importlib.util.spec_from_file_location("studies_check", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["studies_check"] = module
-    spec.loader.exec_module(module)
-    return module
 
 
 PAGE = """
@@ -37,14 +27,14 @@ PRINTED = """some text 12 13 14
 """
 
 
-def stale(check, page: str, printed: str) -> list[str]:
+def stale(page: str, printed: str) -> list[str]:
     (table,) = check.blocks_of("page.md", page)
     rows = check.printed_rows(printed, table.measurement.skip)
     return [row.text.split(" | ")[0] for row, _ in check.stale_rows(table, rows)]
 
 
-def test_rows_that_agree_to_the_last_digit_are_not_stale(check):
-    assert stale(check, PAGE, PRINTED) == []
+def test_rows_that_agree_to_the_last_digit_are_not_stale():
+    assert stale(PAGE, PRINTED) == []
 
 
 @pytest.mark.parametrize(
@@ -58,30 +48,30 @@ def test_rows_that_agree_to_the_last_digit_are_not_stale(check):
         (("1661", "1660"), []),  # one of the last digit
     ],
 )
-def test_a_changed_figure_is_stale(check, changed, names):
+def test_a_changed_figure_is_stale(changed, names):
     assert changed[0] in PRINTED
-    assert stale(check, PAGE, PRINTED.replace(*changed)) == names
+    assert stale(PAGE, PRINTED.replace(*changed)) == names
 
 
-def test_figures_of_other_words_are_found_by_their_numbers(check):
-    assert stale(check, PAGE, "1 UR10: 6.9\nUR10 = 6.85 at 1661\nPanda -0.99 of 42\n") == []
+def test_figures_of_other_words_are_found_by_their_numbers():
+    assert stale(PAGE, "1 UR10: 6.9\nUR10 = 6.85 at 1661\nPanda -0.99 of 42\n") == []
 
 
-def test_a_table_of_another_shape_has_its_numbers_anywhere(check):
+def test_a_table_of_another_shape_has_its_numbers_anywhere():
     page = PAGE.replace("| skip: CPU s", "| anywhere")
     printed = "6.8461 of 1661\n-0.9900 0.42 3 5"  # 42 % printed as 0.42
-    assert stale(check, page, printed) == []
-    assert stale(check, page, printed.replace("6.8461", "6.86")) == ["`ur10`, public"]
+    assert stale(page, printed) == []
+    assert stale(page, printed.replace("6.8461", "6.86")) == ["`ur10`, public"]
 
 
-def test_a_row_of_which_every_column_is_left_out_must_still_be_printed(check):
+def test_a_row_of_which_every_column_is_left_out_must_still_be_printed():
     page = PAGE.replace("skip: CPU s", "skip: CPU s; error [%]; kept")
-    assert stale(check, page, PRINTED.replace("| ur10, public", "| `ur10`, public")) == []
-    assert stale(check, page, "") == ["`ur10`, public", "panda"]
+    assert stale(page, PRINTED.replace("| ur10, public", "| `ur10`, public")) == []
+    assert stale(page, "") == ["`ur10`, public", "panda"]
 
 
 @pytest.mark.parametrize(("rows", "printed"), [(0, PRINTED), (2, "")])
-def test_an_empty_table_is_an_error(check, monkeypatch, capsys, rows, printed):
+def test_an_empty_table_is_an_error(monkeypatch, capsys, rows, printed):
     monkeypatch.setattr(check, "output_of", lambda *_: (printed, "", "now"))
     lines = PAGE.splitlines()
     tables = list(check.blocks_of("page.md", "\n".join(lines[: 5 + rows])))
@@ -89,10 +79,10 @@ def test_an_empty_table_is_an_error(check, monkeypatch, capsys, rows, printed):
     assert "FAILED" in capsys.readouterr().out
 
 
-def test_the_tolerance_is_relative(check):
+def test_the_tolerance_is_relative():
     page = PAGE.replace("skip: CPU s", "skip: CPU s | within: 10 %")
-    assert stale(check, page, PRINTED.replace("6.849", "6.3")) == []
-    assert stale(check, page, PRINTED.replace("6.849", "6.2")) == ["`ur10`, public"]
+    assert stale(page, PRINTED.replace("6.849", "6.3")) == []
+    assert stale(page, PRINTED.replace("6.849", "6.2")) == ["`ur10`, public"]
 
 
 @pytest.mark.parametrize(
@@ -103,39 +93,39 @@ def test_the_tolerance_is_relative(check):
         "<!-- measured: python -m studies.a | skip: x -->",
     ],
 )
-def test_comments_that_cannot_be_read_name_their_place(check, comment):
+def test_comments_that_cannot_be_read_name_their_place(comment):
     page = "\n".join([comment, *PAGE.splitlines()[2:]])
     with pytest.raises(ValueError, match=r"page\.md:\d"):
         list(check.blocks_of("page.md", page))
 
 
-def test_a_table_that_cannot_be_measured_again_says_why(check):
+def test_a_table_that_cannot_be_measured_again_says_why():
     (table,) = check.blocks_of(
         "page.md", PAGE.replace("measured: python -m studies.folder.a 3 | skip: CPU s", "measured once: by hand")
     )
     assert (table.measurement.command, table.measurement.reason) == ("", "by hand")
 
 
-def rewritten(check, page: str, printed: str, place: tuple[int, int] = (0, 1)) -> list[str]:
+def rewritten(page: str, printed: str, place: tuple[int, int] = (0, 1)) -> list[str]:
     (table,) = check.blocks_of("page.md", page)
     return check.rewritten(table, page.split("\n"), printed, place)
 
 
-def test_a_table_is_replaced_by_the_printed_one_of_the_same_heading(check):
+def test_a_table_is_replaced_by_the_printed_one_of_the_same_heading():
     more = PRINTED.replace("6.849", "7.1") + "| kuka | 3 | 1 | 2 |\n"
-    assert rewritten(check, PAGE, more) == more.splitlines()[3:]
-    assert rewritten(check, PAGE, PRINTED.replace("kept", "left")) == []  # another heading
-    assert rewritten(check, PAGE, PRINTED + "\n" + PRINTED) == []  # which of the two
-    assert rewritten(check, PAGE, PRINTED + "\n" + more, (1, 2)) == more.splitlines()[3:]
-    assert rewritten(check, PAGE.replace("skip: CPU s", "anywhere"), PRINTED) == []
+    assert rewritten(PAGE, more) == more.splitlines()[3:]
+    assert rewritten(PAGE, PRINTED.replace("kept", "left")) == []  # another heading
+    assert rewritten(PAGE, PRINTED + "\n" + PRINTED) == []  # which of the two
+    assert rewritten(PAGE, PRINTED + "\n" + more, (1, 2)) == more.splitlines()[3:]
+    assert rewritten(PAGE.replace("skip: CPU s", "anywhere"), PRINTED) == []
 
 
-def test_a_selection_of_rows_stays_one(check):
+def test_a_selection_of_rows_stays_one():
     page = PAGE.replace("skip: CPU s", "part")
     more = PRINTED.replace("6.849", "7.1") + "| kuka | 3 | 1 | 2 |\n"
-    assert [row.split()[1] for row in rewritten(check, page, more)] == ["ur10,", "panda"]
-    assert rewritten(check, page, PRINTED.replace("panda", "kuka")) == []  # a row less
-    assert rewritten(check, page, PRINTED + "| panda | -0.991 | 42 | 77 |\n") == []  # which of the two
+    assert [row.split()[1] for row in rewritten(page, more)] == ["ur10,", "panda"]
+    assert rewritten(page, PRINTED.replace("panda", "kuka")) == []  # a row less
+    assert rewritten(page, PRINTED + "| panda | -0.991 | 42 | 77 |\n") == []  # which of the two
 
 
 TEXT = """
@@ -147,18 +137,15 @@ ur10    6.85  inside 94.0 %
 """
 
 
-def test_a_text_is_replaced_by_all_that_was_printed(check):
-    assert stale(check, TEXT, "\nur10    6.85  inside 94.0 %\n") == []
-    assert stale(check, TEXT, "ur10    7.85  inside 94.0 %\n") == ["ur10    6.85  inside 94.0 %"]
-    assert rewritten(check, TEXT, "\ntitle\nur10    7.85  inside 94.0 %  \n") == [
-        "title",
-        "ur10    7.85  inside 94.0 %",
-    ]
+def test_a_text_is_replaced_by_all_that_was_printed():
+    assert stale(TEXT, "\nur10    6.85  inside 94.0 %\n") == []
+    assert stale(TEXT, "ur10    7.85  inside 94.0 %\n") == ["ur10    6.85  inside 94.0 %"]
+    assert rewritten(TEXT, "\ntitle\nur10    7.85  inside 94.0 %  \n") == ["title", "ur10    7.85  inside 94.0 %"]
     assert list(check.blocks_of("page.md", TEXT.replace("<!-- measured: python -m studies.folder.a -->", ""))) == []
 
 
 @pytest.mark.parametrize("page", [PAGE, TEXT], ids=["table", "text"])
-def test_writing_renews_figures_checksum_and_the_line_below(check, monkeypatch, tmp_path, capsys, page):
+def test_writing_renews_figures_checksum_and_the_line_below(monkeypatch, tmp_path, capsys, page):
     monkeypatch.setattr(check, "ROOT", tmp_path)
     path = tmp_path / check.MEASUREMENTS / "page.md"
     path.parent.mkdir(parents=True)
@@ -183,7 +170,7 @@ def test_writing_renews_figures_checksum_and_the_line_below(check, monkeypatch, 
     assert capsys.readouterr().out.endswith("; measured at 0.2.0, commit 0123abc, 2027-01-01\n")
 
 
-def test_kept_outputs_are_not_measured_again(check, monkeypatch, tmp_path):
+def test_kept_outputs_are_not_measured_again(monkeypatch, tmp_path):
     runs = []
     monkeypatch.setattr(check, "run", lambda command, seconds: (runs.append(command), ("1 2\n", ""))[1])
     monkeypatch.setattr(check, "now", lambda: "0.1.0, commit 5e5a60a, 2026-11-22")
@@ -199,12 +186,12 @@ def test_kept_outputs_are_not_measured_again(check, monkeypatch, tmp_path):
     ("stated", "measured", "same"),
     [("70 000", "69,500", True), ("4e-16", "4.4e-16", True), ("4e-16", "6e-16", False), ("0.0", "0.04", True)],
 )
-def test_numbers(check, stated, measured, same):
+def test_numbers(stated, measured, same):
     assert check.NUMBER.findall(stated) == [stated]
     assert check.agree(stated, measured, 0.02) is same
 
 
-def test_every_block_of_the_measurements_says_how_and_when_and_is_as_it_was_written(check):
+def test_every_block_of_the_measurements_says_how_and_when_and_is_as_it_was_written():
     """A figure that was edited by hand changes the checksum: `python studies/check.py --write` writes figures."""
     blocks = check.all_blocks(ROOT)
     assert len(blocks) > 50
@@ -222,7 +209,7 @@ def test_every_block_of_the_measurements_says_how_and_when_and_is_as_it_was_writ
 
 
 @pytest.mark.parametrize("page", sorted((ROOT / "docs").glob("*.md")), ids=lambda page: page.name)
-def test_pages_for_users_leave_tables_of_figures_to_the_measurements(check, page):
+def test_pages_for_users_leave_tables_of_figures_to_the_measurements(page):
     """`<!-- no measurement: … -->` says of a table of numbers that nothing was measured: limits, arithmetic."""
     text = page.read_text(encoding="utf-8")
     assert "<!-- measured" not in text
@@ -232,7 +219,7 @@ def test_pages_for_users_leave_tables_of_figures_to_the_measurements(check, page
         assert not block.of_figures or above[-1].startswith("<!-- no measurement: "), block.place
 
 
-def test_tables_made_by_hand_give_way_to_what_was_printed(check, monkeypatch, tmp_path):
+def test_tables_made_by_hand_give_way_to_what_was_printed(monkeypatch, tmp_path):
     monkeypatch.setattr(check, "ROOT", tmp_path)
     path = tmp_path / check.MEASUREMENTS / "page.md"
     path.parent.mkdir(parents=True)
@@ -256,7 +243,7 @@ def test_tables_made_by_hand_give_way_to_what_was_printed(check, monkeypatch, tm
     assert check.check(blocks, 1.0)
 
 
-def test_printed_tables_become_blocks_of_their_own(check):
+def test_printed_tables_become_blocks_of_their_own():
     lines = check.new_blocks("python -m studies.folder.a", f"{PRINTED}\n{PRINTED}", "0.1.0, commit 5e5a60a, 2026-11-22")
     blocks = list(check.blocks_of("page.md", "\n".join(lines)))
     assert [block.lines for block in blocks] == [2, 2]

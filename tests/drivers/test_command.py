@@ -11,6 +11,7 @@ from functools import partial
 from typing import TextIO
 
 import pytest
+from command_line import run
 
 from daq.commands.help_text import GROUPS
 from daq.robot import loader
@@ -18,14 +19,6 @@ from drivers.core.errors import DataError, IdentificationError
 from dynid import command
 
 HEAVY = ("numpy", "scipy", "pinocchio", "cvxpy", "h5py", "pydantic", "plotly", "rosbags")
-
-
-def run(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
-    with pytest.raises(SystemExit) as stopped:
-        command.main()
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out, captured.err
 
 
 def test_help_imports_nothing_heavy():

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import sys
 
+import command_line
 import numpy as np
 import pytest
-from command_line import stored
 
 import dynid
 from drivers.core.errors import UsageError
-from dynid import command
 
 pytestmark = pytest.mark.usefixtures("stated_friction", "estimates_alone")
 
@@ -104,17 +102,14 @@ def test_the_command_writes_figures_and_page_and_never_over_its_input(monkeypatc
         dynid.write_recording(f"run{number}.h5", run)
 
     def call(*arguments: str) -> tuple[int, str]:
-        monkeypatch.setattr(sys, "argv", ["dynid", "compare", *arguments])
-        with pytest.raises(SystemExit) as stopped:
-            command.main()
-        captured = capsys.readouterr()
-        return int(stopped.value.code or 0), captured.out + captured.err
+        status, out, err = command_line.run(monkeypatch, capsys, "compare", *arguments)
+        return status, out + err
 
     files = ("run0.h5", "--validate", "run1.h5", "--validate", "run2.h5")
     status, out = call(*files, "--methods", "ols,energy", "-o", "out", "--json")
     assert status == 0
     printed = json.loads(out)
-    assert printed == stored(tmp_path / "out" / "comparison.json")
+    assert printed == command_line.stored(tmp_path / "out" / "comparison.json")
     assert [model["method"] for model in printed["models"]][::2] == ["ols", "energy"]
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Largest errors" in page

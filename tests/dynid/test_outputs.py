@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 import shlex
-import sys
 from importlib.resources import files
 from pathlib import Path
 
+import command_line
 import pytest
 from typer.main import get_command
 
@@ -90,13 +90,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def refused(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], *more: str) -> str:
-    monkeypatch.setattr(sys, "argv", ["dynid", *name.split(), *shlex.split(ARGUMENTS[name]), *more])
-    with pytest.raises(SystemExit) as stopped:
-        command.main()
-    captured = capsys.readouterr()
-    assert stopped.value.code == 2, captured
-    assert captured.out == ""
-    return captured.err
+    status, out, err = command_line.run(monkeypatch, capsys, *name.split(), *shlex.split(ARGUMENTS[name]), *more)
+    assert (status, out) == (2, ""), err
+    return err
 
 
 def writing_commands() -> set[str]:

@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from sampled_arm import sampled
 
 from daq.robot.loader import load_robot
+from studies.papers import sr400_table4
 
 pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
-
-EXAMPLE = Path(__file__).parents[2] / "studies" / "papers" / "sr400_table4.py"
 
 
 @pytest.mark.slow
 def test_the_loaded_parameters_are_the_free_ones_plus_the_load(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    spec = importlib.util.spec_from_file_location("sr400_table4", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, spec.name, module)  # its dataclass looks for its module there
-    spec.loader.exec_module(module)
-    monkeypatch.setattr(module, "load_robot", lambda name: sampled(load_robot(name), 125.0))
-    table = module.main(1, 24)
+    monkeypatch.setattr(sr400_table4, "load_robot", lambda name: sampled(load_robot(name), 125.0))
+    table = sr400_table4.main(1, 24)
     free, loaded = table.free, table.loaded
     names = list(free.base.names)
     assert np.mean(np.abs(table.apart) < 1.96) >= 0.9

@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 from sampled_arm import sampled
 
 from daq.robot.loader import load_robot
+from studies.papers import two_experiments
 
 pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
-
-EXAMPLE = Path(__file__).parents[2] / "studies" / "papers" / "two_experiments.py"
 
 
 @pytest.mark.slow
 def test_two_experiments_give_the_arm_and_know_whether_they_agree(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    spec = importlib.util.spec_from_file_location("two_experiments", EXAMPLE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    monkeypatch.setitem(sys.modules, spec.name, module)  # its dataclasses look there for their module
-    spec.loader.exec_module(module)
-    monkeypatch.setattr(module, "load_robot", lambda name: sampled(load_robot(name), 125.0))
-    found = module.main(1, 16)
+    monkeypatch.setattr(two_experiments, "load_robot", lambda name: sampled(load_robot(name), 125.0))
+    found = two_experiments.main(1, 16)
     assert len(found.names) == 56
     assert np.all(np.isfinite(found.values))
     inside = np.abs(found.values - found.truth) < 1.96 * found.std

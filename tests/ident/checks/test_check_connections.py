@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import ClassVar
 
 import pytest
+from command_line import run
 from kinematic_arm import KinematicArm
 
 from daq.robot.loader import load_robot, parse_robot
@@ -21,7 +21,6 @@ from drivers.core.errors import ConnectionFailedError, RobotFileError, UsageErro
 from drivers.declaration import DriverDeclaration
 from drivers.rtde.declaration import DECLARATION as CONTROLLER
 from drivers.streams import ChannelLayout, StreamLayout
-from dynid import command
 from ident.checks.connection_check import FIRST_SAMPLE_LIMIT, LISTEN, check_connections
 from ident.checks.robot_check import check_robot
 
@@ -113,17 +112,6 @@ def drivers(monkeypatch):
 def install(monkeypatch, **declarations):
     entries = [SimpleNamespace(name=name, load=lambda found=found: found) for name, found in declarations.items()]
     monkeypatch.setattr(declaration, "entry_points", lambda group: entries)
-
-
-def run(monkeypatch, capsys, *arguments):
-    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
-    status = 0
-    try:
-        command.main()
-    except SystemExit as leaving:
-        status = leaving.code or 0
-    captured = capsys.readouterr()
-    return status, captured.out, captured.err
 
 
 def test_a_bus_with_room_is_no_warning_a_tight_one_is_and_a_full_one_is_refused(three_joint, drivers):

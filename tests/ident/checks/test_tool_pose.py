@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 
 import numpy as np
 import pytest
+from command_line import run
 from scipy.spatial.transform import Rotation
 
 from daq.robot.loader import load_robot, parse_robot
@@ -63,19 +65,8 @@ def test_a_pose_beyond_the_limits_names_the_joints(three_joint) -> None:
 
 @pytest.fixture
 def dynid(monkeypatch, capsys, tmp_path):
-    import sys
-
-    from dynid import command
-
-    def run(*arguments: str) -> tuple[int, str, str]:
-        monkeypatch.chdir(tmp_path)
-        monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
-        with pytest.raises(SystemExit) as stopped:
-            command.main()
-        captured = capsys.readouterr()
-        return int(stopped.value.code or 0), captured.out, captured.err
-
-    return run
+    monkeypatch.chdir(tmp_path)
+    return partial(run, monkeypatch, capsys)
 
 
 def test_the_command_prints_poses_and_assumptions(dynid, tmp_path) -> None:

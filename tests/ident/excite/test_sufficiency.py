@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import run
 
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.recording.writer import write_recording
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import UsageError
-from dynid import command
 from ident.assessment.excitation import recorded_motion
 from ident.excite.sufficiency import OWN_TORQUE, Sufficiency, motion_sufficiency, times_needed
 from ident.model.dynamic_model import build_model
@@ -110,14 +109,6 @@ def test_nothing_significant_is_said(three_joint):
 def test_a_wanted_rsd_that_is_none_is_refused(value):
     with pytest.raises(UsageError, match="--wanted-rsd"):
         InfoOptions("run.h5", wanted_rsd=value)
-
-
-def run(monkeypatch, capsys, *arguments: str) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["dynid", *arguments])
-    with pytest.raises(SystemExit) as stopped:
-        command.main()
-    captured = capsys.readouterr()
-    return int(stopped.value.code or 0), captured.out, captured.err
 
 
 @pytest.fixture(scope="module")
