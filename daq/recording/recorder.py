@@ -47,19 +47,11 @@ def require_room(path: Path) -> None:
 class Recorder:
     """Writes the acquisition's batches to disk without ever making it wait.
 
-    The recording takes its place when it is closed; until then it grows beside it, under the name `file`. What had
-    that place before stays until then, and stays altogether where the disk refused to write.
+    The recording takes its place when it is closed; until then it grows beside it, under the name `file`. What had that
+    place before stays until then, and stays altogether where the disk refused to write.
 
-    Args:
-        path: of the new recording.
-        robot: its robot file.
-        layouts: of all streams.
-        trajectory: text of the trajectory that is played.
-        speed_scale: at which share of its speed.
-        comment: the user's words.
-        overwrite: an existing file.
-        memory_limit: of waiting samples [B].
-        clock: the host's.
+    The text of the trajectory that is played goes into it, with the share of its speed. Samples that wait take
+    `memory_limit` [B] at most.
 
     Raises:
         UsageError: the file exists already, is no regular file, or its folder cannot be written.

@@ -6,8 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
+from daq.importers.choices import ImportChoices
+from daq.importers.import_file import import_file
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, parse_robot
+from drivers.core.errors import ImportFileError
 
 NAMES = ("shoulder", "elbow", "wrist")
 ROBOT_TEXT = """
@@ -77,3 +80,13 @@ def content(recording: Recording) -> Arrays:
 def messages(recording: Recording) -> str:
     """What the importer said, a line each."""
     return "\n".join(f"{event.level}: {event.message}" for event in recording.events)
+
+
+def accept_or_refuse(path: Path, choices: ImportChoices, robot: RobotFile | None = None) -> None:
+    """Import a file, or be refused in words that name it."""
+    problem = ""
+    try:
+        import_file(path, robot or make_robot(), choices)
+    except ImportFileError as error:
+        problem = str(error)
+    assert not problem or str(path) in problem

@@ -15,23 +15,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from joint_state_bag import write_bag
-from three_links import NAMES, make_robot, samples
+from three_links import NAMES, accept_or_refuse, make_robot, samples
 
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
-from daq.robot.loader import RobotFile
 from drivers.core.errors import ImportFileError, UsageError
 
 ROBOT = make_robot()
-
-
-def accept_or_refuse(path: Path, choices: ImportChoices, robot: RobotFile = ROBOT) -> None:
-    problem = ""
-    try:
-        import_file(path, robot, choices)
-    except ImportFileError as error:
-        problem = str(error)
-    assert not problem or str(path) in problem
 
 
 def bag_of(folder: Path, count: int = 50, **more: Any) -> Path:

@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from three_links import make_robot
+from three_links import accept_or_refuse, make_robot
 
 from daq.importers import import_file as import_file_module
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import SUPPORTED, import_file
 from daq.recording.repairs import REPAIRS
-from daq.robot.loader import RobotFile
 from drivers.core.errors import ImportFileError, InputError, UsageError
 from drivers.core.reading_process import Progress
 
@@ -301,15 +300,6 @@ def test_refused_with_its_message(tmp_path: Path, case: Refused) -> None:
 TORQUE = ImportChoices(effort="torque")
 
 # --- anything -------------------------------------------------------------------------------------------------------
-
-
-def accept_or_refuse(path: Path, choices: ImportChoices, robot: RobotFile = ROBOT) -> None:
-    problem = ""
-    try:
-        import_file(path, robot, choices)
-    except ImportFileError as error:
-        problem = str(error)
-    assert not problem or str(path) in problem
 
 
 def read_here(read: Callable[[Progress], Any], *_: object, progress: Progress, **limits: object) -> Any:
