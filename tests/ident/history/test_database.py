@@ -79,9 +79,9 @@ def test_a_file_that_is_held_is_refused_in_a_line(tmp_path, kept, monkeypatch):
     monkeypatch.setattr(database, "PATIENCE", 0.0)
     holder = sqlite3.connect(path, isolation_level=None)
     holder.execute("BEGIN EXCLUSIVE")
-    with pytest.raises(UsageError, match="held by another program"):
+    with pytest.raises(UsageError, match="locked by another program"):
         add_one(path, 30)
-    with pytest.raises(UsageError, match="held by another program"):
+    with pytest.raises(UsageError, match="locked by another program"):
         read_entries(path)
     holder.close()
     assert len(read_entries(path)) == 6
