@@ -3,8 +3,8 @@
 The jackknife sees errors that change from block to block. Two come back with every period of the motion: a torque that
 lags by less than `dynid` corrects (a gravity torque that turns with the joint then looks like viscous friction), and
 equations near reversals, where static friction is wrong. Both leave a trace in the data: the delay's own estimate, and
-how far the parameters move without those equations. Their squares are added to the covariance, as the essential model's
-has the square of what the pruning changed.
+how far the parameters move without those equations, beyond what fewer equations move them by chance. Their squares are
+added to the covariance, as the essential model's has the square of what the pruning changed.
 
 Drive gains leave no trace. The torque of a joint is its gain times its motor's signal. Least squares is linear in the
 torque, so a gain that is too high by the share ε of itself moves the parameters by ε·(WᵀΩW)⁻¹W_jᵀΩ_jτ_j, W_j and τ_j
@@ -55,14 +55,18 @@ def with_systematic_errors(
         delay: root mean square of the delay that is still in the data [s]; 0 where the delay is known.
     """
     chosen, total = list(active), corrected.covariance
-    before = solve_weighted(reduction, active, weights, "wls", 1).parameters
+    whole = solve_weighted(reduction, active, weights, "wls", 1)
     parts = [without_reversals(kernel, run) for run in runs]
     away = only_torques(
         stack_reductions([reduce_segments(kernel, run.segments, run.parallel_filter) for run in parts]), torques
     )
     if set(chosen) <= set(excited_columns(away)):
         try:
-            moved = (solve_weighted(away, active, weights, "wls", 1).parameters - before)[chosen]
+            rest = solve_weighted(away, active, weights, "wls", 1)
+            moved = beyond_chance(
+                (rest.parameters - whole.parameters)[chosen],
+                np.diag(corrected.covariance) * (np.diag(rest.inverse) / np.diag(whole.inverse) - 1.0),
+            )
             total = total + np.outer(moved, moved)
         except IdentificationError:  # too little is left to compare with
             pass
@@ -75,6 +79,15 @@ def with_systematic_errors(
         moved = delay * solve_weighted(lagging, active, weights, "wls", 1).parameters[chosen]
         total = total + np.outer(moved, moved)
     return replace(corrected, covariance=total, random_std=np.sqrt(np.diag(corrected.covariance)))
+
+
+def beyond_chance(moved: FloatArray, variance: FloatArray) -> FloatArray:
+    """What is left of moves (a,) without what their variance (a,) explains: an estimate from fewer data moves anyway.
+
+    The variance of the difference is the difference of the variances (Hausman, Econometrica 46, 1978).
+    """
+    excess = np.square(moved) - np.maximum(variance, 0.0)
+    return np.asarray(np.sign(moved) * np.sqrt(np.maximum(excess, 0.0)))
 
 
 def gain_sensitivity(reduction: Reduction, solution: LeastSquares) -> FloatArray:

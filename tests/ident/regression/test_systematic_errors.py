@@ -13,7 +13,7 @@ from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.dynamic_model import build_model
 from ident.regression.least_squares import ordinary_least_squares, weighted_least_squares
-from ident.regression.systematic_errors import gain_sensitivity, relative_gain_std
+from ident.regression.systematic_errors import beyond_chance, gain_sensitivity, relative_gain_std
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
 pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
@@ -60,3 +60,14 @@ def test_uncertainty_is_that_of_the_robot_file(three_joint):
     assert relative_gain_std(robot, robot.joint_names) == pytest.approx([0.05, 0.0625, 0.05])
     assert relative_gain_std(robot, ("j2",)) == pytest.approx([0.0, 0.0625, 0.0])
     assert not relative_gain_std(panda, panda.joint_names).any()
+
+
+def test_moves_by_chance_add_nothing_on_average() -> None:
+    """An unbiased estimate of a bias' square, but for what is cut at 0."""
+    generator = np.random.default_rng(0)
+    variance, bias = np.full(100_000, 4.0), 6.0
+    moved = bias + generator.normal(0.0, 2.0, variance.shape)
+    assert np.mean(np.square(beyond_chance(moved, variance))) == pytest.approx(bias**2, rel=0.02)
+    by_chance = beyond_chance(moved - bias, variance)
+    assert np.mean(np.square(by_chance)) < 0.5 * 4.0
+    assert np.all(beyond_chance(moved, np.zeros_like(moved)) == pytest.approx(moved))
