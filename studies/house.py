@@ -1,4 +1,4 @@
-"""Draws the rooms of the house and their arrows in docs/house.md, from the imports: `make house`."""
+"""Draws the rooms of the house and their arrows in studies/house.md, from the imports: `make house`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 PACKAGES = ("drivers", "daq", "ident", "sim_drivers", "dynid")
-PAGE = Path("docs/house.md")
+PAGE = Path("studies/house.md")
 
 WALK = (
     ("drivers/gains.py", "joint_torque", "current [A] becomes joint torque [N·m], by gain and coupling"),

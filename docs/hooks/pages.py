@@ -25,7 +25,7 @@ def on_config(config: Any) -> Any:
     folder = Path(config["docs_dir"])
     placed = Path(config["config_file_path"]).read_text(encoding="utf-8")
     pages = sorted(str(page.relative_to(folder)) for page in folder.glob("**/*.md"))
-    if others := [page for page in pages if page != "house.md" and f": {page}\n" not in placed]:
+    if others := [page for page in pages if f": {page}\n" not in placed]:
         config["nav"].append({"More": others})
     return config
 

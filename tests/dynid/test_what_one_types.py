@@ -336,7 +336,7 @@ def test_what_is_saved_needs_a_path(run, result, tmp_path):
         for value in (None, 3, [], frame(), Odd()):
             assert in_one_line(lambda: save(value)) == "", save  # noqa: B023
     for call, words in (
-        (lambda: dynid.import_recording(frame(), "ur5e"), "a DataFrame is no path .*from_dataframe"),
+        (lambda: dynid.import_recording(frame(), "ur5e"), "a DataFrame is not a path .*from_dataframe"),
         (lambda: dynid.merge(None), "None is not a list of results"),
         (lambda: dynid.write_recording(tmp_path / "x.h5", None), "None is not a recording"),
         (lambda: dynid.identify(run, gravity=True), r"has no argument 'gravity': dynid.identify_gravity\(runs\)"),

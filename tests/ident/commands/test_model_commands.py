@@ -151,7 +151,7 @@ def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
     [
         (["diff", "model", "nowhere"], "nowhere: no such file"),
         (["diff", "limits.yaml", "model"], "is not JSON"),
-        (["monitor", "--model", "model", "--replay", "val.h5"], "9.92 s without contact are too short for 1 false"),
+        (["monitor", "--model", "model", "--replay", "val.h5"], "9.92 s without contact is too short for 1 false"),
         (["monitor", "--model", "model", "--replay", "run.h5", "--quiet", "val.h5", "--false-alarms", "0"], "1/h"),
         (["monitor", "--model", "model"], "give either a robot"),
         (["monitor", "--model", "model", "--replay", "val.h5", "--yes"], "--yes is for live monitoring"),
@@ -169,8 +169,8 @@ def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
         (["validate", "model", "val.h5", "--max-error", "-1"], "--max-error: relative_error"),
         (["validate", "model", "val.h5", "--max-rmse", "nan"], "--max-rmse: rmse: found nan"),
         (["validate", "model", "val.h5", "--accept", "nowhere.yaml"], "nowhere.yaml: no such file"),
-        (["validate", "model", "val.h5", "--accept", "elbow.yaml"], "limits for elbow, which the robot has not"),
-        (["identify", "run.h5", "--accept", "elbow.yaml", "-o", "new"], "limits for elbow, which the robot has not"),
+        (["validate", "model", "val.h5", "--accept", "elbow.yaml"], "limits for elbow, which the robot does not have"),
+        (["identify", "run.h5", "--accept", "elbow.yaml", "-o", "new"], "limits for elbow, which the robot does not have"),
         (["identify", "run.h5", "--accept", "model", "-o", "new"], "model: is a folder, not a file"),
     ],
 )
