@@ -170,7 +170,10 @@ def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
         (["validate", "model", "val.h5", "--max-rmse", "nan"], "--max-rmse: rmse: found nan"),
         (["validate", "model", "val.h5", "--accept", "nowhere.yaml"], "nowhere.yaml: no such file"),
         (["validate", "model", "val.h5", "--accept", "elbow.yaml"], "limits for elbow, which the robot does not have"),
-        (["identify", "run.h5", "--accept", "elbow.yaml", "-o", "new"], "limits for elbow, which the robot does not have"),
+        (
+            ["identify", "run.h5", "--accept", "elbow.yaml", "-o", "new"],
+            "limits for elbow, which the robot does not have",
+        ),
         (["identify", "run.h5", "--accept", "model", "-o", "new"], "model: is a folder, not a file"),
     ],
 )
