@@ -32,6 +32,9 @@ ACCELERATIONS = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
 SATURATIONS = (0.1, 0.2, 0.4)
 """Starts of a drive's limit, over the torque that the largest position error would ask for."""
 
+OWN_START = 0.1
+"""Share of its cost that a joint's own start has to save against that which is best for all joints."""
+
 FIRST_GROUPS = ("profile", "saturation")
 """Optional terms of which one is settled with those that every joint has: either limits how fast a joint follows."""
 
@@ -118,7 +121,10 @@ def first_fit(
     centres = np.where(every_free & ~np.tile(free, (many, 1)), to_search(begun), np.tile(centre, (many, 1)))
     begun = search(wide, begun, np.concatenate(searched), np.tile(scale, many), centres, 8, EVERY_ERROR)
     costs = joint_cost(evaluate(wide, begun)[0], wide, np.tile(scale, many), EVERY_ERROR).reshape(many, -1)
-    which = np.argmin(costs, axis=0)
+    # servos of one arm are mostly of one kind: a start of its own has to be clearly better than that of all
+    common = costs[np.argmin(costs[:, moving].sum(axis=1))]
+    own, which = np.argmin(costs, axis=0), np.full(len(values), np.argmin(costs[:, moving].sum(axis=1)))
+    which = np.where(costs.min(axis=0) < (1.0 - OWN_START) * common, own, which)
     cheapest = which * len(values) + np.arange(len(values))
     best, best_free, best_centre = begun[cheapest], every_free[cheapest], centres[cheapest]
     best = search(chosen, best, best_free, scale, best_centre, 10, EVERY_ERROR)

@@ -138,7 +138,7 @@ def fit_servo(
     values = search(chosen, values, free, error_scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
     state = _State(lanes, lanes, values, free, held, assumed, None, gains)
     _settle_terms(state, (chosen, judged), motions, links, (centre, heavy, moving), tool, least, progress)
-    _coupled_again(state, motions, links, tool[0])
+    _lanes_again(state, motions, links, tool[0])
     progress("final fit")
     pieces = some_pieces(state.kept, FINAL_PIECES)
     longer = _longer_pieces(state, pieces, motions, links, tool[0])
@@ -227,11 +227,13 @@ def _settle_terms(
     """
     (centre, weighted, moving), held = joints, state.held
     chosen, judged = parts
+    progress("testing for breakaway")
+    _drop_breakaway(state, chosen, judged, centre, least)
     progress("comparing the servos")
     _like_the_others(state, chosen, judged, centre, held, moving, least)
     progress("testing for a contact surface")
     state.contact = find_contact(state.lanes, state.values, *tool, least)
-    chosen, judged = _coupled_again(state, motions, links, tool[0])
+    chosen, judged = _lanes_again(state, motions, links, tool[0])
     scale = error_scale(chosen, state.values, least)
     state.values = search(chosen, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
     for group in GROUPS:
@@ -250,14 +252,26 @@ def _settle_terms(
         state.values = search(chosen, state.values, state.free, scale, centre, 12, BLOCKED_LITTLE)
         trial = _tried(chosen, state.values, state.free, centre, able.tolist(), group, least)
         saved = savings(judged, state.values, trial[0], able.tolist(), least, BLOCKED_LITTLE, share)
-        _taken(state, centre, trial, list(saved))
+        _keep_trial(state, centre, trial, list(saved))
         for joint, saving in saved.items():
             state.gains[joint][group] = saving
         if group == "zero" and saved:
-            chosen, judged = _coupled_again(state, motions, links, tool[0])
+            chosen, judged = _lanes_again(state, motions, links, tool[0])
     if state.contact is not None:
         state.contact = find_contact(state.lanes, state.values, *tool, least, state.contact)
-        _left(state)
+        _without_contact(state)
+
+
+def _drop_breakaway(state: _State, chosen: Lanes, judged: Lanes, centre: FloatArray, least: float) -> None:
+    """Take breakaway away, in place, where pieces that were not fitted need none: it would take the load's friction."""
+    able = np.flatnonzero(state.free[:, members("breakaway")].any(axis=1)).tolist()
+    values, free = state.values.copy(), state.free.copy()
+    without_group(values, free, able, "breakaway")
+    scale = error_scale(chosen, state.values, least)
+    values = search(chosen, values, free, scale, centre, 12, BLOCKED_LITTLE)
+    state.values = search(chosen, state.values, state.free, scale, centre, 12, BLOCKED_LITTLE)
+    needed = savings(judged, values, state.values, able, least, BLOCKED_LITTLE)
+    _keep_trial(state, centre, (values, free, centre), [joint for joint in able if joint not in needed])
 
 
 def _like_the_others(
@@ -286,13 +300,13 @@ def _like_the_others(
         scaled = search(chosen, scaled, free, error_scale(chosen, scaled, least), prior, 15, shape)
     state.values = search(chosen, state.values, state.free, error_scale(chosen, state.values, least), centre, 15, shape)
     saved = savings(judged, state.values, scaled, rows.tolist(), least, BLOCKED_LITTLE)
-    _taken(state, centre, (scaled, free, prior), list(saved))
+    _keep_trial(state, centre, (scaled, free, prior), list(saved))
     for joint, share in saved.items():
         kept = [group for group in FIRST_GROUPS if state.free[joint, members(group)].any()]
         state.gains[joint] = {group: state.gains[joint].get(group, share) for group in kept}
 
 
-def _taken(
+def _keep_trial(
     state: _State, centre: FloatArray, trial: tuple[FloatArray, BoolArray, FloatArray], joints: list[int]
 ) -> None:
     """Take a trial's values, free terms and prior for some joints, in place."""
@@ -300,16 +314,16 @@ def _taken(
     state.values[joints], state.free[joints], centre[joints] = trial[0][joints], trial[1][joints], trial[2][joints]
 
 
-def _coupled_again(
+def _lanes_again(
     state: _State, motions: Sequence[ServoMotion], links: ServoLinks, link: int, piece: float = PIECE
 ) -> tuple[Lanes, Lanes]:
     """Lanes anew, with torques between the joints as the fit moves them; pieces to fit and to judge."""
     loads = [measured_load(links, motion, state.values[:, INDEX["zero"]]) for motion in motions]
     state.lanes = lanes_with_touch(motions, links, loads, link, piece)
-    return _left(state)
+    return _without_contact(state)
 
 
-def _left(state: _State) -> tuple[Lanes, Lanes]:
+def _without_contact(state: _State) -> tuple[Lanes, Lanes]:
     """Pieces to fit and to judge, without the samples that the contact bends."""
     state.kept = state.lanes
     if state.contact is not None:
@@ -323,7 +337,7 @@ def _longer_pieces(state: _State, final: Lanes, motions: Sequence[ServoMotion], 
     piece = min(sum(float(motion.time[-1]) for motion in motions) / WANTED_PIECES, LONGEST_PIECE)
     if piece <= PIECE:
         return final
-    _coupled_again(state, motions, links, link, piece)
+    _lanes_again(state, motions, links, link, piece)
     return state.kept
 
 
@@ -357,7 +371,7 @@ def _of_whole_arm(lanes: Lanes, state: _State, centre: FloatArray, least: float)
     known = with_pull(lanes, state.values)
     scale = error_scale(known, state.values, least)
     values = search(known, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
-    return search(lanes, values, state.free, error_scale(lanes, values, least), centre, 12, BLOCKED_LITTLE)
+    return search(lanes, values, state.free, error_scale(lanes, values, least), centre, 30, BLOCKED_LITTLE)
 
 
 def _tried(

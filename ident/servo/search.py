@@ -11,7 +11,7 @@ blocked for seconds hardly pulls at.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -25,6 +25,10 @@ DAMPING_LIMIT = 1e5
 PATIENCE, JUMP = 4, 0.03
 """A joint that sticks elsewhere makes the cost jump: steps of a whole arm that are followed although the cost rises by
 such a share, until the next has to be better than all before."""
+
+NEAR = 0.01
+"""Share of the cost by which a trial of a whole arm may be above the best, to count for where it ends: the cost is
+rough, and its lowest trial is one by chance."""
 
 STILL = 3e-4
 """Relative fall of a joint's cost at which its search ends."""
@@ -52,6 +56,10 @@ CHUNK = 3e6
 BIAS = 3e-4
 """[rad or m] σ of the prior of a bias: a digital loop holds to a few steps of its encoder, say 3 mrad, and of about 100
 samples of a roll-out one is independent. A wider one lets a joint's torques grow until a bias stands for gravity."""
+
+ALIKE = {"delay": 1e-3, "acceleration_limit": 0.01}
+"""σ [s, logarithm] of the prior of a joint's delay and limit about their mean in the arm, for the same 100 samples: bus
+and firmware are those of all joints. Alone, a joint's delay goes to −50 ms where its lag makes up for it."""
 
 _SPREAD = np.array([term.spread for term in TERMS])
 _PRIOR = np.array([BIAS if term.name == "bias" else term.spread for term in TERMS])
@@ -109,6 +117,11 @@ class _Descent:
         still: relative fall of the cost at which it ends.
         best: coordinates, curvature and gradient of the least cost.
         followed: of the trial that the next step begins at.
+        least: cost of the best.
+        damping: over the curvature's diagonal.
+        waited: trials since the best.
+        done: whether it has ended.
+        trials: cost, coordinates, curvature and gradient of all.
     """
 
     free: BoolArray
@@ -120,10 +133,12 @@ class _Descent:
     damping: float = DAMPING_START * DAMPING_FACTOR
     waited: int = 0
     done: bool = False
+    trials: list[tuple[float, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
 
     def judge(self, trial: FloatArray, curvature: FloatArray, gradient: FloatArray, cost: float) -> None:
         """Take a trial, follow it although it is worse, or go back."""
         fall, self.waited = self.least - cost, self.waited + 1
+        self.trials.append((cost, trial, curvature, gradient))
         if fall > 0:
             self.done = fall < self.still * self.least
             self.best = self.followed = (trial, curvature, gradient)
@@ -133,6 +148,13 @@ class _Descent:
         else:
             self.followed, self.damping = self.best, self.damping * DAMPING_FACTOR
         self.done |= self.damping > DAMPING_LIMIT or (self.patience > 1 and self.waited > 2 * self.patience)
+
+    def averaged(self) -> FloatArray:
+        """Where the tangents at all trials that are nearly as good as the best lead to, together."""
+        near = [trial for trial in self.trials if trial[0] < (1.0 + NEAR) * self.least]
+        whole = np.sum([curvature for _, _, curvature, _ in near], axis=0)
+        pulled = np.sum([curvature @ trial - gradient for _, trial, curvature, gradient in near], axis=0)
+        return np.asarray(np.linalg.solve(whole, pulled), dtype=np.float64)
 
     def next_trial(self, longest: FloatArray) -> FloatArray:
         """Coordinates of the next trial, at most so far from those that are followed."""
@@ -165,7 +187,7 @@ def search(
     owned = [free & (np.arange(len(free)) == joint)[:, None] for joint in np.flatnonzero(free.any(axis=1))]
     blocks = [free] if together and owned else owned
     descents = [_Descent(block, PATIENCE if together else 1, STILL * (0.1 if together else 1.0)) for block in blocks]
-    trial = to_search(values)
+    trial, likeness = to_search(values), _likeness(free) if together else np.zeros((1, 1))
     for evaluation in range(evaluations + 1):
         running = [each for each in descents if not each.done]
         if not running:
@@ -178,16 +200,28 @@ def search(
             if not together and not kept.all():
                 lanes = lanes.of(np.flatnonzero(kept))  # what has settled is not rolled out again
         moved = np.where(free, from_search(trial), values)
-        equations = _sums(lanes, moved, [each.free for each in running], scale, shape)
+        summed = _sums(lanes, moved, [each.free for each in running], scale, shape)
         prior = np.where(free, ((trial - centre) / _PRIOR) ** 2, 0.0)
-        for each, (curvature, gradient, cost) in zip(running, equations, strict=True):
+        for each, (curvature, gradient, cost) in zip(running, summed, strict=True):
             precision = np.tile(_PRIOR**-2, (len(free), 1))[each.free]
-            pull = precision * (trial - centre)[each.free]
-            whole = curvature + np.diag(precision)
-            each.judge(trial[each.free], whole, gradient + pull, cost + float(prior[each.free].sum()))
+            own = trial[each.free]
+            pull = precision * (own - centre[each.free]) + (likeness @ own if together else 0.0)
+            cost += float(prior[each.free].sum()) + (float(own @ likeness @ own) if together else 0.0)
+            each.judge(own, curvature + np.diag(precision) + likeness, gradient + pull, cost)
     for each in descents:
-        trial[each.free] = each.best[0]
+        trial[each.free] = each.averaged() if together else each.best[0]
     return np.where(free, from_search(trial), values)
+
+
+def _likeness(free: BoolArray) -> FloatArray:
+    """Precision (F, F) of the free terms of an arm's joints about the mean of those that are `ALIKE`."""
+    terms = np.nonzero(free)[1]
+    precision = np.zeros((len(terms), len(terms)))
+    for index, term in enumerate(TERMS):
+        if term.name in ALIKE and (terms == index).any():
+            rows = np.flatnonzero(terms == index)
+            precision[np.ix_(rows, rows)] = (np.eye(len(rows)) - 1.0 / len(rows)) / ALIKE[term.name] ** 2
+    return precision
 
 
 def _sums(
