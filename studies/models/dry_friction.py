@@ -5,7 +5,7 @@ Random cases of 1 to 8 directions and ranks 1 to 8, good and bad guesses; the vi
 of W.
 Calls as simulations make them: 2 s of an arm at 1 ms, sinusoids with a soft controller. A minute or two.
 
-    python -m studies.models.dry_friction [cases, default 100000]
+    python -m studies.models.dry_friction [cases, default 20000]
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ident.result.models.simulated_motion import simulated_motion
 from ident.simulation import time_stepping
 from ident.simulation.dry_friction import dry_friction
 
-CASES = 100_000
+CASES = 20_000
 REFERENCES = 500
 """Cases of each kind that BVLS solves too."""
 
