@@ -100,6 +100,11 @@ class Instants:
             friction=None,
         )
 
+    def without_constants(self) -> Instants:
+        """The same with torques about their means: what offsets explain makes no fit a good one."""
+        weight = self.counted / np.maximum(1, np.sum(self.counted, axis=1, keepdims=True))
+        return replace(self, torque=self.torque - np.sum(weight * self.torque, axis=1, keepdims=True))
+
     def less(self, joint: int, other: int, factor: float) -> Instants:
         """The same with another joint's motion, times a factor, taken off a joint's."""
         changed = {}

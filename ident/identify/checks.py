@@ -136,7 +136,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     if consistent is not None and (sliding := weights_in_offsets(identification.model, identification.base)):
         text = (
             f"the data show only the sum of weight and constant friction of {', '.join(sliding)}; the physically "
-            "consistent model splits it by its masses, which depend on the prior"
+            "consistent model splits it by its masses, with less constant friction than Coulomb friction"
         )
         checks.append(raised("weight-not-separate", text))
     if consistent is not None:

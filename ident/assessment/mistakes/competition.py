@@ -66,7 +66,8 @@ class Competition:
 
     Attributes:
         model, experiment, base, active: of the identification.
-        instants: the recording.
+        measured: the recording.
+        instants: the same, its torques about their means where all motors have an offset.
         joints: that moved and whose torques are used.
     """
 
@@ -79,7 +80,9 @@ class Competition:
         instants: Instants,
     ) -> None:
         self.model, self.experiment, self.base, self.active = model, experiment, base, list(active)
-        self.instants = instants
+        offsets = sum(base.kinds[column] == "offset" for column in active)
+        self.measured = instants
+        self.instants = instants.without_constants() if offsets == model.dof else instants
         self.joints = moving_joints(model, experiment)
         self._kernel = RegressorKernel(model, base.columns)
         self._opposite = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
@@ -185,7 +188,7 @@ class Competition:
 
     def error(self, one: Explanation) -> float:
         """Relative error of the whole arm."""
-        return _whole(self.system(one.mistake)[0], one.mistake.torques, one.fit)
+        return self._whole(self.system(one.mistake)[0], one.mistake.torques, one.fit)
 
     def with_deviation(self, deviation: Deviation) -> tuple[HypothesisFit, float] | None:
         """The fit under the conditions with a number of the robot file changed, and the whole arm's relative error."""
@@ -208,17 +211,23 @@ class Competition:
         )[:, active]
         system = equations(regressor[:, active], moved, self.experiment.torques)
         fit = system.fit(torques, conditions[np.any(conditions != 0.0, axis=1)])
-        return None if fit is None else (fit, _whole(system, torques, fit))
+        return None if fit is None else (fit, self._whole(system, torques, fit))
 
     def explained_by(self, deviation: Deviation) -> bool:
-        """Return whether a deviation leaves what still is an explanation."""
+        """Return whether a deviation leaves what still is an explanation, also of the joint that it is about."""
         found = self.with_deviation(deviation)
-        return found is not None and found[1] < EXPLAINED
+        own = [deviation.unknown.joint] if deviation.unknown.kind in ("gain", "late") else []
+        return found is not None and found[1] < EXPLAINED and not np.any(found[0].relative[own] > JOINT_EXPLAINED**2)
 
-
-def _whole(system: Equations, torques: Columns, fit: HypothesisFit) -> float:
-    power = system.power.sum(axis=0)[np.arange(len(fit.relative)), list(torques.order)]
-    return float(np.sqrt(np.sum(fit.relative * power) / max(float(power.sum()), np.finfo(float).tiny)))
+    def _whole(self, system: Equations, torques: Columns, fit: HypothesisFit) -> float:
+        """Root of the sum of squared residuals over that of the torques, constants among them."""
+        varying = system.power.sum(axis=0)[np.arange(len(fit.relative)), list(torques.order)]
+        whole = np.sum(np.where(self.measured.counted, torques.of(self.measured.torque), 0.0) ** 2)
+        return float(
+            np.sqrt(
+                np.sum(fit.relative * varying * np.square(torques.factor)) / max(float(whole), np.finfo(float).tiny)
+            )
+        )
 
 
 def explanations(competition: Competition, deviations: Sequence[Deviation]) -> list[Mistake]:

@@ -50,7 +50,7 @@ def unsigned_torques(competition: Competition, runs: Sequence[Prepared]) -> list
     if len(folded) >= SEVERAL and all(value >= -BELOW_ZERO for value in least.values()):
         return folded
     recorded = competition.bound(competition.recorded)
-    instants, positions = competition.instants, competition.recorded.positions
+    instants, positions = competition.measured, competition.recorded.positions
     _, conditions = competition.system(competition.recorded)
     regressor = competition.regressor(positions)
     size = np.abs(instants.torque)

@@ -19,6 +19,7 @@ from ident.estimators.feasible.pseudo_inertia import BASIS, pseudo_inertia
 from ident.friction.table import REFERENCE_TEMPERATURE, TERM, Operands
 from ident.model.base_parameters import BaseParameters, random_states
 from ident.model.dynamic_model import DynamicModel
+from ident.model.dynamics.inverse_dynamics import weights_in_offsets
 from ident.model.joint_columns import joint_column
 from ident.model.parameters import INERTIAL, LINK_SIZE, MASS, PAIR_SYMBOLS, StandardParameter
 from ident.model.regressor import model_torque, regressor
@@ -35,6 +36,9 @@ TOTAL_MASS_STD = 1e-3
 
 ROTOR_SHARE = 1e-3
 """Unit of a motor's inertia over the greatest that its torque limit accelerates, where the data leave it open."""
+
+OFFSET_SHARE = 0.3
+"""Unit of an offset that no motion separates from a weight, over the joint's Coulomb friction."""
 
 FRICTION_SHARE = 0.02
 """Unit of friction over the limit of the torque, at the limit of the velocity, where the data leave it open."""
@@ -337,6 +341,15 @@ def _joint_sizes(
             sign = _sign(parameters[index])
             sizes[index] = max(sign * value if sign else abs(value), float(deviations[place]))
             pulls[index] = 1.0
+    # A weight in an offset is far larger than the offset, friction that differs by direction.
+    dry = {
+        parameters[base.columns[column]].joint: abs(value)
+        for column, value in zip(estimate.active, estimate.values, strict=True)
+        if base.kinds[column] == "coulomb"
+    }
+    for column in weights_in_offsets(model, base).values():
+        index = base.columns[column]
+        sizes[index] = min(sizes[index], OFFSET_SHARE * dry.get(parameters[index].joint, np.inf))
     return sizes, pulls
 
 
