@@ -410,7 +410,7 @@ class Canopen402Driver(LifeCycle):
         motion = self._motion
         if motion is not None and motion.ended_by is not None and motion.dropped_out is None and not self._end_told:
             self._end_told = True
-            self._tell("error", motion.ended_by, time=float(time_[0]))
+            self._tell("error", motion.ended_by, "end other programs, or use --realtime", float(time_[0]))
         self._watch.check_status(time_, rows.statusword, rows.mode)
         return [Batch("joints", time_, rows.host_time, values, lost)]
 

@@ -327,6 +327,7 @@ def test_a_stall_leaves_syncs_out_or_ends_the_motion(
         assert run.report.punctuality is not None
         if stall > 0.03:  # more than is bridged: the drives, which nobody holds, would have to stop at one stroke
             assert_stopped(bench, run, "this computer stalled for 0.")
+            assert "or use --realtime" in str(run.report.error)
             return
         late = {161: FAULT + 0.009 - 1.61} if stall == 0.009 else {}
         assert_exact(bench, run, left_out, late)
