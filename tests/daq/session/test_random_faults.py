@@ -82,10 +82,10 @@ class Commands:
         self.positions: list[FloatArray] = []
         send = driver.command
 
-        def noted(position: FloatArray) -> None:
+        def noted(position: FloatArray, *due: float) -> None:
             self.times.append(clock.now())
             self.positions.append(position.copy())
-            send(position)
+            send(position, *due)
 
         driver.command = noted  # type: ignore[method-assign]
 
