@@ -91,7 +91,7 @@ def unsigned_signals(recording: Recording) -> dict[str, tuple[str, ...]]:
 
 
 def closing_checks(recording: Recording) -> list[Check]:
-    """Return whether the recording's writer closed it."""
+    """Check whether the recording's writer closed it."""
     if recording.complete:
         return []
     stop = recording.stopped_by

@@ -116,7 +116,7 @@ def _carries_stated_masses(robot_file: RobotFile, model: DynamicModel, peak: Flo
 
 
 def _load_checks(names: Sequence[str], model: DynamicModel, peak: FloatArray) -> list[Check]:
-    """Return whether the peak torque would hold a mass that no arm of this size has; needs no limits."""
+    """Check whether the peak torque would hold a mass that no arm of this size has; needs no limits."""
     reach = _length(model)
     turning = [row for row, joint in enumerate(model.active) if not model.joints[joint].prismatic]
     if not turning:

@@ -83,7 +83,7 @@ def fit_errors(series: Sequence[TorqueSeries], held_out: bool | None = None) -> 
 
 
 def overfitting_checks(fitted: Fit, held_out: Fit) -> list[Check]:
-    """Return whether errors on held-out data are much larger than the identification's, and the cause.
+    """Check whether errors on held-out data are much larger than the identification's, and the cause.
 
     A motion that needs less torque has larger relative errors, one that needs more has larger ones in N·m: no sign of a
     bad model. Both must have grown, each joint's beside its own.

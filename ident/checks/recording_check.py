@@ -146,7 +146,7 @@ def _delays(motion: RecordedMotion, search: DelaySearch | None) -> PreprocessCho
 
 
 def _excitation_checks(recording: Recording, excitation: ExcitationReached | None) -> list[Check]:
-    """Return whether the motion shows the parameters."""
+    """Check whether the motion shows the parameters."""
     if excitation is None:
         return [raised("no-motion", "no motion to analyse: record an excitation trajectory")]
     checks = []
@@ -169,7 +169,7 @@ def _excitation_checks(recording: Recording, excitation: ExcitationReached | Non
 
 
 def _precision_checks(sufficiency: Sufficiency | None) -> list[Check]:
-    """Return whether the motion determines most parameters, by the error bars that it is expected to give."""
+    """Check whether the motion determines most parameters, by the error bars that it is expected to give."""
     rsds = [] if sufficiency is None else [parameter.rsd_percent for parameter in sufficiency.forecast.parameters]
     ratios = [ratio for ratio in rsds if ratio is not None]
     determined = sum(ratio < SIGNIFICANT_RSD for ratio in ratios)

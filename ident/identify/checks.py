@@ -238,7 +238,7 @@ def _few_equations(identification: Identification, advised: int) -> str:
 
 
 def _weight_checks(identification: Identification) -> list[Check]:
-    """Return whether gravity's torque is that of a mass that no arm of this size has."""
+    """Check whether gravity's torque is that of a mass that no arm of this size has."""
     consistent, solution = identification.consistent, identification.solution
     parameters = solution.parameters
     if consistent is not None:
@@ -287,7 +287,7 @@ def _whole_recording(identification: Identification) -> list[Prepared]:
 
 
 def _differing_run_checks(identification: Identification) -> list[Check]:
-    """Return whether recordings, held-out ones among them, show the same bodies; parts of one recording do."""
+    """Check whether recordings, held-out ones among them, show the same bodies; parts of one recording do."""
     if identification.choices.estimator.equations != "torque":
         return []
     runs = list({id(run.signals): run for run in (*identification.validation_runs, *identification.runs)}.values())

@@ -164,7 +164,7 @@ def held_out_run(parameters: ParameterSets, data: HeldOutData, fitted: Fit | Non
 
 
 def consistency_cost(joints: Sequence[str], delivered: Fit, full: Fit) -> list[Check]:
-    """Return whether the consistent model predicts clearly worse than the full one, on the whole or for some joint."""
+    """Check whether the consistent model predicts clearly worse than the full one, on the whole or for some joint."""
     worse = [
         joint
         for joint, ours, free in zip(joints, delivered.joint_relative_error, full.joint_relative_error, strict=True)

@@ -286,7 +286,7 @@ def contact_text(contact: Contact) -> str:
 
 
 def now_or_end(contact: Contact, newest: WatchedBatch) -> str:
-    """Return whether a contact lasts, or how long ago it was."""
+    """Say that a contact lasts, or how long ago it was."""
     if np.isnan(contact.end):
         return "now"
     return f"{float(newest.intervals.time[-1]) - contact.end:.0f} s ago"

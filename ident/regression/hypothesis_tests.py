@@ -53,7 +53,7 @@ def p_text(p_value: float) -> str:
 def chi_square_test(
     difference: FloatArray, covariance: FloatArray, blocks: int, explained_by: FloatArray | None = None
 ) -> SignificanceTest | None:
-    """Return whether a difference is significant, once its component in the span of some columns has been removed.
+    """Test whether a difference is significant, once its component in the span of some columns has been removed.
 
     Args:
         difference: (m,).

@@ -222,7 +222,7 @@ def _checks(first: Result, other: Result) -> Table:
 
 
 def _test(result: Result, other: Result) -> SignificanceTest | None:
-    """Return whether the parameters that both estimate with a known variance differ significantly.
+    """Test whether the parameters that both estimate with a known variance differ significantly.
 
     Where the jackknives have too few blocks for the test, their variances count by their mean alone, as in merging.
     """

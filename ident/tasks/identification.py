@@ -75,7 +75,7 @@ class IdentificationResult(SavedResult):
 
     @property
     def acceptance(self) -> Acceptance | None:
-        """Return whether the declared limits are kept, limit by limit; None where none were declared."""
+        """Judge whether the declared limits are kept, limit by limit; None where none were declared."""
         return self.result.acceptance
 
     @property

@@ -207,7 +207,7 @@ def _candidate(equations: DelayEquations, groups: Sequence[int | None]) -> _Cand
 
 
 def _judged(data: _Data, common: _Candidate) -> DelaySearch:
-    """Return whether the common delay helps, and beside it delays of single joints."""
+    """Judge whether the common delay helps, and beside it delays of single joints."""
     count, dof = data.count, data.kernel.model.dof
     quantile = _t_quantile(1.0 - LEVEL / 2.0, count)
     first = int(np.flatnonzero(data.seen)[0])

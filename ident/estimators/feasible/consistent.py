@@ -297,7 +297,7 @@ def feasible_fit(problem: FeasibilityProblem, estimate: Estimate, projection: Fl
 
 
 def cost_test(fit: FeasibleFit, estimate: Estimate) -> SignificanceTest | None:
-    """Return whether the rise in the sum of squares is what noise makes of it, given the conditions that are active.
+    """Test whether the rise in the sum of squares is what noise makes of it, given the conditions that are active.
 
     Where a polyhedron's face is active, the rise is a chi-square variable with as many degrees of freedom as the face
     takes from the parameters (Bartholomew 1961). Here it is a weighted sum of squares, its mean and variance those of

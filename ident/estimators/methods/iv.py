@@ -235,7 +235,7 @@ class InstrumentalEstimator(TorqueEstimator):
         solution: LeastSquares,
         ordinary: LeastSquares,
     ) -> Step:
-        """Return whether least squares differs by more than noise."""
+        """Test whether least squares differs by more than noise."""
         kernel = self.setup.kernel
         series = [
             compared

@@ -158,7 +158,7 @@ def merge(informations: Sequence[Information], active: Sequence[int]) -> MergedE
 def _consistency(
     right: FloatArray, spread: FloatArray, system: FloatArray, residual: FloatArray, blocks: int
 ) -> SignificanceTest | None:
-    """Return whether the values of several experiments differ significantly from what one set of parameters gives.
+    """Test whether the values of several experiments differ significantly from what one set of parameters gives.
 
     Where the jackknife has too few blocks for the test, only the mean of its variances is used.
     """
