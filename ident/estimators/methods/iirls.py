@@ -151,7 +151,7 @@ class _OuterLoops:
         return self._iterated(fit, terms, fit.solution.parameters)
 
     def no_worse(self, fit: RobustFit, before: RobustFit) -> bool:
-        return fit.misfit <= before.misfit + 1e-9
+        return fit.spread <= before.spread * (1.0 + 1e-9)
 
     def reloaded(self, fit: RobustFit) -> tuple[Callable[[], RobustFit], float]:
         gravity = gravity_of(self.estimator.setup.base, fit.solution.parameters)

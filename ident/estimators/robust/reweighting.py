@@ -141,7 +141,6 @@ class RobustFit:
         solution: of it.
         covariance: Ω (n, n).
         settled: whether Ω and the weights converged.
-        function: of the weights.
     """
 
     kernel: RegressorKernel
@@ -149,28 +148,13 @@ class RobustFit:
     solution: LeastSquares
     covariance: FloatArray
     settled: bool
-    function: WeightFunction
 
     @property
     def spread(self) -> float:
-        """Geometric mean of the joints' residual standard deviations [N·m]."""
-        used = ~np.isnan(self._normalised).all(axis=1)
-        return float(np.exp(0.5 * np.mean(np.log(np.diag(self.covariance)[used]))))
-
-    @property
-    def misfit(self) -> float:
-        """Return what falls as the fit improves: minus the logarithm of the likelihood, per equation.
-
-        Rejected residuals leave Ω; what each of them costs here keeps a fit from rejecting all that it misses.
-        """
-        normalised = self._normalised
-        used = np.flatnonzero(~np.isnan(normalised).all(axis=1))
-        size = float(np.linalg.slogdet(self.covariance[np.ix_(used, used)])[1]) / (2 * len(used))
-        return size + float(np.nanmean(self.function.loss(normalised[used])))
-
-    @property
-    def _normalised(self) -> FloatArray:
-        return np.concatenate(self.done.normalised, axis=1)
+        """Geometric mean of the joints' residual standard deviations [N·m]: what falls as the fit improves."""
+        used = ~np.isnan(np.concatenate(self.done.weights, axis=1))
+        variances = np.diag(self.covariance)[used.any(axis=1)]
+        return float(np.exp(0.5 * np.mean(np.log(variances))))
 
 
 @dataclass
@@ -247,7 +231,7 @@ class Reweighting:
             covariance = updated
             if self.settled:
                 break
-        return RobustFit(kernel, done, solution, covariance, self.settled, self.function)
+        return RobustFit(kernel, done, solution, covariance, self.settled)
 
     @property
     def settled(self) -> bool:

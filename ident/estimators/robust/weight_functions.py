@@ -50,16 +50,6 @@ class WeightFunction:
             return np.asarray(1.0 / np.maximum(size, 1.0))
         return np.asarray(np.square(np.clip(1.0 - size**2, 0.0, None)))
 
-    def loss(self, residual: FloatArray) -> FloatArray:
-        """ρ, 0 and more, of normalised residuals, whose derivative is ψ; same shape."""
-        square, limit = np.square(residual), self.threshold**2
-        if self.name == "hard":
-            return np.asarray(0.5 * np.minimum(square, limit))
-        if self.name == "huber":
-            beyond = self.threshold * np.abs(residual) - 0.5 * limit
-            return np.where(square <= limit, 0.5 * square, beyond)
-        return np.asarray(limit / 6.0 * (1.0 - np.clip(1.0 - square / limit, 0.0, None) ** 3))
-
     @property
     def variance(self) -> float:
         """E[w·z²]/E[w] of normal residuals: what their weighted variance is too small by."""
