@@ -371,7 +371,7 @@ def _of_whole_arm(lanes: Lanes, state: _State, centre: FloatArray, least: float)
     known = with_pull(lanes, state.values)
     scale = error_scale(known, state.values, least)
     values = search(known, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
-    return search(lanes, values, state.free, error_scale(lanes, values, least), centre, 30, BLOCKED_LITTLE)
+    return search(lanes, values, state.free, error_scale(lanes, values, least), centre, 16, BLOCKED_LITTLE)
 
 
 def _tried(

@@ -306,7 +306,11 @@ def intervals(lanes: Lanes, values: FloatArray, free: BoolArray, least: float) -
     scale = robust_scale(residual, lanes, len(values), least)
     share = _bend(residual / scale[lanes.joint], lanes.joint, len(values))
     curvatures, gradients, _ = equations(lanes, values, free, scale, BLOCKED_LITTLE, share)
-    covariance, allowed = _spread(curvatures, gradients, np.diag((UNSEEN / _SPREAD[terms]) ** 2))
+    ridge = np.diag((UNSEEN / _SPREAD[terms]) ** 2)
+    covariance, allowed = _spread(curvatures, gradients, ridge)
+    # the cost is rough, and a search ends where no trial was better: so far is it to where the pieces' slopes point
+    left = np.linalg.solve(curvatures.sum(axis=0) + ridge, gradients.sum(axis=0))
+    covariance += np.outer(left, left)
     quantile = float(stdtrit(max(1, len(gradients) - 1), 0.5 + CONFIDENCE / 2))
     reach, least_reach = quantile * np.sqrt(np.diag(covariance)), quantile * np.sqrt(allowed)
     point = to_search(values)

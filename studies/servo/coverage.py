@@ -5,7 +5,7 @@ that are marked unidentifiable or assumed are not counted, nor torques of a join
 in its scale only: neither gravity nor the inertia of its links ties them to N·m. The last column counts joints without
 gravity whose stiffness is refused, or right.
 
-`python -m studies.servo.coverage SEEDS` takes about half a minute of CPU time for each identification, of which there
+`python -m studies.servo.coverage SEEDS` takes about five seconds of CPU time for each identification, of which there
 are six a seed; `python -m studies.servo.coverage 1 koch` takes one arm only.
 """
 
