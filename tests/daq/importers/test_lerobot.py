@@ -128,7 +128,7 @@ def test_the_rest_is_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(UsageError, match="no columns to map"):
         import_file(dataset, ROBOT, ImportChoices(columns={"q": "x"}))
     wrong = tmp_path / "calibration.json"
-    unreadable = ("{", "no JSON"), ("[]", "has no motor"), ('{"shoulder_pan": {"range_min": 5}}', "not a range of")
+    unreadable = ("{", "is not JSON"), ("[]", "has no motor"), ('{"shoulder_pan": {"range_min": 5}}', "not a range of")
     for text, said in unreadable:
         wrong.write_text(text)
         with pytest.raises(ImportFileError, match=said):

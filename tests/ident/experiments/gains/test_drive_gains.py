@@ -133,7 +133,7 @@ def test_a_torque_recording_is_refused():
 def test_drives_that_give_torque_are_refused():
     free, loaded = runs(0)
     text = free.robot_text.replace("signal: current", "signal: torque")
-    with pytest.raises(DataError, match="give torque"):
+    with pytest.raises(DataError, match="signal is torque"):
         identify_gains(free, loaded, KnownLoad(2.8), parse_robot(text, where="torque", folder=None))
 
 

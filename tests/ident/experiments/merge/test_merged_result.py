@@ -202,7 +202,7 @@ def test_parts_of_an_arm_stay_parts(results, recorded):
     assert any("can show" in warning for warning in result.warnings)
     assert result.merge.consistency.freedom == len(result.base_parameters)
     assert revalidate(result, recorded(6, still=(2,))).full.relative_error < 0.05
-    with pytest.raises(DataError, match=r"j3 stands at 0\.9 rad"):
+    with pytest.raises(DataError, match=r"j3 is at 0\.9 rad"):
         revalidate(result, recorded(6, still=(2,), at=0.9))
     elsewhere, _ = merge_results([("a", results[0]), ("c", result_of(recorded(6, still=(2,), at=0.9)))])
     assert len(elsewhere.base_parameters) > len(result.base_parameters)
@@ -231,7 +231,7 @@ def test_a_parameter_that_was_not_excited_comes_from_the_other_experiment(record
 def test_a_recording_counts_once(recorded):
     run = recorded(2)
     one, other = result_of(run, torques_of=("j2", "j3")), result_of(run, torques_of=("j1", "j3"))
-    with pytest.raises(UsageError, match=r"torques of j3 in .*h5: they would count twice"):
+    with pytest.raises(UsageError, match=r"torques of j3 in .*h5, which would count twice"):
         merge_results([("a", one), ("b", other)])
     apart = result_of(run, torques_of=("j1",))
     result, _ = merge_results([("a", one), ("b", apart)])
