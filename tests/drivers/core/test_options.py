@@ -148,10 +148,14 @@ def test_a_value_of_another_kind_is_refused_in_words():
 
 
 def test_a_function_of_python_computes_with_one_blas_thread_and_gives_the_callers_back():
+    @dataclass
+    class NoOptions(Options):
+        pass
+
     def threads(_options: object = None) -> set[int]:
         return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
 
     with threadpool_limits(2, "blas"):
         before = threads()
-        assert keywords_of(Options)(threads)() == {1}
+        assert keywords_of(NoOptions)(threads)() == {1}
         assert threads() == before == {2}
