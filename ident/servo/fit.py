@@ -9,7 +9,16 @@ import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.contact import Contact, away, find_contact, in_contact
-from ident.servo.first_fit import FIRST_GROUPS, LIKE, error_scale, first_fit, largest_torques, regressed_values, savings
+from ident.servo.first_fit import (
+    FIRST_GROUPS,
+    LIKE,
+    SATURATIONS,
+    error_scale,
+    first_fit,
+    largest_torques,
+    regressed_values,
+    savings,
+)
 from ident.servo.links import ServoLinks
 from ident.servo.motion import PIECE, ServoMotion, halves, lanes_with_touch, measured_load, some_pieces
 from ident.servo.rollout import Lanes, with_pull
@@ -294,6 +303,10 @@ def _like_the_others(
     ratio = state.values[rows, INDEX["stiffness"]] / state.values[nearest, INDEX["stiffness"]]
     common[:, present] *= ratio[:, None]
     free[rows] = np.where(optional, state.free[nearest], free[rows]) & ~held[rows]
+    limit = INDEX["torque_limit"]
+    if not state.free[nearest, [limit, INDEX["acceleration_limit"]]].any():  # it was not driven so far: they were
+        limited = state.free[rows, limit]
+        free[rows[limited], limit], common[limited, limit] = True, state.values[rows[limited], limit]
     scaled[rows] = np.where(held[rows], scaled[rows], common)
     prior[rows] = np.where(optional & free[rows], to_search(common), prior[rows])
     for shape in (EVERY_ERROR, BLOCKED_LITTLE):
@@ -385,9 +398,15 @@ def _tried(
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
     """Values, free terms and prior (n, terms) with a group added to some joints, fitted."""
     trial, trial_free = with_group(values, free, able, group)
-    if group == "saturation":
-        trial[able, INDEX["torque_limit"]] = 0.5 * largest_torques(chosen, values)[able]
-    trial_centre, scale = np.where(trial_free & ~free, to_search(trial), centre), error_scale(chosen, values, least)
+    scale = error_scale(chosen, values, least)
+    if group == "saturation":  # a limit that no sample reaches has no slope
+        starts = np.array(SATURATIONS)[:, None] * largest_torques(chosen, values)
+        costs = []
+        for start in starts:
+            trial[able, INDEX["torque_limit"]] = start[able]
+            costs.append(joint_cost(evaluate(chosen, trial)[0], chosen, scale, BLOCKED_LITTLE))
+        trial[able, INDEX["torque_limit"]] = np.choose(np.argmin(costs, axis=0), starts)[able]
+    trial_centre = np.where(trial_free & ~free, to_search(trial), centre)
     return search(chosen, trial, trial_free, scale, trial_centre, 12, BLOCKED_LITTLE), trial_free, trial_centre
 
 
