@@ -37,7 +37,7 @@ def test_the_lowest_height_is_that_of_the_forward_kinematics():
         heights += [placement.translation[2] for placement in list(working.oMi)[1:]]
     warning = surroundings_warning(robot_file, motion)
     assert warning is not None
-    assert f"down to {min(heights):.2f} m" in warning
+    assert f"descends to {min(heights):.2f} m" in warning
 
 
 def test_a_tool_point_below_the_joints_counts():
