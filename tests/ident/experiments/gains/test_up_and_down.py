@@ -278,7 +278,7 @@ def test_the_example_runs(capsys, monkeypatch):
     monkeypatch.setattr(example, "identify_gains", refuse)
     example.main(1)
     out = capsys.readouterr().out
-    half_sums = next(line for line in out.splitlines() if "half sums, com known" in line)
+    half_sums = next(line for line in out.splitlines() if "half sums, `--com`" in line)
     errors = [float(each) for each in re.findall(r"(\d+\.\d\d)", half_sums)]
     assert len(errors) == 5
     assert max(errors[:4]) < 1.0
