@@ -208,10 +208,10 @@ def test_a_file_over_which_hdf5_loops_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(reading_process, "_TIME_TO_CLEAN_UP", 0)
     monkeypatch.setattr(recover_module, "read_apart", functools.partial(read_apart, time_limit=1.0))
     monkeypatch.setattr(reader_module, "read_apart", functools.partial(read_apart, time_limit=1.0))
-    with pytest.raises(RecordingError, match="cannot be read within 1 s of CPU time") as refused:
+    with pytest.raises(RecordingError, match="cannot be read within 1 s of processor time") as refused:
         recover_command(path, None, False, True)
     assert refused.value.exit_status == 2
-    with pytest.raises(RecordingError, match="cannot be read within 1 s of CPU time"):
+    with pytest.raises(RecordingError, match="cannot be read within 1 s of processor time"):
         read_recording(path)
     assert not (tmp_path / "run-recovered.h5").exists()
 

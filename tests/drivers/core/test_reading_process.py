@@ -76,7 +76,7 @@ def endless_in_python() -> None:
 
 @pytest.mark.parametrize("endless", [endless_in_a_library, endless_in_python])
 def test_an_endless_loop_is_ended(endless) -> None:
-    with pytest.raises(RecordingError, match=r"run.h5: cannot be read within 1 s of CPU time"):
+    with pytest.raises(RecordingError, match=r"run.h5: cannot be read within 1 s of processor time"):
         read_apart(lambda progress: endless(), PATH, RecordingError, time_limit=1.0, waiting_limit=3600.0)
 
 

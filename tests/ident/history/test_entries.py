@@ -70,8 +70,8 @@ def test_servo_models_have_values_and_those_of_no_recording_need_a_time():
 @pytest.mark.parametrize(
     ("recordings", "std", "words"),
     [
-        ([recording("")], 0.1, "does not say when"),
-        ([recording("yesterday")], 0.1, "does not say when"),
+        ([recording("")], 0.1, "does not state when"),
+        ([recording("yesterday")], 0.1, "does not state when"),
         ([recording((datetime.now(UTC) + timedelta(days=2)).isoformat())], 0.1, "in the future"),
         ([recording("1970-01-01T00:01:00+00:00")], 0.1, "clock that was not set"),
         ([recording(serial="7"), recording(serial="8")], 0.1, "several arms"),

@@ -180,7 +180,7 @@ def test_what_a_model_predicts(ur):
     assert predictable_torques(ur, [locked], "run", same) == (0, 1, 2, 4, 5)
     assert predictable_torques(ur, [locked, Experiment((), ((),), (3,))], "run", same) == (0, 1, 2, 3, 4, 5)
     assert predictable_torques(ur, [Experiment((), ((),), (3,))], "run", same) == (3,)
-    with pytest.raises(DataError, match=r"j4 stands at 0\.7 rad"):
+    with pytest.raises(DataError, match=r"j4 is at 0\.7 rad"):
         predictable_torques(ur, [locked], "run", elsewhere)
     with pytest.raises(DataError, match=r"moves j4 over .* rad, and j4 was locked"):
         predictable_torques(ur, [locked], "run", free)
