@@ -114,7 +114,7 @@ def _check_commands(samples: ImportedSamples, where: str) -> None:
         for expected, degrees, radians in ((DEGREES, "q", TARGET), (1 / DEGREES, TARGET, "q")):
             if near(ratio, expected):
                 raise ImportFileError(
-                    f"mixed units: judging judging by its change the {'position' if degrees == 'q' else 'command'} "
+                    f"mixed units: judging by its change, the {'position' if degrees == 'q' else 'command'} "
                     f"looks like degrees, the {'command' if degrees == 'q' else 'position'} like radians",
                     where=f"{where}: joint {joint}",
                     hint=f"state them in the header: {degrees}1 [deg], {radians}1 [rad]",

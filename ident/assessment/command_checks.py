@@ -96,7 +96,7 @@ def _unit_checks(quality: CommandQuality, of: str) -> list[Check]:
         degrees = [joint for joint, ratio in apart.items() if near(ratio, DEGREES)]
         if degrees:
             checks.append(
-                raised("command-unit", f"{of}judging judging by their change the {unit}: {', '.join(degrees)}", degrees)
+                raised("command-unit", f"{of}judging by their change, the {unit}: {', '.join(degrees)}", degrees)
             )
         others = [joint for joint in apart if joint not in degrees]
         if others:

@@ -183,7 +183,7 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
         ]
         more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
         left = "these samples are left out" if stale.stuck[stale.left_out].any() else "too long to be left out"
-        text = f"{of}the position is stuck of {'; '.join(shown[:MOST_SHOWN])}{more}: {left}; check the encoder"
+        text = f"{of}the position is stuck: {'; '.join(shown[:MOST_SHOWN])}{more}: {left}; check the encoder"
         checks.append(raised("encoder-stuck", text, sorted({encoder.joint for encoder in stale.encoders})))
     return checks + jump_checks(stale.jumps, first, of)
 

@@ -262,8 +262,8 @@ def _centre_check(model: DynamicModel, far: Mapping[int, float]) -> Check:
     figures = ", ".join(f"{model.link_names[link]} {distance:.2g} m" for link, distance in far.items())
     text = (
         f"centres of mass lie far outside their links, in an arm {arm_length(model):.2g} m long: {figures}; the "
-        "data do "
-        "not fit bodies of this arm: check geometry, gains and signs, or state centres under 'prior' (com, com_box)"
+        "data do not fit bodies of this arm: check geometry, gains and signs, or state centres under 'prior' "
+        "(com, com_box)"
     )
     names = [model.link_names[link] for link in far]
     return raised("implausible-centre", text, [name for name in names if name in model.joint_names])
