@@ -31,6 +31,8 @@ MOST_AWAITED = 100
 """Answers that may come late, all at once, from a bus or a computer that stalled; more are lost."""
 RETURNED_FRAMES = 256
 """Frames of this program's own by which those are known that a bus returns to their sender."""
+CALLING = 1.0
+"""[s] between two roll calls of motors whose answers cannot be counted."""
 Commands = Sequence[Sequence[CanFrame]]
 """Frames to every motor."""
 FAULT = "fault"
@@ -46,6 +48,7 @@ class MotorState:
     enabled: bool | None  # whether it drives; None where its family does not say
     time: float  # when its last frame came [s, host's monotonic clock]
     surplus: int  # answers that came so far beyond one for each request
+    serials: int  # different serial numbers that came so far from its id
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,8 @@ class MotorBus:
         self._receiver: Receiver | None = None
         self._turn = 0
         self._surplus = [0 for _ in self._motors]
+        self._serials: list[set[bytes]] = [set() for _ in self._motors]
+        self._called = -math.inf
         self._obeyed = [-math.inf for _ in self._motors]
         self._returned: deque[CanFrame] | None = None
         self._told: list[dict[str, float]] = [{} for _ in self._motors]
@@ -93,6 +98,7 @@ class MotorBus:
         self._told = [{} for _ in self._motors]
         self._state = [(0, None) for _ in self._motors]
         self._surplus = [0 for _ in self._motors]
+        self._serials = [set() for _ in self._motors]
         self._obeyed = [-math.inf for _ in self._motors]
         keys, fd = self._settings.keys, self.codecs[0].fd
         options = {**keys.options}
@@ -138,6 +144,9 @@ class MotorBus:
             frames += commands[index] if commands is not None else ()
         self._turn = (self._turn + 1) % len(self.codecs)
         frames += self.codecs[self._turn].slow_poll()
+        if self.codecs[0].unasked and self._clock.now() - self._called >= CALLING:
+            self._called = self._clock.now()
+            frames += self.codecs[0].roll_call(read_only=read_only)
         before = self._obeyed.copy()
         feedback = self.exchange(frames, patience)
         if commands is not None:
@@ -187,7 +196,13 @@ class MotorBus:
                         when[index] = received = arrived
         self._require_carried(sender, receiver)
         states = {
-            index: MotorState(dict(self._told[index]), *self._state[index], when[index], self._surplus[index])
+            index: MotorState(
+                dict(self._told[index]),
+                *self._state[index],
+                when[index],
+                self._surplus[index],
+                len(self._serials[index]),
+            )
             for index in range(len(self._motors))
             if heard[index] and not wanted[index] - heard[index] | self._wanted(index) - self._told[index].keys()
         }
@@ -266,6 +281,8 @@ class MotorBus:
             return None
         if "position" in heard[index] and "position" in answer.values:
             return index
+        if answer.serial is not None:
+            self._serials[index].add(answer.serial)
         heard[index] |= answer.values.keys() | ({FAULT} if answer.fault is not None else set())
         self._told[index] |= answer.values
         fault, enabled = self._state[index]

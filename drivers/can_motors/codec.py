@@ -42,6 +42,7 @@ class Answer:
     enabled: bool | None = None  # whether the motor drives; None where the frame does not say
     # number of a register and what it holds; None where the frame is no answer to a reading
     register: tuple[int, float] | None = None
+    serial: bytes | None = None  # its serial number
 
 
 class MotorCodec(ABC):

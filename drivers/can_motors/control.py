@@ -161,12 +161,14 @@ class MotorControl:
                 self._bus.send([frame for codec in self._bus.codecs for frame in codec.enable()])
             if not limp:
                 self._lead_little(self._bus.cycle(None if self.goal is None else self._goal_frames(self.goal)))
-            heard = self._until_rest(limp=limp)
+            rest, heard = self._until_rest(limp=limp)
             if not limp and self._settings.when_lost == "hold":
                 self._hold_for_good()
         except (ConnectionFailedError, ConnectionLostError) as error:
             return f"the motors could not be told to stop ({error.message}): {self.left_alone()}"
-        if heard is None:
+        if limp and (driving := [m.name for k, m in enumerate(self._motors) if k in heard and heard[k].enabled]):
+            return f"{', '.join(driving)} still drives after it was switched off {STOP_SENDINGS} times: cut its power"
+        if rest:
             return ""
         return not_at_rest([motor.name for k, motor in enumerate(self._motors) if k not in heard], limp=limp)
 
@@ -186,30 +188,30 @@ class MotorControl:
             return f"{self._settings.keys.watchdog:g} s later each does what its servo.timeout_mode says"
         return f"{self._settings.keys.watchdog:g} s later each goes limp by its time-out"
 
-    def _until_rest(self, *, limp: bool) -> set[int] | None:
-        """Command the stop until the arm is at rest: None; else which motors were heard meanwhile."""
+    def _until_rest(self, *, limp: bool) -> tuple[bool, dict[int, MotorState]]:
+        """Command the stop until the arm is at rest, or `STOP_LIMIT` is over: whether it is, and what motors said."""
         watch, end = StandstillWatch(0.2), self._clock.now() + STOP_LIMIT
-        heard: set[int] = set()
+        heard: dict[int, MotorState] = {}
         sendings = 0
         while not watch.at_rest:
             if self._clock.now() >= end:
-                return heard
+                return False, heard
             begun = self._clock.now()
             if limp:
                 if sendings < STOP_SENDINGS:
                     self._bus.send([frame for codec in self._bus.codecs for frame in codec.disable()])
                     sendings += 1
                 feedback = self._bus.exchange(
-                    [f for codec in self._bus.codecs for f in (codec.disable() or codec.poll(read_only=False))],
+                    [frame for codec in self._bus.codecs for frame in _asked_while_limp(codec)],
                     1.0 / self._settings.keys.rate,
                 )
             else:
                 feedback = self.cycle()
-            heard |= feedback.states.keys()
+            heard |= feedback.states
             if len(feedback.states) == len(self._motors):
                 watch.add(feedback.time, self._positions(feedback))
             self._clock.sleep_until(begun + 1.0 / self._settings.keys.rate)
-        return None
+        return True, heard
 
     def _lead_little(self, feedback: Feedback) -> None:
         """Goals near where the joints are, of the motors that answer."""
@@ -269,6 +271,12 @@ def _holding_goal(motor: CanMotor, state: MotorState) -> float:
         return position
     most = HOLD_LEAD * motor.ratio
     return position + min(max(state.values["torque"] / stiffness, -most), most)
+
+
+def _asked_while_limp(codec: MotorCodec) -> Sequence[CanFrame]:
+    """Frames that switch a motor off, and after which it tells where it is, and whether it drives."""
+    told = () if codec.answers_goals else (*codec.poll(read_only=False), *codec.slow_poll())
+    return (*codec.disable(), *told)
 
 
 def _nothing() -> None:

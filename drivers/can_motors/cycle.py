@@ -73,7 +73,7 @@ class MotorCycle(PolledRows):
                     f"{self._motors[index].name} no longer drives",
                     "check its power, and whether another program commands it",
                 )
-            if state.surplus >= TWICE and not self._bus.codecs[index].unasked:
+            if state.serials > 1 or (state.surplus >= TWICE and not self._bus.codecs[index].unasked):
                 self._note_twice(index)
         missing = [motor.name for index, motor in enumerate(self._motors) if index not in feedback.states]
         if missing:

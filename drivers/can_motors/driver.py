@@ -159,16 +159,14 @@ class CanMotorDriver(PolledArm):
                 self._tell("info" if gone else "warning", f"{motor.name}: {words}, {'reset' if gone else 'persists'}")
 
     def _require_own_ids(self) -> None:
-        names = [self._settings.motors[index].name for index in self._bus.doubled()]
-        if not names:
-            return
-        said = f"{', '.join(names)}: two motors answer to this id, or another program commands it"
-        hint = "give each motor its own id with the manufacturer's tool"
-        if not self._settings.keys.read_only:
-            raise ConnectionFailedError(said, where=self._settings.where, hint=hint)
-        if self._bus.codecs[0].unasked:  # the others' answers are counted while they are read
-            self._tell("warning", said)
-            self._tell("warning", hint)
+        if self._settings.keys.read_only:
+            return  # noticed while they are read
+        if names := [self._settings.motors[index].name for index in self._bus.doubled()]:
+            raise ConnectionFailedError(
+                f"{', '.join(names)}: two motors answer to this id, or another program commands it",
+                where=self._settings.where,
+                hint="give each motor its own id with the manufacturer's tool",
+            )
 
     def _take_told_ranges(self) -> None:
         """Scale of each motor's frames as the motor has it, where the table's is another."""

@@ -73,20 +73,15 @@ class OdriveCodec(MotorCodec):
 
     def present(self, frames: Sequence[CanFrame]) -> int:
         """Serial numbers with its node."""
-        return len(
-            {
-                data[1:7]
-                for identifier, data in frames
-                if identifier <= 0x7FF and identifier & 0x1F == ADDRESS and len(data) == 8 and data[0] == self.motor.id
-            }
-        )
+        answers = (self.parse(*frame) for frame in frames)
+        return len({answer.serial for answer in answers if answer is not None and answer.serial is not None})
 
     def clear(self) -> Sequence[CanFrame]:
         """Clear errors."""
         return (self._frame(CLEAR_ERRORS, bytes(8)),)
 
     def parse(self, identifier: int, data: bytes, asked: int | None = None) -> Answer | None:
-        """Heartbeat, estimates, torques or temperatures."""
+        """Heartbeat, address, estimates, torques or temperatures."""
         del asked
         if identifier >> 5 != self.motor.id or len(data) != 8:
             return None
@@ -94,6 +89,8 @@ class OdriveCodec(MotorCodec):
         if command == HEARTBEAT:
             fault, state = struct.unpack_from("<IB", data)
             return Answer({}, fault, state == CLOSED_LOOP)
+        if command == ADDRESS:
+            return Answer(serial=data[1:7])
         first, second = struct.unpack("<ff", data)
         if command == ESTIMATES:
             return Answer({"position": TURN * first, "velocity": TURN * second})

@@ -60,8 +60,8 @@ OF_SERVOS = {
 }
 TRIED = {
     "damiao": OF_MOTORS,
-    **dict.fromkeys(("robstride", "cubemars", "odrive"), ("die bend", "over-temperature bend")),
-    "moteus": ("die bend", "over-temperature bend", "same-id bend"),
+    **dict.fromkeys(("robstride", "cubemars"), ("die bend", "over-temperature bend")),
+    **dict.fromkeys(("moteus", "odrive"), ("die bend", "over-temperature bend", "same-id bend")),
     "feetech": OF_SERVOS,
     "dynamixel": ("die bend", "same-id bend", "power-cycle bend"),
 }
@@ -123,4 +123,17 @@ def test_limp_on_stop(clock: SimulatedClock, wire):
         assert all(stiff(bench))
         driver.stop()
         assert not any(stiff(bench))
-        assert any("limp" in notice.message for notice in driver.notices())
+        said = driver.notices()
+        assert any("limp" in notice.message for notice in said)
+        assert not any("did not answer" in notice.message for notice in said), said
+
+
+def test_a_motor_that_is_not_switched_off_is_named(clock: SimulatedClock, monkeypatch):
+    with served(clock, "odrive", on_stop="limp") as bench, bench.opened() as driver:
+        driver.start()
+        driver.take_control()
+        monkeypatch.setattr(bench.server.motors[1], "_let_go", lambda: None)
+        driver.stop()
+        said = [notice.message for notice in driver.notices() if notice.level == "error"]
+    assert said == ["bend (id 7) still drives after it was switched off 3 times: cut its power"]
+
