@@ -18,6 +18,8 @@ from drivers.life_cycle import LifeCycle
 from drivers.polled_rows import PolledRows
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
+ASKING_PERIODS = 4
+"""From one reading to the next, answers that are missing waited for, no more periods pass on a computer in time."""
 SILENT_PERIODS = 20
 """Without a row for so many periods, at least `SILENCE_LIMIT`, the connection counts as lost."""
 
@@ -226,8 +228,10 @@ class PolledArm(LifeCycle):
             return ""
         heard = self._cycle.answered
         newest = max(heard.values(), default=-math.inf)
+        if (idle := self._clock.now() - self._cycle.asked) > max(0.5 * limit, ASKING_PERIODS / self._rate):
+            return f"no {self._device} was asked for {idle:.2f} s: this computer was late"
         if self._clock.now() - newest > limit:
-            return f"no {self._device} answers: check the power and the cable; this computer may also have been late"
+            return f"no {self._device} answers: check the power and the cable"
         silent = [name for motor, name in self._names.items() if newest - heard.get(motor, -math.inf) > limit / 2]
         return f"no answer of {', '.join(silent)}" if silent else ""
 

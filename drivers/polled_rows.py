@@ -30,6 +30,7 @@ class PolledRows(ABC):
     Attributes:
         latest: (n,) newest position [rad]; None before the first row.
         last_row: when it came [s, host's monotonic clock].
+        asked: when the devices were asked last [s, host's monotonic clock].
         answered: id → when the device answered last.
         failure: what ended the thread; None while it runs.
         notices: what the devices reported, oldest first.
@@ -55,7 +56,7 @@ class PolledRows(ABC):
         self._noted = -np.inf
         self.notices: deque[Notice] = deque()
         self.latest: FloatArray | None = None
-        self.last_row = clock.now()
+        self.last_row = self.asked = clock.now()
         self.answered: dict[int, float] = {}
         self.failure: DynidError | None = None
 
@@ -111,7 +112,7 @@ class PolledRows(ABC):
         due = self._clock.now()
         try:
             while not self._ending.is_set():
-                begun = self._clock.now()
+                begun = self.asked = self._clock.now()
                 self._read()
                 due += self._period
                 if (behind := self._clock.now() - due) > 0.0:

@@ -114,6 +114,20 @@ def test_without_an_answer_the_connection_is_lost(clock: SimulatedClock, tmp_pat
     assert not isinstance(report.error, SafetyStopError)
 
 
+def test_silence_says_who_was_late(clock: SimulatedClock):
+    for wire in ("damiao", "feetech"):
+        with served(clock, wire) as bench, bench.opened() as driver:
+            driver.start()
+            clock.sleep(0.3)
+            assert driver.silence("joints", 0.05) == "", wire
+            clock.stall(0.1)
+            assert driver.silence("joints", 0.05).endswith(" was asked for 0.10 s: this computer was late"), wire
+            clock.sleep(0.3)
+            bench.server.cause(parse_fault("freeze 2", "CAN motors", JOINTS))
+            clock.sleep(0.3)
+            assert driver.silence("joints", 0.05).endswith(" answers: check the power and the cable"), wire
+
+
 @pytest.mark.parametrize("wire", WIRES)
 def test_limp_on_stop(clock: SimulatedClock, wire):
     with served(clock, wire, on_stop="limp") as bench, bench.opened() as driver:
@@ -136,4 +150,3 @@ def test_a_motor_that_is_not_switched_off_is_named(clock: SimulatedClock, monkey
         driver.stop()
         said = [notice.message for notice in driver.notices() if notice.level == "error"]
     assert said == ["bend (id 7) still drives after it was switched off 3 times: cut its power"]
-
