@@ -34,66 +34,41 @@ Level = Literal["info", "warning", "error"]
 
 @dataclass(frozen=True)
 class DriverSettings:
-    """What a driver knows of its arm.
+    """What a driver knows of its arm."""
 
-    Attributes:
-        joints: joint names in the order of every array.
-        connection: the robot file's keys for this connection, without `driver`.
-        gains: one a joint.
-        coupling: R (n, n) of q_motor = R·q_joint; None where each motor moves its own joint alone.
-        folder: what relative paths among the keys start at; None for the current folder.
-        clock: the host's, whose monotonic time stamps what arrives.
-        sliding: (n,) whether each joint slides, its positions being in m; all turn where empty.
-    """
-
-    joints: tuple[str, ...]
-    connection: Mapping[str, object]
-    gains: tuple[DriveGain, ...]
+    joints: tuple[str, ...]  # joint names in the order of every array
+    connection: Mapping[str, object]  # the robot file's keys for this connection, without `driver`
+    gains: tuple[DriveGain, ...]  # one a joint
+    # R (n, n) of q_motor = R·q_joint; None where each motor moves its own joint alone
     coupling: FloatArray | None = None
-    folder: Path | None = None
-    clock: Clock = SYSTEM_CLOCK
-    sliding: tuple[bool, ...] = ()
+    folder: Path | None = None  # what relative paths among the keys start at; None for the current folder
+    clock: Clock = SYSTEM_CLOCK  # the host's, whose monotonic time stamps what arrives
+    sliding: tuple[bool, ...] = ()  # (n,) whether each joint slides, its positions being in m; all turn where empty
 
 
 @dataclass(frozen=True)
 class Notice:
-    """Something that the source reported: a protective stop, a mode change, a reconnection.
+    """Something that the source reported: a protective stop, a mode change, a reconnection."""
 
-    Attributes:
-        time: of the source's clock [s]; nan where it has none.
-        level: an `error` makes the session stop the arm.
-        message: in words.
-        hint: what to do about an error; empty where there is nothing to say.
-    """
-
-    time: float
-    level: Level
-    message: str
-    hint: str = ""
+    time: float  # of the source's clock [s]; nan where it has none
+    level: Level  # an `error` makes the session stop the arm
+    message: str  # in words
+    hint: str = ""  # what to do about an error; empty where there is nothing to say
 
 
 @dataclass(frozen=True)
 class DeviceLimits:
-    """Limits that a controller or its drives keep themselves; arrays (n,), nan where they tell none.
+    """Limits that a controller or its drives keep themselves; arrays (n,), nan where they tell none."""
 
-    Attributes:
-        lowest, highest: position [rad].
-        velocity: [rad/s].
-        torque: [N·m].
-        sources: position, velocity, torque, … → where it is read, such as an object's index.
-        following_error: between the target and the measured position [rad].
-        stopping: deceleration of their own stop [rad/s²].
-        acceleration: [rad/s²].
-    """
-
+    # lowest, highest: position [rad]
     lowest: FloatArray
     highest: FloatArray
-    velocity: FloatArray
-    torque: FloatArray
-    sources: Mapping[str, str]
-    following_error: FloatArray | None = None
-    stopping: FloatArray | None = None
-    acceleration: FloatArray | None = None
+    velocity: FloatArray  # [rad/s]
+    torque: FloatArray  # [N·m]
+    sources: Mapping[str, str]  # position, velocity, torque, … → where it is read, such as an object's index
+    following_error: FloatArray | None = None  # between the target and the measured position [rad]
+    stopping: FloatArray | None = None  # deceleration of their own stop [rad/s²]
+    acceleration: FloatArray | None = None  # [rad/s²]
 
 
 class Driver(Protocol):

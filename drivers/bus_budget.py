@@ -50,19 +50,12 @@ TIGHT_SHARE = 0.8
 
 @dataclass(frozen=True)
 class FrameGroup:
-    """Equal frames.
+    """Equal frames."""
 
-    Attributes:
-        meaning: in words.
-        count: how many.
-        data_bytes: of each.
-        frame_bits: of each at worst, with all that the bus adds to its data.
-    """
-
-    meaning: str
-    count: int
-    data_bytes: int
-    frame_bits: int
+    meaning: str  # in words
+    count: int  # how many
+    data_bytes: int  # of each
+    frame_bits: int  # of each at worst, with all that the bus adds to its data
 
     @property
     def bits(self) -> int:
@@ -72,21 +65,13 @@ class FrameGroup:
 
 @dataclass(frozen=True)
 class Budget:
-    """What a connection asks of its bus.
+    """What a connection asks of its bus."""
 
-    Attributes:
-        bitrate: [bit/s].
-        rate: of the cycle [Hz].
-        cycle: frames of every cycle.
-        beside: frames that come at a rate of their own: (frames, rate [Hz]).
-        worst: what the lengths of the frames include, in words; empty where they are exact.
-    """
-
-    bitrate: float
-    rate: float
-    cycle: tuple[FrameGroup, ...]
-    beside: tuple[tuple[FrameGroup, float], ...] = ()
-    worst: str = ""
+    bitrate: float  # [bit/s]
+    rate: float  # of the cycle [Hz]
+    cycle: tuple[FrameGroup, ...]  # frames of every cycle
+    beside: tuple[tuple[FrameGroup, float], ...] = ()  # frames that come at a rate of their own: (frames, rate [Hz])
+    worst: str = ""  # what the lengths of the frames include, in words; empty where they are exact
 
     @property
     def cycle_bits(self) -> int:

@@ -13,17 +13,11 @@ from drivers.streams import ChannelLayout
 
 @dataclass(frozen=True)
 class DriveGain:
-    """Joint torque per unit of a motor's signal, joint side, sign included.
+    """Joint torque per unit of a motor's signal, joint side, sign included."""
 
-    Attributes:
-        gain: [N·m/A] or [N·m/V]; None where it is unknown.
-        std: its standard deviation, same unit; None where it is unknown.
-        signal: what is measured: "current", "voltage" or "torque".
-    """
-
-    gain: float | None
-    std: float | None = None
-    signal: str = "current"
+    gain: float | None  # [N·m/A] or [N·m/V]; None where it is unknown
+    std: float | None = None  # its standard deviation, same unit; None where it is unknown
+    signal: str = "current"  # what is measured: "current", "voltage" or "torque"
 
 
 def joint_torque(signal: FloatArray, gains: Sequence[DriveGain], coupling: FloatArray | None = None) -> FloatArray:

@@ -33,21 +33,13 @@ COMMANDS = ("target_position", "target_velocity", "target_torque", "gain_p", "ga
 
 @dataclass(frozen=True)
 class ChannelLayout:
-    """What one dataset of a stream holds.
+    """What one dataset of a stream holds."""
 
-    Attributes:
-        quantity: name of the dataset (`position`, `current`, …).
-        columns: names of its n columns; joint names wherever it has one a joint.
-        unit: unit of every value; taken from `UNITS` where empty.
-        description: where the values come from, in words.
-        magnitude: whether the values have lost their sign.
-    """
-
-    quantity: str
-    columns: tuple[str, ...]
-    unit: str = ""
-    description: str = ""
-    magnitude: bool = False
+    quantity: str  # name of the dataset (`position`, `current`, …)
+    columns: tuple[str, ...]  # names of its n columns; joint names wherever it has one a joint
+    unit: str = ""  # unit of every value; taken from `UNITS` where empty
+    description: str = ""  # where the values come from, in words
+    magnitude: bool = False  # whether the values have lost their sign
 
     def __post_init__(self) -> None:
         if not self.unit:
@@ -58,35 +50,21 @@ class ChannelLayout:
 
 @dataclass(frozen=True)
 class StreamLayout:
-    """A stream before its first sample.
+    """A stream before its first sample."""
 
-    Attributes:
-        name: of the group under /streams.
-        channels: its datasets.
-        rate: nominal rate [Hz], sets the chunk length; 0 where unknown.
-        essential: whether a motion must not go on while the stream is silent; its driver tells a silence otherwise.
-    """
-
-    name: str
-    channels: tuple[ChannelLayout, ...]
-    rate: float = 0.0
+    name: str  # of the group under /streams
+    channels: tuple[ChannelLayout, ...]  # its datasets
+    rate: float = 0.0  # nominal rate [Hz], sets the chunk length; 0 where unknown
+    # whether a motion must not go on while the stream is silent; its driver tells a silence otherwise
     essential: bool = True
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Consecutive samples of one stream.
+    """Consecutive samples of one stream."""
 
-    Attributes:
-        stream: name of the stream.
-        time: (N,) the source's own clock [s].
-        host_time: (N,) the host's monotonic clock at reception [s].
-        values: quantity → (N, n).
-        lost: samples that the source's clock or counter says are missing before or within this block.
-    """
-
-    stream: str
-    time: FloatArray
-    host_time: FloatArray
-    values: Mapping[str, FloatArray] = field(default_factory=dict)
-    lost: int = 0
+    stream: str  # name of the stream
+    time: FloatArray  # (N,) the source's own clock [s]
+    host_time: FloatArray  # (N,) the host's monotonic clock at reception [s]
+    values: Mapping[str, FloatArray] = field(default_factory=dict)  # quantity → (N, n)
+    lost: int = 0  # samples that the source's clock or counter says are missing before or within this block

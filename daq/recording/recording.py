@@ -72,19 +72,12 @@ class Channel:
 
 @dataclass(frozen=True)
 class Stream:
-    """Samples of one source.
+    """Samples of one source."""
 
-    Attributes:
-        name: of the stream.
-        time: (N,) the source's own clock [s].
-        host_time: (N,) the host's monotonic clock [s]; equal to `time` where the source was imported.
-        channels: quantity → channel.
-    """
-
-    name: str
-    time: FloatArray
-    host_time: FloatArray
-    channels: Mapping[str, Channel]
+    name: str  # of the stream
+    time: FloatArray  # (N,) the source's own clock [s]
+    host_time: FloatArray  # (N,) the host's monotonic clock [s]; equal to `time` where the source was imported
+    channels: Mapping[str, Channel]  # quantity → channel
 
     def __repr__(self) -> str:
         return f"<Stream {self.name}: {_pace(self)}, {', '.join(self.channels)}>"

@@ -31,15 +31,10 @@ class HasFileno(Protocol):
 
 @dataclass(frozen=True)
 class Breakdown:
-    """The unrequested end of a thread.
+    """The unrequested end of a thread."""
 
-    Attributes:
-        thread: its name.
-        error: what ended it.
-    """
-
-    thread: str
-    error: Exception
+    thread: str  # its name
+    error: Exception  # what ended it
 
     def __str__(self) -> str:
         return f"the thread '{self.thread}' broke: {type(self.error).__name__}: {self.error}"

@@ -41,18 +41,15 @@ class Training:
 
 @dataclass(frozen=True, eq=False)
 class TorquePredictor:
-    """A model's torques; a third party's method may return any object with these attributes, `torque` alone at least.
+    """The torques of a model; a third party may return any object with these attributes, at least `torque`."""
 
-    Attributes:
-        torque: (q, dq, ddq), each (N, n), to joint torques (N, n) [N·m or N].
-        delay: of the recorded torques behind the positions, as the method estimates it: one, or (n,) [s].
-        bodies: (links, 10) XX, XY, XZ, YY, YZ, ZZ, MX, MY, MZ, M of each link in its frame; None where it has none.
-        parameters: name → value and σ, to be compared between two parts of the data; empty where it has no intervals.
-    """
-
+    # (q, dq, ddq), each (N, n), to joint torques (N, n) [N·m or N]
     torque: Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
+    # of the recorded torques behind the positions, as the method estimates it: one, or (n,) [s]
     delay: float | FloatArray = 0.0
+    # (links, 10) XX, XY, XZ, YY, YZ, ZZ, MX, MY, MZ, M of each link in its frame; None where it has none
     bodies: FloatArray | None = None
+    # name → value and σ, to be compared between two parts of the data; empty where it has no intervals
     parameters: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 

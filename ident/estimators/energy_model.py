@@ -64,17 +64,11 @@ OVERLAP = 4
 
 @dataclass(frozen=True)
 class EnergyRows:
-    """Some of the equations, in the order of time.
+    """Some of the equations, in the order of time."""
 
-    Attributes:
-        regressor: (b, M) of base columns [J or W per unit].
-        work: (M,) what the motors did [J or W].
-        sample: (M,) index of the parallel filter's output sample that each belongs to.
-    """
-
-    regressor: FloatArray
-    work: FloatArray
-    sample: npt.NDArray[np.int64]
+    regressor: FloatArray  # (b, M) of base columns [J or W per unit]
+    work: FloatArray  # (M,) what the motors did [J or W]
+    sample: npt.NDArray[np.int64]  # (M,) index of the parallel filter's output sample that each belongs to
 
 
 class EnergyEquations(Protocol):
@@ -155,15 +149,10 @@ def energy_jackknife(
 
 @dataclass(frozen=True)
 class EnergyWindows:
-    """Equations over windows of equal exchange.
+    """Equations over windows of equal exchange."""
 
-    Attributes:
-        kernel: for the base columns.
-        exchange: ∫ Σ|q̇m·τ| dt of each window, to a sample [J].
-    """
-
-    kernel: EnergyKernel
-    exchange: float
+    kernel: EnergyKernel  # for the base columns
+    exchange: float  # ∫ Σ|q̇m·τ| dt of each window, to a sample [J]
 
     @property
     def overlap(self) -> int:
@@ -286,17 +275,11 @@ def describe_windows(equations: EnergyWindows, segments: Sequence[Segment]) -> t
 
 @dataclass(frozen=True)
 class EnergyEstimator:
-    """Least squares on the arm's energy.
+    """Least squares on the arm's energy."""
 
-    Attributes:
-        setup: the data.
-        equations: of the energy.
-        name: of the method.
-    """
-
-    setup: Setup
-    equations: EnergyEquations
-    name: str
+    setup: Setup  # the data
+    equations: EnergyEquations  # of the energy
+    name: str  # of the method
 
     def notes(self, run: Prepared) -> tuple[Step, ...]:
         """The energy windows, where there are any."""

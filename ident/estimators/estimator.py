@@ -31,70 +31,44 @@ Equations = Literal["torque", "energy"]
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """What an estimator is built from.
+    """What an estimator is built from."""
 
-    Attributes:
-        kernel: of the base columns.
-        base: the base parameters of the experiment (b).
-        experiment: joints that stood still, motors whose torques are used.
-        robot_file: of the arm.
-        runs: the prepared data.
-    """
-
-    kernel: RegressorKernel
-    base: BaseParameters
-    experiment: Experiment
-    robot_file: RobotFile
-    runs: tuple[Prepared, ...]
+    kernel: RegressorKernel  # of the base columns
+    base: BaseParameters  # the base parameters of the experiment (b)
+    experiment: Experiment  # joints that stood still, motors whose torques are used
+    robot_file: RobotFile  # of the arm
+    runs: tuple[Prepared, ...]  # the prepared data
 
 
 @stored(frozen=True)
 class EstimationLoop:
-    """How one loop of an iterative estimator converged.
+    """How one loop of an iterative estimator converged."""
 
-    Attributes:
-        name: what it iterates.
-        unit: of the values; empty for a relative change.
-        values: after each iteration.
-        settled: whether it converged; else the last iterate was taken.
-        joint: that the values belong to; empty where they are of the whole arm.
-    """
-
-    name: str
-    unit: str
-    values: tuple[Real, ...]
-    settled: bool
-    joint: str = ""
+    name: str  # what it iterates
+    unit: str  # of the values; empty for a relative change
+    values: tuple[Real, ...]  # after each iteration
+    settled: bool  # whether it converged; else the last iterate was taken
+    joint: str = ""  # that the values belong to; empty where they are of the whole arm
 
 
 @dataclass(frozen=True, eq=False)
 class Estimation:
-    """What an estimator gives.
+    """What an estimator gives."""
 
-    Attributes:
-        kernel: of the base columns, with the nonlinear friction parameters that were estimated.
-        reduction: the system whose least-squares solution the estimate is, one factor per joint to be weighted by
-            `solution.weights`, or one factor of all weighted equations and `solution.weights` of (1,). Of an estimate
-            that is no least squares: the triangular system (root, root·θ̂) of its quadratic approximation.
-        solution: of it.
-        loops: convergence, innermost loop first.
-        weights: for each segment of all runs, in order, (n, M) by how much each filtered equation counts, 0 to 1; nan
-            where it takes no part. Empty where all that take part count alike.
-        passes: over the data, the plain reduction's included.
-        steps: what the estimate itself did, for the list of steps.
-        optimum: exact optimum of the same cost, where the estimate is the result of a search.
-        joint_covariance: Ω (n, n) of the joints' residuals, by which the equations were whitened [(N·m)²]; empty where
-            they were not.
-    """
-
-    kernel: RegressorKernel
+    kernel: RegressorKernel  # of the base columns, with the nonlinear friction parameters that were estimated
+    # the system whose least-squares solution the estimate is, one factor per joint to be weighted by
+    # `solution.weights`, or one factor of all weighted equations and `solution.weights` of (1,). Of an estimate that is
+    # no least squares: the triangular system (root, root·θ̂) of its quadratic approximation.
     reduction: Reduction
-    solution: LeastSquares
-    loops: tuple[EstimationLoop, ...] = ()
+    solution: LeastSquares  # of it
+    loops: tuple[EstimationLoop, ...] = ()  # convergence, innermost loop first
+    # for each segment of all runs, in order, (n, M) by how much each filtered equation counts, 0 to 1; nan where it
+    # takes no part. Empty where all that take part count alike.
     weights: tuple[FloatArray, ...] = ()
-    passes: int = 1
-    steps: tuple[Step, ...] = ()
-    optimum: LeastSquares | None = None
+    passes: int = 1  # over the data, the plain reduction's included
+    steps: tuple[Step, ...] = ()  # what the estimate itself did, for the list of steps
+    optimum: LeastSquares | None = None  # exact optimum of the same cost, where the estimate is the result of a search
+    # Ω (n, n) of the joints' residuals, by which the equations were whitened [(N·m)²]; empty where they were not
     joint_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
 

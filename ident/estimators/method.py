@@ -21,20 +21,14 @@ class NoOptions:
 
 @dataclass(frozen=True)
 class Method(Generic[Options]):
-    """A method; every module of `ident.estimators.methods` holds one as METHOD and is named after it.
+    """A method; every module of `ident.estimators.methods` holds one as METHOD and is named after it."""
 
-    Attributes:
-        summary: what it does, in one line.
-        equations: that it solves.
-        options: frozen dataclass; each field has a type that pydantic validates, a description and a default.
-        estimator: builds it for the data.
-        aliases: names of papers for some of its options, as `--method` takes them.
-    """
-
-    summary: str
-    equations: Equations
+    summary: str  # what it does, in one line
+    equations: Equations  # that it solves
+    # frozen dataclass; each field has a type that pydantic validates, a description and a default
     options: type[Options]
-    estimator: Callable[[Options, Setup], Estimator]
+    estimator: Callable[[Options, Setup], Estimator]  # builds it for the data
+    # names of papers for some of its options, as `--method` takes them
     aliases: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -21,17 +21,11 @@ OptionValue = float | int | str | bool | None
 
 @dataclass(frozen=True)
 class MethodChoice:
-    """A method with its options.
+    """A method with its options."""
 
-    Attributes:
-        name: of the method.
-        method: what it is.
-        options: an instance of `method.options`.
-    """
-
-    name: str
-    method: Method[Any]
-    options: Any
+    name: str  # of the method
+    method: Method[Any]  # what it is
+    options: Any  # an instance of `method.options`
 
     @property
     def equations(self) -> Equations:

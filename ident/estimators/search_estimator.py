@@ -38,37 +38,24 @@ def no_penalty(points: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """What is searched.
+    """What is searched."""
 
-    Attributes:
-        box: of the variables (d).
-        base: active base parameters (P, a) of a population (P, d).
-        penalty: (P,) added to the cost ‖W·x − τ‖.
-        steps: after the search, from the best point (d,) and the standard deviation of a weighted equation: for the
-            list of steps.
-    """
-
-    box: SearchBox
-    base: Callable[[FloatArray], FloatArray]
-    penalty: Callable[[FloatArray], FloatArray] = no_penalty
+    box: SearchBox  # of the variables (d)
+    base: Callable[[FloatArray], FloatArray]  # active base parameters (P, a) of a population (P, d)
+    penalty: Callable[[FloatArray], FloatArray] = no_penalty  # (P,) added to the cost ‖W·x − τ‖
+    # after the search, from the best point (d,) and the standard deviation of a weighted equation: for the list of
+    # steps
     steps: Callable[[FloatArray, float], tuple[Step, ...]] = lambda point, deviation: ()
 
 
 @dataclass(frozen=True)
 class SearchEstimator(TorqueEstimator):
-    """A search of the torque equations' cost, weighted as the least squares that it starts from.
+    """A search of the torque equations' cost, weighted as the least squares that it starts from."""
 
-    Attributes:
-        space: of the search, from the exact optimum and its cost.
-        optimiser: with its settings.
-        budget: how long.
-        seed: of the random numbers.
-    """
-
-    space: Callable[[LeastSquares, QuadraticCost], Space]
-    optimiser: Optimiser
-    budget: SearchBudget
-    seed: int
+    space: Callable[[LeastSquares, QuadraticCost], Space]  # of the search, from the exact optimum and its cost
+    optimiser: Optimiser  # with its settings
+    budget: SearchBudget  # how long
+    seed: int  # of the random numbers
 
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
         """The best point of the search; error bars and essential model are those of least squares about it.

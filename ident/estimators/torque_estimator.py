@@ -27,15 +27,10 @@ Solve = Callable[[Reduction, Sequence[int]], LeastSquares]
 
 @dataclass(frozen=True)
 class TorqueEstimator:
-    """Least squares on the joints' torques.
+    """Least squares on the joints' torques."""
 
-    Attributes:
-        setup: the data.
-        solve: the fit of a reduced system.
-    """
-
-    setup: Setup
-    solve: Solve
+    setup: Setup  # the data
+    solve: Solve  # the fit of a reduced system
 
     def notes(self, run: Prepared) -> tuple[Step, ...]:
         """Nothing that is not in the list."""
@@ -67,15 +62,10 @@ def reduce_torques(kernel: RegressorKernel, runs: Sequence[Prepared], torques: S
 
 @dataclass(frozen=True, eq=False)
 class TriangularSystem:
-    """A system of all joints' equations, weighted, with its solution.
+    """A system of all joints' equations, weighted, with its solution."""
 
-    Attributes:
-        reduction: the whole system stands with the first joint that has rows.
-        solution: its least squares, with the joints' weights and residuals.
-    """
-
-    reduction: Reduction
-    solution: LeastSquares
+    reduction: Reduction  # the whole system stands with the first joint that has rows
+    solution: LeastSquares  # its least squares, with the joints' weights and residuals
 
 
 def triangular_system(

@@ -43,17 +43,13 @@ BLOCKS = 8
 
 @dataclass(frozen=True)
 class LoweredCutoffs:
-    """Cut-offs that were lowered because the positions jitter.
+    """Cut-offs that were lowered because the positions jitter."""
 
-    Attributes:
-        choices: with the new cut-offs.
-        before, after: cut-off of the positions [Hz].
-        error_before, error_after: relative error of the slow part of the torque on data that were not fitted.
-    """
-
-    choices: PreprocessChoices
+    choices: PreprocessChoices  # with the new cut-offs
+    # before, after: cut-off of the positions [Hz]
     before: float
     after: float
+    # error_before, error_after: relative error of the slow part of the torque on data that were not fitted
     error_before: float
     error_after: float
 

@@ -25,20 +25,14 @@ from ident.signals.segments import played_window
 
 @dataclass(frozen=True)
 class RunWindow:
-    """One recording's signals, and the window of them that counts.
+    """One recording's signals, and the window of them that counts."""
 
-    Attributes:
-        signals: as recorded.
-        start, stop: of the window, from the recording's first stamp [s]; None where the recording begins or ends.
-        played: whether the window follows from the player's events.
-        overlap: share of a held-out window's samples that are the identification's.
-    """
-
-    signals: JointSignals
+    signals: JointSignals  # as recorded
+    # start, stop: of the window, from the recording's first stamp [s]; None where the recording begins or ends
     start: float | None
     stop: float | None
-    played: bool = False
-    overlap: float = 0.0
+    played: bool = False  # whether the window follows from the player's events
+    overlap: float = 0.0  # share of a held-out window's samples that are the identification's
 
     @property
     def duration(self) -> float:
@@ -81,16 +75,12 @@ class RunWindow:
 
 @dataclass(frozen=True)
 class DataSplit:
-    """Recordings to identify from, recordings that are held out, and these in words.
-
-    Attributes:
-        held: friction that is known beforehand, in all of them; None where none is.
-    """
+    """Recordings to identify from, recordings that are held out, and these in words."""
 
     identification: tuple[RunWindow, ...]
     held_out: tuple[RunWindow, ...]
     validation_source: str
-    held: HeldFriction | None = None
+    held: HeldFriction | None = None  # friction that is known beforehand, in all of them; None where none is
 
 
 def split_data(

@@ -26,36 +26,22 @@ from ident.signals.prepared import Prepared, Segment, Step
 
 @dataclass(frozen=True, eq=False)
 class HeldJoint:
-    """Temperature terms of one motor, m coefficients.
+    """Temperature terms of one motor, m coefficients."""
 
-    Attributes:
-        motor: its index.
-        kinds: of the columns.
-        values: (m,).
-        covariance: (m, m) by the experiment.
-        span: of the recordings' temperatures [K].
-    """
-
-    motor: int
-    kinds: tuple[str, ...]
-    values: FloatArray
-    covariance: FloatArray
-    span: float
+    motor: int  # its index
+    kinds: tuple[str, ...]  # of the columns
+    values: FloatArray  # (m,)
+    covariance: FloatArray  # (m, m) by the experiment
+    span: float  # of the recordings' temperatures [K]
 
 
 @dataclass(frozen=True, eq=False)
 class HeldFriction:
-    """What an identification holds at the experiment's values.
+    """What an identification holds at the experiment's values."""
 
-    Attributes:
-        model: with all terms of the experiment.
-        joints: whose temperature terms are held, the others estimated.
-        text: which, in words.
-    """
-
-    model: DynamicModel
-    joints: tuple[HeldJoint, ...]
-    text: str
+    model: DynamicModel  # with all terms of the experiment
+    joints: tuple[HeldJoint, ...]  # whose temperature terms are held, the others estimated
+    text: str  # which, in words
 
     def torque(self, segment: Segment) -> FloatArray:
         """Friction torque (n, N) of the motors by the held terms."""

@@ -55,43 +55,26 @@ LEAST_MOTION = 0.1
 
 @dataclass(frozen=True, eq=False)
 class HeldOutData:
-    """A recording, or a part of one, that the model is compared with.
+    """A recording, or a part of one, that the model is compared with."""
 
-    Attributes:
-        label: what messages call it.
-        prepared: with the torques of motors at rest left out.
-        everything: with those, too.
-        torques: motors whose torques the model predicts.
-        overlap: share of its samples that are the identification's.
-        checks: that the recording itself raises.
-    """
-
-    label: str
-    prepared: Prepared
-    everything: Prepared
-    torques: tuple[int, ...]
-    overlap: float = 0.0
-    checks: tuple[Check, ...] = ()
+    label: str  # what messages call it
+    prepared: Prepared  # with the torques of motors at rest left out
+    everything: Prepared  # with those, too
+    torques: tuple[int, ...]  # motors whose torques the model predicts
+    overlap: float = 0.0  # share of its samples that are the identification's
+    checks: tuple[Check, ...] = ()  # that the recording itself raises
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterSets:
-    """What the parameters of an identification predict.
+    """What the parameters of an identification predict."""
 
-    Attributes:
-        robot: its file, whose torque limits a joint's error is compared with.
-        model: the arm.
-        base: its base parameters (b).
-        full: (b,) all base parameters as estimated.
-        consistent: (b,) of bodies that can exist; None where none were found.
-        armature: (n,) of motors whose inertia the torque does not carry, with the consistent ones [kg·m²].
-    """
-
-    robot: Robot
-    model: DynamicModel
-    base: BaseParameters
-    full: FloatArray
-    consistent: FloatArray | None
+    robot: Robot  # its file, whose torque limits a joint's error is compared with
+    model: DynamicModel  # the arm
+    base: BaseParameters  # its base parameters (b)
+    full: FloatArray  # (b,) all base parameters as estimated
+    consistent: FloatArray | None  # (b,) of bodies that can exist; None where none were found
+    # (n,) of motors whose inertia the torque does not carry, with the consistent ones [kg·m²]
     armature: FloatArray | None = None
 
     @property
@@ -108,14 +91,10 @@ class ParameterSets:
 
 @dataclass(frozen=True, eq=False)
 class HeldOutRun:
-    """The delivered model on one recording.
+    """The delivered model on one recording."""
 
-    Attributes:
-        errors: as they are stored.
-        in_motion, all_samples: the torques behind them.
-    """
-
-    errors: HeldOutErrors
+    errors: HeldOutErrors  # as they are stored
+    # in_motion, all_samples: the torques behind them
     in_motion: tuple[TorqueSeries, ...]
     all_samples: tuple[TorqueSeries, ...]
 

@@ -43,12 +43,9 @@ from ident.verdict.check import Check, texts
 
 @dataclass(frozen=True, kw_only=True)
 class ModelChoices(ColumnOptions):
-    """Departures from the robot file's columns.
+    """Departures from the robot file's columns."""
 
-    Attributes:
-        experiment: friction experiment whose terms and shapes hold, and what the recordings cannot tell.
-    """
-
+    # friction experiment whose terms and shapes hold, and what the recordings cannot tell
     experiment: FrictionExperimentResult | None = None
 
     def __post_init__(self) -> None:
@@ -59,22 +56,16 @@ class ModelChoices(ColumnOptions):
 
 @dataclass(frozen=True)
 class IdentifyChoices(EssentialOptions, ReversalOptions):
-    """What a user may choose.
+    """What a user may choose."""
 
-    Attributes:
-        method: estimator and its options, NAME[:OPTION=VALUE]….
-        model: departures from the robot file's columns.
-        preprocess: filters, window, delay; `preprocess.delay` is not used where `search_delay` is set.
-        search_delay: find the torque's delay from the data.
-        split: end of the identification part of a single recording [s from its first stamp]; None takes the first 70 %.
-        experiment: joints that must be locked, and motors whose torques are used.
-    """
-
-    method: str = "wls"
-    model: ModelChoices = field(default_factory=ModelChoices)
+    method: str = "wls"  # estimator and its options, NAME[:OPTION=VALUE]…
+    model: ModelChoices = field(default_factory=ModelChoices)  # departures from the robot file's columns
+    # filters, window, delay; `preprocess.delay` is not used where `search_delay` is set
     preprocess: PreprocessChoices = field(default_factory=PreprocessChoices)
-    search_delay: bool = True
+    search_delay: bool = True  # find the torque's delay from the data
+    # end of the identification part of a single recording [s from its first stamp]; None takes the first 70 %
     split: float | None = None
+    # joints that must be locked, and motors whose torques are used
     experiment: ExperimentChoices = field(default_factory=ExperimentChoices)
 
     def __post_init__(self) -> None:
@@ -138,119 +129,79 @@ def apply_model_choices(model: DynamicModel, choices: ModelChoices, friction: Fr
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """A recording, or a part of one, ready for the estimator.
+    """A recording, or a part of one, ready for the estimator."""
 
-    Attributes:
-        signals: as recorded.
-        choices: its preprocessing and its window.
-        prepared: what came of it.
-        torques: motors whose torques the model of this experiment predicts.
-        everything: the same with samples at rest, of held-out runs; None where `prepared` holds them.
-        overlap: share of a held-out run's samples that are the identification's.
-    """
-
-    signals: JointSignals
-    choices: PreprocessChoices
-    prepared: Prepared
-    torques: tuple[int, ...]
+    signals: JointSignals  # as recorded
+    choices: PreprocessChoices  # its preprocessing and its window
+    prepared: Prepared  # what came of it
+    torques: tuple[int, ...]  # motors whose torques the model of this experiment predicts
+    # the same with samples at rest, of held-out runs; None where `prepared` holds them
     everything: Prepared | None = None
-    overlap: float = 0.0
+    overlap: float = 0.0  # share of a held-out run's samples that are the identification's
 
 
 @dataclass(frozen=True)
 class ConsistentFit:
-    """The physically consistent model with its errors.
+    """The physically consistent model with its errors."""
 
-    Attributes:
-        parameters: of the model.
-        fit, validation: errors.
-    """
-
-    parameters: ConsistentParameters
+    parameters: ConsistentParameters  # of the model
+    # fit, validation: errors
     fit: Fit
     validation: Fit
 
 
 @dataclass(frozen=True)
 class FrictionFit:
-    """What was found of the friction before the regression.
+    """What was found of the friction before the regression."""
 
-    Attributes:
-        model: with all shapes and the load torque.
-        steps: of complexity that were tried; empty without `--friction auto`.
-        rounds: that load torque and shapes took.
-        settled: whether they converged.
-        delivered: root mean square error of the consistent model on held-out blocks without and with the chosen terms,
-            each motor's torque over its residual's standard deviation; None where none were chosen.
-        by_run: the same on runs left out, without and with terms of the position; None where none were chosen.
-        travels: of presliding.
-    """
-
-    model: DynamicModel
-    steps: tuple[FrictionStep, ...] = ()
-    rounds: int = 0
-    settled: bool = True
+    model: DynamicModel  # with all shapes and the load torque
+    steps: tuple[FrictionStep, ...] = ()  # of complexity that were tried; empty without `--friction auto`
+    rounds: int = 0  # that load torque and shapes took
+    settled: bool = True  # whether they converged
+    # root mean square error of the consistent model on held-out blocks without and with the chosen terms, each motor's
+    # torque over its residual's standard deviation; None where none were chosen
     delivered: tuple[float, float] | None = None
+    # the same on runs left out, without and with terms of the position; None where none were chosen
     by_run: tuple[float, float] | None = None
-    travels: tuple[PreslidingTravel, ...] = ()
+    travels: tuple[PreslidingTravel, ...] = ()  # of presliding
 
 
 @dataclass(frozen=True)
 class Identification:
-    """Everything that an identification holds; `ident.identify.summary` turns it into a Result.
+    """Everything that an identification holds; `ident.identify.summary` turns it into a Result."""
 
-    Attributes:
-        robot_file: the robot it was done for.
-        model: the model.
-        experiment: joints that stood still, motors whose torques were used.
-        base: what such an experiment can identify of the arm.
-        choices: as given, with the cut-offs and the delay that were used.
-        runs, validation_runs: prepared data.
-        delay: the search, where one was made.
-        reduction: the plain equations, reduced.
-        estimation: the full model.
-        corrected: its covariance for autocorrelated residuals.
-        pruned: the essential model.
-        consistent: the physically consistent model; None where none was found.
-        fit_series, validation_series: torques of the full model.
-        fit, validation, essential_fit, essential_validation: errors; validation is None where nothing was held out.
-        validation_source: what was held out, in words.
-        checks: that were raised.
-        friction: what was found of the friction before the regression.
-        shape_std: σ of the friction's free shapes, by kind of their sensitivity and motor.
-        held: friction held at an experiment's values, in no parameter above; None without an experiment.
-        presliding: pre-sliding travels; None where not asked for.
-        held_out: the delivered model on each held-out run.
-        lowered: cut-offs that were lowered because the positions jitter; None where they were not.
-    """
-
-    robot_file: RobotFile
-    model: DynamicModel
-    experiment: Experiment
-    base: BaseParameters
-    choices: IdentifyChoices
+    robot_file: RobotFile  # the robot it was done for
+    model: DynamicModel  # the model
+    experiment: Experiment  # joints that stood still, motors whose torques were used
+    base: BaseParameters  # what such an experiment can identify of the arm
+    choices: IdentifyChoices  # as given, with the cut-offs and the delay that were used
+    # runs, validation_runs: prepared data
     runs: tuple[PreparedRun, ...]
     validation_runs: tuple[PreparedRun, ...]
-    delay: DelaySearch | None
-    reduction: Reduction
-    estimation: Estimation
-    corrected: CorrectedCovariance
-    pruned: Pruned
-    consistent: ConsistentFit | None
+    delay: DelaySearch | None  # the search, where one was made
+    reduction: Reduction  # the plain equations, reduced
+    estimation: Estimation  # the full model
+    corrected: CorrectedCovariance  # its covariance for autocorrelated residuals
+    pruned: Pruned  # the essential model
+    consistent: ConsistentFit | None  # the physically consistent model; None where none was found
+    # fit_series, validation_series: torques of the full model
     fit_series: tuple[TorqueSeries, ...]
     validation_series: tuple[TorqueSeries, ...]
+    # fit, validation, essential_fit, essential_validation: errors; validation is None where nothing was held out
     fit: Fit
     validation: Fit
     essential_fit: Fit
     essential_validation: Fit
-    validation_source: str
-    checks: tuple[Check, ...]
-    friction: FrictionFit
-    shape_std: dict[tuple[str, int], float]
+    validation_source: str  # what was held out, in words
+    checks: tuple[Check, ...]  # that were raised
+    friction: FrictionFit  # what was found of the friction before the regression
+    shape_std: dict[tuple[str, int], float]  # σ of the friction's free shapes, by kind of their sensitivity and motor
+    # friction held at an experiment's values, in no parameter above; None without an experiment
     held: HeldFriction | None = None
-    presliding: Presliding | None = None
+    presliding: Presliding | None = None  # pre-sliding travels; None where not asked for
+    # cut-offs that were lowered because the positions jitter; None where they were not
     lowered: LoweredCutoffs | None = None
-    held_out: tuple[HeldOutRun, ...] = ()
+    held_out: tuple[HeldOutRun, ...] = ()  # the delivered model on each held-out run
 
     @property
     def delivered_fit(self) -> Fit:

@@ -23,26 +23,19 @@ PARTS: tuple[TorquePart, ...] = get_args(TorquePart)
 
 @dataclass(frozen=True, eq=False)
 class SegmentPrediction:
-    """The torques of one gap-free segment, N samples of n joints, at the joints.
+    """The torques of one gap-free segment, N samples of n joints, at the joints."""
 
-    Attributes:
-        time: (N,) the recording's clock [s].
-        rate: [Hz].
-        position, velocity, acceleration: (N, n) low-passed as at the identification [rad, rad/s, rad/s² or m…].
-        parts: (N, n) of each part [N·m or N]; their sum is the prediction.
-        std: (N, n) standard deviation σ of the prediction from that of the parameters [N·m or N].
-        measured: (N, n) recorded torque, shifted by the delay, not filtered; None where none was recorded [N·m or N].
-        residual: (N, n) measured minus predicted, both through the torque filter of the identification; None likewise.
-    """
-
-    time: FloatArray
-    rate: float
+    time: FloatArray  # (N,) the recording's clock [s]
+    rate: float  # [Hz]
+    # position, velocity, acceleration: (N, n) low-passed as at the identification [rad, rad/s, rad/s² or m…]
     position: FloatArray
     velocity: FloatArray
     acceleration: FloatArray
-    parts: dict[TorquePart, FloatArray]
-    std: FloatArray
+    parts: dict[TorquePart, FloatArray]  # (N, n) of each part [N·m or N]; their sum is the prediction
+    std: FloatArray  # (N, n) standard deviation σ of the prediction from that of the parameters [N·m or N]
+    # (N, n) recorded torque, shifted by the delay, not filtered; None where none was recorded [N·m or N]
     measured: FloatArray | None
+    # (N, n) measured minus predicted, both through the torque filter of the identification; None likewise
     residual: FloatArray | None
 
     @property
@@ -53,22 +46,15 @@ class SegmentPrediction:
 
 @dataclass(frozen=True, eq=False)
 class RecordingPrediction:
-    """All segments of a recording.
+    """All segments of a recording."""
 
-    Attributes:
-        segments: in order of time.
-        noise: (n,) standard deviation of the filtered torque's residual at the identification [N·m or N]; None where
-            the result does not know it of every joint.
-        torque_origin: where the recorded torque comes from; empty where none was recorded.
-        steps: how the recording was processed, a sentence per step.
-        presliding: whether dry friction follows Dahl's model near velocity reversals.
-    """
-
-    segments: tuple[SegmentPrediction, ...]
+    segments: tuple[SegmentPrediction, ...]  # in order of time
+    # (n,) standard deviation of the filtered torque's residual at the identification [N·m or N]; None where the result
+    # does not know it of every joint
     noise: FloatArray | None
-    torque_origin: str
-    steps: tuple[str, ...]
-    presliding: bool
+    torque_origin: str  # where the recorded torque comes from; empty where none was recorded
+    steps: tuple[str, ...]  # how the recording was processed, a sentence per step
+    presliding: bool  # whether dry friction follows Dahl's model near velocity reversals
 
 
 def predict_recording(model: Model, robot_file: RobotFile, recording: Recording) -> RecordingPrediction:

@@ -26,19 +26,14 @@ from ident.signals.prepared import Prepared, Step
 
 @dataclass(frozen=True)
 class PreparedData:
-    """All data, ready for the estimator.
+    """All data, ready for the estimator."""
 
-    Attributes:
-        runs, validation_runs: to identify from, and held out.
-        delay: the search, where one was made.
-        choices: of all recordings, cut-offs and delay filled in.
-        lowered: cut-offs that were lowered because the positions jitter; None where they were not.
-    """
-
+    # runs, validation_runs: to identify from, and held out
     runs: tuple[PreparedRun, ...]
     validation_runs: tuple[PreparedRun, ...]
-    delay: DelaySearch | None
-    choices: PreprocessChoices
+    delay: DelaySearch | None  # the search, where one was made
+    choices: PreprocessChoices  # of all recordings, cut-offs and delay filled in
+    # cut-offs that were lowered because the positions jitter; None where they were not
     lowered: LoweredCutoffs | None = None
 
 

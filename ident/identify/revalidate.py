@@ -35,18 +35,14 @@ from ident.verdict.verdict import Verdict
 
 @dataclass(frozen=True)
 class Revalidation:
-    """Torques of the full, the essential and the physically consistent model beside those of a recording.
+    """Torques of the full, the essential and the physically consistent model beside those of a recording."""
 
-    Attributes:
-        series, essential_series: of the full and of the essential model.
-        consistent_series: of the physically consistent one; None where the result holds none.
-        delivered: the model that is handed out by default, in motion and over all samples, and simulated.
-    """
-
+    # series, essential_series: of the full and of the essential model
     series: tuple[TorqueSeries, ...]
     essential_series: tuple[TorqueSeries, ...]
+    # of the physically consistent one; None where the result holds none
     consistent_series: tuple[TorqueSeries, ...] | None
-    delivered: HeldOutRun
+    delivered: HeldOutRun  # the model that is handed out by default, in motion and over all samples, and simulated
 
     @property
     def full(self) -> Fit:

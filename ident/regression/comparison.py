@@ -21,25 +21,17 @@ from ident.signals.prepared import Segment
 
 @dataclass(frozen=True)
 class TorqueSeries:
-    """Filtered torques of one gap-free segment.
+    """Filtered torques of one gap-free segment."""
 
-    Attributes:
-        time: (M,) [s].
-        measured: (n, M) [N·m].
-        predicted: (n, M) [N·m]; nan for joints whose torque the model does not predict.
-        velocity: (n, M) [rad/s or m/s].
-        used: (M,) whether the sample counts (the arm moves).
-        resting: (n, M) motors at rest, whose static friction is in no model; None where not determined.
-        weights: (n, M) by how much each equation counted in a robust estimate, 0 to 1; nan where it took no part. None
-            where all counted alike.
-    """
-
-    time: FloatArray
-    measured: FloatArray
-    predicted: FloatArray
-    velocity: FloatArray
-    used: npt.NDArray[np.bool_]
+    time: FloatArray  # (M,) [s]
+    measured: FloatArray  # (n, M) [N·m]
+    predicted: FloatArray  # (n, M) [N·m]; nan for joints whose torque the model does not predict
+    velocity: FloatArray  # (n, M) [rad/s or m/s]
+    used: npt.NDArray[np.bool_]  # (M,) whether the sample counts (the arm moves)
+    # (n, M) motors at rest, whose static friction is in no model; None where not determined
     resting: npt.NDArray[np.bool_] | None = None
+    # (n, M) by how much each equation counted in a robust estimate, 0 to 1; nan where it took no part. None where all
+    # counted alike.
     weights: FloatArray | None = None
 
     @property

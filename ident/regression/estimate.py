@@ -20,31 +20,23 @@ from ident.regression.observation_matrix import Reduction
 
 @dataclass(frozen=True)
 class Estimate:
-    """Estimated base parameters; a of the b base parameters of the experiment.
+    """Estimated base parameters; a of the b base parameters of the experiment."""
 
-    Attributes:
-        active: (a,) indices of the estimated base parameters.
-        values: (a,).
-        root: (a, a) upper triangular; rootᵀ·root is the inverse of the covariance for white residuals, and weighs the
-            estimate among others.
-        covariance: (a, a) corrected for autocorrelated residuals.
-        taken_up: (a, b − a) how much of each base parameter without a value each estimated one absorbs, since the data
-            confound them.
-        blocks: of the jackknife behind the covariance.
-        within: (a, a) covariance without what changes between runs and for the friction's shapes as estimated, where
-            `covariance` holds these, too; else None.
-        shapes: kind and motor of the friction's estimated shapes (s,).
-        shape_covariance: (s, a + s) of these, as parameters of their sensitivities, with the values and each other.
-    """
-
-    active: tuple[int, ...]
-    values: FloatArray
+    active: tuple[int, ...]  # (a,) indices of the estimated base parameters
+    values: FloatArray  # (a,)
+    # (a, a) upper triangular; rootᵀ·root is the inverse of the covariance for white residuals, and weighs the estimate
+    # among others
     root: FloatArray
-    covariance: FloatArray
+    covariance: FloatArray  # (a, a) corrected for autocorrelated residuals
+    # (a, b − a) how much of each base parameter without a value each estimated one absorbs, since the data confound
+    # them
     taken_up: FloatArray
-    blocks: int
+    blocks: int  # of the jackknife behind the covariance
+    # (a, a) covariance without what changes between runs and for the friction's shapes as estimated, where `covariance`
+    # holds these, too; else None
     within: FloatArray | None = None
-    shapes: tuple[tuple[str, int], ...] = ()
+    shapes: tuple[tuple[str, int], ...] = ()  # kind and motor of the friction's estimated shapes (s,)
+    # (s, a + s) of these, as parameters of their sensitivities, with the values and each other
     shape_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     def combinations(self, projection: FloatArray) -> FloatArray:

@@ -21,17 +21,11 @@ FEWEST_EXTRA_BLOCKS = 5
 
 @stored(frozen=True)
 class SignificanceTest:
-    """A comparison of two sets of values that should differ by noise only.
+    """A comparison of two sets of values that should differ by noise only."""
 
-    Attributes:
-        statistic: χ² (Hotelling's T²), the squared difference in its own standard deviations.
-        freedom: its degrees of freedom.
-        p_value: probability of a larger statistic from noise alone.
-    """
-
-    statistic: float
-    freedom: int
-    p_value: float
+    statistic: float  # χ² (Hotelling's T²), the squared difference in its own standard deviations
+    freedom: int  # its degrees of freedom
+    p_value: float  # probability of a larger statistic from noise alone
 
     @computed_field  # type: ignore[prop-decorator]
     @property

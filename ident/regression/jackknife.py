@@ -41,38 +41,26 @@ MOST_BLOCKS = 300
 
 @dataclass(frozen=True)
 class CorrectedCovariance:
-    """Jackknife covariance of the active parameters.
+    """Jackknife covariance of the active parameters."""
 
-    Attributes:
-        covariance: (a, a); inf on the diagonal where one block alone determines a parameter.
-        block_length: samples per block, after filtering.
-        blocks: number of blocks B.
-        autocorrelation: (n,) lag-one autocorrelation of each joint's residual.
-        effective_rows: number of independent rows that the residuals are worth.
-        repetitions: how often the motion was repeated, on average; 1 where it was not.
-        random_std: (a,) σ by the jackknife alone, where `covariance` holds more (`systematic_errors`); else None.
-        repeatability: (a,) σ of friction between runs, part of `covariance` (`repeatability`); nan of bodies, None
-            where it is not known.
-        within: (a, a) covariance without what changes between runs and for the friction's shapes as estimated, where
-            `covariance` holds these, too; else None.
-        curvature: (a,) σ that uncertain shapes of friction add beyond the first order, which is all that `covariance`
-            holds; None where nothing was added.
-        shapes: kind and motor of the friction's free shapes (s,).
-        shape_covariance: (s, a + s) of these, as parameters of their sensitivities, with the parameters and with each
-            other.
-    """
-
-    covariance: FloatArray
-    block_length: int
-    blocks: int
-    autocorrelation: FloatArray
-    effective_rows: float
-    repetitions: float
+    covariance: FloatArray  # (a, a); inf on the diagonal where one block alone determines a parameter
+    block_length: int  # samples per block, after filtering
+    blocks: int  # number of blocks B
+    autocorrelation: FloatArray  # (n,) lag-one autocorrelation of each joint's residual
+    effective_rows: float  # number of independent rows that the residuals are worth
+    repetitions: float  # how often the motion was repeated, on average; 1 where it was not
+    # (a,) σ by the jackknife alone, where `covariance` holds more (`systematic_errors`); else None
     random_std: FloatArray | None = None
+    # (a,) σ of friction between runs, part of `covariance` (`repeatability`); nan of bodies, None where it is not known
     repeatability: FloatArray | None = None
+    # (a, a) covariance without what changes between runs and for the friction's shapes as estimated, where `covariance`
+    # holds these, too; else None
     within: FloatArray | None = None
+    # (a,) σ that uncertain shapes of friction add beyond the first order, which is all that `covariance` holds; None
+    # where nothing was added
     curvature: FloatArray | None = None
-    shapes: tuple[tuple[str, int], ...] = ()
+    shapes: tuple[tuple[str, int], ...] = ()  # kind and motor of the friction's free shapes (s,)
+    # (s, a + s) of these, as parameters of their sensitivities, with the parameters and with each other
     shape_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
 
@@ -87,18 +75,13 @@ class FilteredRun:
 
 @dataclass(frozen=True)
 class DistinctSamples:
-    """Filtered samples counted along the motion, repeated phases having the same index.
+    """Filtered samples counted along the motion, repeated phases having the same index."""
 
-    Attributes:
-        indices: for each series (M,), without holes over the samples that count; blocks are runs of these indices.
-            Different motions never share an index.
-        count: of different samples that count.
-        share: of these among all samples that count.
-    """
-
+    # for each series (M,), without holes over the samples that count; blocks are runs of these indices. Different
+    # motions never share an index.
     indices: tuple[npt.NDArray[np.int64], ...]
-    count: int
-    share: float
+    count: int  # of different samples that count
+    share: float  # of these among all samples that count
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,17 +112,11 @@ class BlockSums:
 
 @dataclass(frozen=True, eq=False)
 class MotionBlocks:
-    """The blocks of a motion's filtered samples, as long as the residuals' memory.
+    """The blocks of a motion's filtered samples, as long as the residuals' memory."""
 
-    Attributes:
-        samples: counted along the motion.
-        length: of a block [filtered samples].
-        autocorrelation: (n,) of the residuals at lag one.
-    """
-
-    samples: DistinctSamples
-    length: int
-    autocorrelation: FloatArray
+    samples: DistinctSamples  # counted along the motion
+    length: int  # of a block [filtered samples]
+    autocorrelation: FloatArray  # (n,) of the residuals at lag one
 
     @property
     def count(self) -> int:
@@ -296,19 +273,12 @@ def block_count(samples: int, length: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class BlockRows:
-    """Consecutive samples of one block.
+    """Consecutive samples of one block."""
 
-    Attributes:
-        index: of the block.
-        samples: (m,) which of the segment's filtered samples.
-        regressor: (kernel.row_count, m) packed rows; valid until the next ones are requested.
-        torque: (k, m) filtered; valid as long.
-    """
-
-    index: int
-    samples: npt.NDArray[np.int64]
-    regressor: FloatArray
-    torque: FloatArray
+    index: int  # of the block
+    samples: npt.NDArray[np.int64]  # (m,) which of the segment's filtered samples
+    regressor: FloatArray  # (kernel.row_count, m) packed rows; valid until the next ones are requested
+    torque: FloatArray  # (k, m) filtered; valid as long
 
 
 def rows_by_block(

@@ -32,38 +32,23 @@ WLS_ITERATIONS = 100
 
 @dataclass(frozen=True)
 class LeastSquares:
-    """A least-squares solution.
+    """A least-squares solution."""
 
-    Attributes:
-        method: name of the fit and its weighting.
-        active: indices of the base columns that were estimated.
-        parameters: (b,) base parameters; 0 for those that were not estimated.
-        covariance: (a, a) of the active ones, residuals assumed white (SR400 eq. 14).
-        inverse: (a, a) inverse of the (weighted) normal matrix.
-        weights: (n,) what each joint's rows were multiplied with, 0 without rows; (1,) where all rows form one factor.
-        joint_std: (n,) standard deviation of each joint's residual [N·m], 0 without rows; (1,) of the energy's [J] or
-            power's [W].
-        rows: r, the number of equations.
-        condition: of the active columns as they are (weighted), SR400's criterion.
-        scaled_condition: the same with columns of unit length.
-        residual_sum: Σ ρ² of the weighted system.
-        iterations: of the weights; 1 for OLS.
-        settled: whether the weights converged; else these are the last iterate's.
-    """
-
-    method: str
-    active: tuple[int, ...]
-    parameters: FloatArray
-    covariance: FloatArray
-    inverse: FloatArray
+    method: str  # name of the fit and its weighting
+    active: tuple[int, ...]  # indices of the base columns that were estimated
+    parameters: FloatArray  # (b,) base parameters; 0 for those that were not estimated
+    covariance: FloatArray  # (a, a) of the active ones, residuals assumed white (SR400 eq. 14).
+    inverse: FloatArray  # (a, a) inverse of the (weighted) normal matrix
+    # (n,) what each joint's rows were multiplied with, 0 without rows; (1,) where all rows form one factor
     weights: FloatArray
+    # (n,) standard deviation of each joint's residual [N·m], 0 without rows; (1,) of the energy's [J] or power's [W]
     joint_std: FloatArray
-    rows: int
-    condition: float
-    scaled_condition: float
-    residual_sum: float
-    iterations: int
-    settled: bool = True
+    rows: int  # r, the number of equations
+    condition: float  # of the active columns as they are (weighted), SR400's criterion
+    scaled_condition: float  # the same with columns of unit length
+    residual_sum: float  # Σ ρ² of the weighted system
+    iterations: int  # of the weights; 1 for OLS
+    settled: bool = True  # whether the weights converged; else these are the last iterate's
 
     @property
     def std(self) -> FloatArray:
@@ -162,19 +147,12 @@ def solve_weighted(
 
 @dataclass(frozen=True)
 class _System:
-    """A weighted system of the active columns, and its solution: all that iterated weights need.
+    """A weighted system of the active columns, and its solution: all that iterated weights need."""
 
-    Attributes:
-        square: R (a, a).
-        lengths: of its columns (a,).
-        parameters: (b,).
-        residual_sum: Σ ρ².
-    """
-
-    square: FloatArray
-    lengths: FloatArray
-    parameters: FloatArray
-    residual_sum: float
+    square: FloatArray  # R (a, a)
+    lengths: FloatArray  # of its columns (a,)
+    parameters: FloatArray  # (b,)
+    residual_sum: float  # Σ ρ²
 
 
 def _solved(reduction: Reduction, active: tuple[int, ...], weights: FloatArray) -> _System:

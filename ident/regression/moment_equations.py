@@ -30,39 +30,24 @@ from ident.signals.prepared import Segment
 
 @dataclass(frozen=True, eq=False)
 class MomentRows:
-    """Consecutive equations of one motor.
+    """Consecutive equations of one motor."""
 
-    Attributes:
-        motor: index.
-        samples: (m,) which of the segment's filtered samples they are.
-        columns: (k,) base columns that are not structurally zero in them.
-        instruments: (k, m).
-        regressor: (k, m).
-        torque: (m,) [N·m].
-    """
-
-    motor: int
-    samples: npt.NDArray[np.int64]
-    columns: tuple[int, ...]
-    instruments: FloatArray
-    regressor: FloatArray
-    torque: FloatArray
+    motor: int  # index
+    samples: npt.NDArray[np.int64]  # (m,) which of the segment's filtered samples they are
+    columns: tuple[int, ...]  # (k,) base columns that are not structurally zero in them
+    instruments: FloatArray  # (k, m)
+    regressor: FloatArray  # (k, m)
+    torque: FloatArray  # (m,) [N·m]
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentRows:
-    """A segment's equations, with instruments from another motion.
+    """A segment's equations, with instruments from another motion."""
 
-    Attributes:
-        kernel: of the base columns.
-        segment: motion and torque.
-        parallel_filter: for τ, W and Z.
-        instruments: the same samples of a motion whose regressor is Z; the segment itself where None.
-    """
-
-    kernel: RegressorKernel
-    segment: Segment
-    parallel_filter: ZeroPhaseFilter
+    kernel: RegressorKernel  # of the base columns
+    segment: Segment  # motion and torque
+    parallel_filter: ZeroPhaseFilter  # for τ, W and Z
+    # the same samples of a motion whose regressor is Z; the segment itself where None
     instruments: Segment | None = None
 
     def __iter__(self) -> Iterator[MomentRows]:

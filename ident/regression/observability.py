@@ -49,17 +49,12 @@ that only this small angle separates are confounded with an error of the angle."
 
 @dataclass(frozen=True)
 class Experiment:
-    """Conditions of a set of recordings: locked joints and used torques.
+    """Conditions of a set of recordings: locked joints and used torques."""
 
-    Attributes:
-        locked: indices of the joints with a motor that rested throughout.
-        poses: their positions, one entry (len(locked),) for each pose that was recorded [rad or m].
-        torques: indices of the motors whose torque equations are used.
-    """
-
-    locked: tuple[int, ...]
+    locked: tuple[int, ...]  # indices of the joints with a motor that rested throughout
+    # their positions, one entry (len(locked),) for each pose that was recorded [rad or m]
     poses: tuple[tuple[float, ...], ...]
-    torques: tuple[int, ...]
+    torques: tuple[int, ...]  # indices of the motors whose torque equations are used
 
 
 def whole_arm(model: DynamicModel) -> Experiment:

@@ -37,36 +37,22 @@ CONDITION_SAMPLES = 1000
 
 @dataclass(frozen=True)
 class JointFactor:
-    """One joint's rows of the system.
+    """One joint's rows of the system."""
 
-    Attributes:
-        columns: indices of the base columns that are not structurally zero in them.
-        factor: (k, len(columns) + m); the last m columns belong to the m torques.
-        rows: how many rows it replaces.
-    """
-
-    columns: tuple[int, ...]
-    factor: FloatArray
-    rows: int
+    columns: tuple[int, ...]  # indices of the base columns that are not structurally zero in them
+    factor: FloatArray  # (k, len(columns) + m); the last m columns belong to the m torques
+    rows: int  # how many rows it replaces
 
 
 @dataclass(frozen=True)
 class Reduction:
-    """The whole system, joint by joint.
+    """The whole system, joint by joint."""
 
-    Attributes:
-        joints: one factor per joint; a single one for the whole arm where its energy is balanced.
-        column_count: number of base columns b.
-        torque_count: number of torques m, all reduced alike (1, but for a search of the delay: τ and its derivative).
-        samples: number of filtered samples that went in.
-        method: how the factors were built, in words.
-    """
-
-    joints: tuple[JointFactor, ...]
-    column_count: int
-    torque_count: int
-    samples: int
-    method: str
+    joints: tuple[JointFactor, ...]  # one factor per joint; a single one for the whole arm where its energy is balanced
+    column_count: int  # number of base columns b
+    torque_count: int  # number of torques m, all reduced alike (1, but for a search of the delay: τ and its derivative)
+    samples: int  # number of filtered samples that went in
+    method: str  # how the factors were built, in words
 
     @property
     def rows(self) -> int:
@@ -140,18 +126,13 @@ def stack_reductions(reductions: Sequence[Reduction]) -> Reduction:
 
 @dataclass(frozen=True)
 class FilteredSamples:
-    """Consecutive filtered samples.
+    """Consecutive filtered samples."""
 
-    Attributes:
-        regressor: (kernel.row_count, m) packed rows; samples at rest are there, see `used`. 0 at velocity reversals.
-        torque: as `torques`, filtered; 0 at velocity reversals.
-        used: (m,) whether the sample takes part.
-        reversing: (n, m) motors near a velocity reversal, whose equation takes no part; None where all do.
-    """
-
+    # (kernel.row_count, m) packed rows; samples at rest are there, see `used`. 0 at velocity reversals.
     regressor: FloatArray
-    torque: FloatArray
-    used: npt.NDArray[np.bool_]
+    torque: FloatArray  # as `torques`, filtered; 0 at velocity reversals
+    used: npt.NDArray[np.bool_]  # (m,) whether the sample takes part
+    # (n, m) motors near a velocity reversal, whose equation takes no part; None where all do
     reversing: npt.NDArray[np.bool_] | None
 
     def counts(self, motor: int) -> npt.NDArray[np.bool_]:

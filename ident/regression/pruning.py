@@ -28,17 +28,11 @@ F_LEVEL = 0.05
 
 @dataclass(frozen=True)
 class Pruned:
-    """The essential model.
+    """The essential model."""
 
-    Attributes:
-        solution: refitted with the essential parameters only.
-        dropped: indices of the base columns left out, in the order of their removal.
-        stopped_by: why the elimination ended, in words.
-    """
-
-    solution: LeastSquares
-    dropped: tuple[int, ...]
-    stopped_by: str
+    solution: LeastSquares  # refitted with the essential parameters only
+    dropped: tuple[int, ...]  # indices of the base columns left out, in the order of their removal
+    stopped_by: str  # why the elimination ended, in words
 
 
 def relative_std(parameters: FloatArray, std: FloatArray) -> FloatArray:

@@ -39,19 +39,12 @@ FEWEST_BLOCKS = 5
 
 @dataclass(frozen=True, eq=False)
 class RunDeviations:
-    """How far single runs move f friction parameters, R runs; nan where a run says nothing of a parameter.
+    """How far single runs move f friction parameters, R runs; nan where a run says nothing of a parameter."""
 
-    Attributes:
-        values: (R, f) deviation from the parameters of all runs.
-        variances: (R, f) of these, within the run.
-        sizes: (f,) of the friction that a parameter belongs to, in its unit.
-        kinds: (f,) of the parameters.
-    """
-
-    values: FloatArray
-    variances: FloatArray
-    sizes: FloatArray
-    kinds: tuple[str, ...]
+    values: FloatArray  # (R, f) deviation from the parameters of all runs
+    variances: FloatArray  # (R, f) of these, within the run
+    sizes: FloatArray  # (f,) of the friction that a parameter belongs to, in its unit
+    kinds: tuple[str, ...]  # (f,) of the parameters
 
 
 def repeatability(runs: RunDeviations) -> tuple[FloatArray, FloatArray]:

@@ -26,21 +26,14 @@ SETTLED_RESIDUAL = 1e-9
 
 @dataclass(frozen=True)
 class NullVector:
-    """Solution, with the known unknown at 1.
+    """Solution, with the known unknown at 1."""
 
-    Attributes:
-        factors: (n,) g.
-        unknowns: (a,) z.
-        singular: (n,) of the scaled rest of the signals, falling; the last one is about 1 where the model is right.
-        weights: (n,) what each block's rows were multiplied with.
-        scale: (n,) what each signal's column was multiplied with.
-    """
-
-    factors: FloatArray
-    unknowns: FloatArray
+    factors: FloatArray  # (n,) g
+    unknowns: FloatArray  # (a,) z
+    # (n,) of the scaled rest of the signals, falling; the last one is about 1 where the model is right
     singular: FloatArray
-    weights: FloatArray
-    scale: FloatArray
+    weights: FloatArray  # (n,) what each block's rows were multiplied with
+    scale: FloatArray  # (n,) what each signal's column was multiplied with
 
     @property
     def gap(self) -> float:

@@ -57,38 +57,26 @@ class JointPositions:
 class JointSignals:
     """One recording's joint signals, stale rows left out, outliers replaced; N samples, n joints in robot order.
 
-    Attributes:
-        label: name of the recording in messages; may be empty.
-        joint_names: (n,).
-        time: (N,) the source's clock [s].
-        position: (N, n) [rad or m].
-        torque: (N, n) of the motors, referred to the joint side [N·m or N].
-        torque_origin: origin of the torque, in words.
-        gains_used: names of the joints whose drive gain made the torque out of what was recorded.
-        velocity: (N, n) [rad/s or m/s]; None where it was not recorded.
-        replaced: outliers in place of which stands what their neighbours say.
-        temperature: (N, n) of the joints [K], nan for joints without a sensor; None where none was recorded.
-        target: (N, n) positions that the controller aimed at [rad or m], nan where no number; None where not recorded.
-        stale: rows that were left out because they were not measured anew; None where there were none.
-        sliding: whether each joint slides, for the units of messages; empty where all turn.
-
     Raises:
         DataError: a value is not finite; names the first such sample and its joint.
     """
 
-    label: str
-    joint_names: tuple[str, ...]
-    time: FloatArray
-    position: FloatArray
-    torque: FloatArray
-    torque_origin: str
-    velocity: FloatArray | None = None
-    gains_used: tuple[str, ...] = ()
-    replaced: tuple[ReplacedSamples, ...] = ()
+    label: str  # name of the recording in messages; may be empty
+    joint_names: tuple[str, ...]  # (n,)
+    time: FloatArray  # (N,) the source's clock [s]
+    position: FloatArray  # (N, n) [rad or m]
+    torque: FloatArray  # (N, n) of the motors, referred to the joint side [N·m or N]
+    torque_origin: str  # origin of the torque, in words
+    velocity: FloatArray | None = None  # (N, n) [rad/s or m/s]; None where it was not recorded
+    gains_used: tuple[str, ...] = ()  # names of the joints whose drive gain made the torque out of what was recorded
+    replaced: tuple[ReplacedSamples, ...] = ()  # outliers in place of which stands what their neighbours say
+    # (N, n) of the joints [K], nan for joints without a sensor; None where none was recorded
     temperature: FloatArray | None = None
+    # (N, n) positions that the controller aimed at [rad or m], nan where no number; None where not recorded
     target: FloatArray | None = None
+    # rows that were left out because they were not measured anew; None where there were none
     stale: StaleSamples | None = None
-    sliding: tuple[bool, ...] = ()
+    sliding: tuple[bool, ...] = ()  # whether each joint slides, for the units of messages; empty where all turn
 
     def __post_init__(self) -> None:
         optional = {} if self.velocity is None else {"velocity": self.velocity}

@@ -145,16 +145,13 @@ class WindowOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class PreprocessChoices(WindowOptions, FilterOptions):
-    """The user's choices with what the preprocessing finds.
+    """The user's choices with what the preprocessing finds."""
 
-    Attributes:
-        delay: τ(t + delay) is compared with q(t) [s]; positive where the torque lags.
-        joint_delays: (n,) the same for each joint, in place of `delay`, where joints differ.
-        joint_cutoffs: (n,) of each joint's Kalman smoother [Hz]; from its noise levels where None.
-        rest_velocity: all joints slower than this are at rest [rad/s or m/s]; from the data where None.
-    """
-
+    # τ(t + delay) is compared with q(t) [s]; positive where the torque lags
     delay: float = option(0.0, flag="delay", allowed=DELAY, hint="it is in seconds")
+    # (n,) the same for each joint, in place of `delay`, where joints differ
     joint_delays: tuple[float, ...] | None = option(None, flag="joint_delays", allowed=DELAY, hint="it is in seconds")
+    # (n,) of each joint's Kalman smoother [Hz]; from its noise levels where None
     joint_cutoffs: tuple[float, ...] | None = option(None, flag="joint_cutoffs", allowed=CUTOFF, hint=_CUTOFF_HINT)
+    # all joints slower than this are at rest [rad/s or m/s]; from the data where None
     rest_velocity: float | None = option(None, flag="rest_velocity", allowed=VELOCITY_LIMIT)

@@ -18,17 +18,11 @@ from ident.signals.resampling import Irregularity
 
 @stored(frozen=True)
 class Step:
-    """One step of the pipeline as it was done; for people only, nothing is computed from it.
+    """One step of the pipeline as it was done; for people only, nothing is computed from it."""
 
-    Attributes:
-        name: of the step.
-        settings: the numbers that it ran with.
-        text: one printable sentence.
-    """
-
-    name: str
-    settings: Mapping[str, float | int | str | bool | None]
-    text: str
+    name: str  # of the step
+    settings: Mapping[str, float | int | str | bool | None]  # the numbers that it ran with
+    text: str  # one printable sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,36 +36,26 @@ class SmoothMotion:
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """Consecutive samples without gaps on a uniform grid.
+    """Consecutive samples without gaps on a uniform grid."""
 
-    Attributes:
-        time: (N,) [s], in the recording's clock.
-        position: (n, N) low-passed [rad or m].
-        velocity: (n, N) [rad/s or m/s].
-        acceleration: (n, N) [rad/s² or m/s²].
-        torque: (n, N) joint side, shifted by the delay, not filtered but for a decimation [N·m or N].
-        rate: [Hz].
-        used: (N,) whether the sample counts: in a window with motion, away from the ends.
-        reversing: (n, N) motors near a velocity reversal, whose equations are left out (see `velocity_reversals`);
-            None where all equations are used.
-        resting: (n, N) motors at rest, among those of `reversing`; their torque is not compared with a prediction
-            either (see `velocity_reversals`). None where not determined.
-        temperature: (n, N) of the joints [K], nan for joints without a sensor; None where none was recorded.
-        known_torque: (n, N) friction known beforehand, which was taken off `torque` [N·m or N]; None where none was.
-        target: motion that the controller aimed at, smoothed like the positions; None where it was not recorded.
-    """
-
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    torque: FloatArray
-    rate: float
-    used: npt.NDArray[np.bool_]
+    time: FloatArray  # (N,) [s], in the recording's clock
+    position: FloatArray  # (n, N) low-passed [rad or m]
+    velocity: FloatArray  # (n, N) [rad/s or m/s]
+    acceleration: FloatArray  # (n, N) [rad/s² or m/s²]
+    torque: FloatArray  # (n, N) joint side, shifted by the delay, not filtered but for a decimation [N·m or N]
+    rate: float  # [Hz]
+    used: npt.NDArray[np.bool_]  # (N,) whether the sample counts: in a window with motion, away from the ends
+    # (n, N) motors near a velocity reversal, whose equations are left out (see `velocity_reversals`); None where all
+    # equations are used
     reversing: npt.NDArray[np.bool_] | None = None
+    # (n, N) motors at rest, among those of `reversing`; their torque is not compared with a prediction either (see
+    # `velocity_reversals`). None where not determined.
     resting: npt.NDArray[np.bool_] | None = None
+    # (n, N) of the joints [K], nan for joints without a sensor; None where none was recorded
     temperature: FloatArray | None = None
+    # (n, N) friction known beforehand, which was taken off `torque` [N·m or N]; None where none was
     known_torque: FloatArray | None = None
+    # motion that the controller aimed at, smoothed like the positions; None where it was not recorded
     target: SmoothMotion | None = None
 
 

@@ -31,30 +31,22 @@ class Obeying(Protocol):
 
 @dataclass(frozen=True)
 class Bench:
-    """Both ends of a connection.
+    """Both ends of a connection."""
 
-    Attributes:
-        clock: of both.
-        driver: makes a driver, closed.
-        device: makes the device, which runs while its context is entered; once more after it was left.
-        truth: quantity → (n,) what the running device's sensors hold now, in dynid's units, a column as the driver's.
-        tolerances: quantity → how far a sample may be from the truth.
-        idle: quantities that the device reports as they are while nobody has control of it; drives that are not enabled
-            draw no current, whatever the arm weighs.
-        lose: typed fault that loses a few samples.
-        fall_silent: typed fault after which nothing comes for a minute.
-        babble: typed fault that sends nonsense.
-    """
-
-    clock: SimulatedClock
-    driver: Callable[[], Driver]
+    clock: SimulatedClock  # of both
+    driver: Callable[[], Driver]  # makes a driver, closed
+    # makes the device, which runs while its context is entered; once more after it was left
     device: Callable[[], AbstractContextManager[Obeying]]
+    # quantity → (n,) what the running device's sensors hold now, in dynid's units, a column as the driver's
     truth: Callable[[], Mapping[str, FloatArray]]
+    # quantity → how far a sample may be from the truth
     tolerances: Mapping[str, float] = field(default_factory=lambda: TOLERANCES)
+    # quantities that the device reports as they are while nobody has control of it; drives that are not enabled draw no
+    # current, whatever the arm weighs
     idle: tuple[str, ...] = tuple(TOLERANCES)
-    lose: str = "drop 3"
-    fall_silent: str = "freeze 60"
-    babble: str = "garbage 20"
+    lose: str = "drop 3"  # typed fault that loses a few samples
+    fall_silent: str = "freeze 60"  # typed fault after which nothing comes for a minute
+    babble: str = "garbage 20"  # typed fault that sends nonsense
 
 
 @contextmanager

@@ -27,17 +27,11 @@ GIVEN, ASSUMED = "robot file", "assumed"
 
 @dataclass(frozen=True)
 class Armature:
-    """Inertia of a motor, on the side of its joint, that is in no measured torque.
+    """Inertia of a motor, on the side of its joint, that is in no measured torque."""
 
-    Attributes:
-        joint: its name.
-        value: [kg·m² or kg].
-        source: "robot file" or "assumed".
-    """
-
-    joint: str
-    value: float
-    source: str
+    joint: str  # its name
+    value: float  # [kg·m² or kg]
+    source: str  # "robot file" or "assumed"
 
 
 def armatures(model: DynamicModel, robot: Robot, columns: Sequence[int], values: FloatArray) -> tuple[Armature, ...]:

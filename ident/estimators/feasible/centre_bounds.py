@@ -43,19 +43,12 @@ _AROUND = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (
 
 @dataclass(frozen=True)
 class CentreBound:
-    """The centre of mass c of a link, in the frame of its joint: normals @ c ≤ offsets.
+    """The centre of mass c of a link, in the frame of its joint: normals @ c ≤ offsets."""
 
-    Attributes:
-        link: its index.
-        name: the key of the robot file.
-        normals: (f, 3) of length 1; the first six are those of a box, −x, −y, −z, x, y, z.
-        offsets: (f,) [m].
-    """
-
-    link: int
-    name: str
-    normals: FloatArray
-    offsets: FloatArray
+    link: int  # its index
+    name: str  # the key of the robot file
+    normals: FloatArray  # (f, 3) of length 1; the first six are those of a box, −x, −y, −z, x, y, z
+    offsets: FloatArray  # (f,) [m]
 
 
 def centre_bounds(model: DynamicModel, robot_file: RobotFile) -> Iterator[CentreBound]:

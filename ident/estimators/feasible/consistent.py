@@ -44,75 +44,44 @@ NAMED_SHARE = 0.25
 
 @dataclass(frozen=True)
 class ConsistentParameters:
-    """Standard parameters of bodies that can exist.
+    """Standard parameters of bodies that can exist."""
 
-    Attributes:
-        values: (p,) in column order.
-        std: (p,) standard deviations of what the data determine; nan for the rest.
-        determined: (p,) share of each that the data determine; the rest comes from the prior.
-        known: (p,) whether the robot file names its value.
-        base: (b,) the base parameters of `values`.
-        base_covariance: (b, b).
-        base_moves: (b, a) derivative of `base` by the estimated values.
-        sources: (k,) where each link's prior comes from.
-        misfit: rise of the sum of squared residuals, each of unit variance, over that of the estimate.
-        cost: whether noise explains that rise where the truth is consistent; None where no variance is known.
-        boundary: indices of the links that the conditions hold near the boundary.
-        limits_hit: ranges of the file that are active.
-        steps: Newton steps.
-        contradicted: what the robot file says of links and joints, and the data deny: keys of the file, with what the
-            data say.
-        without: (b,) base parameters without all that the file says of links and joints, where the data deny it.
-        armatures: of motors whose inertia the measured torque does not carry.
-        apparent_mass: of all links, as `apparent_mass` has it [kg]; None where the data show none.
-    """
-
-    values: FloatArray
-    std: FloatArray
-    determined: FloatArray
-    known: BoolArray
-    base: FloatArray
-    base_covariance: FloatArray
-    base_moves: FloatArray
-    sources: tuple[str, ...]
-    misfit: float
+    values: FloatArray  # (p,) in column order
+    std: FloatArray  # (p,) standard deviations of what the data determine; nan for the rest
+    determined: FloatArray  # (p,) share of each that the data determine; the rest comes from the prior
+    known: BoolArray  # (p,) whether the robot file names its value
+    base: FloatArray  # (b,) the base parameters of `values`
+    base_covariance: FloatArray  # (b, b)
+    base_moves: FloatArray  # (b, a) derivative of `base` by the estimated values
+    sources: tuple[str, ...]  # (k,) where each link's prior comes from
+    misfit: float  # rise of the sum of squared residuals, each of unit variance, over that of the estimate
+    # whether noise explains that rise where the truth is consistent; None where no variance is known
     cost: SignificanceTest | None
-    boundary: tuple[int, ...]
-    limits_hit: tuple[str, ...]
-    steps: int
+    boundary: tuple[int, ...]  # indices of the links that the conditions hold near the boundary
+    limits_hit: tuple[str, ...]  # ranges of the file that are active
+    steps: int  # Newton steps
+    # what the robot file says of links and joints, and the data deny: keys of the file, with what the data say
     contradicted: tuple[str, ...] = ()
+    # (b,) base parameters without all that the file says of links and joints, where the data deny it
     without: FloatArray | None = None
-    armatures: tuple[Armature, ...] = ()
-    apparent_mass: float | None = None
+    armatures: tuple[Armature, ...] = ()  # of motors whose inertia the measured torque does not carry
+    apparent_mass: float | None = None  # of all links, as `apparent_mass` has it [kg]; None where the data show none
 
 
 @dataclass(frozen=True)
 class FeasibleFit:
-    """Minimum of a problem; p parameters, a estimated values.
+    """Minimum of a problem; p parameters, a estimated values."""
 
-    Attributes:
-        values: (p,) in column order.
-        moves: (p, a) their derivative by the estimated values.
-        spread: (p, a) a root of their covariance: spread @ spread.T.
-        std: (p,) standard deviations of what the data determine; nan for the rest.
-        determined: (p,) share of each that the data determine.
-        misfit: rise of the sum of squared residuals, each of unit variance, over that of the estimate.
-        left: (a, a) share of a small change of the whitened values that conditions and prior do not follow.
-        boundary: indices of the bodies that the conditions hold near the boundary.
-        limits_hit: ranges of the file that are active.
-        steps: Newton steps.
-    """
-
-    values: FloatArray
-    moves: FloatArray
-    spread: FloatArray
-    std: FloatArray
-    determined: FloatArray
-    misfit: float
-    left: FloatArray
-    boundary: tuple[int, ...]
-    limits_hit: tuple[str, ...]
-    steps: int
+    values: FloatArray  # (p,) in column order
+    moves: FloatArray  # (p, a) their derivative by the estimated values
+    spread: FloatArray  # (p, a) a root of their covariance: spread @ spread.T
+    std: FloatArray  # (p,) standard deviations of what the data determine; nan for the rest
+    determined: FloatArray  # (p,) share of each that the data determine
+    misfit: float  # rise of the sum of squared residuals, each of unit variance, over that of the estimate
+    left: FloatArray  # (a, a) share of a small change of the whitened values that conditions and prior do not follow
+    boundary: tuple[int, ...]  # indices of the bodies that the conditions hold near the boundary
+    limits_hit: tuple[str, ...]  # ranges of the file that are active
+    steps: int  # Newton steps
 
 
 def consistent_parameters(

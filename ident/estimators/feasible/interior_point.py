@@ -55,26 +55,17 @@ BoolArray = np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
 
 @dataclass(frozen=True)
 class Conditions:
-    """Positivity conditions: k matrices S_k(y) = Σ_j y[variables[k, j]]·basis[k, j] − least[k], and g slacks.
+    """Positivity conditions: k matrices S_k(y) = Σ_j y[variables[k, j]]·basis[k, j] − least[k], and g slacks."""
 
-    Attributes:
-        variables: (k, q) variables of each matrix.
-        basis: (k, q, 4, 4).
-        least: (k, 4, 4).
-        pull: (k, 4, 4) P_k.
-        rows, limits: (g, p), (g,): s = rows @ y − limits.
-        row_pull: (g,) p_i.
-        weights: (k + g,) w and v.
-    """
-
-    variables: IntArray
-    basis: FloatArray
-    least: FloatArray
-    pull: FloatArray
+    variables: IntArray  # (k, q) variables of each matrix
+    basis: FloatArray  # (k, q, 4, 4)
+    least: FloatArray  # (k, 4, 4)
+    pull: FloatArray  # (k, 4, 4) P_k
+    # rows, limits: (g, p), (g,): s = rows @ y − limits
     rows: FloatArray
     limits: FloatArray
-    row_pull: FloatArray
-    weights: FloatArray
+    row_pull: FloatArray  # (g,) p_i
+    weights: FloatArray  # (k + g,) w and v
 
     def matrices(self, y: FloatArray) -> FloatArray:
         """S_k(y) (k, 4, 4)."""
@@ -91,17 +82,11 @@ class Conditions:
 
 @dataclass(frozen=True)
 class NewtonMinimum:
-    """Where the Newton iteration ended.
+    """Where the Newton iteration ended."""
 
-    Attributes:
-        y: (p,).
-        root: (f, f) upper triangular; rootᵀ·root is the objective's Hessian over the free variables.
-        steps: Newton steps made.
-    """
-
-    y: FloatArray
-    root: FloatArray
-    steps: int
+    y: FloatArray  # (p,)
+    root: FloatArray  # (f, f) upper triangular; rootᵀ·root is the objective's Hessian over the free variables
+    steps: int  # Newton steps made
 
 
 def minimise(

@@ -44,20 +44,14 @@ TOOL_SHARE = 0.1
 
 @dataclass(frozen=True)
 class LinkPriors:
-    """A body for each link of the tree.
+    """A body for each link of the tree."""
 
-    Attributes:
-        links: (k, 10) standard parameters; each link's pseudo-inertia is positive definite.
-        sources: (k,) where each comes from: "robot file", "robot file (mass)", "robot file (mass, centre of mass)",
-            "urdf" or "assumed".
-        mass_std: (k,) how far each mass may plausibly be from that [kg].
-        centre_std: (k,) the same of each centre of mass [m].
-    """
-
-    links: FloatArray
+    links: FloatArray  # (k, 10) standard parameters; each link's pseudo-inertia is positive definite
+    # (k,) where each comes from: "robot file", "robot file (mass)", "robot file (mass, centre of mass)", "urdf" or
+    # "assumed"
     sources: tuple[str, ...]
-    mass_std: FloatArray
-    centre_std: FloatArray
+    mass_std: FloatArray  # (k,) how far each mass may plausibly be from that [kg]
+    centre_std: FloatArray  # (k,) the same of each centre of mass [m]
 
 
 def link_priors(model: DynamicModel, robot_file: RobotFile, system: FloatArray, target: FloatArray) -> LinkPriors:

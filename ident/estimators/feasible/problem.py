@@ -71,24 +71,15 @@ ROOT_RANK = 3e-8
 
 @dataclass(frozen=True)
 class FeasibilityProblem:
-    """Scaled variables y with standard parameters x = scale · y, and the conditions on them.
+    """Scaled variables y with standard parameters x = scale · y, and the conditions on them."""
 
-    Attributes:
-        scale: (p,).
-        conditions: of y.
-        names: (k + g,) what each condition is called.
-        ranges: (g,) whether each inequality comes from the file's `known`, `com_box` or `com_hull`.
-        start: (p,) of y: the prior, known values in place.
-        free: (p,) whether each variable is not known.
-        rows, values: (r, p), (r,): equations of unit variance beside the data's: the distance from the prior.
-    """
-
-    scale: FloatArray
-    conditions: Conditions
-    names: tuple[str, ...]
-    ranges: BoolArray
-    start: FloatArray
-    free: BoolArray
+    scale: FloatArray  # (p,)
+    conditions: Conditions  # of y
+    names: tuple[str, ...]  # (k + g,) what each condition is called
+    ranges: BoolArray  # (g,) whether each inequality comes from the file's `known`, `com_box` or `com_hull`
+    start: FloatArray  # (p,) of y: the prior, known values in place
+    free: BoolArray  # (p,) whether each variable is not known
+    # rows, values: (r, p), (r,): equations of unit variance beside the data's: the distance from the prior
     rows: FloatArray
     values: FloatArray
 

@@ -60,17 +60,11 @@ def standard_parameters(pseudo: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body in the frame of its link.
+    """A rigid body in the frame of its link."""
 
-    Attributes:
-        mass: [kg].
-        com: (3,) centre of mass [m].
-        inertia: (3, 3) about the centre of mass [kg·m²].
-    """
-
-    mass: float
-    com: FloatArray
-    inertia: FloatArray
+    mass: float  # [kg]
+    com: FloatArray  # (3,) centre of mass [m]
+    inertia: FloatArray  # (3, 3) about the centre of mass [kg·m²]
 
     @property
     def figures(self) -> dict[str, Any]:

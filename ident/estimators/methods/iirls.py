@@ -112,23 +112,16 @@ class FullFrictionEstimator(RobustEstimator):
 
 @dataclass
 class _OuterLoops:
-    """The third and the fourth loop as a `FrictionProblem`, and what they record.
+    """The third and the fourth loop as a `FrictionProblem`, and what they record."""
 
-    Attributes:
-        estimator: whose loops.
-        inner: the two inner ones.
-        spreads: geometric mean of the joints' residual standard deviations after each round of the third loop [N·m].
-        shapes: after each, the friction's terms.
-        loads: largest relative change of the load torque in each round of the fourth loop.
-        shapes_settled: whether the third loop converged the last time.
-    """
-
-    estimator: FullFrictionEstimator
-    inner: Reweighting
+    estimator: FullFrictionEstimator  # whose loops
+    inner: Reweighting  # the two inner ones
+    # geometric mean of the joints' residual standard deviations after each round of the third loop [N·m]
     spreads: list[float] = field(default_factory=list)
-    shapes: list[FrictionTerms] = field(default_factory=list)
+    shapes: list[FrictionTerms] = field(default_factory=list)  # after each, the friction's terms
+    # largest relative change of the load torque in each round of the fourth loop
     loads: list[float] = field(default_factory=list)
-    shapes_settled: bool = True
+    shapes_settled: bool = True  # whether the third loop converged the last time
 
     def terms(self, fit: RobustFit) -> FrictionTerms:
         return fit.kernel.model.terms

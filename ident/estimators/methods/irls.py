@@ -106,17 +106,11 @@ def consistent_or_free(setup: Setup, active: Sequence[int]) -> Solve:
 
 @dataclass(frozen=True)
 class RobustEstimator:
-    """IRLS on the joints' torque equations.
+    """IRLS on the joints' torque equations."""
 
-    Attributes:
-        setup: the data.
-        weights: name of the weight function.
-        consistent: whether residuals, weights and Ω are those of the physically consistent parameters.
-    """
-
-    setup: Setup
-    weights: WeightName
-    consistent: bool
+    setup: Setup  # the data
+    weights: WeightName  # name of the weight function
+    consistent: bool  # whether residuals, weights and Ω are those of the physically consistent parameters
 
     def notes(self, run: Prepared) -> tuple[Step, ...]:
         """Nothing that is not in the list."""

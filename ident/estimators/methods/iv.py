@@ -93,17 +93,11 @@ def first_stage_f(factor: FloatArray, count: int, rows: float) -> float:
 
 @dataclass(frozen=True)
 class ExogeneityTest:
-    """The largest difference of two estimates.
+    """The largest difference of two estimates."""
 
-    Attributes:
-        column: base column of the parameter.
-        ratio: its difference in the difference's own standard deviations.
-        p_value: probability of a larger one under H0, of any parameter.
-    """
-
-    column: int
-    ratio: float
-    p_value: float
+    column: int  # base column of the parameter
+    ratio: float  # its difference in the difference's own standard deviations
+    p_value: float  # probability of a larger one under H0, of any parameter
 
 
 def exogeneity_test(
@@ -149,28 +143,18 @@ class IvOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """Where the instruments come from.
+    """Where the instruments come from."""
 
-    Attributes:
-        words: for the list of steps.
-        motions: of each run, its segments with the motion of the instruments.
-        factors: of each joint, the triangular factor of [Z W τ].
-    """
-
-    words: str
-    motions: list[tuple[Segment, ...]]
-    factors: list[FloatArray]
+    words: str  # for the list of steps
+    motions: list[tuple[Segment, ...]]  # of each run, its segments with the motion of the instruments
+    factors: list[FloatArray]  # of each joint, the triangular factor of [Z W τ]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class InstrumentalEstimation(Estimation):
-    """An estimate with its instruments.
+    """An estimate with its instruments."""
 
-    Attributes:
-        instruments: of each run, its segments with the motion of the instruments.
-    """
-
-    instruments: tuple[tuple[Segment, ...], ...]
+    instruments: tuple[tuple[Segment, ...], ...]  # of each run, its segments with the motion of the instruments
 
 
 def repeated_segment(segment: Segment) -> Segment | None:
@@ -194,13 +178,9 @@ def repeated_segment(segment: Segment) -> Segment | None:
 
 @dataclass(frozen=True)
 class InstrumentalEstimator(TorqueEstimator):
-    """Instrumental variables with the joints weighted by their residuals.
+    """Instrumental variables with the joints weighted by their residuals."""
 
-    Attributes:
-        options: where the instruments come from.
-    """
-
-    options: IvOptions
+    options: IvOptions  # where the instruments come from
 
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
         """Weights and parameters follow each other, iterated."""

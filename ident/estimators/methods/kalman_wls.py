@@ -57,15 +57,10 @@ def filtered_torque(measured: FloatArray, modelled: FloatArray, ratio: float) ->
 
 @dataclass(frozen=True)
 class KalmanEstimator(TorqueEstimator):
-    """Weighted least squares on filtered torques.
+    """Weighted least squares on filtered torques."""
 
-    Attributes:
-        ratio: Q/R.
-        rounds: of filter and estimate.
-    """
-
-    ratio: float
-    rounds: int
+    ratio: float  # Q/R
+    rounds: int  # of filter and estimate
 
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
         """Filter and estimate in turn, from the plain equations' solution."""

@@ -72,19 +72,12 @@ def simulable_arm(setup: Setup, reduction: Reduction, solution: LeastSquares) ->
 
 @dataclass(frozen=True, eq=False)
 class OutputRows:
-    """Equations of one segment; a joint's position in place of its torque.
+    """Equations of one segment; a joint's position in place of its torque."""
 
-    Attributes:
-        inverse: the simulated model.
-        segment: recorded motion and torque.
-        tracking: what the simulated arm made of it.
-        every: steps of the simulation per equation.
-    """
-
-    inverse: InverseDynamics
-    segment: Segment
-    tracking: Tracking
-    every: int
+    inverse: InverseDynamics  # the simulated model
+    segment: Segment  # recorded motion and torque
+    tracking: Tracking  # what the simulated arm made of it
+    every: int  # steps of the simulation per equation
 
     def series(self) -> TorqueSeries:
         """Recorded and simulated positions [rad or m] at the equations' times."""
@@ -142,15 +135,10 @@ def output_rows(inverse: InverseDynamics, run: Prepared) -> list[OutputRows]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OutputEstimation(Estimation):
-    """An estimate with its equations.
+    """An estimate with its equations."""
 
-    Attributes:
-        rows: of every segment.
-        position_weights: (n,) of the joints' equations [1/rad or 1/m].
-    """
-
-    rows: tuple[OutputRows, ...]
-    position_weights: FloatArray
+    rows: tuple[OutputRows, ...]  # of every segment
+    position_weights: FloatArray  # (n,) of the joints' equations [1/rad or 1/m]
 
 
 @dataclass(frozen=True)

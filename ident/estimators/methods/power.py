@@ -25,13 +25,9 @@ from ident.signals.segments import central_difference
 
 @dataclass(frozen=True)
 class PowerSamples:
-    """Equations of power, one a filtered sample.
+    """Equations of power, one a filtered sample."""
 
-    Attributes:
-        kernel: for the base columns.
-    """
-
-    kernel: EnergyKernel
+    kernel: EnergyKernel  # for the base columns
 
     @property
     def overlap(self) -> int:

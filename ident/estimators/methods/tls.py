@@ -118,13 +118,9 @@ def regressor_noise(
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TlsEstimation(Estimation):
-    """An estimate with what was taken off the normal matrix.
+    """An estimate with what was taken off the normal matrix."""
 
-    Attributes:
-        correction: (b, b) λ·C, weighted.
-    """
-
-    correction: FloatArray
+    correction: FloatArray  # (b, b) λ·C, weighted
 
 
 @dataclass(frozen=True)

@@ -45,19 +45,12 @@ Solve = Callable[[RegressorKernel, Reduction, FloatArray], LeastSquares]
 
 @dataclass(frozen=True, eq=False)
 class Pass:
-    """What one pass over the data gives.
+    """What one pass over the data gives."""
 
-    Attributes:
-        reduction: of the whitened and weighted equations.
-        weights: for each segment (n, M), nan where an equation takes no part.
-        normalised: residuals of the parameters that the pass began with, likewise.
-        sums: for the next Ω.
-    """
-
-    reduction: Reduction
-    weights: tuple[FloatArray, ...]
-    normalised: tuple[FloatArray, ...]
-    sums: CovarianceSums
+    reduction: Reduction  # of the whitened and weighted equations
+    weights: tuple[FloatArray, ...]  # for each segment (n, M), nan where an equation takes no part
+    normalised: tuple[FloatArray, ...]  # residuals of the parameters that the pass began with, likewise
+    sums: CovarianceSums  # for the next Ω
 
 
 def weighted_pass(
@@ -133,21 +126,13 @@ class _Collected:
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """Where the inner loops ended.
+    """Where the inner loops ended."""
 
-    Attributes:
-        kernel: of the base columns.
-        done: the last pass.
-        solution: of it.
-        covariance: Ω (n, n).
-        settled: whether Ω and the weights converged.
-    """
-
-    kernel: RegressorKernel
-    done: Pass
-    solution: LeastSquares
-    covariance: FloatArray
-    settled: bool
+    kernel: RegressorKernel  # of the base columns
+    done: Pass  # the last pass
+    solution: LeastSquares  # of it
+    covariance: FloatArray  # Ω (n, n)
+    settled: bool  # whether Ω and the weights converged
 
     @property
     def spread(self) -> float:
@@ -159,30 +144,18 @@ class RobustFit:
 
 @dataclass
 class Reweighting:
-    """The inner loops on the same data, from any start.
+    """The inner loops on the same data, from any start."""
 
-    Attributes:
-        runs: the data.
-        torques: motors whose torques are used.
-        active: base columns that are estimated.
-        function: of the weights.
-        solve: what the weights are those of.
-        floor: (n,) smallest standard deviations.
-        factor: of all variances: degrees of freedom, and what the weights take.
-        independent: number of independent samples that correlations are estimated from.
-        passes: over the data so far.
-        changes, steps: of Ω and of the parameters, per pass so far.
-    """
-
-    runs: Sequence[Prepared]
-    torques: Sequence[int]
-    active: Sequence[int]
-    function: WeightFunction
-    solve: Solve
-    floor: FloatArray
-    factor: float
-    independent: float = 1.0
-    passes: int = 1
+    runs: Sequence[Prepared]  # the data
+    torques: Sequence[int]  # motors whose torques are used
+    active: Sequence[int]  # base columns that are estimated
+    function: WeightFunction  # of the weights
+    solve: Solve  # what the weights are those of
+    floor: FloatArray  # (n,) smallest standard deviations
+    factor: float  # of all variances: degrees of freedom, and what the weights take
+    independent: float = 1.0  # number of independent samples that correlations are estimated from
+    passes: int = 1  # over the data so far
+    # changes, steps: of Ω and of the parameters, per pass so far
     changes: list[float] = field(default_factory=list)
     steps: list[float] = field(default_factory=list)
 

@@ -20,17 +20,11 @@ from ident.regression.observation_matrix import Reduction
 
 @dataclass(frozen=True, eq=False)
 class ShapeColumns:
-    """A kernel with sensitivities.
+    """A kernel with sensitivities."""
 
-    Attributes:
-        kernel: base columns first, as they were (b), then the sensitivities (s).
-        kinds: of the sensitivities (s,).
-        motors: that they belong to (s,).
-    """
-
-    kernel: RegressorKernel
-    kinds: tuple[str, ...]
-    motors: tuple[int, ...]
+    kernel: RegressorKernel  # base columns first, as they were (b), then the sensitivities (s)
+    kinds: tuple[str, ...]  # of the sensitivities (s,)
+    motors: tuple[int, ...]  # that they belong to (s,)
 
     @property
     def columns(self) -> tuple[int, ...]:
@@ -61,15 +55,10 @@ def shape_columns(kernel: RegressorKernel, torques: Sequence[int]) -> ShapeColum
 
 @dataclass(frozen=True, eq=False)
 class ShapeSystem:
-    """The whitened and weighted system of `ShapeColumns`.
+    """The whitened and weighted system of `ShapeColumns`."""
 
-    Attributes:
-        shapes: its columns.
-        reduction: of them.
-    """
-
-    shapes: ShapeColumns
-    reduction: Reduction
+    shapes: ShapeColumns  # its columns
+    reduction: Reduction  # of them
 
     @classmethod
     def at(cls, loops: Reweighting, fit: RobustFit) -> ShapeSystem:

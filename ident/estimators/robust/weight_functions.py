@@ -31,15 +31,10 @@ _INTEGRATION = np.linspace(-12.0, 12.0, 48_001)
 
 @dataclass(frozen=True)
 class WeightFunction:
-    """A weight function with its threshold.
+    """A weight function with its threshold."""
 
-    Attributes:
-        name: of the function.
-        threshold: of |z|; beyond it a residual counts less, or not at all.
-    """
-
-    name: WeightName
-    threshold: float
+    name: WeightName  # of the function
+    threshold: float  # of |z|; beyond it a residual counts less, or not at all
 
     def __call__(self, residual: FloatArray) -> FloatArray:
         """Weights, 0 to 1, of normalised residuals; same shape."""

@@ -26,19 +26,12 @@ LEAST_EIGENVALUE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SampleEquations:
-    """Equations of filtered samples in which the same motors take part.
+    """Equations of filtered samples in which the same motors take part."""
 
-    Attributes:
-        motors: (k,) that take part.
-        samples: (m,) which of the segment's filtered samples.
-        regressor: (k, b, m) of the base columns.
-        torque: (k, m) filtered [N·m].
-    """
-
-    motors: tuple[int, ...]
-    samples: npt.NDArray[np.int64]
-    regressor: FloatArray
-    torque: FloatArray
+    motors: tuple[int, ...]  # (k,) that take part
+    samples: npt.NDArray[np.int64]  # (m,) which of the segment's filtered samples
+    regressor: FloatArray  # (k, b, m) of the base columns
+    torque: FloatArray  # (k, m) filtered [N·m]
 
     def residual(self, parameters: FloatArray) -> FloatArray:
         """Measured minus predicted torque (k, m) for base parameters (b,) [N·m]."""

@@ -21,25 +21,18 @@ class FrogLeaping:
     that is no improvement, towards the best of all; where that is none either, to a random place of the box. The
     memeplexes are independent within a generation, so that they leap at once.
 
-    Attributes:
-        frogs: N, in all.
-        memeplexes: m, of equal size.
-        leaps: of each memeplex per generation (`iter`).
-        reach: c of eq. 6.
-        largest_leap: D_max of eq. 7, as a length in widths of the box (the variables have different units); None for
-            no limit.
-        random: r of eq. 6 is one number of each "leap", or one of each "coordinate". One number keeps a frog on the
-            line between two others.
-
     Raises:
         UsageError: no memeplex, one of fewer than two frogs, a remainder, or a number that is not positive.
     """
 
-    frogs: int = 50
-    memeplexes: int = 10
-    leaps: int = 10
-    reach: float = 2.0
+    frogs: int = 50  # N, in all
+    memeplexes: int = 10  # m, of equal size
+    leaps: int = 10  # of each memeplex per generation (`iter`)
+    reach: float = 2.0  # c of eq. 6
+    # D_max of eq. 7, as a length in widths of the box (the variables have different units); None for no limit.
     largest_leap: float | None = None
+    # r of eq. 6 is one number of each "leap", or one of each "coordinate". One number keeps a frog on the line between
+    # two others.
     random: Literal["leap", "coordinate"] = "leap"
 
     def __post_init__(self) -> None:

@@ -17,17 +17,14 @@ from drivers.core.errors import IdentificationError, UsageError
 class SearchBox:
     """Bounds of d variables.
 
-    Attributes:
-        lower, upper: (d,), each below the other, in the variables' units.
-        names: (d,) of the variables, for messages; numbers where there are none.
-
     Raises:
         UsageError: a range is empty or not finite; names the variable.
     """
 
+    # lower, upper: (d,), each below the other, in the variables' units
     lower: FloatArray
     upper: FloatArray
-    names: Sequence[str] = ()
+    names: Sequence[str] = ()  # (d,) of the variables, for messages; numbers where there are none
 
     def __post_init__(self) -> None:
         if self.lower.ndim != 1 or self.lower.shape != self.upper.shape or not self.lower.size:
@@ -85,16 +82,12 @@ Ended = Literal["generations", "time", "interrupted", "optimiser"]
 class SearchBudget:
     """How long to search.
 
-    Attributes:
-        generations: after the initial population.
-        seconds: after which the best so far is the result; None for no limit.
-
     Raises:
         UsageError: a number is not positive.
     """
 
-    generations: int
-    seconds: float | None = None
+    generations: int  # after the initial population
+    seconds: float | None = None  # after which the best so far is the result; None for no limit
 
     def __post_init__(self) -> None:
         if self.generations < 1:
@@ -105,25 +98,15 @@ class SearchBudget:
 
 @dataclass(frozen=True, eq=False)
 class Minimum:
-    """The best point that a search found.
+    """The best point that a search found."""
 
-    Attributes:
-        point: (d,).
-        cost: there.
-        history: (G + 1,) best cost after the initial population and after each generation.
-        evaluations: (G + 1,) costs that had been evaluated by then.
-        undefined: costs that were no number; such points were never the best.
-        ended: what ended the search.
-        remarks: what the optimiser says of its settings.
-    """
-
-    point: FloatArray
-    cost: float
-    history: FloatArray
-    evaluations: FloatArray
-    undefined: int
-    ended: Ended
-    remarks: tuple[str, ...] = ()
+    point: FloatArray  # (d,)
+    cost: float  # there
+    history: FloatArray  # (G + 1,) best cost after the initial population and after each generation
+    evaluations: FloatArray  # (G + 1,) costs that had been evaluated by then
+    undefined: int  # costs that were no number; such points were never the best
+    ended: Ended  # what ended the search
+    remarks: tuple[str, ...] = ()  # what the optimiser says of its settings
 
     @property
     def generations(self) -> int:

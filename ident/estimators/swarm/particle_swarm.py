@@ -36,15 +36,10 @@ class InertiaWeight(Protocol):
 
 @dataclass(frozen=True)
 class Stability:
-    """Growth per generation of a particle whose best points do not change.
+    """Growth per generation of a particle whose best points do not change."""
 
-    Attributes:
-        mean: spectral radius of the mean position's recursion.
-        variance: of the variance's.
-    """
-
-    mean: float
-    variance: float
+    mean: float  # spectral radius of the mean position's recursion
+    variance: float  # of the variance's
 
     @property
     def remark(self) -> str:
@@ -82,13 +77,9 @@ def _radius(matrix: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class ConstantWeight:
-    """An inertia weight that is the same always (ROCR6 eq. 13).
+    """An inertia weight that is the same always (ROCR6 eq. 13)."""
 
-    Attributes:
-        value: W.
-    """
-
-    value: float = 0.7298
+    value: float = 0.7298  # W
 
     def draw(self, generator: np.random.Generator, count: int) -> FloatArray:
         """(count, 1) times the value."""
@@ -114,17 +105,14 @@ class RandomWeight:
 
     ROCR6 eq. 15, which prints a sum where the product belongs. The paper gives no values: these are common ones.
 
-    Attributes:
-        least, most: μ_min and μ_max.
-        spread: σ.
-
     Raises:
         UsageError: the range is empty or the spread negative.
     """
 
+    # least, most: μ_min and μ_max
     least: float = 0.5
     most: float = 0.8
-    spread: float = 0.2
+    spread: float = 0.2  # σ
 
     def __post_init__(self) -> None:
         if not self.least <= self.most or not self.spread >= 0.0:

@@ -27,17 +27,11 @@ from ident.regression.observation_matrix import Reduction
 
 @dataclass(frozen=True, eq=False)
 class QuadraticCost:
-    """‖W·x − τ‖₂ = √(‖R·x − z‖² + ρ²).
+    """‖W·x − τ‖₂ = √(‖R·x − z‖² + ρ²)."""
 
-    Attributes:
-        root: R (r, d).
-        target: z (r,).
-        rest: ρ², the sum of squares that no x lowers.
-    """
-
-    root: FloatArray
-    target: FloatArray
-    rest: float = 0.0
+    root: FloatArray  # R (r, d)
+    target: FloatArray  # z (r,)
+    rest: float = 0.0  # ρ², the sum of squares that no x lowers
 
     @classmethod
     def of_reduction(
@@ -71,19 +65,12 @@ INVOLVED = 0.01
 
 @dataclass(frozen=True)
 class Identified:
-    """One estimated parameter.
+    """One estimated parameter."""
 
-    Attributes:
-        name: of the parameter.
-        determined: share of it that the torque shows, 0 to 1.
-        std: standard deviation [the parameter's unit], residuals assumed white; inf where it is not identifiable.
-        confounded_with: names of the parameters that an invisible change compensates it with.
-    """
-
-    name: str
-    determined: float
-    std: float
-    confounded_with: tuple[str, ...]
+    name: str  # of the parameter
+    determined: float  # share of it that the torque shows, 0 to 1
+    std: float  # standard deviation [the parameter's unit], residuals assumed white; inf where it is not identifiable
+    confounded_with: tuple[str, ...]  # names of the parameters that an invisible change compensates it with
 
     @property
     def identifiable(self) -> bool:
@@ -139,19 +126,12 @@ def physical_values(model: DynamicModel, standard: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class PhysicalParameters:
-    """The choice of physical parameters that are estimated; the others keep their reference values.
+    """The choice of physical parameters that are estimated; the others keep their reference values."""
 
-    Attributes:
-        links: number of links.
-        reference: (p,) all physical parameters.
-        names: (d,) of the chosen ones.
-        chosen: (d,) their places.
-    """
-
-    links: int
-    reference: FloatArray
-    names: tuple[str, ...]
-    chosen: tuple[int, ...]
+    links: int  # number of links
+    reference: FloatArray  # (p,) all physical parameters
+    names: tuple[str, ...]  # (d,) of the chosen ones
+    chosen: tuple[int, ...]  # (d,) their places
 
     @classmethod
     def of(cls, model: DynamicModel, reference: FloatArray, names: Sequence[str]) -> PhysicalParameters:
@@ -218,17 +198,11 @@ def _body_derivative(body: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class PhysicalCost:
-    """‖W·x − τ‖₂ in physical parameters, through the map physical → standard → base.
+    """‖W·x − τ‖₂ in physical parameters, through the map physical → standard → base."""
 
-    Attributes:
-        parameters: that are estimated.
-        quadratic: the cost in the base parameters.
-        projection: (b, p) base = projection · standard.
-    """
-
-    parameters: PhysicalParameters
-    quadratic: QuadraticCost
-    projection: FloatArray
+    parameters: PhysicalParameters  # that are estimated
+    quadratic: QuadraticCost  # the cost in the base parameters
+    projection: FloatArray  # (b, p) base = projection · standard
 
     def base(self, points: FloatArray) -> FloatArray:
         """Base parameters (P, b) of a population (P, d)."""
@@ -245,13 +219,9 @@ class PhysicalCost:
 
 @dataclass(frozen=True, eq=False)
 class FeasibilityPenalty:
-    """Σ over links of the negative eigenvalues of their pseudo-inertia, relative to a reference body's; 0 if feasible.
+    """Sum over links of the negative eigenvalues of their pseudo-inertia, relative to a reference body's."""
 
-    Attributes:
-        inverse_roots: (k, 4, 4) L⁻¹ of each link's reference pseudo-inertia L·Lᵀ.
-    """
-
-    inverse_roots: FloatArray
+    inverse_roots: FloatArray  # (k, 4, 4) L⁻¹ of each link's reference pseudo-inertia L·Lᵀ
 
     @classmethod
     def of(cls, references: FloatArray) -> FeasibilityPenalty:

@@ -96,43 +96,30 @@ class GainEstimate(JointGain):
 
 @dataclass(frozen=True)
 class DriveGains:
-    """Gains of all drives, from two runs.
+    """Gains of all drives, from two runs."""
 
-    Attributes:
-        pair: the runs, torques by the gains of a first pass.
-        relative_to_pair: (n,) identified gains over those of that pass; nan where they are not identifiable.
-        signal: recorded motor signal: "current" or "voltage".
-        known: the load.
-        gains: one per joint.
-        covariance: (n, n) of the gains.
-        active: base columns that were estimated.
-        parameters, parameter_std: (b,) base parameters, the gains' uncertainty in their deviations; nan where they were
-            not estimated.
-        columns: estimated load parameters.
-        load, load_std: (k,) of it; nan where the motions do not show it.
-        condition: largest over second-smallest singular value of what the model's columns leave of the motor signals.
-        gap: second-smallest over smallest one; the null vector is sure where it is large.
-        blocks, block_length: of the jackknife.
-        warnings: for the user.
-    """
-
-    pair: RunPair
-    relative_to_pair: FloatArray
-    signal: str
-    known: KnownLoad
-    gains: tuple[GainEstimate, ...]
-    covariance: FloatArray
-    active: tuple[int, ...]
+    pair: RunPair  # the runs, torques by the gains of a first pass
+    relative_to_pair: FloatArray  # (n,) identified gains over those of that pass; nan where they are not identifiable
+    signal: str  # recorded motor signal: "current" or "voltage"
+    known: KnownLoad  # the load
+    gains: tuple[GainEstimate, ...]  # one per joint
+    covariance: FloatArray  # (n, n) of the gains
+    active: tuple[int, ...]  # base columns that were estimated
+    # parameters, parameter_std: (b,) base parameters, the gains' uncertainty in their deviations; nan where they were
+    # not estimated
     parameters: FloatArray
     parameter_std: FloatArray
-    columns: LoadColumns
+    columns: LoadColumns  # estimated load parameters
+    # load, load_std: (k,) of it; nan where the motions do not show it
     load: FloatArray
     load_std: FloatArray
+    # largest over second-smallest singular value of what the model's columns leave of the motor signals
     condition: float
-    gap: float
+    gap: float  # second-smallest over smallest one; the null vector is sure where it is large
+    # blocks, block_length: of the jackknife
     blocks: int
     block_length: int
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # for the user
 
     @property
     def robot(self) -> Robot:

@@ -75,25 +75,16 @@ LEAST_DISTINCTNESS = 1.5
 
 @dataclass(frozen=True)
 class GainSystem:
-    """One pass: the concatenated system and its solution; gains relative to those that made the torques.
+    """One pass: the concatenated system and its solution; gains relative to those that made the torques."""
 
-    Attributes:
-        pair: the runs.
-        columns: unknown combinations of the load.
-        parts: (b, k + 1) effect of these and, last, of the known load on the base parameters.
-        layout: the unknowns: base columns that are excited, b + i for load column i, b + k for the known load, last.
-        noise: (n,) standard deviation of each joint's torque about its own columns [N·m].
-        used: joints whose gain is identifiable; the rows of the others are left out.
-        solution: null vector of these.
-    """
-
-    pair: RunPair
-    columns: LoadColumns
-    parts: FloatArray
+    pair: RunPair  # the runs
+    columns: LoadColumns  # unknown combinations of the load
+    parts: FloatArray  # (b, k + 1) effect of these and, last, of the known load on the base parameters
+    # the unknowns: base columns that are excited, b + i for load column i, b + k for the known load, last
     layout: tuple[int, ...]
-    noise: FloatArray
-    used: tuple[int, ...]
-    solution: NullVector
+    noise: FloatArray  # (n,) standard deviation of each joint's torque about its own columns [N·m]
+    used: tuple[int, ...]  # joints whose gain is identifiable; the rows of the others are left out
+    solution: NullVector  # null vector of these
 
     @property
     def relative_gains(self) -> FloatArray:

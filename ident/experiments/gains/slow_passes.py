@@ -38,18 +38,12 @@ FEWEST_SAMPLES = 3
 
 @dataclass(frozen=True)
 class JointPass:
-    """One joint moving in one direction; M samples that count.
+    """One joint moving in one direction; M samples that count."""
 
-    Attributes:
-        joint: its index.
-        upward: whether its position grows.
-        pose: (n,) positions of all joints; that of the moving one means nothing [rad or m].
-        position, speed, signal: (M,) of the moving joint [rad or m, rad/s or m/s, A or V].
-    """
-
-    joint: int
-    upward: bool
-    pose: FloatArray
+    joint: int  # its index
+    upward: bool  # whether its position grows
+    pose: FloatArray  # (n,) positions of all joints; that of the moving one means nothing [rad or m]
+    # position, speed, signal: (M,) of the moving joint [rad or m, rad/s or m/s, A or V]
     position: FloatArray
     speed: FloatArray
     signal: FloatArray
@@ -57,21 +51,13 @@ class JointPass:
 
 @dataclass(frozen=True)
 class Sweep:
-    """A joint up and down, once without and once with the load, over B bins.
+    """A joint up and down, once without and once with the load, over B bins."""
 
-    Attributes:
-        joint: its index.
-        pose: (n, B) positions of all joints in the loaded run [rad or m].
-        half_sum: (2, B) of free and loaded run [A or V].
-        half_difference: (2, B) up minus down [A or V].
-        speed: mean [rad/s or m/s].
-    """
-
-    joint: int
-    pose: FloatArray
-    half_sum: FloatArray
-    half_difference: FloatArray
-    speed: float
+    joint: int  # its index
+    pose: FloatArray  # (n, B) positions of all joints in the loaded run [rad or m]
+    half_sum: FloatArray  # (2, B) of free and loaded run [A or V]
+    half_difference: FloatArray  # (2, B) up minus down [A or V]
+    speed: float  # mean [rad/s or m/s]
 
 
 def passes_of(segments: Sequence[Segment], rest_velocity: float) -> list[JointPass]:

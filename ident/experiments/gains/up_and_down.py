@@ -69,29 +69,19 @@ class SlowGain(JointGain):
 
 @dataclass(frozen=True)
 class SlowGains:
-    """Gains of the drives from slow up-and-down runs.
+    """Gains of the drives from slow up-and-down runs."""
 
-    Attributes:
-        robot: content of the robot file.
-        runs: names of the free and the loaded recording in messages.
-        signal: recorded motor signal: "current" or "voltage".
-        known: the load.
-        gains: one per joint.
-        moments, moments_std: (3,) first moments of the load in the tool frame [kg·m], nan where they do not show;
-            those that are known have no deviation.
-        gap: second-smallest over smallest singular value; inf where one gain, or each separately, is identified.
-        warnings: for the user.
-    """
-
-    robot: Robot
-    runs: tuple[str, str]
-    signal: str
-    known: KnownLoad
-    gains: tuple[SlowGain, ...]
+    robot: Robot  # content of the robot file
+    runs: tuple[str, str]  # names of the free and the loaded recording in messages
+    signal: str  # recorded motor signal: "current" or "voltage"
+    known: KnownLoad  # the load
+    gains: tuple[SlowGain, ...]  # one per joint
+    # moments, moments_std: (3,) first moments of the load in the tool frame [kg·m], nan where they do not show; those
+    # that are known have no deviation
     moments: FloatArray
     moments_std: FloatArray
-    gap: float
-    warnings: tuple[str, ...]
+    gap: float  # second-smallest over smallest singular value; inf where one gain, or each separately, is identified
+    warnings: tuple[str, ...]  # for the user
 
     @property
     def values(self) -> FloatArray:
@@ -115,22 +105,15 @@ class _JointRows:
 
 @dataclass(frozen=True)
 class _Solved:
-    """Gains of some joints and what of the load was estimated with them.
+    """Gains of some joints and what of the load was estimated with them."""
 
-    Attributes:
-        joints: their indices.
-        gains: (n,) [N·m/A or N·m/V].
-        unknown, moments: which load parameters (a,), and their values [kg·m].
-        deviations: (n + a,) standard deviations of both.
-        gap: second-smallest over smallest singular value.
-    """
-
-    joints: tuple[int, ...]
-    gains: FloatArray
+    joints: tuple[int, ...]  # their indices
+    gains: FloatArray  # (n,) [N·m/A or N·m/V]
+    # unknown, moments: which load parameters (a,), and their values [kg·m]
     unknown: tuple[int, ...]
     moments: FloatArray
-    deviations: FloatArray
-    gap: float
+    deviations: FloatArray  # (n + a,) standard deviations of both
+    gap: float  # second-smallest over smallest singular value
 
 
 def identify_slow_gains(

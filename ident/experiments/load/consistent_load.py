@@ -35,39 +35,25 @@ LOAD_SIZE = len(INERTIAL)
 
 @dataclass(frozen=True)
 class ConsistentLoad:
-    """A load that can exist, in the tool frame.
+    """A load that can exist, in the tool frame."""
 
-    Attributes:
-        body: mass, centre of mass and inertia about it.
-        mass_std: [kg]; nan where the data do not determine it, 0 where it is known. So all deviations: noise and gains.
-        com_std: (3,) [m].
-        inertia_std: (6,) of xx, xy, xz, yy, yz, zz [kg·m²].
-        determined: (10,) share of each standard parameter that the data determine; the rest comes from the prior.
-        known: (10,) which were held fixed.
-        rounded: whether the known inertia is not that of a body and was estimated in its place.
-        arm: (p,) standard parameters of the arm without the load.
-        loaded_arm: (10·links,) inertial ones of its links with it.
-        boundary: indices of the links that the conditions hold near the boundary.
-        on_boundary: whether the load lies there.
-        test: whether the rise in the sum of squares is that of noise; None where no deviation is known.
-        errors: relative errors of the torque of (free, loaded) run, unconstrained.
-        consistent_errors: the same of the consistent model.
-    """
-
-    body: Body
+    body: Body  # mass, centre of mass and inertia about it
+    # [kg]; nan where the data do not determine it, 0 where it is known. So all deviations: noise and gains.
     mass_std: float
-    com_std: FloatArray
-    inertia_std: FloatArray
+    com_std: FloatArray  # (3,) [m]
+    inertia_std: FloatArray  # (6,) of xx, xy, xz, yy, yz, zz [kg·m²]
+    # (10,) share of each standard parameter that the data determine; the rest comes from the prior
     determined: FloatArray
-    known: BoolArray
-    rounded: bool
-    arm: FloatArray
-    loaded_arm: FloatArray
-    boundary: tuple[int, ...]
-    on_boundary: bool
+    known: BoolArray  # (10,) which were held fixed
+    rounded: bool  # whether the known inertia is not that of a body and was estimated in its place
+    arm: FloatArray  # (p,) standard parameters of the arm without the load
+    loaded_arm: FloatArray  # (10·links,) inertial ones of its links with it
+    boundary: tuple[int, ...]  # indices of the links that the conditions hold near the boundary
+    on_boundary: bool  # whether the load lies there
+    # whether the rise in the sum of squares is that of noise; None where no deviation is known
     test: SignificanceTest | None
-    errors: tuple[float, float]
-    consistent_errors: tuple[float, float]
+    errors: tuple[float, float]  # relative errors of the torque of (free, loaded) run, unconstrained
+    consistent_errors: tuple[float, float]  # the same of the consistent model
 
 
 def consistent_load(pair: RunPair, load: LoadEstimate, known: KnownLoad | None) -> ConsistentLoad | None:

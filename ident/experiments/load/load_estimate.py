@@ -21,34 +21,20 @@ from ident.regression.total_least_squares import signal_noise
 
 @dataclass(frozen=True)
 class LoadEstimate:
-    """Identified load.
+    """Identified load."""
 
-    Attributes:
-        columns: identifiable combinations.
-        values: (k,) of the combinations.
-        covariance: (k, k) from noise and errors that change along the motion.
-        gain_moves: (n, k) of the combinations by one standard deviation of each joint's drive gain; zero where the file
-            names none.
-        unexcited: combinations that these two motions do not excite; nan in `values`.
-        known: parameters held fixed.
-        standard: (10,) standard parameters in the tool frame; nan for those that only combinations reveal.
-        standard_covariance: (10, 10) as `covariance`; 0 where `standard` is nan.
-        standard_gain_moves: (n, 10) as `gain_moves`; 0 where `standard` is nan.
-        estimate: of the arm's base parameters and these combinations together, from noise alone.
-        estimate_gain_moves: (n, a) of the same by one standard deviation of each gain.
-    """
-
-    columns: LoadColumns
-    values: FloatArray
-    covariance: FloatArray
+    columns: LoadColumns  # identifiable combinations
+    values: FloatArray  # (k,) of the combinations
+    covariance: FloatArray  # (k, k) from noise and errors that change along the motion
+    # (n, k) of the combinations by one standard deviation of each joint's drive gain; zero where the file names none
     gain_moves: FloatArray
-    unexcited: tuple[str, ...]
-    known: KnownLoad | None
-    standard: FloatArray
-    standard_covariance: FloatArray
-    standard_gain_moves: FloatArray
-    estimate: Estimate
-    estimate_gain_moves: FloatArray
+    unexcited: tuple[str, ...]  # combinations that these two motions do not excite; nan in `values`
+    known: KnownLoad | None  # parameters held fixed
+    standard: FloatArray  # (10,) standard parameters in the tool frame; nan for those that only combinations reveal
+    standard_covariance: FloatArray  # (10, 10) as `covariance`; 0 where `standard` is nan
+    standard_gain_moves: FloatArray  # (n, 10) as `gain_moves`; 0 where `standard` is nan
+    estimate: Estimate  # of the arm's base parameters and these combinations together, from noise alone
+    estimate_gain_moves: FloatArray  # (n, a) of the same by one standard deviation of each gain
 
     @property
     def std(self) -> FloatArray:

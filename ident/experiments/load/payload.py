@@ -65,62 +65,42 @@ class LargestChange(SignificanceTest):
     """The base parameter that changed most between the runs, of those that a load does not change.
 
     Its difference is tested as the largest of so many (Bonferroni); the statistic is its square in variances.
-
-    Attributes:
-        worst: its name.
-        unit: its unit.
-        free, loaded: identified from each run.
     """
 
-    worst: str
-    unit: str
+    worst: str  # its name
+    unit: str  # its unit
+    # free, loaded: identified from each run
     free: float
     loaded: float
 
 
 @dataclass(frozen=True)
 class PayloadTests:
-    """Tests of a load; None where there is nothing to test, or too little data for it.
+    """Tests of a load; None where there is nothing to test, or too little data for it."""
 
-    Attributes:
-        mass: known against identified mass, noise only.
-        values: all known against identified load parameters, noise only; None where the mass alone is known.
-        load: whether some load explains what changed.
-        known_load: whether the known load does; None where not all ten parameters are known.
-        unchanged: the largest difference of what a load does not change (friction, motor inertia).
-    """
-
-    mass: SignificanceTest | None
+    mass: SignificanceTest | None  # known against identified mass, noise only
+    # all known against identified load parameters, noise only; None where the mass alone is known
     values: SignificanceTest | None
-    load: SignificanceTest | None
-    known_load: SignificanceTest | None
-    unchanged: LargestChange | None
+    load: SignificanceTest | None  # whether some load explains what changed
+    known_load: SignificanceTest | None  # whether the known load does; None where not all ten parameters are known
+    unchanged: LargestChange | None  # the largest difference of what a load does not change (friction, motor inertia)
 
 
 @dataclass(frozen=True)
 class Payload:
-    """Load identified from two runs, and tests of it.
+    """Load identified from two runs, and tests of it."""
 
-    Attributes:
-        pair: the runs.
-        load: estimate without any knowledge of the load.
-        with_mass: estimate with what is known as a constraint; None where nothing is.
-        consistent: the load as a body that can exist, what is known held fixed; None where no minimum was reached.
-        tests: of the load, and of what it does not change.
-        changes: base parameters without, predicted and identified with the load.
-        blocks, block_length: of the jackknife.
-        warnings: for the user.
-    """
-
-    pair: RunPair
-    load: LoadEstimate
-    with_mass: LoadEstimate | None
+    pair: RunPair  # the runs
+    load: LoadEstimate  # estimate without any knowledge of the load
+    with_mass: LoadEstimate | None  # estimate with what is known as a constraint; None where nothing is
+    # the load as a body that can exist, what is known held fixed; None where no minimum was reached
     consistent: ConsistentLoad | None
-    tests: PayloadTests
-    changes: tuple[BaseParameterChange, ...]
+    tests: PayloadTests  # of the load, and of what it does not change
+    changes: tuple[BaseParameterChange, ...]  # base parameters without, predicted and identified with the load
+    # blocks, block_length: of the jackknife
     blocks: int
     block_length: int
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # for the user
 
 
 def identify_payload(

@@ -43,21 +43,14 @@ class Candidate:
 
 @dataclass(frozen=True, eq=False)
 class CandidateGrams:
-    """Gram matrices of all columns, by motor and fold of the data.
+    """Gram matrices of all columns, by motor and fold of the data."""
 
-    Attributes:
-        candidates: of each motor, e of them.
-        columns: of each motor, the base columns in its equations.
-        grams: of each motor (FOLDS, k + e + 1, k + e + 1): its k base columns, its candidates, its torque.
-        rows: (FOLDS, n) equations.
-        base_count: number b of base columns.
-    """
-
-    candidates: tuple[tuple[Candidate, ...], ...]
-    columns: tuple[tuple[int, ...], ...]
+    candidates: tuple[tuple[Candidate, ...], ...]  # of each motor, e of them
+    columns: tuple[tuple[int, ...], ...]  # of each motor, the base columns in its equations
+    # of each motor (FOLDS, k + e + 1, k + e + 1): its k base columns, its candidates, its torque
     grams: tuple[FloatArray, ...]
-    rows: FloatArray
-    base_count: int
+    rows: FloatArray  # (FOLDS, n) equations
+    base_count: int  # number b of base columns
 
     @property
     def width(self) -> int:

@@ -31,20 +31,13 @@ MOST_SAMPLES = 20_000
 
 @dataclass(frozen=True, eq=False)
 class _SegmentRows:
-    """One segment's filtered samples, M of them.
+    """One segment's filtered samples, M of them."""
 
-    Attributes:
-        segment: not filtered.
-        run_filter: its parallel filter.
-        packed: (kernel.row_count, M) of the plain model's columns.
-        torque: (n, M).
-        fitted, compared: (n, M) which equations the fit uses, and which the error of a delivered model counts.
-    """
-
-    segment: Segment
-    run_filter: ZeroPhaseFilter
-    packed: FloatArray
-    torque: FloatArray
+    segment: Segment  # not filtered
+    run_filter: ZeroPhaseFilter  # its parallel filter
+    packed: FloatArray  # (kernel.row_count, M) of the plain model's columns
+    torque: FloatArray  # (n, M)
+    # fitted, compared: (n, M) which equations the fit uses, and which the error of a delivered model counts
     fitted: npt.NDArray[np.bool_]
     compared: npt.NDArray[np.bool_]
 

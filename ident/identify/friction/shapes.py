@@ -45,23 +45,15 @@ from ident.signals.prepared import Prepared
 
 @dataclass(frozen=True, eq=False)
 class FreeShapes:
-    """An estimate with its friction's free shapes beside the parameters.
+    """An estimate with its friction's free shapes beside the parameters."""
 
-    Attributes:
-        kernel: base columns first (b), then the sensitivities to the shapes.
-        parameters: (b + all sensitivities,) the estimate; 0 for sensitivities.
-        active: of these columns, those that were estimated: parameters (a), then shapes (s).
-        names: kind and motor of the shapes (s,).
-        coefficients: (s,) of the friction whose shape each is: a sensitivity's parameter over it is the shape's change.
-        reduction: the motors' plain equations of these columns; None where no shape is free.
-    """
-
-    kernel: RegressorKernel
-    parameters: FloatArray
-    active: tuple[int, ...]
-    names: tuple[tuple[str, int], ...] = ()
+    kernel: RegressorKernel  # base columns first (b), then the sensitivities to the shapes
+    parameters: FloatArray  # (b + all sensitivities,) the estimate; 0 for sensitivities
+    active: tuple[int, ...]  # of these columns, those that were estimated: parameters (a), then shapes (s)
+    names: tuple[tuple[str, int], ...] = ()  # kind and motor of the shapes (s,)
+    # (s,) of the friction whose shape each is: a sensitivity's parameter over it is the shape's change
     coefficients: tuple[float, ...] = ()
-    reduction: Reduction | None = None
+    reduction: Reduction | None = None  # the motors' plain equations of these columns; None where no shape is free
 
     def split(self, corrected: CorrectedCovariance) -> tuple[CorrectedCovariance, dict[tuple[str, int], float]]:
         """The covariance of the parameters alone, and σ of each shape by kind and motor; inf where its friction is 0.
