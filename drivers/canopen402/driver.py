@@ -401,9 +401,9 @@ class Canopen402Driver(LifeCycle):
         before = int(rows.slot[0]) - 1 if self._last_slot is None else self._last_slot
         self._last_slot = int(rows.slot[-1])
         lost = self._last_slot - before - len(rows.slot)
-        time_ = rows.slot / self._settings.sync_rate
+        time_ = self._sync.clock(rows.sent)
         values = self._scaling.values(rows)
-        values["sync_lateness"] = (self._sync.clock(rows.sent) - time_)[:, np.newaxis]
+        values["sync_lateness"] = (time_ - rows.slot / self._settings.sync_rate)[:, np.newaxis]
         self._latest_position = values["position"][-1].copy()
         self._standstill.add(float(rows.host_time[-1]), self._latest_position)
         self._last_row, self._asked = float(rows.host_time[-1]), self._sync.count

@@ -55,7 +55,8 @@ class Bench:
     @property
     def slots(self) -> list[int]:
         """SYNC numbers of the rows."""
-        return [round(float(time) * RATE) for block in self.blocks["joints"] for time in block.time]
+        schedule = [block.time - block.values["sync_lateness"][:, 0] for block in self.blocks["joints"]]
+        return [round(slot) for times in schedule for slot in (times * RATE).tolist()]
 
     @property
     def lost(self) -> int:

@@ -139,7 +139,9 @@ class Run:
     @property
     def slots(self) -> list[int]:
         """Numbers of the SYNCs of the rows."""
-        return [round(time * self.rate) for time in self.recording.streams["joints"].time.tolist()]
+        joints = self.recording.streams["joints"]
+        schedule = joints.time - joints.channels["sync_lateness"].values[:, 0]
+        return [round(slot) for slot in (schedule * self.rate).tolist()]
 
     def counts(self, bench: Bench) -> dict[str, FloatArray]:
         """The rows in the drives' own numbers, by quantity (N, n)."""

@@ -36,7 +36,7 @@ _DESCRIPTIONS = {
     "current": "actual current, raw, in the joint's direction (object 0x6078 times the rated current)",
     "torque": "actual torque, as the drive derives it (object 0x6077 times the rated torque)",
 }
-_LATENESS_DESCRIPTION = "how much later than 'time' SYNC was sent; the drives measure at SYNC"
+_LATENESS_DESCRIPTION = "how much later than its schedule SYNC was sent; part of 'time', as drives measure then"
 _STATUS_DESCRIPTION = "statusword of the drive (object 0x6041, CiA 402)"
 
 

@@ -166,7 +166,7 @@ def test_emergencies_are_told_and_faults_are_errors() -> None:
         one.read(lambda: one.said("error"))
         assert one.said("error")[0].startswith("elbow: fault: following error (EMCY 0x8611")
         notice = next(notice for notice in one.notices if notice.level == "error")
-        assert notice.time == one.slots[-1] / RATE  # of the first row that shows it, which has just come
+        assert notice.time == one.blocks["joints"][-1].time[-1]  # of the first row that shows it, which has just come
         assert (one.joined("statusword")[-2:, 2].astype(int) & 0x4F).tolist() == [0x40, 0x08]
 
 
