@@ -85,10 +85,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     levels = torque_level_checks(identification.robot_file, identification.model, torque)
     # A torque beyond its limit that is another joint's, or in part, is explained.
     of_others = any(
-        "exchanged" in mistake.name
-        or mistake.name == "motors-coupled"
-        or (mistake.name == "sign-or-column" and ("exchanged" in mistake.text or "coupled" in mistake.text))
-        for mistake in mistakes
+        "exchanged" in mistake.name or mistake.name in ("motors-coupled", "sign-or-column") for mistake in mistakes
     )
     checks += [] if of_others else levels
     checks += delay_checks(identification.delay)
@@ -108,10 +105,15 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     of_gains, of_lengths = ("inconsistent-gain", "wrong-gain"), ("inconsistent-length", "other-size")
     model_errors = (*of_gains, *of_lengths, "joint-zero", "gravity-direction", "position-late")
     checks += idle
+    resting = {joint for check in idle for joint in check.joints}
     checks += [
         mistake
         for mistake in mistakes
-        if mistake.name not in model_errors or not (idle or clipped.intersection(mistake.joints))
+        if mistake.name not in model_errors
+        or (
+            not clipped.intersection(mistake.joints)
+            and not (resting.intersection(mistake.joints) if mistake.name == "position-late" else idle)
+        )
     ]
     checks += _reversal_checks(identification)
     share = _indefinite_share(identification)

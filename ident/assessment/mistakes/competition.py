@@ -14,7 +14,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.assessment.instants import BLOCKS, Columns, Instants
-from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, moving_joints
+from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, moving_joints, on_active
 from ident.assessment.mistakes.equations import Equations, HypothesisFit, equations
 from ident.assessment.mistakes.hypotheses import Mistake, as_recorded, couplings, mistakes, opposite_gravity
 from ident.assessment.refit import Deviation, in_unknown_gravity
@@ -46,6 +46,10 @@ COUPLED = 0.1
 JOINT_EXPLAINED = 0.5
 """The same of each joint that a hypothesis is about, where it is about one or two. Of several, one may only rub."""
 
+FEWEST_ROWS = 0.25
+"""Equations of a joint over those of the joint with most below which its columns are not exchanged: there a torque that
+fits nothing would not count."""
+
 WORSE_BLOCKS = 1
 """Held-out blocks at most in which a claimed mistake may predict worse than the recording as it is."""
 
@@ -69,6 +73,7 @@ class Competition:
         measured: the recording.
         instants: the same, its torques about their means where all motors have an offset.
         joints: that moved and whose torques are used.
+        seldom_counted: of these, joints with few equations, as those that are near velocity reversals throughout.
     """
 
     def __init__(
@@ -84,9 +89,11 @@ class Competition:
         self.measured = instants
         self.instants = instants.without_constants() if offsets == model.dof else instants
         self.joints = moving_joints(model, experiment)
+        rows = instants.counted.sum(axis=1)
+        self.seldom_counted = frozenset(np.flatnonzero(rows < FEWEST_ROWS * rows.max()).tolist())
         self._kernel = RegressorKernel(model, base.columns)
         self._opposite = RegressorKernel(replace(model, gravity=-model.gravity), base.columns)
-        self._inertia = inertia_conditions(model, experiment, base)[:, self.active]
+        self._inertia = on_active(inertia_conditions(model, experiment, base), self.active)
         self._equations: dict[tuple[object, ...], tuple[Equations, FloatArray]] = {}
         self.recorded = as_recorded(model.dof)
 
@@ -99,9 +106,8 @@ class Competition:
             if mistake.coupling and mistake.signal == "both":
                 moved = moved.less(mistake.joints[0], mistake.joints[1], mistake.coupling)
             regressor = moved.regressor(self._opposite if mistake.signal == "gravity" else self._kernel)
-            friction = friction_conditions(self.model, self.base, moved, regressor)[:, self.active]
+            friction = on_active(friction_conditions(self.model, self.base, moved, regressor), self.active)
             conditions = np.vstack([self._inertia, friction])
-            conditions = conditions[np.any(conditions != 0.0, axis=1)]
             rows = regressor[:, self.active]
             if mistake.coupling:
                 rows = self._of_motors(mistake, rows)
@@ -154,7 +160,10 @@ class Competition:
 
         Fits without conditions are never worse than with them, so that most candidates need no second fit.
         """
-        free = [(fit.level, mistake) for mistake in candidates if (fit := self.free(mistake)) is not None]
+        counted = [
+            one for one in candidates if "exchanged" not in one.name or self.seldom_counted.isdisjoint(one.joints)
+        ]
+        free = [(fit.level, mistake) for mistake in counted if (fit := self.free(mistake)) is not None]
         lowest = np.inf
         found = []
         for level, mistake in sorted(free, key=lambda one: one[0]):
@@ -208,9 +217,9 @@ class Competition:
         regressor = moved.regressor(RegressorKernel(model, base.columns))
         conditions = np.vstack(
             [inertia_conditions(model, self.experiment, base), friction_conditions(model, base, moved, regressor)]
-        )[:, active]
+        )
         system = equations(regressor[:, active], moved, self.experiment.torques)
-        fit = system.fit(torques, conditions[np.any(conditions != 0.0, axis=1)])
+        fit = system.fit(torques, on_active(conditions, active))
         return None if fit is None else (fit, self._whole(system, torques, fit))
 
     def explained_by(self, deviation: Deviation) -> bool:
@@ -235,7 +244,7 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
 
     Args:
         competition: the recording.
-        deviations: gains, lengths, zeros and directions of gravity, best first; the first is a rival, too.
+        deviations: gains, lengths, zeros and directions of gravity, best first; the first of each kind is a rival.
     """
     if not competition.joints or competition.well_explained():
         return []
@@ -256,8 +265,9 @@ def explanations(competition: Competition, deviations: Sequence[Deviation]) -> l
     if not found:
         return []
     lowest = found[0].fit.level
-    other = competition.with_deviation(deviations[0]) if deviations else None
-    if other is not None and other[0].level < lowest + RIVAL:
+    rivals = {one.unknown.kind: one for one in reversed(deviations)}
+    others = [competition.with_deviation(rival) for rival in rivals.values()]
+    if any(other is not None and other[0].level < lowest + RIVAL for other in others):
         return []
     return _simplest([one.mistake for one in found if one.fit.level < lowest + RIVAL])
 

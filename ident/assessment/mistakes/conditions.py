@@ -6,6 +6,7 @@ necessary, not sufficient (for that see `ident.estimators.feasible`), and cheap 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +24,9 @@ POSES = 40
 RANDOM_DIRECTIONS = 4
 SPEEDS = 8
 """Instants of each friction, spread over its speeds, at which it must not drive."""
+
+ROUNDING = 1e-9
+"""Coefficient over the largest one of a condition below which it is 0."""
 
 SLOWEST_SHARE = 0.1
 """Share of the instants, the slowest ones, at which friction's direction is not certain."""
@@ -58,6 +62,13 @@ def inertia_conditions(model: DynamicModel, experiment: Experiment, base: BasePa
         for kind, name in zip(base.kinds, base.names, strict=True)
     ]
     return np.asarray(np.einsum("nN,nbN->Nb", model.transmission.motor_rate(direction), rows) * np.array(inertial))
+
+
+def on_active(conditions: FloatArray, active: Sequence[int]) -> FloatArray:
+    """Conditions (c, b) on the `active` columns alone (·, a), without those about columns that have no value."""
+    size = np.max(np.abs(conditions), axis=1, initial=0.0)
+    others = np.max(np.abs(np.delete(conditions, active, axis=1)), axis=1, initial=0.0)
+    return np.asarray(conditions[(size > 0.0) & (others <= ROUNDING * size)][:, active])
 
 
 def friction_conditions(

@@ -11,10 +11,11 @@ import pytest
 from random_arms import random_arm
 
 from daq.robot.loader import RobotFile, parse_robot
+from drivers.core.arrays import FloatArray
 from ident.assessment.instants import BLOCKS, Columns, Instants, instants
 from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.mistakes.competition import Competition, explanations
-from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions
+from ident.assessment.mistakes.conditions import friction_conditions, inertia_conditions, on_active
 from ident.assessment.mistakes.hypotheses import as_recorded, mistakes
 from ident.assessment.mistakes.unsigned import unsigned_torques
 from ident.assessment.model_errors import simplest_first
@@ -22,7 +23,7 @@ from ident.assessment.refit import Refit, Unknown, tangents
 from ident.assessment.torque_level import _small_beside, torque_level_checks, weight_checks
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
-from ident.model.base_parameters import base_parameters, random_states
+from ident.model.base_parameters import BaseParameters, base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import truth_vector
@@ -68,11 +69,17 @@ def test_true_parameters_meet_the_conditions(seed):
     counted = np.ones(position.shape, dtype=np.bool_)
     states = Instants(position, velocity, acceleration, position, counted, np.zeros(200, dtype=np.int64), np.zeros(200))
     kernel = RegressorKernel(model, base.columns)
-    energies = inertia_conditions(model, whole_arm(model), base) @ truth
+    energies = energies_of(model, base) @ truth
     powers = friction_conditions(model, base, states, states.regressor(kernel)) @ truth
     assert len(energies)
     assert np.min(energies) > -1e-9 * np.max(np.abs(energies))
     assert np.min(powers, initial=0.0) > -1e-9 * np.max(np.abs(powers), initial=1.0)
+    seen = np.flatnonzero(np.arange(base.count) != base.count - 1)
+    assert np.min(on_active(energies_of(model, base), seen) @ truth[seen], initial=0.0) > -1e-9 * np.max(energies)
+
+
+def energies_of(model: DynamicModel, base: BaseParameters) -> FloatArray:
+    return inertia_conditions(model, whole_arm(model), base)
 
 
 def test_every_hypothesis_is_undone_by_one_of_its_name():
@@ -108,6 +115,15 @@ def test_a_sound_recording_is_explained_as_it_is(found):
     runs = [run.prepared for run in found.runs]
     independent = found.corrected.effective_rows
     assert mistake_checks(found.model, found.experiment, found.base, runs, found.solution, independent) == []
+
+
+def test_a_joint_without_equations_hides_no_torque(found):
+    """A torque that nothing explains would not count in its place, and an offset explains a lift at rest."""
+    few = light(found)
+    counted, torque = few.counted.copy(), few.torque.copy()
+    counted[2], torque[2] = False, 5.0
+    torque[1] = np.random.default_rng(0).standard_normal(torque.shape[1])
+    assert explanations(competition(found, replace(few, counted=counted, torque=torque)), []) == []
 
 
 def turned_over(found: Identification) -> DynamicModel:
