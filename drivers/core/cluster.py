@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
+from functools import partial
+from typing import Any
 
 from drivers.core.errors import ConnectionFailedError, UsageError
 
@@ -28,5 +30,30 @@ def cluster_executor(scheduler: str) -> Iterator[Executor]:
         client = Client(scheduler, timeout=CONNECT_TIMEOUT)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise ConnectionFailedError(f"no Dask scheduler answers: {error}", where=scheduler) from error
-    with client, client.get_executor(pure=False) as executor:  # type: ignore[no-untyped-call]
-        yield executor
+    with client:
+        yield ClusterExecutor(client)
+
+
+class ClusterExecutor(Executor):
+    """An executor on a Dask client; of Dask's own, a future whose result is lost while fetched never ends."""
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Call `fn(*args, **kwargs)` on a worker."""
+        there = self._client.submit(fn, *args, pure=False, **kwargs)
+        here: Future[Any] = Future()
+        here.add_done_callback(lambda ended: there.cancel() if ended.cancelled() and not there.done() else None)
+        there.add_done_callback(partial(_hand_over, here))
+        return here
+
+
+def _hand_over(here: Future[Any], there: Any) -> None:
+    """End a future as Dask's has ended; a result that cannot be fetched is its exception."""
+    if not here.set_running_or_notify_cancel():
+        return
+    try:
+        here.set_result(there.result())
+    except BaseException as error:  # of a thread of Dask's, which would keep it
+        here.set_exception(error)

@@ -96,10 +96,10 @@ def finished(job: Job, out: Path) -> JobOutcome | None:
 
 def _identified(job: Job, folder: Path) -> dict[str, Any]:
     from ident.tasks.identification import identify
-    from ident.tasks.servo import identify_servo
-    from ident.tasks.validation import merge
 
     if job.merged is not None:
+        from ident.tasks.validation import merge
+
         top = folder.parents[job.name.count("/")]
         held_out = Path(job.validation[0]) if job.validation else None
         result = merge([top / name for name in job.merged], validation=held_out)
@@ -108,6 +108,8 @@ def _identified(job: Job, folder: Path) -> dict[str, Any]:
     with local_copies((*job.recordings, *job.validation)) as paths:
         runs, validation = paths[: len(job.recordings)], paths[len(job.recordings) :]
         if job.method == "servo":
+            from ident.tasks.servo import identify_servo
+
             if job.options:
                 raise UsageError("a servo model has no options", where=job.options[0][0])
             servo = identify_servo(runs, validation=validation, robot=job.robot)

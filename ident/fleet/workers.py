@@ -15,6 +15,9 @@ from drivers.core.cluster import cluster_executor
 from ident.fleet.job import JobOutcome, run_job
 from ident.fleet.plan import Job
 
+PRELOADED = ["ident.fleet.job", "ident.tasks.identification", "jinja2", "pinocchio", "scipy.fft", "threadpoolctl"]
+"""What every job needs, imported once for all."""
+
 
 def outcomes(jobs: Sequence[Job], out: str, workers: int, scheduler: str) -> Iterator[JobOutcome]:
     """Run jobs, and give each outcome as it comes; a job whose worker dies fails, the others go on.
@@ -41,7 +44,7 @@ def _submitter(workers: int, scheduler: str) -> Iterator[Submit]:
     if not scheduler:
         with ThreadPoolExecutor(workers) as pool:
             context = multiprocessing.get_context("forkserver")
-            context.set_forkserver_preload(["ident.fleet.job", "ident.tasks.identification"])
+            context.set_forkserver_preload(PRELOADED)
             yield lambda job, out: pool.submit(_in_a_process, context, job, out)
         return
     with cluster_executor(scheduler) as executor:

@@ -8,6 +8,7 @@ import os
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -119,6 +120,19 @@ def test_a_dask_cluster_does_the_same(tmp_path):
         ended = list(workers.outcomes(jobs, str(tmp_path), 1, local.scheduler_address))
     assert sorted(outcome.name for outcome in ended) == ["a/a/wls", "a/b/wls"]
     assert all("no such file" in outcome.failure for outcome in ended)
+
+
+def test_a_result_that_a_lost_scheduler_keeps_ends_its_future():
+    class Lost:
+        def add_done_callback(self, call):
+            call(self)
+
+        def result(self):
+            raise OSError("stream is closed")
+
+    executor = cluster.ClusterExecutor(SimpleNamespace(submit=lambda *_, **__: Lost()))
+    with pytest.raises(OSError, match="stream is closed"):
+        executor.submit(abs, 1).result(0)
 
 
 def test_a_scheduler_that_is_not_there_is_named(tmp_path, monkeypatch):
