@@ -12,7 +12,7 @@ def _of(family: str) -> DriverDeclaration:
         budget=f"drivers.can_motors.budget:{family}_budget",
         read_only={"read_only": True},
         reset_faults={"reset_faults": True},
-        simulated=(SimulatedBackEnd(family, f"sim_drivers.can_motors.serving:serve_{family}"),),
+        simulated=(SimulatedBackEnd(family, f"sim_drivers.can_motors.server:serve_{family}"),),
     )
 
 

@@ -42,7 +42,7 @@ DECLARATION = DriverDeclaration(
     read_only={"mode": "none"},
     reset_faults={"reset_faults": True},
     simulated=(
-        SimulatedBackEnd("canopen", "sim_drivers.canopen.serving:serve", stands_in=True),
-        SimulatedBackEnd("slcan", "sim_drivers.canopen.serving:serve_behind_adapter"),
+        SimulatedBackEnd("canopen", "sim_drivers.canopen.server:serve", stands_in=True),
+        SimulatedBackEnd("slcan", "sim_drivers.canopen.server:serve_behind_adapter"),
     ),
 )

@@ -13,7 +13,7 @@ def _of(protocol: str) -> DriverDeclaration:
         read_only={"read_only": True},
         configure={"configure": True},
         advice=f"drivers.serial_servos.budget:{protocol}_advice",
-        simulated=(SimulatedBackEnd(protocol, f"sim_drivers.serial_servos.serving:serve_{protocol}"),),
+        simulated=(SimulatedBackEnd(protocol, f"sim_drivers.serial_servos.server:serve_{protocol}"),),
     )
 
 

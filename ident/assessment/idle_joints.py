@@ -11,7 +11,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from drivers.core.units import joint_unit
 from ident.regression.comparison import TorqueSeries
-from ident.signals.motion_masks import SHORTEST_REST
+from ident.signals.segments import SHORTEST_REST
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 

@@ -19,8 +19,7 @@ from ident.monitor.monitor import Contact, Monitor, WatchedBatch
 from ident.monitor.thresholds import SAME_RATE, STD_EVERY, Thresholds
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.result.models.model import Model
-from ident.signals.joint_signals import TEMPERATURE, live_signals
-from ident.signals.stepped_goals import with_even_goals
+from ident.signals.joint_signals import TEMPERATURE, live_signals, with_even_goals
 
 TOGETHER = 0.01
 """Samples of this time [s] are evaluated at once: one by one would take several times as long."""

@@ -19,8 +19,8 @@ from drivers.core.text import percent_text
 from ident.model.joint_columns import combined
 from ident.model.regressor import RegressorKernel
 from ident.regression.options import REVERSAL_SHARE
-from ident.signals.motion_masks import SHORTEST_REST, moving_mask
 from ident.signals.prepared import Prepared, Segment, Step
+from ident.signals.segments import SHORTEST_REST, moving_mask
 
 STICKING_SHARE = 0.2
 """The same, below which a joint that sticks can affect an equation: the search of a delay and the check of friction

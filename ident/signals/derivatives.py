@@ -13,10 +13,9 @@ from drivers.core.text import percent_text
 from ident.signals.cutoffs import Cutoffs
 from ident.signals.filters import butterworth as butterworth_filter
 from ident.signals.filters import no_filter
-from ident.signals.motion_masks import BAND_POWER
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import SmoothMotion, Step
-from ident.signals.segments import UniformSegment, central_difference
+from ident.signals.segments import BAND_POWER, UniformSegment, central_difference
 from ident.signals.smoothing.five_point import five_point_cubic, half_gain_frequency, passes_for
 from ident.signals.smoothing.kalman import WHITE_SNAP, cutoff_of_noise, kalman_smoother, likeliest_cutoff, sample_noise
 from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_golay

@@ -27,8 +27,7 @@ import numpy as np
 
 from drivers.core.arrays import ComplexArray, FloatArray
 from drivers.core.errors import UsageError
-from ident.signals.filter_design import low_pass_sections
-from ident.signals.filter_modes import ChunkResponse, Modes, chunk_response, modes_of
+from ident.signals.filter_modes import ChunkResponse, Modes, chunk_response, low_pass_sections, modes_of
 
 DECIMATION_RIPPLE_DB = 0.05
 """Passband ripple of the decimation filter [dB], one direction (scipy.signal.decimate)."""

@@ -19,12 +19,15 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
 from drivers.core.units import ZERO_CELSIUS
 from drivers.gains import DriveGain, joint_torque
+from drivers.streams import GOAL_AGE
 from ident.ranges import RECORDED_POSITION, RECORDED_TORQUE, RECORDED_VELOCITY
-from ident.signals.stepped_goals import with_even_goals
 
 SERVO_HINT = "identify a servo model from commands and encoder: --method servo"
 
 JOINT_QUANTITIES = ("position", "velocity", "current", "voltage", "torque")
+
+LONGEST_PERIOD = 0.1
+"""[s] between two goals from which on the arm rested, or was held."""
 
 
 @dataclass(frozen=True)
@@ -304,3 +307,46 @@ def joint_temperature(recording: Recording, joint_names: tuple[str, ...]) -> Flo
                     joints.host_time, stream.host_time[read], channel.values[read, column]
                 )
     return None if np.all(np.isnan(values)) else values + ZERO_CELSIUS
+
+
+def with_even_goals(joints: Stream, commands: Stream | None) -> Stream:
+    """The joints' stream, with torques as if goals moved evenly where it says when they were obeyed.
+
+    A spring kp to a goal that stands for a period T falls by kp·q̇·T while the joint goes on. Where in the period a
+    motor is read makes a difference of up to kp·q̇·T/2, viscous friction to an identification: a late reading is a bias.
+    What drives the arm over several periods is the spring to a goal that moves evenly, and is at each goal in the
+    middle of its period: kp times the distance between the two is added to the torque that was read.
+    """
+    ages, torque = joints.channels.get(GOAL_AGE), joints.channels.get("torque")
+    if commands is None or ages is None or torque is None or len(commands.time) < 2:
+        return joints
+    names = [name for name in torque.columns if name in ages.columns]
+    goals, gain = (commands.channels.get(quantity) for quantity in (TARGET, "gain_p"))
+    if goals is None or gain is None or not {*names} <= {*goals.columns} & {*gain.columns}:
+        return joints
+    values = torque.values.copy()
+    for name in names:
+        at = {channel.quantity: channel.columns.index(name) for channel in (ages, torque, goals, gain)}
+        ahead = _ahead(commands.time, goals.values[:, at[TARGET]], joints.time, ages.values[:, at[GOAL_AGE]])
+        values[:, at["torque"]] += gain.values[0, at["gain_p"]] * ahead
+    return replace(joints, channels={**joints.channels, "torque": replace(torque, values=values)})
+
+
+def _ahead(stamps: FloatArray, goals: FloatArray, times: FloatArray, ages: FloatArray) -> FloatArray:
+    """Return how far the evenly moving goal is ahead of the one in force (N,) [rad].
+
+    Args:
+        stamps: (M,) of the goals [s].
+        goals: (M,) [rad].
+        times: (N,) of the readings [s].
+        ages: (N,) of the goals in force [s]; nan where there was none.
+    """
+    order = np.searchsorted(stamps, times, side="left") - 1  # a goal with a reading's stamp was obeyed after it
+    valid = (order >= 0) & np.isfinite(ages)
+    order = np.maximum(order, 0)
+    periods = np.diff(stamps)
+    periods = np.append(periods, periods[-1])  # live, the newest goal is in force as long as those before
+    valid &= periods[order] < LONGEST_PERIOD
+    middles = stamps + 0.5 * np.minimum(periods, LONGEST_PERIOD)
+    even = np.interp(stamps[order] + ages, middles, goals)
+    return np.where(valid, even - goals[order], 0.0)

@@ -21,7 +21,6 @@ from ident.signals.cutoffs import CHEBYSHEV_PASSBAND, choose_cutoffs, parallel_f
 from ident.signals.derivatives import Smoother, choose_smoother, smooth_motion
 from ident.signals.filters import ZeroPhaseFilter, chebyshev_decimation, unit_gain
 from ident.signals.joint_signals import JointSignals
-from ident.signals.motion_masks import motion_band
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared, Segment, SmoothMotion, Step
 from ident.signals.resampling import (
@@ -34,7 +33,7 @@ from ident.signals.resampling import (
     shiftable,
     uniform_grid,
 )
-from ident.signals.segments import SHORTEST_SEGMENT, UniformSegment, moving_segments, without_ends
+from ident.signals.segments import SHORTEST_SEGMENT, UniformSegment, motion_band, moving_segments, without_ends
 
 __all__ = ["Prepared", "PreprocessChoices", "Segment", "prepare"]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING
 
 import can
@@ -16,16 +17,18 @@ from daq.robot.loader import RobotFile
 from drivers.bus_budget import fd_frame_bits
 from drivers.can.bus import EXTENDED, REMOTE, returns_own_frames
 from drivers.can.receiver import ArrivalClock
-from drivers.can_motors.settings import CODECS, CanMotorSettings
+from drivers.can_motors.settings import CODECS, CanMotorSettings, parse_settings
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.text import percent_text
 from sim_drivers.can.bus_load import BusModel, Frame, Sent, exact_bits
-from sim_drivers.can.bus_server import BusServer, frame_of, message_of
+from sim_drivers.can.bus_server import BusServer, frame_of, message_of, table_keys
 from sim_drivers.can_motors.arm import MotorPlant
 from sim_drivers.can_motors.motors import SIMULATED, SimulatedMotor
 from sim_drivers.faults import BlockJoint, Die, Fault, Heat, OverTemperature, PowerCycle, Sag, SameId
 from sim_drivers.plant.clocked_arm import start_position
+from sim_drivers.plant.plant import Plant
+from sim_drivers.served import SimOptions
 from sim_drivers.server import with_troubles
 
 if TYPE_CHECKING:
@@ -196,3 +199,17 @@ class CanMotorServer(BusServer):
                 self.motors[joint].protect(self.motors[joint].over_temperature)
             case _:
                 super()._cause(bus, fault, now)
+
+
+def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock, family: str) -> CanMotorServer:
+    """Motors of a family as the robot file's connection has them."""
+    robot = robot_file.robot
+    keys = table_keys(robot, family, options, "there are no ids", "docs/can-motors.md")
+    settings = parse_settings(keys, robot.joint_names, family)
+    # Of the plant, whose drives are told torques, only the place is taken: motors have a plant of their own.
+    return CanMotorServer(robot_file, settings, plant.position.copy(), clock, held=True)
+
+
+serve_damiao, serve_robstride, serve_cubemars, serve_moteus, serve_odrive = (
+    partial(serve, family=family) for family in CODECS
+)

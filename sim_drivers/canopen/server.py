@@ -7,25 +7,35 @@ missed is made up for: frames come late then, but are lost only where a real bus
 
 from __future__ import annotations
 
+import os
+import sys
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import can
 
+from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
+from daq.session.connections import keys_of_driver
+from daq.session.session import SWITCH_INTERVAL
+from drivers.can.bus import open_bus
 from drivers.can.receiver import ArrivalClock
 from drivers.canopen402.protocol.objects import STATE_OPERATIONAL, TPDO1
-from drivers.canopen402.settings import CanopenSettings
+from drivers.canopen402.settings import CanopenSettings, parse_settings
 from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.errors import UsageError
 from drivers.core.text import percent_text
 from sim_drivers import faults
-from sim_drivers.can.bus_load import Frame, exact_bits
-from sim_drivers.can.bus_server import BusServer, frame_of, message_of
+from sim_drivers.can.bus_load import Frame, exact_bits, worst_case_bits
+from sim_drivers.can.bus_server import BusServer, frame_of, message_of, with_options
 from sim_drivers.can.slcan_adapter import SlcanAdapter
 from sim_drivers.canopen.axis import OVER_TEMPERATURE
 from sim_drivers.canopen.network import DriveNetwork, NetworkCounts
+from sim_drivers.faults import joint_index
 from sim_drivers.plant.arm import DrivenArm
+from sim_drivers.plant.plant import Plant
+from sim_drivers.served import SimOptions
 from sim_drivers.server import with_troubles
 
 LONGEST_WAIT = 0.005
@@ -35,6 +45,10 @@ GRANULARITY = 0.25e-3
 LOAD_WINDOW = 1.0
 """Window of the bus load in the status [s]."""
 SAMPLE_IDENTIFIERS = range(TPDO1 + 1, 0x580)
+
+DRIVER = "canopen402"
+DEFAULT_BUS = {"interface": "udp_multicast", "channel": "239.74.163.2", "options": {"hop_limit": 0}}
+"""Default channel of an arm without one in its robot file."""
 
 
 @dataclass(frozen=True)
@@ -182,3 +196,55 @@ class CanopenServer(BusServer):
                 self.messages.append("there is no adapter to unplug; only --wire slcan has one")
             case _:
                 super()._cause(bus, fault, now)
+
+
+def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> CanopenServer:
+    """CiA 402 drives on the bus of the robot file's connection."""
+    return _drives(robot_file, plant, options, _keys(robot_file.robot, options), None, clock)
+
+
+def serve_behind_adapter(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock) -> CanopenServer:
+    """The same drives behind an adapter on a pseudo-terminal.
+
+    Raises:
+        UsageError: the connection's keys, or the options, are wrong.
+        ConnectionFailedError: the bus behind the adapter cannot be opened.
+    """
+    if options.interface is not None or options.channel is not None:
+        raise UsageError("--wire slcan makes its own port", hint="leave --interface and --channel out")
+    keys = _keys(robot_file.robot, options)
+    keys |= {"interface": "virtual", "channel": f"behind-slcan-{os.getpid()}", "options": {}}
+    settings = parse_settings(keys, robot_file.robot.joint_names)
+    # Drives and adapter are threads of this process; a frame must not wait 5 ms for the interpreter to change over.
+    sys.setswitchinterval(SWITCH_INTERVAL)
+    bus = open_bus(settings.interface, settings.channel, settings.bitrate, settings.options)
+    return _drives(robot_file, plant, options, keys, SlcanAdapter(bus, settings.bitrate, clock=clock), clock)
+
+
+def _drives(
+    robot_file: RobotFile,
+    plant: Plant,
+    options: SimOptions,
+    keys: dict[str, object],
+    adapter: SlcanAdapter | None,
+    clock: Clock,
+) -> CanopenServer:
+    robot = robot_file.robot
+    length: Callable[[Frame], int] = worst_case_bits if options.worst_stuffing else exact_bits
+    settings = parse_settings(keys, robot.joint_names)
+    swapped = _pair(options.swap, robot) if options.swap is not None else None
+    return CanopenServer(plant, robot, settings, swapped=swapped, length=length, adapter=adapter, clock=clock)
+
+
+def _keys(robot: Robot, options: SimOptions) -> dict[str, object]:
+    """The keys of the robot file's connection; default ones where it has none."""
+    nodes = {name: {"id": node_id} for node_id, name in enumerate(robot.joint_names, start=1)}
+    keys = keys_of_driver(robot, DRIVER)
+    return with_options({**DEFAULT_BUS, "nodes": nodes} if keys is None else keys, options)
+
+
+def _pair(text: str, robot: Robot) -> tuple[int, int]:
+    names = [name.strip() for name in text.split(",")]
+    if len(names) != 2 or names[0] == names[1]:
+        raise UsageError(f"--swap takes two joints, not '{text}'", hint="such as --swap 2,3")
+    return joint_index(names[0], robot.joint_names), joint_index(names[1], robot.joint_names)

@@ -11,6 +11,7 @@ import os
 import random
 from collections import deque
 from collections.abc import Callable, Mapping
+from functools import partial
 
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
@@ -30,13 +31,15 @@ from drivers.serial_servos.packets import (
     WRITE,
     Packet,
 )
-from drivers.serial_servos.settings import ServoSettings
+from drivers.serial_servos.settings import ServoSettings, parse_settings
 from sim_drivers import faults
 from sim_drivers.plant.clocked_arm import start_position
+from sim_drivers.plant.plant import Plant
 from sim_drivers.pseudo_terminal import PollableLineEnd, PseudoTerminal
 from sim_drivers.serial_servos.arm import NOMINAL_VOLTAGE, ServoPlant
 from sim_drivers.serial_servos.motor import SimulatedServo
-from sim_drivers.server import FaultyServer, with_troubles
+from sim_drivers.served import SimOptions
+from sim_drivers.server import FaultyServer, stated_keys, with_troubles
 
 REBOOT = 0x08
 """Instruction of the Dynamixel protocol."""
@@ -348,3 +351,17 @@ def _other(data: bytes) -> bytes:
 def _with_others(answer: bytes, other: bytes) -> bytes:
     """Two answers at once: both pull the line down, where either sends a 0."""
     return bytes(mine & its for mine, its in zip(answer, other, strict=False))
+
+
+def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock, driver: str) -> SerialServoServer:
+    """Servos of a protocol as the robot file's connection has them; `--channel` is the path of their port."""
+    robot = robot_file.robot
+    keys = stated_keys(robot, driver, "there are no ids", "docs/serial-servos.md")
+    if options.channel is not None:
+        keys["url"] = options.channel
+    settings = parse_settings(keys, robot.joint_names, robot_file.folder, driver)
+    # Of the plant, whose drives are told torques, only the place is taken: servos have a plant of their own.
+    return SerialServoServer(robot_file, settings, plant.position.copy(), options.seed, clock=clock)
+
+
+serve_feetech, serve_dynamixel = (partial(serve, driver=protocol) for protocol in PROTOCOLS)

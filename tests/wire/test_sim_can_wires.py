@@ -7,7 +7,7 @@ import pytest
 from daq.robot.loader import load_robot
 from drivers.core.clock import SYSTEM_CLOCK
 from drivers.core.errors import ConnectionFailedError, DynidError, UsageError
-from sim_drivers.canopen import serving
+from sim_drivers.canopen import server
 from sim_drivers.plant.plant import Plant
 from sim_drivers.served import SimOptions
 from sim_drivers.serving import simulate
@@ -16,7 +16,7 @@ from sim_drivers.serving import simulate
 def test_the_options_choose_bus_and_nodes() -> None:
     robot_file = load_robot("ur5e")
     options = SimOptions(robot="ur5e", channel="239.74.163.201", swap="1,2")
-    served = serving.serve(robot_file, Plant(robot_file), options, SYSTEM_CLOCK)
+    served = server.serve(robot_file, Plant(robot_file), options, SYSTEM_CLOCK)
     ready = served.ready()
     nodes = dict(zip(robot_file.robot.joint_names, (2, 1, 3, 4, 5, 6), strict=True))
     place = {"interface": "udp_multicast", "channel": "239.74.163.201"}

@@ -19,8 +19,8 @@ from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import JointColumn, column_signal, combined, joint_column
 from ident.model.parameters import StandardParameter
 from ident.model.regressor import LoadTorqueKernel
-from ident.signals.motion_masks import REST_FLOOR
 from ident.signals.prepared import Prepared, Segment
+from ident.signals.segments import REST_FLOOR
 
 CANDIDATE_KINDS = tuple(
     kind for kind in TERM if kind not in POSITION_KINDS and any(kind in option.kinds for option in OPTIONS)

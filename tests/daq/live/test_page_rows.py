@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq.live.envelope import KEPT, Envelope
 from daq.live.page import PageView, page_view, skeleton
+from daq.live.page_server import KEPT, Envelope
 from daq.live.shared_rows import SharedRows
 from daq.robot.loader import load_robot
 from drivers.streams import Batch, ChannelLayout, StreamLayout

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from ident.signals.filter_design import low_pass_sections
+from ident.signals.filter_modes import low_pass_sections
 
 
 @pytest.mark.parametrize("ripple", [0.0, 0.05, 1.0])

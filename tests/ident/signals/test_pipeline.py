@@ -12,10 +12,10 @@ import pytest
 from drivers.core.errors import DataError, InputError, UsageError
 from ident.signals.cutoffs import choose_cutoffs
 from ident.signals.joint_signals import JointSignals
-from ident.signals.motion_masks import default_rest_velocity, motion_band, moving_mask
 from ident.signals.options import PreprocessChoices
 from ident.signals.pipeline import prepare as prepare_signals
 from ident.signals.prepared import Prepared, Segment
+from ident.signals.segments import default_rest_velocity, motion_band, moving_mask
 
 JOINTS = ("base", "elbow", "wrist", "hand", "j5", "j6", "j7")
 

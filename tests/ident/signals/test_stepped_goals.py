@@ -9,7 +9,7 @@ import pytest
 
 from daq.recording.recording import Channel, Recording, Stream
 from drivers.streams import GOAL_AGE
-from ident.signals.stepped_goals import with_even_goals
+from ident.signals.joint_signals import with_even_goals
 
 KP, SPEED, PERIOD = 60.0, 0.8, 0.01
 
