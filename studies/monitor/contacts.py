@@ -5,8 +5,8 @@
 Prints false alarms in MINUTES (5) of motion that the thresholds were not learnt on, for each observer; for pushes of
 twice the stated smallest force, on each link in six directions, the share found, within 30 ms too, and the delay; at
 which multiple of the stated force 95 % are found; the time until a live watch asks for a stop; the same against
-thresholds that are constant per joint; errors of a 2 kg load that is picked up, 5 s of motion later, over LOADS (4)
-motions; processor time per second of samples. About 3 min of processor time.
+thresholds that are constant per joint; errors of a 2 kg load that is picked up, 5 s of motion later, over LOADS (20)
+motions; processor time per second of samples. About 80 s of processor time.
 """
 
 from __future__ import annotations
@@ -116,16 +116,16 @@ def delays(model: Model, samples: JointSamples, thresholds: Thresholds, contacts
 def main() -> None:
     """Print the tables."""
     minutes = float(sys.argv[1]) if len(sys.argv) > 1 else 5.0
-    loads = int(sys.argv[2]) if len(sys.argv) > 2 else 4
+    loads = int(sys.argv[2]) if len(sys.argv) > 2 else 20
     quiet = [(str(seed), run(seed)) for seed in (1, 2, 3, 4)]
     model = MODEL[0]
     thresholds = {kind: earned_thresholds(model, quiet, kind=kind) for kind in KINDS}
     others = [run(100 + number) for number in range(round(60.0 * minutes / DURATION))]
     print(
         f"| observer | false alarms in {minutes:g} min | smallest force at the tool, x y z, median pose [N] | found at "
-        "twice the stated force [%] | within 30 ms [%] | median delay [ms] | 95 % delay [ms] |"
+        "twice the stated force [%] | within 30 ms [%] | on the worst link [%] | median delay [ms] | 95 % delay [ms] |"
     )
-    print("|---|---|---|---|---|---|---|")
+    print("|---|---|---|---|---|---|---|---|")
     for kind in KINDS:
         alarms = 0
         for samples in others:
@@ -133,15 +133,17 @@ def main() -> None:
             watched.add(samples)
             alarms += len(watched.contacts)
         generator = np.random.default_rng(1)
-        late = []
-        for samples in others[:4]:
+        late, links = [], []
+        for samples in others[:6]:
             with_force, contacts = pushed(model, samples, thresholds[kind], 2.0, generator)
             late.append(delays(model, with_force, thresholds[kind], [contact for _, contact in contacts]))
+            links += [link for link, _ in contacts]
         delay = np.concatenate(late)
+        worst = min(float(np.mean(delay[np.array(links) == link] <= WITHIN)) for link in set(links))
         forces = forces_noticed(model, thresholds[kind], quiet[0][1].position[::400])[-1].moving
         print(
             f"| {kind} | {alarms} | {', '.join(f'{force:.1f}' for force in forces)} | "
-            f"{100 * np.mean(np.isfinite(delay)):.1f} | {100 * np.mean(delay <= WITHIN):.1f} | "
+            f"{100 * np.mean(np.isfinite(delay)):.1f} | {100 * np.mean(delay <= WITHIN):.1f} | {100 * worst:.1f} | "
             f"{1e3 * np.median(delay):.0f} | {1e3 * np.quantile(delay, 0.95):.0f} |",
             flush=True,
         )
@@ -267,10 +269,12 @@ def payloads(loads: int, thresholds: Thresholds) -> None:
         errors.append(load.mass - 2.0)
         inside += abs(load.mass - 2.0) <= load.margin
     size = np.abs(np.array(errors))
-    print("| loads | error of the mass after 5 s, median [%] | largest [%] | within the 95 % interval |")
-    print("|---|---|---|---|")
+    print("| loads | error of the mass after 5 s, median [%] | largest [%] | within 2 % | within the 95 % interval |")
+    print("|---|---|---|---|---|")
     print(
-        f"| {loads} | {50 * np.nanmedian(size):.1f} | {50 * np.nanmax(size):.1f} | {inside} of {loads} |\n", flush=True
+        f"| {loads} | {50 * np.nanmedian(size):.1f} | {50 * np.nanmax(size):.1f} | {np.sum(size <= 0.04)} of {loads} | "
+        f"{inside} of {loads} |\n",
+        flush=True,
     )
 
 
