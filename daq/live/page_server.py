@@ -1,7 +1,8 @@
 """The server of the live page: a process of its own on loopback, which reads shared rows and sends them to browsers.
 
 It answers only requests to its own address (a foreign name that leads to 127.0.0.1 has another `Host`), from its own
-pages (`Origin`), with the token of its address. What browsers send is ignored. A browser that does not read is dropped.
+pages (`Origin`), with the token of its address. What browsers send is ignored. A browser that does not read is dropped,
+and so is a connection that asks for nothing, or is one too many.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import hmac
 import json
+import logging
 import os
 import secrets
 import signal
@@ -39,6 +41,10 @@ GROUPS = 5
 WAITING = 40
 """Messages that may wait for a browser, two seconds; then it is dropped."""
 MOST_CLIENTS = 16
+MOST_CONNECTIONS = 64
+"""Pages that are being loaded among them."""
+LOADING = 10.0
+"""[s] after which a connection is dropped that is no socket of a page by then."""
 MOST_ALARMS = 1000
 LARGEST_MESSAGE = 4096
 """Bytes of a message of a browser; nothing that it sends is of use."""
@@ -189,6 +195,7 @@ def serve(pipe: Connection, handle: RowsHandle, about: str, token: str, listenin
     the server's socket is on loopback.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    logging.disable()  # what a browser gets wrong is no news for the terminal of the recording
     import uvicorn
 
     rows = SharedRows.attach(handle)
@@ -196,6 +203,7 @@ def serve(pipe: Connection, handle: RowsHandle, about: str, token: str, listenin
     ended = asyncio.Event()
     config = uvicorn.Config(
         application(page, pipe, ended),
+        http=_bounded_protocol(),
         log_config=None,
         access_log=False,
         ws="websockets-sansio",
@@ -208,6 +216,26 @@ def serve(pipe: Connection, handle: RowsHandle, about: str, token: str, listenin
         asyncio.run(_served(uvicorn.Server(config), listening, ended))
     finally:
         rows.close()
+
+
+def _bounded_protocol() -> type[asyncio.Protocol]:
+    from uvicorn.protocols.http.h11_impl import H11Protocol
+
+    class BoundedProtocol(H11Protocol):
+        """HTTP whose connections are few and short."""
+
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            if len(self.connections) > MOST_CONNECTIONS:
+                transport.abort()
+            else:
+                self.loop.call_later(LOADING, self._drop)
+
+        def _drop(self) -> None:
+            if self in self.connections:  # a page's socket has another protocol by now
+                self.transport.abort()
+
+    return BoundedProtocol
 
 
 async def _served(server: uvicorn.Server, listening: socket.socket, ended: asyncio.Event) -> None:

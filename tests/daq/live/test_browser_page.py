@@ -20,7 +20,7 @@ from websockets.sync.client import connect
 
 from daq.live import page as live_page
 from daq.live.page import Alarm, BrowserPage, browser_page, require_browser
-from daq.live.page_server import WAITING, LivePage
+from daq.live.page_server import MOST_CONNECTIONS, WAITING, LivePage
 from daq.live.shared_rows import SharedRows
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
@@ -88,7 +88,7 @@ def test_only_its_own_address_with_its_token_is_answered(page):
         assert answer(page, path) == 404
 
 
-def test_what_a_browser_sends_is_ignored_and_rubbish_ends_its_own_connection_alone(page):
+def test_what_a_browser_sends_is_ignored_and_rubbish_ends_its_own_connection_alone(page, capfd):
     with connect(socket_address(page)) as client:
         about = json.loads(client.recv())
         assert [one["quantity"] for one in about["channels"][::6]] == list(QUANTITIES)
@@ -99,6 +99,10 @@ def test_what_a_browser_sends_is_ignored_and_rubbish_ends_its_own_connection_alo
             client.send("x" * 100_000)
             while True:
                 client.recv()
+    with connect(socket_address(page)) as client, suppress(ConnectionClosed):
+        client.socket.sendall(b"\x81\x81\0\0\0\0\xff")  # no UTF-8
+        while True:
+            client.recv()
     parts = urlsplit(page.address)
     for rubbish in (b"\0" * 100, b"GET / HTTP/1.1\r\nHost: " + b"x" * 100_000, b"GET \xff\xff HTTP/9\r\n\r\n"):
         with socket.create_connection((parts.hostname, parts.port)) as raw, suppress(OSError):
@@ -107,6 +111,22 @@ def test_what_a_browser_sends_is_ignored_and_rubbish_ends_its_own_connection_alo
             while raw.recv(4096):
                 pass
     assert answer(page) == 200
+    assert capfd.readouterr().err == ""  # the terminal is the recording's
+
+
+def test_connections_that_ask_for_nothing_are_few_and_disturb_no_page(page):
+    parts = urlsplit(page.address)
+    with connect(socket_address(page)) as client, ExitStack() as idle:
+        for _ in range(3 * MOST_CONNECTIONS):
+            raw = idle.enter_context(socket.create_connection((parts.hostname, parts.port)))
+        with suppress(OSError):
+            assert raw.recv(1) == b""  # one too many
+        client.recv()
+    for _ in range(MOST_CONNECTIONS):  # closed now, the server may not know of all yet
+        with suppress(OSError, http.client.HTTPException):
+            assert answer(page) == 200
+            return
+    raise AssertionError("no page any more")
 
 
 def test_the_page_draws_pauses_zooms_and_keeps_its_alarms(page, tmp_path):
