@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from drivers.base import DeviceLimits, DriverSettings, Notice, require_state
 from drivers.core.arrays import FloatArray
+from drivers.core.clock import STALL_LIMIT
 from drivers.core.errors import ConnectionFailedError, DriverStateError, MotionRefusedError, UsageError
 from drivers.first_step import check_first_step, finite_position
 from drivers.gains import gives_torque, joint_torque, torque_channel
@@ -84,8 +85,8 @@ class ControllerIdentity:
 class ArmControl(Protocol):
     """Control of one arm, as `drivers.rtde.motion.MotionProcess` has it."""
 
-    def command(self, position: FloatArray) -> None:
-        """Send a joint position (6,) [rad]."""
+    def command(self, position: FloatArray, due: float) -> None:
+        """Send a joint position (6,) [rad] that was due at a time [s, host's clock]."""
 
     def stop(self) -> bool:
         """Halt the arm and give it back; whether the controller confirmed it."""
@@ -255,6 +256,14 @@ class RtdeDriver(LifeCycle):
         """The controller's own rate, whatever that of the samples; 0 where it is closed."""
         return 0.0 if self._state == "closed" else self._receiver.version.maximum_rate
 
+    def holds(self) -> bool:
+        """No: a motion goes on through a stall that is bridged, and ends by a longer one."""
+        return False
+
+    def buffered(self) -> float:
+        """Return how late [s] a position may be sent: the arm follows it later."""
+        return STALL_LIMIT
+
     def take_control(self) -> None:
         """Take control of the arm, which lasts seconds; no program may play on the controller.
 
@@ -268,15 +277,18 @@ class RtdeDriver(LifeCycle):
             self._check_port()
             self._controlled()
 
-    def command(self, position: FloatArray) -> None:
-        """Send a joint position (6,) [rad] to be reached within one period; takes control first if need be."""
+    def command(self, position: FloatArray, due: float | None = None) -> None:
+        """Send a joint position (6,) [rad]; takes control first if need be.
+
+        The arm reaches it `DELAY`, and servoj's lookahead, after it was `due` [s, host's clock], now where None.
+        """
         position = finite_position(position, self._joints)
         with self._motion_lock:
             self._require_running()
             if not self._moved:
                 self._check_port()
                 check_first_step(position, self._latest_position, self._joints)
-            self._controlled().command(position)
+            self._controlled().command(position, self._clock.now() if due is None else due)
             self._moved = True
 
     def stop(self) -> None:

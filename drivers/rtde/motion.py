@@ -1,9 +1,12 @@
 """Moves a Universal Robots arm through ur_rtde, or our own program where there is none, in a process of its own.
 
 ur_rtde's constructors hold the interpreter's lock, and against a silent controller they hang for ever; in the process
-that records, either would cost samples. A position crosses a pipe, the newest one wins. The process stops the arm when
-asked to, when its parent dies or falls silent, and when the controller refuses a command. Where the process itself is
-gone, or the network, the controller's watchdog ends the program.
+that records, either would cost samples. Positions cross a pipe with the times when they were due, and the arm follows
+them `DELAY` later: a stall of the recording process is not felt. One of the whole computer is not felt either by our
+own program; ur_rtde's target stands still then, the arm slows down and goes on where it was.
+
+The process stops the arm when asked to, when its parent dies or falls silent, and when the controller refuses a
+command. Where the process itself is gone, or the network, the controller's watchdog ends the program.
 
 What both ends do is written against a pipe and a worker, whatever they are: two processes in production, whose waits on
 each other are the operating system's.
@@ -25,14 +28,12 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.child_process import Worker, leave, started_without_interrupt
+from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError
-from drivers.rtde.servo_program import ServoProgram
+from drivers.rtde.delayed_path import DelayedPath
+from drivers.rtde.servo_program import LOOKAHEAD, SERVO_GAIN, ServoProgram
 
 JOINTS = 6
-LOOKAHEAD = 0.1
-"""Smoothing of the commanded path [s], 0.03 to 0.2."""
-SERVO_GAIN = 300.0
-"""Stiffness of the path following, 100 to 2000; UR's own default."""
 SERVO_DECELERATION = 10.0
 """When leaving servo mode [m/s² of the tool]; UR's default for servoStop."""
 JOINT_DECELERATION = 2.0
@@ -55,7 +56,8 @@ PATIENCE = 0.2
 """How long [s] a sender waits before the process counts as hung."""
 
 _UNCONFIRMED_STATUS = 1
-_POSITION = struct.Struct(f"{JOINTS}d")
+_POSITION = struct.Struct(f"{1 + JOINTS}d")
+"""When it is due [s, the monotonic clock of all processes], and where."""
 _BEGUN, _STOP, _READY, _TAKEN, _FAILED = b"begun", b"stop", b"ready", b"taken", b"failed "
 
 
@@ -83,7 +85,7 @@ class Control(Protocol):
     def disconnect(self) -> None: ...  # noqa: D102
 
 
-ControlFactory = Callable[[str, float], Control]
+ControlFactory = Callable[[str, float], Control | ServoProgram]
 """Takes control of the arm of a host, for commands at a rate [Hz]."""
 
 
@@ -104,7 +106,7 @@ def has_ur_rtde() -> bool:
     return find_spec("rtde_control") is not None
 
 
-def take_control(host: str, rate: float) -> Control:
+def take_control(host: str, rate: float) -> Control | ServoProgram:
     """Control of the arm of a host by ur_rtde, which hangs where the controller is silent; by our own program without.
 
     Raises:
@@ -165,8 +167,8 @@ class MotionProcess:
         """Identifier of the process; None before it runs."""
         return self._process.pid
 
-    def command(self, position: FloatArray) -> None:
-        """Send a joint position (6,) [rad]; waits while the process is behind.
+    def command(self, position: FloatArray, due: float) -> None:
+        """Send a joint position (6,) [rad] and when it was due [s, this computer's clock]; waits while it is behind.
 
         Raises:
             ConnectionLostError: the process ended, hangs, or the controller refused a command.
@@ -184,7 +186,7 @@ class MotionProcess:
                         f"the motion process left commands unanswered for {PATIENCE:g} s", where=self._host
                     )
                 self._check_answer(self._pipe.recv_bytes())
-            self._pipe.send_bytes(_POSITION.pack(*position))
+            self._pipe.send_bytes(_POSITION.pack(due, *position))
         except (EOFError, OSError) as error:
             raise ConnectionLostError(
                 f"the motion process ended with exit status {self._process.exitcode}", where=self._host
@@ -235,11 +237,11 @@ def _run(pipe: Pipe, factory: ControlFactory, host: str, rate: float, timeout: f
             import rtde_control  # noqa: F401
     _say(pipe, _BEGUN)
     _die_after(timeout)
-    if not obey(pipe, factory, host, rate, lambda: _die_after(0.0)):
+    if not obey(pipe, factory, host, rate, lambda: _die_after(0.0), SYSTEM_CLOCK):
         sys.exit(_UNCONFIRMED_STATUS)
 
 
-def obey(pipe: Pipe, factory: ControlFactory, host: str, rate: float, taken: Callable[[], None]) -> bool:
+def obey(pipe: Pipe, factory: ControlFactory, host: str, rate: float, taken: Callable[[], None], clock: Clock) -> bool:
     """Take control of an arm, pass on what comes through the pipe, halt the arm in the end.
 
     Whether it has halted, as far as it was moved. Commands come at a rate [Hz]; `taken` is called once control is had.
@@ -256,7 +258,7 @@ def obey(pipe: Pipe, factory: ControlFactory, host: str, rate: float, taken: Cal
         taken()
         if watched:
             _say(pipe, _READY)
-            reason = _await_first_command(pipe, control) or _follow(pipe, control, 1.0 / rate)
+            reason = _await_first_command(pipe, control) or _follow(pipe, control, rate, clock)
         else:
             reason = b"the controller refused the watchdog"
     except Exception as error:
@@ -268,7 +270,7 @@ def obey(pipe: Pipe, factory: ControlFactory, host: str, rate: float, taken: Cal
     return halted
 
 
-def _await_first_command(pipe: Pipe, control: Control) -> bytes | None:
+def _await_first_command(pipe: Pipe, control: Control | ServoProgram) -> bytes | None:
     """Keep the watchdog content until there is something in the pipe (None), or say what is wrong."""
     kick_period = 0.4 / WATCHDOG_RATE
     for _ in range(round(FIRST_COMMAND_LIMIT / kick_period)):
@@ -282,28 +284,35 @@ def _await_first_command(pipe: Pipe, control: Control) -> bytes | None:
     return f"no command for {FIRST_COMMAND_LIMIT:g} s".encode()
 
 
-def _follow(pipe: Pipe, control: Control, period: float) -> bytes | None:
-    """Pass commands on until asked to stop (None) or something is wrong (what)."""
-    while True:
-        if not pipe.poll(SILENCE_LIMIT):
-            return f"no command for {SILENCE_LIMIT:g} s".encode()
+def _follow(pipe: Pipe, control: Control | ServoProgram, rate: float, clock: Clock) -> bytes | None:
+    """Pass commands on, to ur_rtde every period, until asked to stop (None) or something is wrong (what)."""
+    path, heard, tick = DelayedPath(rate), clock.now(), clock.now()
+    while (now := clock.now()) - heard < SILENCE_LIMIT:
+        tick = min(max(tick + 1.0 / rate, now), heard + SILENCE_LIMIT)
+        until = heard + SILENCE_LIMIT if isinstance(control, ServoProgram) else tick
         try:
-            message = pipe.recv_bytes()
-            taken = 1
-            while message != _STOP and pipe.poll():
+            while pipe.poll(max(until - clock.now(), 0.0)):
+                heard = clock.now()
                 message = pipe.recv_bytes()
-                taken += 1
+                if message == _STOP:
+                    return None
+                due, *position = _POSITION.unpack(message)
+                path.put(due, np.array(position))
+                _say(pipe, _TAKEN)
+                until = heard if isinstance(control, ServoProgram) else tick
         except (EOFError, OSError):
             return b"the recording process is gone"
-        if message == _STOP:
-            return None
-        for _ in range(taken):
-            _say(pipe, _TAKEN)
-        if not control.servoJ(list(_POSITION.unpack(message)), 0.0, 0.0, period, LOOKAHEAD, SERVO_GAIN):
+        if isinstance(control, ServoProgram):
+            followed = control.follow(path)
+        else:
+            target = path.advance(clock.now()).tolist()
+            followed = control.servoJ(target, 0.0, 0.0, 1.0 / rate, LOOKAHEAD, SERVO_GAIN)
+        if not followed:
             return b"the controller refused a position; its program no longer runs"
+    return f"no command for {SILENCE_LIMIT:g} s".encode()
 
 
-def _halt(control: Control) -> bool:
+def _halt(control: Control | ServoProgram) -> bool:
     """Stop the arm and end the program; whether the controller confirmed the one or the other."""
     # Each on its own: an arm that has left servo mode already must still be stopped, and the script ended.
     confirmed = False

@@ -5,6 +5,9 @@ Guide" and "The URScript Programming Language": `servoj`, `stopj`, `read_input_f
 those meant for external clients; 0 to 23 belong to field buses. A counter in one of them is the sign of life: where it
 stands still for longer than the watchdog allows, the program stops the arm and ends, whatever became of this computer.
 
+Each write tells the path of the last 0.09 s, of which the program plays what was due 0.06 s ago: it goes on through a
+stall of the computer that sends (`drivers.rtde.delayed_path`).
+
 What ends the program otherwise (a protective stop, the pendant) shows in the controller's own `runtime_state`.
 """
 
@@ -13,11 +16,12 @@ from __future__ import annotations
 import itertools
 import struct
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError
 from drivers.rtde import protocol as wire
+from drivers.rtde.delayed_path import KNOTS, PULL, DelayedPath, knot_distance
 from drivers.rtde.modes import RUNTIME_PLAYING
 from drivers.rtde.protocol import Connect, connect_tcp
 
@@ -31,23 +35,34 @@ DECELERATION = 5.0
 """Of the leading joint at a stop [rad/s²]."""
 STOPPING_LIMIT = 3.0
 """How long [s] the arm may take to come to rest."""
-_INTEGERS = tuple(f"input_int_register_{n}" for n in range(24, 26))
-_DOUBLES = tuple(f"input_double_register_{n}" for n in range(24, 33))
+LOOKAHEAD = 0.1
+"""Smoothing of the commanded path [s], 0.03 to 0.2."""
+SERVO_GAIN = 300.0
+"""Stiffness of the path following, 100 to 2000; UR's own default."""
+_JOINTS = 6
+_INTEGERS = tuple(f"input_int_register_{n}" for n in range(24, 28))
+_DOUBLES = tuple(f"input_double_register_{n}" for n in range(24, 24 + KNOTS * _JOINTS))
 _OUTPUTS = (("output_int_register_24", "INT32"), ("runtime_state", "UINT32"))
-_VALUES = struct.Struct(f">ii{len(_DOUBLES)}d")
+_VALUES = struct.Struct(f">{len(_INTEGERS)}i{len(_DOUBLES)}d")
 
+_TARGET = ", ".join(
+    "+".join(f"{weight}*read_input_float_register({24 + _JOINTS * n + joint})" for n, weight in enumerate("abcd"))
+    for joint in range(_JOINTS)
+)
 PROGRAM = f"""def {NAME}():
-  # Integers 24: counter, 25: what to do. Floats 24 to 29: joint positions [rad], 30: lookahead [s],
-  # 31: gain, 32: longest silence [s].
+  # Integers 24: counter, 25: what to do, 26: number of the newest position, 27: longest silence [ms].
+  # Floats 24 to 29: that position [rad], 30 to 35: the one KNOT numbers before it, 36 to 41 and 42 to 47: and so on.
   write_output_integer_register(24, RUN)
   silence = 0.0
   count = read_input_integer_register(24)
+  newest = 0
+  behind = 2.0*KNOT
   todo = {HOLD}
   while todo != {STOP}:
     todo = read_input_integer_register(25)
     if read_input_integer_register(24) == count:
       silence = silence + get_steptime()
-      if silence > read_input_float_register(32):
+      if silence > 0.001*read_input_integer_register(27):
         textmsg("dynid: no command, the arm is stopped")
         todo = {STOP}
       end
@@ -56,9 +71,22 @@ PROGRAM = f"""def {NAME}():
       silence = 0.0
     end
     if todo == {SERVO}:
-      q = [read_input_float_register(24), read_input_float_register(25), read_input_float_register(26), \
-read_input_float_register(27), read_input_float_register(28), read_input_float_register(29)]
-      servoj(q, 0, 0, get_steptime(), read_input_float_register(30), read_input_float_register(31))
+      pace = 1.0 + {PULL:g}*(behind/KNOT - 2.0)
+      if pace > 4.0*behind/KNOT:
+        pace = 4.0*behind/KNOT
+      end
+      behind = behind - pace + read_input_integer_register(26) - newest
+      newest = read_input_integer_register(26)
+      if behind > 3.0*KNOT:
+        behind = 3.0*KNOT
+      end
+      x = behind/KNOT
+      a = (1.0 - x)*(2.0 - x)*(3.0 - x)/6.0
+      b = x*(2.0 - x)*(3.0 - x)/2.0
+      c = x*(x - 1.0)*(3.0 - x)/2.0
+      d = x*(x - 1.0)*(x - 2.0)/6.0
+      q = [{_TARGET}]
+      servoj(q, 0, 0, get_steptime(), {LOOKAHEAD:g}, {SERVO_GAIN:g})
     elif todo == {HOLD}:
       sync()
     end
@@ -67,11 +95,12 @@ read_input_float_register(27), read_input_float_register(28), read_input_float_r
   write_output_integer_register(24, -RUN)
 end
 """
-"""URScript; RUN stands for a number of this run: what an earlier run left in the register is no answer."""
+"""URScript; RUN stands for a number of this run: what an earlier run left in the register is no answer. KNOT is how
+many positions the knots of the path are apart."""
 
 
 class ServoProgram:
-    """Control of an arm by `PROGRAM`, under the names of ur_rtde's RTDEControlInterface (`motion.Control`).
+    """Control of an arm by `PROGRAM`; but for `follow` under the names of ur_rtde's RTDEControlInterface.
 
     Commands come at a rate [Hz]; `connect` reaches the ports of the controller.
 
@@ -86,16 +115,17 @@ class ServoProgram:
         self._splitter = wire.PackageSplitter()
         self._packages: deque[wire.Package] = deque()
         self._counter = itertools.count(1)
-        self._asked = [0.0] * len(_DOUBLES)
+        self._path = [0.0] * len(_DOUBLES)
+        self._tick, self._longest_silence = 0, ANSWER_LIMIT
         self._state, self._playing, self._connected = 0, False, True
         self._run = int(clock.time_of_day() * 1e3) % (1 << 30) + 1
         self._socket = connect(host, wire.PORT, ANSWER_LIMIT)
         try:
             self._negotiate(rate)
-            self._asked[8] = ANSWER_LIMIT
             self._write(HOLD)
+            text = PROGRAM.replace("RUN", str(self._run)).replace("KNOT", str(knot_distance(rate)))
             with connect(host, SCRIPT_PORT, ANSWER_LIMIT) as script:
-                script.sendall(PROGRAM.replace("RUN", str(self._run)).encode("ascii"))
+                script.sendall(text.encode("ascii"))
                 self._until(lambda: self._state == self._run, ANSWER_LIMIT)
             if self._state != self._run:
                 raise self._failed("its program did not start", "is it on, and in remote control?")
@@ -103,15 +133,14 @@ class ServoProgram:
             self.disconnect()
             raise
 
-    def servoJ(  # noqa: D102
-        self, q: Sequence[float], speed: float, acceleration: float, time: float, lookahead: float, gain: float
-    ) -> bool:
-        self._asked[:8] = [*q, lookahead, gain]
+    def follow(self, path: DelayedPath) -> bool:
+        """Let the arm follow a path at the rate of the commands, `DELAY` behind; whether the program still runs."""
+        self._tick, self._path = path.tick, [value for knot in path.knots() for value in knot]
         self._write(SERVO)
         return self.isProgramRunning()
 
     def setWatchdog(self, min_frequency: float) -> bool:  # noqa: D102
-        self._asked[8] = 1.0 / min_frequency
+        self._longest_silence = 1.0 / min_frequency
         return self.kickWatchdog()
 
     def kickWatchdog(self) -> bool:  # noqa: D102
@@ -151,7 +180,7 @@ class ServoProgram:
         if self._inputs == 0:
             reason = "another client has" if "IN_USE" in types else "it lacks"
             raise self._failed(
-                f"{reason} the RTDE input registers 24 to 32", "end the other program; software from 5.3 on"
+                f"{reason} the RTDE input registers 24 to 47", "end the other program; software from 5.3 on"
             )
         names = [name for name, _ in _OUTPUTS]
         answer = wire.decode_recipe_answer(self._ask(wire.encode_output_recipe(names, rate)), names)
@@ -175,7 +204,8 @@ class ServoProgram:
         raise self._failed(f"no answer within {ANSWER_LIMIT:g} s", "is this the arm's controller?")
 
     def _write(self, todo: int) -> None:
-        payload = bytes([self._inputs]) + _VALUES.pack(next(self._counter), todo, *self._asked)
+        silence = round(1e3 * self._longest_silence)
+        payload = bytes([self._inputs]) + _VALUES.pack(next(self._counter), todo, self._tick, silence, *self._path)
         try:
             self._socket.sendall(wire.encode_package(wire.DATA_PACKAGE, payload))
         except OSError:

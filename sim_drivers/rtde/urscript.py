@@ -1,16 +1,18 @@
 """Runs programs in the part of URScript that needs no poses, threads or strings: registers, servoj, stopj, sync.
 
 URScript differs from Python in its `end` lines and in `local` and `global` (Universal Robots, "The URScript Programming
-Language"), so a program is read by Python's parser and then evaluated word by word: nothing but the words below exists
-for it. It moves on by a period of the controller at a time; one that never waits is ended, as the controller ends it.
+Language"), so a program is read by Python's parser. Its statements are obeyed one by one, and Python evaluates its
+expressions where they are of the kinds below: nothing but the words below exists for it. It moves on by a period of the
+controller at a time; one that never waits is ended, as the controller ends it.
 """
 
 from __future__ import annotations
 
 import ast
-import operator
 import re
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Generator, Mapping
+from functools import partial
+from types import CodeType
 
 import numpy as np
 
@@ -28,24 +30,16 @@ WORDS = MOVES | {
     "write_output_integer_register",
 }
 LARGEST_STEP = 10_000
-"""Words that a program may evaluate in a period of the controller."""
+"""Statements that a program may obey in a period of the controller."""
 LOOKAHEAD = 0.1
 """servoj's default [s]."""
 _DECLARATION = re.compile(r"^(\s*)(?:local|global)\s+")
-_BINARY: Mapping[type[ast.operator], Callable[[float, float], float]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-}
-_COMPARISONS: Mapping[type[ast.cmpop], Callable[[object, object], bool]] = {
-    ast.Eq: operator.eq,
-    ast.NotEq: operator.ne,
-    ast.Lt: operator.lt,  # type: ignore[dict-item]
-    ast.LtE: operator.le,  # type: ignore[dict-item]
-    ast.Gt: operator.gt,  # type: ignore[dict-item]
-    ast.GtE: operator.ge,  # type: ignore[dict-item]
-}
+_EXPRESSIONS = (
+    *(ast.Constant, ast.Name, ast.Load, ast.List, ast.UnaryOp, ast.USub, ast.Not, ast.BoolOp, ast.And, ast.Or),
+    *(ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Compare, ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE),
+    *(ast.Call, ast.keyword),
+)
+"""What expressions consist of."""
 _Run = Generator[None, None, None]
 """Yields once a period."""
 
@@ -70,11 +64,14 @@ class UrscriptProgram:
             raise UsageError(f"{', '.join(sorted(unknown))}: not simulated")
         self._body = module.body[0].body
         self._variables: dict[str, object] = {}
-        self._words = 0
+        self._compiled: dict[ast.expr, CodeType] = {}
+        self._answers: dict[str, object] = {}
+        self._obeyed = 0
         self._run: _Run | None = None
 
     def begin(self, controller: Controller) -> None:
         """Start of the program."""
+        self._answers = {name: partial(self._answer, controller, name) for name in WORDS - MOVES}
         self._run = self._block(self._body, controller)
 
     def kick(self, controller: Controller, received: Mapping[str, Value]) -> None:
@@ -83,7 +80,7 @@ class UrscriptProgram:
     def step(self, controller: Controller) -> None:
         """One period."""
         assert self._run is not None, "a program begins before it steps"
-        self._words = 0
+        self._obeyed = 0
         try:
             next(self._run)
         except StopIteration:
@@ -94,26 +91,28 @@ class UrscriptProgram:
 
     def _block(self, statements: list[ast.stmt], controller: Controller) -> _Run:
         for statement in statements:
-            self._count()
+            self._obeyed += 1
+            if self._obeyed > LARGEST_STEP:
+                raise UsageError("the program runs without waiting")
             match statement:
                 case ast.Assign(targets=[ast.Name(id=name)], value=value):
-                    self._variables[name] = self._value(value, controller)
+                    self._variables[name] = self._value(value)
                 case ast.If(test=test, body=body, orelse=otherwise):
-                    yield from self._block(body if self._value(test, controller) else otherwise, controller)
+                    yield from self._block(body if self._value(test) else otherwise, controller)
                 case ast.While(test=test, body=body, orelse=[]):
-                    while self._value(test, controller):
+                    while self._value(test):
                         yield from self._block(body, controller)
                 case ast.Expr(value=ast.Call(func=ast.Name(id=name)) as call) if name in MOVES:
                     yield from self._move(name, call, controller)
                 case ast.Expr(value=ast.Call() as call):
-                    self._value(call, controller)
+                    self._value(call)
                 case _:
                     raise UsageError(f"'{ast.unparse(statement).splitlines()[0]}' is not simulated")
 
     def _move(self, name: str, call: ast.Call, controller: Controller) -> _Run:
         """A command that takes time."""
-        values = [self._value(argument, controller) for argument in call.args]
-        named = {keyword.arg: self._value(keyword.value, controller) for keyword in call.keywords}
+        values = [self._value(argument) for argument in call.args]
+        named = {keyword.arg: self._value(keyword.value) for keyword in call.keywords}
         if name == "servoj":
             given = dict(zip(("q", "a", "v", "t", "lookahead_time", "gain"), values, strict=False)) | named
             target = np.asarray(given.get("q", ()), dtype=np.float64)
@@ -130,37 +129,17 @@ class UrscriptProgram:
         else:
             yield
 
-    def _value(self, expression: ast.expr, controller: Controller) -> object:
-        self._count()
-        match expression:
-            case ast.Constant(value=bool() | int() | float() | str() as value):
-                return value
-            case ast.Name(id=name) if name in self._variables:
-                return self._variables[name]
-            case ast.List(elts=elements):
-                return [self._value(element, controller) for element in elements]
-            case ast.UnaryOp(op=ast.USub(), operand=operand):
-                return -self._number(operand, controller)
-            case ast.UnaryOp(op=ast.Not(), operand=operand):
-                return not self._value(operand, controller)
-            case ast.BoolOp(op=junction, values=operands):
-                truths = (bool(self._value(operand, controller)) for operand in operands)
-                return all(truths) if isinstance(junction, ast.And) else any(truths)
-            case ast.BinOp(left=left, op=sign, right=right) if type(sign) in _BINARY:
-                return _BINARY[type(sign)](self._number(left, controller), self._number(right, controller))
-            case ast.Compare(left=left, ops=[sign], comparators=[right]) if type(sign) in _COMPARISONS:
-                return _COMPARISONS[type(sign)](self._value(left, controller), self._value(right, controller))
-            case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
-                return self._answer(name, [self._value(argument, controller) for argument in arguments], controller)
-        raise UsageError(f"'{ast.unparse(expression)}' is not simulated")
+    def _value(self, expression: ast.expr) -> object:
+        if expression not in self._compiled:
+            if not all(isinstance(node, _EXPRESSIONS) for node in ast.walk(expression)):
+                raise UsageError(f"'{ast.unparse(expression)}' is not simulated")
+            self._compiled[expression] = compile(ast.Expression(expression), "<URScript>", "eval")
+        try:
+            return eval(self._compiled[expression], {"__builtins__": {}} | self._answers, self._variables)
+        except NameError as error:
+            raise UsageError(f"'{error.name}' is not simulated") from error
 
-    def _number(self, expression: ast.expr, controller: Controller) -> float:
-        value = self._value(expression, controller)
-        if not isinstance(value, int | float):
-            raise UsageError(f"'{ast.unparse(expression)}' is not a number")
-        return value
-
-    def _answer(self, name: str, values: list[object], controller: Controller) -> object:
+    def _answer(self, controller: Controller, name: str, *values: object) -> object:
         """Return what a function that takes no time returns."""
         registers = {"read_input_integer_register": "input_int", "read_input_float_register": "input_double"}
         match name, values:
@@ -178,8 +157,3 @@ class UrscriptProgram:
                     controller.values[f"output_int_register_{number}"] = value
                     return None
         raise UsageError(f"{name} with {len(values)} arguments is not simulated")
-
-    def _count(self) -> None:
-        self._words += 1
-        if self._words > LARGEST_STEP:
-            raise UsageError("the program runs without waiting")

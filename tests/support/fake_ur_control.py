@@ -124,7 +124,7 @@ def move_and_print(log: str) -> None:
     from drivers.rtde.motion import MotionProcess
 
     motion = MotionProcess(log, 500.0, 60.0, PrintingControl)
-    motion.command(np.zeros(6))
+    motion.command(np.zeros(6), time.monotonic())
     while "servoJ" not in Path(log).read_text():
         time.sleep(0.01)
     motion.stop()
@@ -138,8 +138,8 @@ def move_for_ever(log: str) -> None:
     from drivers.rtde.motion import MotionProcess
 
     motion = MotionProcess(log, 500.0, 60.0, FakeControl)
-    motion.command(np.zeros(6))
+    motion.command(np.zeros(6), time.monotonic())
     print("moving", flush=True)
     while True:
-        motion.command(np.full(6, 0.5))
+        motion.command(np.full(6, 0.5), time.monotonic())
         time.sleep(0.002)

@@ -207,10 +207,10 @@ class PythonControl:
         raise RuntimeError("no answer")
 
 
-TakesControl = Callable[[Connect, SimulatedClock, str, float], Control]
+TakesControl = Callable[[Connect, SimulatedClock, str, float], Control | ServoProgram]
 
 
-def own_program(connect: Connect, clock: SimulatedClock, host: str, rate: float) -> Control:
+def own_program(connect: Connect, clock: SimulatedClock, host: str, rate: float) -> ServoProgram:
     """Control by dynid's own program, as where ur_rtde has no wheel."""
     return ServoProgram(host, rate, connect, clock)
 
@@ -259,7 +259,7 @@ class MotionThread:
         self.pipe, self._far_end = pipe(clock)
         self.pid: int | None = None
         self.exitcode: int | None = None
-        self._killed = killed
+        self._killed, self._clock = killed, clock
         self._thread = clock.thread(self._run, f"motion {host}", (factory, host, rate))
         self._thread.start()
 
@@ -276,7 +276,7 @@ class MotionThread:
 
     def _run(self, factory: ControlFactory, host: str, rate: float) -> None:
         try:
-            status = 0 if obey(self._far_end, factory, host, rate, lambda: None) else 1
+            status = 0 if obey(self._far_end, factory, host, rate, lambda: None, self._clock) else 1
         except SystemExit as left:
             status = int(str(left.code))
         self._far_end.close()
@@ -318,7 +318,7 @@ class Motions:
         self.made.append(MotionThread(self._clock, factory, host, rate, killed=self._close))
         return self.made[-1].pipe, self.made[-1]
 
-    def _control(self, host: str, rate: float) -> Control:
+    def _control(self, host: str, rate: float) -> Control | ServoProgram:
         return self._control_of(self._open, self._clock, host, rate)
 
     def _open(self, host: str, port: int, timeout: float) -> socket.socket:

@@ -27,7 +27,9 @@ from rtde_bench import loopback
 from rtde_in_process import MotionThread, PipeEnd
 from simulated_clock import START, SimulatedClock
 
+from drivers.core.clock import STALL_LIMIT
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError
+from drivers.rtde.delayed_path import DELAY
 from drivers.rtde.motion import (
     BACKLOG_LIMIT,
     PATIENCE,
@@ -81,62 +83,67 @@ def bench(clock: SimulatedClock) -> Bench:
     return Bench(clock)
 
 
-def test_positions_reach_the_arm_and_stop_halts_it(bench: Bench) -> None:
+def test_positions_reach_the_arm_a_fixed_time_later_and_stop_halts_it(bench: Bench) -> None:
     motion = bench.move()
-    for index in range(50):
-        motion.command(np.full(6, index / 100))
+    for index in range(200):
+        motion.command(np.full(6, index / 100), bench.clock.now())
         bench.clock.sleep(PERIOD)
     assert motion.stop()
     assert bench.lines()[0].endswith(" 500")
     assert bench.lines()[-4:] == HALT
     served = bench.said[1:-4]
-    assert [line for _, line in served] == [f"servoJ {index / 100:g} 0.002" for index in range(50)]
-    np.testing.assert_allclose([when for when, _ in served], PERIOD * np.arange(50), atol=1e-9)
-    assert bench.said[-1][0] == pytest.approx(50 * PERIOD)
+    when, targets = np.array([[time, float(line.split()[1])] for time, line in served]).T
+    np.testing.assert_allclose(when, PERIOD * np.arange(1, len(when) + 1), atol=1e-9)
+    np.testing.assert_allclose(targets, np.maximum(when - DELAY, 0.0) / PERIOD / 100, atol=1e-3)
+    assert len(when) in (199, 200)
+    assert bench.said[-1][0] == pytest.approx(200 * PERIOD)
     assert motion.stop()  # safe twice
 
 
-def test_where_several_positions_wait_the_newest_one_counts(bench: Bench) -> None:
+@pytest.mark.parametrize("stall", [0.0, 0.004, 0.02, STALL_LIMIT])
+def test_a_sender_that_stalls_and_makes_up_for_it_is_not_felt(bench: Bench, stall: float) -> None:
+    """It sends more at once than the process may leave unanswered, and waits until it is no longer behind."""
     motion = bench.move()
-    for index in range(BACKLOG_LIMIT):
-        motion.command(np.full(6, index / 100))
-    for index in range(20):  # each waits until the arm is no longer behind
-        motion.command(np.full(6, 1.0 + index / 100))
-    bench.clock.sleep(PERIOD)
-    served = [float(line.split()[1]) for line in bench.lines()[1:]]
-    assert served[0] == 0.04
-    assert served[-1] == 1.19
-    assert served == sorted(served)
-    assert bench.clock.now() == pytest.approx(START + PERIOD)
+    begun = bench.clock.now()
+    for index in range(400):
+        due = begun + index * PERIOD
+        bench.clock.sleep_until(due + stall if index == 200 else due)
+        motion.command(np.full(6, index * PERIOD), due)
     assert motion.stop()
+    when, line = zip(*bench.said[1:-4], strict=True)
+    targets = np.array([float(text.split()[1]) for text in line])
+    np.testing.assert_allclose(targets, np.maximum(np.array(when) - DELAY, 0.0), atol=2e-3)
+    np.testing.assert_allclose(
+        np.diff(targets), np.diff(when) * (np.array(when[1:]) > DELAY + 1e-9), atol=0.03 * PERIOD
+    )
 
 
 def test_only_six_finite_numbers_are_positions(bench: Bench) -> None:
     motion = bench.move()
     for position in (np.zeros(5), np.zeros((1, 6)), np.full(6, np.nan), np.full(6, np.inf)):
         with pytest.raises(ValueError):
-            motion.command(position)
+            motion.command(position, bench.clock.now())
     assert motion.stop()
 
 
 def test_without_commands_the_arm_is_halted_when_the_limit_has_passed(bench: Bench) -> None:
     motion = bench.move()
-    motion.command(np.zeros(6))
+    motion.command(np.zeros(6), bench.clock.now())
     bench.clock.sleep(SILENCE_LIMIT - PERIOD)
-    motion.command(np.zeros(6))
+    motion.command(np.zeros(6), bench.clock.now())
     assert bench.lines()[-1] == "servoJ 0 0.002"
     bench.clock.sleep(2.0)
     halted = 2 * SILENCE_LIMIT - PERIOD
     assert [line for _, line in bench.said[-4:]] == HALT
     assert [when for when, _ in bench.said[-4:]] == pytest.approx([halted] * 4)
     with pytest.raises(ConnectionLostError, match=r"no command for 0\.5 s"):
-        motion.command(np.zeros(6))
+        motion.command(np.zeros(6), bench.clock.now())
     assert motion.stop()
 
 
 def test_a_recording_process_that_is_gone_halts_the_arm_at_once(bench: Bench) -> None:
     motion = bench.move()
-    motion.command(np.zeros(6))
+    motion.command(np.zeros(6), bench.clock.now())
     bench.clock.sleep(0.1)
     assert bench.thread is not None
     bench.thread.pipe.close()
@@ -146,14 +153,14 @@ def test_a_recording_process_that_is_gone_halts_the_arm_at_once(bench: Bench) ->
 
 def test_a_refused_position_halts_the_arm_and_shows(bench: Bench) -> None:
     motion = bench.move(RefusingControl)
-    motion.command(np.zeros(6))
+    motion.command(np.zeros(6), bench.clock.now())
     bench.clock.sleep(PERIOD)
-    motion.command(np.full(6, 2.0))
-    bench.clock.sleep(PERIOD)
+    motion.command(np.full(6, 2.0), bench.clock.now())
+    bench.clock.sleep(DELAY + 3.0 * PERIOD)
     with pytest.raises(ConnectionLostError, match="controller refused a position"):
-        motion.command(np.full(6, 2.0))
+        motion.command(np.full(6, 2.0), bench.clock.now())
     assert motion.stop()
-    assert bench.said[-3:] == [(pytest.approx(PERIOD), line) for line in HALT[1:]]
+    assert bench.said[-3:] == [(pytest.approx(DELAY, abs=4.0 * PERIOD), line) for line in HALT[1:]]
 
 
 def test_a_process_that_hangs_shows_and_is_killed(bench: Bench) -> None:
@@ -163,15 +170,14 @@ def test_a_process_that_hangs_shows_and_is_killed(bench: Bench) -> None:
             return True
 
     motion = bench.move(Hanging)
-    for _ in range(BACKLOG_LIMIT):
-        motion.command(np.zeros(6))
+    motion.command(np.zeros(6), bench.clock.now())
     bench.clock.sleep(PERIOD)  # it answers what it took
     for _ in range(BACKLOG_LIMIT):
-        motion.command(np.zeros(6))
+        motion.command(np.zeros(6), bench.clock.now())
     assert not bench.killed.is_set()
     begun = bench.clock.now()
     with pytest.raises(ConnectionLostError, match=r"commands unanswered for 0\.2 s"):
-        motion.command(np.zeros(6))
+        motion.command(np.zeros(6), bench.clock.now())
     assert bench.clock.now() - begun == pytest.approx(PATIENCE)
     assert bench.killed.is_set()
     assert not motion.stop()
@@ -184,7 +190,7 @@ def test_an_arm_that_cannot_be_stopped_in_time_is_given_up(bench: Bench) -> None
             return True
 
     motion = bench.move(Hanging)
-    motion.command(np.zeros(6))
+    motion.command(np.zeros(6), bench.clock.now())
     assert not motion.stop()
     assert bench.clock.now() == pytest.approx(START + STOP_LIMIT)
     assert bench.killed.is_set()
@@ -213,7 +219,7 @@ def test_why_control_was_refused_is_told(bench: Bench) -> None:
 
 def test_a_stop_that_the_controller_did_not_confirm_is_none(bench: Bench) -> None:
     motion = bench.move(CutOffControl)
-    motion.command(np.zeros(6))
+    motion.command(np.zeros(6), bench.clock.now())
     assert not motion.stop()
     assert bench.lines()[-3:] == HALT[1:]
 
@@ -270,7 +276,7 @@ def script(call: str) -> tuple[list[str], dict[str, str]]:
 @pytest.mark.realtime
 def test_a_process_of_its_own_moves_the_arm_and_leaves_sigterm_to_its_parent(log: Path) -> None:
     motion = MotionProcess(str(log), 500.0, LIMIT, FakeControl)
-    motion.command(np.full(6, 0.25))
+    motion.command(np.full(6, 0.25), time.monotonic())
     wait_for(lambda: "servoJ 0.25 0.002" in lines(log))
     assert lines(log)[0] == f"control {motion.pid} 500"
     os.kill(int(motion.pid or 0), signal.SIGTERM)
@@ -292,10 +298,10 @@ def test_the_time_limit_for_control_begins_when_the_process_runs(log: Path) -> N
 @pytest.mark.realtime
 def test_a_process_that_dies_shows(log: Path) -> None:
     motion = MotionProcess(str(log), 500.0, LIMIT, DyingControl)
-    motion.command(np.zeros(6))
+    motion.command(np.zeros(6), time.monotonic())
     wait_for(lambda: not alive(int(motion.pid or 0)))
     with pytest.raises(ConnectionLostError, match="motion process ended with exit status 3"):
-        motion.command(np.zeros(6))
+        motion.command(np.zeros(6), time.monotonic())
     assert not motion.stop()
 
 

@@ -11,7 +11,8 @@ from simulated_clock import SimulatedClock
 
 from daq.robot.loader import load_robot
 from drivers.core.errors import ConnectionFailedError
-from drivers.rtde.servo_program import ANSWER_LIMIT, PROGRAM, ServoProgram
+from drivers.rtde.delayed_path import DELAY, DelayedPath
+from drivers.rtde.servo_program import ANSWER_LIMIT, LOOKAHEAD, PROGRAM, ServoProgram
 from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.server import RtdeServer
 
@@ -38,11 +39,20 @@ def take(network: Network, clock: SimulatedClock) -> ServoProgram:
 def move(control: ServoProgram, server: RtdeServer, clock: SimulatedClock, speed: float, seconds: float) -> bool:
     """Send positions that move every joint at a speed [rad/s]; whether all were taken."""
     start = np.array(server.controller.values["actual_q"])
+    path = DelayedPath(RATE)
     for step in range(round(seconds * RATE)):
-        if not control.servoJ([*(start + speed * step / RATE)], 0.0, 0.0, 1.0 / RATE, 0.1, 300.0):
+        path.put(clock.now(), start + speed * step / RATE)
+        if not control.follow(path):
             return False
         clock.sleep(1.0 / RATE)
     return True
+
+
+def at(position: np.ndarray) -> DelayedPath:
+    """A path of one position."""
+    path = DelayedPath(RATE)
+    path.put(0.0, position)
+    return path
 
 
 def fastest(server: RtdeServer) -> float:
@@ -56,7 +66,9 @@ def test_the_arm_follows_and_stops_and_the_program_ends(
     assert control.setWatchdog(1.0)
     start = np.array(server.controller.values["actual_q"])
     assert move(control, server, clock, 0.3, 1.0)
-    np.testing.assert_allclose(np.array(server.controller.values["actual_q"]) - start, 0.3 * 0.9, atol=0.01)
+    np.testing.assert_allclose(
+        np.array(server.controller.values["actual_q"]) - start, 0.3 * (1.0 - DELAY - LOOKAHEAD), atol=0.01
+    )
     assert fastest(server) > 0.25
     assert control.servoStop(10.0)
     assert not control.isProgramRunning()
@@ -81,12 +93,12 @@ def test_without_commands_the_controller_stops_the_arm_by_itself(
     assert not control.isProgramRunning()
     assert any("no command" in message for message in server.messages)
     assert fastest(server) < STILL
-    assert not control.servoJ([0.0] * 6, 0.0, 0.0, 0.002, 0.1, 300.0)
+    assert not control.follow(at(np.zeros(6)))
 
 
 def test_a_position_outside_the_limits_ends_it(server: RtdeServer, network: Network, clock: SimulatedClock) -> None:
     control = take(network, clock)
-    control.servoJ([7.0] * 6, 0.0, 0.0, 0.002, 0.1, 300.0)
+    control.follow(at(np.full(6, 7.0)))
     clock.sleep(0.1)
     assert not control.isProgramRunning()
     assert not control.servoStop(10.0)  # the program did not confirm a stop
@@ -117,8 +129,8 @@ def test_a_cut_connection_is_noticed_and_the_arm_stops(
     move(control, server, clock, 0.3, 0.5)
     control.disconnect()
     assert not control.isConnected()
-    assert not control.servoJ([0.0] * 6, 0.0, 0.0, 0.002, 0.1, 300.0)
-    clock.sleep(1.5)
+    assert not control.follow(at(np.zeros(6)))
+    clock.sleep(2.0)
     assert server.controller.script is None
     assert fastest(server) < STILL
 
