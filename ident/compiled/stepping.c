@@ -9,8 +9,8 @@ struct run {
     int rounds, directions;
     double *position, *velocity, *torque;       /* (N, a) */
     const double *viscous, *driving, *steady;   /* (a, a), (a,) that falls with the velocity, (a,) of the bias */
-    const double *motion, *limit;               /* (directions, a), (directions,) of dry friction */
-    double *dry, *change;                       /* (directions,), (a,) of the step before */
+    const double *motion, *limit, *travel;      /* (directions, a), (directions,) of dry friction, its travel over h */
+    double *dry, *change, *state;               /* (directions,), (a,), (directions,) of the step before */
 };
 
 /* What the motors see (a,) of torques (n,) at the tree. */
@@ -64,6 +64,17 @@ static void bias(const struct arm *arm, const struct body *bodies, const double 
     at_motors(arm, of_tree, torque);
 }
 
+/* u over what Dahl's state adds to dry friction over a step at a velocity (`_compliance` of time_stepping.py). */
+static double compliance(double rate, double travel, double limit, double state)
+{
+    const double full = 1e-9;
+    if (!(travel > 0.0))
+        return 0.0;
+    double passed = fabs(rate) / travel, covered = passed > 0.0 ? -expm1(-passed) / passed : 1.0;
+    double room = 1.0 - (rate > 0.0 ? state : rate < 0.0 ? -state : 0.0);
+    return travel / (limit * covered * fmax(room, full));
+}
+
 /* One step from row `index`; the row behind it is written, and what the next step begins with. */
 int dynid_step(const struct arm *arm, struct run *run, int index)
 {
@@ -94,6 +105,7 @@ int dynid_step(const struct arm *arm, struct run *run, int index)
         if (run->limit[i] > 0.0)
             place_of[dry++] = i;
     double to_velocity[count * dry + 1], matrix[dry * dry + 1], limit[dry + 1], friction[dry + 1], slip[dry + 1];
+    double stiff[dry + 1];
     for (int k = 0; k < dry; k++) {
         limit[k] = run->limit[place_of[k]];
         friction[k] = run->dry[place_of[k]];
@@ -106,6 +118,8 @@ int dynid_step(const struct arm *arm, struct run *run, int index)
             for (int i = 0; i < count; i++)
                 total += run->motion[place_of[k] * count + i] * to_velocity[i * dry + other];
             matrix[k * dry + other] = h * total;
+            if (other == k)
+                stiff[k] = h * total;
         }
     double after[count], change = 0.0;
     for (int i = 0; i < count; i++)
@@ -120,8 +134,13 @@ int dynid_step(const struct arm *arm, struct run *run, int index)
         for (int i = 0; i < count; i++)
             after[i] = dot(count, inverse + i * count, load);
         if (dry) {
-            for (int k = 0; k < dry; k++)
-                slip[k] = dot(count, run->motion + place_of[k] * count, after);
+            for (int k = 0; k < dry; k++) {
+                const double *motion = run->motion + place_of[k] * count;
+                double state = run->state[place_of[k]];
+                double yielding = compliance(dot(count, motion, start), run->travel[place_of[k]], limit[k], state);
+                matrix[k * dry + k] = stiff[k] + yielding;
+                slip[k] = dot(count, motion, after) + yielding * limit[k] * state;
+            }
             if (dynid_dry_friction(dry, matrix, slip, limit, friction) != DONE)
                 return UNSOLVED;
             for (int i = 0; i < count; i++)
@@ -138,8 +157,10 @@ int dynid_step(const struct arm *arm, struct run *run, int index)
         if (coming <= run->precision * fmax(1.0, largest))
             break;
     }
-    for (int k = 0; k < dry; k++)
+    for (int k = 0; k < dry; k++) {
         run->dry[place_of[k]] = friction[k];
+        run->state[place_of[k]] = run->travel[place_of[k]] > 0.0 ? friction[k] / limit[k] : 0.0;
+    }
     for (int i = 0; i < count; i++) {
         run->change[i] = after[i] - v[i];
         v[count + i] = after[i];

@@ -50,7 +50,7 @@ class _Run(ctypes.Structure):
         *((name, ctypes.c_double) for name in ("step", "precision", "diverged")),
         *((name, ctypes.c_int) for name in ("rounds", "directions")),
         *((name, ctypes.c_void_p) for name in ("position", "velocity", "torque", "viscous", "driving", "steady")),
-        *((name, ctypes.c_void_p) for name in ("motion", "limit", "dry", "change")),
+        *((name, ctypes.c_void_p) for name in ("motion", "limit", "travel", "dry", "change", "state")),
     ]
 
 
@@ -62,7 +62,7 @@ class CompiledStepping:
         arm: ForwardArm,
         step: float,
         motion: tuple[FloatArray, FloatArray, FloatArray],
-        memory: tuple[FloatArray, FloatArray],
+        memory: tuple[FloatArray, FloatArray, FloatArray],
         bounds: tuple[float, float, int],
     ) -> None:
         """Prepare the kernel's tables; where there is a library only.
@@ -71,7 +71,7 @@ class CompiledStepping:
             arm: to simulate.
             step: [s].
             motion: positions, velocities and torques, each (N, n), of which the first row of positions is filled.
-            memory: dry friction (m,) and change of the velocity (n,) of the step before.
+            memory: dry friction (m,), change of the velocity (n,) and Dahl's states (m,) of the step before.
             bounds: precision and largest velocity, and how often the bias is evaluated at most.
 
         Raises:
@@ -107,6 +107,7 @@ class CompiledStepping:
         self._step = step
         precision, diverged, rounds = bounds
         friction = [self._viscous, self._driving, self._steady, np.ascontiguousarray(arm.directions), self._limits]
+        friction.append(arm.travel / step)
         self._kept += friction
         self._run = _Run(step, precision, diverged, rounds, len(arm.dry), *map(address, (*motion, *friction, *memory)))
         call = kernels().quick.dynid_step
@@ -164,7 +165,7 @@ def compiled_stepping(
     arm: ForwardArm,
     step: float,
     motion: tuple[FloatArray, FloatArray, FloatArray],
-    memory: tuple[FloatArray, FloatArray],
+    memory: tuple[FloatArray, FloatArray, FloatArray],
     bounds: tuple[float, float, int],
 ) -> CompiledStepping | None:
     """Steps as of `CompiledStepping`; None without a library, or where a loop does not close at the start."""

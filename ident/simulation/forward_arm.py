@@ -5,7 +5,8 @@ At the n joints with a motor, as `ident.model.dynamics.inverse_dynamics` has it:
     M(q)·q̈ + b(q, q̇) + V·q̇ + Dᵀ·λ = τ        λᵢ = fᵢ·sign(Dᵢ·q̇), anything between −fᵢ and fᵢ where Dᵢ·q̇ = 0
 
 Dry friction is Coulomb's, with what depends on load and speed (Stribeck) where the model has it: fᵢ then changes from
-step to step. What vanishes at rest without being linear, |q̇|^α and √|q̇|, is viscous friction whose coefficient changes.
+step to step. Where the model has presliding, λᵢ = fᵢ·zᵢ with Dahl's state z. What vanishes at rest without being
+linear, |q̇|^α and √|q̇|, is viscous friction whose coefficient changes.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from ident.model.dynamics.inverse_dynamics import InverseDynamics, with_masses
 from ident.model.dynamics.rigid_arm import RigidArm, rigid_arm
 from ident.model.joint_columns import JointColumn, column_signal, combined
 from ident.model.parameters import INERTIAL
+from ident.model.presliding import presliding_motions
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,7 @@ class ForwardArm:
         offset: (n,) constant torque, part of the bias [N·m].
         directions: (m, n) D, the joint motions that dry friction acts on.
         dry: (m,) f, Coulomb friction in each of them [N·m].
+        travel: (m,) δ, pre-sliding travel [rad or m] of each of them; 0 without.
         model: the arm.
         inertial: (10·links,) standard parameters of its links with these dynamics.
         rotors: (n, n) inertia of the motors at the joints [kg·m²].
@@ -66,7 +69,8 @@ class ForwardArm:
         self.dof, self.joint_names, self.sliding = model.dof, model.joint_names, model.sliding
         self.viscous, self._accelerating = np.zeros((self.dof, self.dof)), np.zeros((self.dof, self.dof))
         self.offset = np.zeros(self.dof)
-        directions, dry = [], []
+        directions, dry, travel = [], [], []
+        travels = presliding_motions(model)
         identity = np.eye(self.dof)
         for column, value in inverse.joint_columns:
             if column.quantity not in TERM:  # the motor's inertia is among the rotors'
@@ -85,6 +89,7 @@ class ForwardArm:
             elif column.quantity == "coulomb":
                 directions.append(motion)
                 dry.append(float(at_joints @ motion / (motion @ motion)))
+                travel.append(travels.get(column.motion, 0.0))
             elif not TERM[column.quantity].rubs:
                 self._ripple.append(_Term(along, at_joints, motion))
             elif TERM[column.quantity].dry:
@@ -93,10 +98,12 @@ class ForwardArm:
                     same = [len(directions)]
                     directions.append(motion)
                     dry.append(0.0)
+                    travel.append(travels.get(column.motion, 0.0))
                 self._further_dry.append((same[0], _Term(along, at_joints, motion)))
             else:
                 self._smooth.append(_Term(along, at_joints, motion))
         self.directions, self.dry = np.array(directions).reshape(-1, self.dof), np.array(dry)
+        self.travel = np.array(travel)
         _check_dissipative(model, self.directions, self.dry)
         self.model, self.rotors = model, inverse.rotor_inertia + inverse.armature
         self.inertial, self._arms = _rigid_arms(model, inverse)

@@ -9,11 +9,13 @@ From (q, v), with the step h and the torque τ of the step,
 λ is the dry friction that belongs to the velocity v⁺ after the step, a set-valued force: at rest it takes any value up
 to the limit (`dry_friction`). So a joint at rest stays there (to rounding) until the torque breaks it away. Nothing
 creeps or chatters, there is no smoothing velocity to choose and no stiff slope to integrate, and reversals need no
-event search. Friction that depends on speed or load (Stribeck, |q̇|^α, load) is that at the beginning of each step,
-first order in h. Without dry friction the rule is symmetric in time and of second order: the energy error is bounded
-(∝ h²) and does not drift. A reversal or a stop is placed within the step, first order in h. Viscous friction is
-implicit, and never unstable. (J. J. Moreau, Unilateral contact and dry friction in finite freedom dynamics, 1988;
-V. Acary and B. Brogliato, Numerical methods for nonsmooth dynamical systems, 2008, ch. 10.)
+event search. Presliding (λ = f·z, `ident.model.presliding`) is implicit too: z is Dahl's state at the end of the step
+for the velocity v⁺, a law that grows with v⁺ and is Coulomb's for a short travel. Friction that depends on speed or
+load (Stribeck, |q̇|^α, load) is that at the beginning of each step, first order in h. Without dry friction the rule is
+symmetric in time and of second order: the energy error is bounded (∝ h²) and does not drift. A reversal or a stop is
+placed within the step, first order in h. Viscous friction is implicit, and never unstable. (J. J. Moreau, Unilateral
+contact and dry friction in finite freedom dynamics, 1988; V. Acary and B. Brogliato, Numerical methods for nonsmooth
+dynamical systems, 2008, ch. 10.)
 """
 
 from __future__ import annotations
@@ -38,6 +40,9 @@ ALTERNATIONS = 4
 
 PRECISION = 1e-9
 """Change of the velocity [rad/s], relative where it is above 1, at which v̄ counts as found."""
+
+FULL = 1e-9
+"""Share of dry friction that counts as no further rise of Dahl's state."""
 
 ROUNDS = 10
 """Evaluations of the bias per step at most."""
@@ -156,8 +161,10 @@ class _Stepping:
         self._identity = np.eye(arm.dof)
         self._dry = np.zeros(len(arm.dry))
         self._change = np.zeros(arm.dof)
+        self._state = np.where(arm.travel > 0.0, np.sign(arm.directions @ motion[1][0]), 0.0)
         bounds = PRECISION, DIVERGED, ROUNDS
-        self.compiled = compiled_stepping(arm, step, motion, (self._dry, self._change), bounds)
+        memory = self._dry, self._change, self._state
+        self.compiled = compiled_stepping(arm, step, motion, memory, bounds)
 
     def next(self, position: FloatArray, velocity: FloatArray, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Position and velocity (n,) after a step."""
@@ -174,13 +181,16 @@ class _Stepping:
         directions = arm.directions[sliding]
         to_velocity = inverse @ directions.T
         matrix = step * (directions @ to_velocity)
-        dry = self._dry[sliding]
+        dry, state = self._dry[sliding], self._state[sliding]
+        travel, limit = arm.travel[sliding] / step, limits[sliding]
         after, moved = velocity + self._change, 0.0
         for _ in range(ROUNDS):
             guess = after
             after = inverse @ (free - step * arm.bias(middle, 0.5 * (velocity + guess)))
             if len(dry):
-                dry = dry_friction(matrix, directions @ after, limits[sliding], dry)
+                yielding = _compliance(directions @ guess, travel, limit, state)
+                held = directions @ after + yielding * limit * state
+                dry = dry_friction(matrix + np.diag(yielding), held, limit, dry)
                 after = after - step * (to_velocity @ dry)
             before, moved = moved, _largest(after - guess)
             # Rounds contract by equal shares, so what the next one would change is known without it.
@@ -188,8 +198,25 @@ class _Stepping:
             if coming <= PRECISION * max(1.0, _largest(after)):
                 break
         self._dry[sliding] = dry
+        self._state[sliding] = np.where(travel > 0.0, dry / limit, 0.0)
         self._change[:] = after - velocity
         return middle + 0.5 * step * after, after
+
+
+def _compliance(rate: FloatArray, travel: FloatArray, limit: FloatArray, state: FloatArray) -> FloatArray:
+    """Return u over λ − f·z (m,) of Dahl's model over a step at a velocity; 0 of a direction without a travel.
+
+    Args:
+        rate: u (m,) about that after the step: the rounds bring it there [rad/s or m/s].
+        travel: (m,) δ over the step's duration [rad/s or m/s]; 0 without.
+        limit: f (m,).
+        state: z (m,) before the step.
+    """
+    gradual = travel > 0.0
+    passed = np.abs(rate) / np.where(gradual, travel, np.inf)
+    covered = np.where(passed > 0.0, -np.expm1(-passed) / np.where(passed > 0.0, passed, 1.0), 1.0)
+    room = np.maximum(1.0 - state * np.sign(rate), FULL)
+    return np.asarray(np.where(gradual, travel / (limit * covered * room), 0.0))
 
 
 def _largest(values: FloatArray) -> float:

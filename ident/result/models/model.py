@@ -292,8 +292,9 @@ class Model(ExportedModel):
         """Simulate the arm forward in time, with friction, closed loops and coupled motors.
 
         Dry friction is a set-valued force (Moreau's midpoint rule, `ident.simulation.time_stepping`): a joint stays at
-        rest until the torque breaks it away. A Coulomb column with smoothing is simulated as one without. Joint limits,
-        floor and collisions are not.
+        rest until the torque breaks it away. Where `identify` found a presliding travel it gives way like a spring, its
+        contacts deflected at the start if it moves then. A Coulomb column with smoothing is simulated as one without.
+        Joint limits, floor and collisions are not.
 
         Args:
             q0: (n,) positions at the start [rad].
