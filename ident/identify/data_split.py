@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
@@ -100,10 +101,12 @@ def split_data(
         split: end of the identification part [s]; None takes the first 70 %.
 
     Raises:
-        UsageError: a window or a border without data, or a held-out recording that holds the identification's.
+        UsageError: a window or a border without data, recordings that share samples, or a held-out recording that holds
+            the identification's.
         DataError: as `read_joint_signals`.
     """
     runs = tuple(run_window(recording, robot, chosen) for recording in recordings)
+    _check_counted_once(runs)
     if validation:
         if split is not None:
             raise UsageError(
@@ -193,6 +196,18 @@ def check_torques(runs: Sequence[RunWindow], torques: Sequence[int], names: Sequ
             where=", ".join(run.signals.label for run in runs),
             hint=f"check the column of the torque or current, or omit it: --torques-of {','.join(measured)}",
         )
+
+
+def _check_counted_once(runs: Sequence[RunWindow]) -> None:
+    """Refuse recordings that share samples: these would count twice, and part of them be held out from themselves."""
+    for first, second in combinations(runs, 2):
+        share = overlap(second.hashes, [kept_hashes(first.hashes)])
+        if share > 0.0:
+            raise UsageError(
+                f"{percent_text(share, 2)} of its samples are those of {first.signals.label}; they would count twice",
+                where=second.signals.label,
+                hint="give each recording once, without copies or parts of it",
+            )
 
 
 def _split(run: RunWindow, split: float | None) -> tuple[RunWindow, RunWindow]:

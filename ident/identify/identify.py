@@ -39,6 +39,7 @@ from ident.identify.identification import (
     apply_model_choices,
 )
 from ident.identify.preparation import PreparedData, compare_run, prepare_data
+from ident.model.another_arm import check_arm
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
@@ -77,7 +78,9 @@ def identify(  # noqa: PLR0915 — the steps, in their order
     if not recordings:
         raise UsageError("no recording to identify from")
     warn_of_other_arms([*recordings, *validation])
-    robot_file = recordings[0].robot() if robot_file is None else robot_file
+    if robot_file is None:
+        robot_file = recordings[0].robot()
+        check_arm([*recordings[1:], *validation], robot_file)
     model = apply_model_choices(build_model(robot_file), choices.model, robot_file.robot.friction)
     data = split_data(recordings, validation, robot_file.robot, choices.preprocess, choices.split)
     if choices.model.experiment is not None:

@@ -12,6 +12,7 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.units import ZERO_CELSIUS
 from ident.identify.revalidate import stored_choices
+from ident.model.another_arm import check_arm
 from ident.result.models.model import Model, TorquePart
 from ident.signals.joint_signals import JointSignals, joint_positions, joint_temperature, read_joint_signals
 from ident.signals.pipeline import prepare
@@ -66,10 +67,11 @@ def predict_recording(model: Model, robot_file: RobotFile, recording: Recording)
         recording: of the same arm.
 
     Raises:
-        DataError: the recording lacks positions, a joint, or a gain.
+        DataError: the recording lacks positions, a joint, or a gain, or is of another arm.
         ModelError: a parameter without a value acts on the motion.
         ResultFileError: the result holds no covariance.
     """
+    check_arm([recording], robot_file)
     signals = _signals(recording, robot_file)
     model.require_temperature(signals.temperature, signals.label)
     choices = replace(stored_choices(model.result), keep_rest=True)

@@ -17,6 +17,7 @@ from ident.assessment.validation import Fit, fit_errors
 from ident.estimators.feasible.armature import armature_vector
 from ident.identify.data_split import RunWindow, copied, run_window
 from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
+from ident.model.another_arm import check_arm
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
 from ident.regression.observability import predictable_torques
@@ -68,6 +69,7 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
         DataError: the recording lacks what is needed.
     """
     stored_parts = stored_model(result)
+    check_arm([recording], stored_parts.robot_file)
     model, base = stored_parts.model, stored_parts.base
     stored = {parameter.name: parameter for parameter in result.base_parameters}
     full = np.array([stored[name].value or 0.0 for name in base.names])

@@ -9,7 +9,8 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
-from ident.monitor.monitor import another_arm, dry_friction
+from ident.model.another_arm import another_arm
+from ident.monitor.monitor import dry_friction
 from ident.result.models.gravity_model import GravityModel
 from ident.result.models.load_model import load_model
 
@@ -36,7 +37,7 @@ class WeightCompensation:
 
     def __init__(self, robot_file: RobotFile, path: Path) -> None:
         self._model = load_model(path)
-        if said := another_arm(self._model, robot_file):
+        if said := another_arm(self._model.stored.robot_file, robot_file):
             raise UsageError(f"the robot file {said}", where=str(path), hint="give the model of this arm")
         if robot_file.robot.model.coupling or robot_file.robot.model.loops:
             raise UsageError("gravity compensation of coupled motors is not supported", where=robot_file.where)

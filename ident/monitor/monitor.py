@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from daq.recording.recording import Recording
-from daq.robot.loader import RobotFile
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from drivers.core.errors import DataError
 from drivers.core.units import ZERO_CELSIUS
-from ident.model.dynamic_model import build_model
+from ident.model.another_arm import another_arm
 from ident.model.dynamics.link_jacobian import LinkJacobians
 from ident.monitor.choices import BANDWIDTH, Kind
 from ident.monitor.contact_forces import Wrench, tool_wrench
@@ -29,8 +28,6 @@ RELEASE = 0.7
 """Share of the threshold below which an alarm ends."""
 RELEASE_TIME = 0.1
 """[s] for which every joint must have been below it."""
-SAME_PLACE = 1e-4
-"""Difference of two arms' joint frames [m, rad] that calibration does not make."""
 INERTIA_POSES = 20
 """Random poses over which the joints' inertias are averaged."""
 
@@ -203,31 +200,13 @@ class Monitor:
         return tool_wrench(jacobian, self._last.external[-1], self._last.spread[-1])
 
 
-def another_arm(model: Model, robot_file: RobotFile) -> str:
-    """Return how a robot file's arm differs from the one that a model is of, in words; empty where it does not."""
-    own, theirs = model.stored.robot_file.robot, robot_file.robot
-    if own.joint_names != theirs.joint_names:
-        return (
-            f"is of {theirs.name} with joints {', '.join(theirs.joint_names)}, the model of {own.name} with joints "
-            f"{', '.join(own.joint_names)}"
-        )
-    pairs = zip(model.dynamics.model.joints, build_model(robot_file).joints, strict=False)
-    for joint, other in pairs:
-        same = joint.parent == other.parent and joint.prismatic == other.prismatic
-        for part in ("rotation", "translation", "axis"):
-            same = same and np.allclose(getattr(joint, part), getattr(other, part), atol=SAME_PLACE)
-        if not same:
-            return f"is of {theirs.name}, whose joint {other.name} is placed differently than in the model's {own.name}"
-    return ""
-
-
 def joint_samples(model: Model, recording: Recording) -> JointSamples:
     """A recording's samples for a monitor of its model, torques by the drive gains of the model's robot file.
 
     Raises:
         DataError: it lacks positions, a torque, a joint or a gain, or is of another arm.
     """
-    if recording.robot_text and (said := another_arm(model, recording.robot())):
+    if recording.robot_text and (said := another_arm(model.stored.robot_file, recording.robot())):
         raise DataError(said, where=recording.label, hint="give a recording of the arm that was identified")
     signals = read_joint_signals(recording, model.stored.robot_file.robot)
     celsius = None if signals.temperature is None else signals.temperature - ZERO_CELSIUS

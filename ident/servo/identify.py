@@ -20,6 +20,7 @@ from drivers.core.reading_process import Progress
 from drivers.core.software import software_versions
 from ident.assessment.command_checks import refuse_unusable_commands
 from ident.identify.summary import provenance, recording_sha256
+from ident.model.another_arm import check_arm
 from ident.result.graded import Grade
 from ident.servo.arm_rollout import command_paths, delay_and_lag, delayed_paths, rollout_errors, touched_paths
 from ident.servo.contact import PRESSING, Contact, tool_point
@@ -95,6 +96,8 @@ def identify_servo(
     if not recordings:
         raise DataError("no recording to identify from")
     file = robot_file or recordings[0].robot()
+    if robot_file is None:
+        check_arm([*recordings[1:], *held_out], file)
     robot, links = file.robot, servo_links(file)
     reference = None if model_file is None else read_model_file(model_file, robot.joint_names)
     progress("reading commands")
@@ -167,6 +170,7 @@ def revalidate_servo(
         UsageError, ModelError: the MJCF cannot be rolled out.
         DataError: a recording has no commands, or is of another arm.
     """
+    check_arm(recordings, robot_file)
     links = servo_links(robot_file)
     reference = None if model_file is None else read_model_file(model_file, result.joints)
     motions = [motion for recording in recordings for motion in read_motions(recording, robot_file)]

@@ -21,6 +21,7 @@ from drivers.core.files import path_of
 from drivers.core.reading_process import Progress
 from drivers.streams import UNITS
 from ident.export.mujoco_reading import mujoco_installed
+from ident.model.another_arm import check_arm
 from ident.ranges import UNIT_SPREAD
 from ident.report.servo_page import rollout_figure, servo_page
 from ident.result.models.model import result_path
@@ -73,7 +74,7 @@ class ServoModel(GradedResult):
         Raises:
             DataError: the recording has no commands, or is of another arm.
         """
-        motions = read_motions(recording_of(run), self._robot)
+        motions = self._motions(recording_of(run))
         paths = roll_out_arm(motions, self._links, self.result.values, contact_of(self.result, self._links))
         return [(motion.begin + motion.time, path) for motion, path in zip(motions, paths, strict=True)]
 
@@ -278,11 +279,15 @@ class ServoModel(GradedResult):
                 return unchanged
         return ()
 
+    def _motions(self, recording: Recording) -> list[ServoMotion]:
+        check_arm([recording], self._robot)
+        return read_motions(recording, self._robot)
+
     def _speeds(self) -> FloatArray:
         return np.array([joint.velocity for joint in self._robot.robot.joints])
 
     def _replayed(self, runs: Runs) -> list[ServoMotion]:
-        motions = [motion for run in recordings_of(runs) for motion in read_motions(run, self._robot)]
+        motions = [motion for run in recordings_of(runs) for motion in self._motions(run)]
         if not motions and self.identification is not None:
             motions = self.identification.motions
         return motions

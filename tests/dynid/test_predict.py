@@ -161,5 +161,5 @@ def test_torques_of_coupled_motors_are_the_joints():
 
 
 def test_another_arm_is_refused(result):
-    with pytest.raises(dynid.DataError, match="no column for joint"):
+    with pytest.raises(dynid.DataError, match="is of up6 with joints"):
         dynid.predict(result, dynid.simulate("up6", duration=3.0, seed=1))

@@ -115,8 +115,8 @@ def _live(
     from daq.session.realtime import ask_for_realtime
     from daq.session.session import INTERRUPTED
     from drivers.core.clock import SYSTEM_CLOCK
+    from ident.model.another_arm import another_arm
     from ident.monitor.live import LiveMonitor, contact_text, page_channels
-    from ident.monitor.monitor import another_arm
     from ident.tasks.monitoring import explanation, forces_noticed, learnt_thresholds, sensitivity_table
     from ident.tasks.prediction import model_of
 
@@ -125,7 +125,7 @@ def _live(
     clock = SYSTEM_CLOCK  # chosen here alone: all that this command starts is given it
     plan = planned(options, options.record, clock, overwrite=force, as_json=as_json)
     model = model_of(model_path, None, "the external torque")
-    if said := another_arm(model, plan.robot_file):
+    if said := another_arm(model.stored.robot_file, plan.robot_file):
         raise UsageError(f"the robot file {said}", where=str(model_path), hint="give the model of this arm")
     with progress_line(quiet=as_json) as progress:
         progress("thresholds")

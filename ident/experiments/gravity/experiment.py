@@ -21,6 +21,7 @@ from ident.experiments.gravity.fit import GravityFit, fit_gravity, used_equation
 from ident.experiments.gravity.passes import Visit, Visits, find_visits
 from ident.experiments.gravity.suspicions import doubts, file_parameters, refuse_wrong_size
 from ident.identify.summary import provenance, recording_sha256
+from ident.model.another_arm import check_arm
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.gravity_base import gravity_base, gravity_columns, gravity_rows, resting_model
@@ -74,8 +75,8 @@ def analyse_gravity(
     if not recordings:
         raise UsageError("no recording to identify from")
     file = robot_file or recordings[0].robot()
-    for recording in (*recordings, *held_out):
-        _refuse_another_arm(recording, file)
+    if robot_file is None:
+        check_arm((*recordings[1:], *held_out), file)
     progress("poses")
     model = resting_model(file)
     base = gravity_base(model)
@@ -157,7 +158,7 @@ def revalidated(experiment: GravityExperiment, recordings: Sequence[Recording]) 
     values = np.array([parameter.value or 0.0 for parameter in result.gravity_parameters])
     errors = []
     for recording in recordings:
-        _refuse_another_arm(recording, file)
+        check_arm([recording], file)
         visits = find_visits(read_joint_signals(recording, file.robot), model, base).visits
         used = used_equations(visits, model)
         torque, rows = (np.array([visit.mean[direction] for visit in visits]) for direction in (0, 1))
@@ -230,15 +231,6 @@ def gravity_verdict(
     because = serious[0] if serious else f"{mean}{worst[2]}"
     headline = f"{grade.capitalize()} for gravity compensation, by {poses} poses {basis}: {because}."
     return Grade(grade=grade, headline=headline, checks=list(dict.fromkeys(text for _, text in concerns)))
-
-
-def _refuse_another_arm(recording: Recording, file: RobotFile) -> None:
-    names = recording.robot().robot.joint_names
-    if names != file.robot.joint_names:
-        raise DataError(
-            f"is of an arm with the joints {', '.join(names)}, not {', '.join(file.robot.joint_names)}",
-            where=recording.label,
-        )
 
 
 def _parameters(model: DynamicModel, base: BaseParameters, fit: GravityFit) -> list[GravityParameter]:

@@ -140,6 +140,8 @@ def test_data_of_the_identification_are_refused_as_held_out(runs, copied):
     with pytest.raises(UsageError, match="contains the data of the identification") as refused:
         dynid.identify(runs[0], validation=[runs[1], other])
     assert refused.value.hint
+    with pytest.raises(UsageError, match="would count twice"):
+        dynid.identify([runs[0], runs[1], other])
 
 
 def test_data_of_which_a_part_was_used_are_labelled(runs):

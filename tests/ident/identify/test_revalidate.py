@@ -121,5 +121,5 @@ def test_a_recording_of_another_arm_is_refused(result):
 
     other = load_robot("ur5e")
     recording = simulate_recording(other, random_fourier_motion(build_model(other), 10.0, 1), 3.0, 1)
-    with pytest.raises(DataError, match="no column for joint"):
+    with pytest.raises(DataError, match="is of ur5e with joints"):
         revalidate(result, recording)

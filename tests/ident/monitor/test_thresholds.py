@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from monitored_arm import exact_samples, known_model
 
-from daq.robot.loader import load_robot
 from drivers.core.errors import DataError, UsageError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from ident.model.dynamic_model import build_model
@@ -23,7 +22,7 @@ from ident.monitor.interval_torque import JointSamples
 from ident.monitor.labelled_contacts import LabelledContact, found_at, operating_point, read_contacts, roc
 from ident.monitor.live import LiveMonitor
 from ident.monitor.load_estimate import LoadEstimator, changed_load
-from ident.monitor.monitor import Monitor, another_arm, dry_friction, earned_thresholds
+from ident.monitor.monitor import Monitor, dry_friction, earned_thresholds
 from ident.monitor.thresholds import MotionWays, Thresholds
 from ident.tasks.monitoring import at_rate
 from sim_drivers.plant.altered_arm import with_load
@@ -264,13 +263,6 @@ def test_live_batches_give_contacts_a_reason_to_stop_and_lines(noisy: tuple[Join
         LiveMonitor(model, thresholds).begin([replace(layout, channels=layout.channels[1:])])
     watch.add(Batch("joints", quiet.time[:5], quiet.time[:5], {"position": quiet.position[:5]}))
     assert "no longer monitored" in watch.stop_reason()
-
-
-def test_another_arm_is_told() -> None:
-    model, file = known_model("ur5e")
-    assert another_arm(model, file) == ""
-    assert "is placed differently" in another_arm(model, load_robot("ur10e"))
-    assert "with joints" in another_arm(model, load_robot("sr400"))
 
 
 def test_recordings_at_another_rate_are_not_learnt_from(noisy: tuple[JointSamples, Thresholds]) -> None:

@@ -1,0 +1,30 @@
+"""Recordings and robot files of one arm and of others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+import dynid
+from daq.robot.loader import load_robot
+from drivers.core.errors import DataError
+from ident.model.another_arm import another_arm, check_arm
+
+
+def test_another_arm_is_named() -> None:
+    file = load_robot("ur5e")
+    assert another_arm(file, load_robot("ur5e")) == ""
+    assert "is placed differently" in another_arm(file, load_robot("ur10e"))
+    assert "with joints" in another_arm(file, load_robot("sr400"))
+
+
+def test_recordings_of_arms_with_equal_joint_names_are_told_apart() -> None:
+    """Both have six joints of the same names: nothing but the geometry tells."""
+    small, large = (dynid.simulate(robot, duration=2.0, seed=1, rate=100.0) for robot in ("ur5e", "ur10e"))
+    with pytest.raises(DataError, match=r"is of ur10e, whose joint .* is placed differently than in ur5e"):
+        dynid.identify([small, large])
+    with pytest.raises(DataError, match="is of ur10e"):
+        dynid.identify(small, validation=large)
+    renamed = replace(large, robot_text=large.robot_text.replace("name: ur10e", "name: ur5e"))
+    check_arm([small, renamed, replace(large, robot_text="")], load_robot("ur5e"))
