@@ -2,15 +2,16 @@
 
     python -m studies.fleet.fleet ARMS [SECONDS]
 
-Two recordings per arm (up6, 100 Hz, SECONDS long). Once with one worker, once with two of which one is killed
-(SIGKILL), once on a Dask cluster whose scheduler is killed; each is called again until nothing is missing. The results
-of all three have to be the same but for dates. About 2 CPU seconds per result and call.
+Two recordings per arm (up6, 100 Hz, SECONDS long). Once with two workers of which one is killed (SIGKILL), once with
+one, once on a Dask cluster whose scheduler is killed half-way; each is called again until nothing is missing. The
+results of all three have to be the same but for dates. About 0.5 CPU seconds per result and call, 0.2 per recording.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import pickle
 import signal
 import socket
 import subprocess
@@ -26,6 +27,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import dynid
 from drivers.core.errors import DynidError
+from ident.fleet.plan import read_fleet
 
 PORT = 8797
 STARTING = 300
@@ -106,32 +108,37 @@ def main() -> None:
         size = recorded(folder, arms, seconds)
         count, hours = 2 * arms, 2 * arms * seconds / 3600
         print(f"{arms} arms, {count} recordings of {seconds:g} s, {size / 1e6:.1f} MB\n", flush=True)
-        print("| call | done | failed | CPU time [s] | largest worker [MB] |\n|---|---|---|---|---|", flush=True)
+        print(
+            "| call | done | failed | CPU time [s] | wall time [s] | largest worker [MB] |\n|---|---|---|---|---|---|",
+            flush=True,
+        )
 
-        def call(what: str, out: str, **choices: Any) -> dynid.Fleet:
+        def call(what: str, out: str, **choices: Any) -> tuple[dynid.Fleet, float]:
+            begun = time.monotonic()
             fleet = dynid.identify_fleet(folder / "fleet.yaml", folder / out, **choices)
-            cpu, peak = (
-                sum(job.seconds for job in fleet.done),
-                max((job.peak_memory for job in fleet.done), default=0.0),
-            )
-            print(f"| {what} | {len(fleet.done)} | {len(fleet.failures)} | {cpu:.1f} | {peak:.0f} |", flush=True)
-            return fleet
+            wall = time.monotonic() - begun
+            cpu = sum(job.seconds for job in fleet.done)
+            peak = max((job.peak_memory for job in fleet.done), default=0.0)
+            row = [what, len(fleet.done), len(fleet.failures), f"{cpu:.1f}", f"{wall:.1f}", f"{peak:.0f}"]
+            print(f"| {' | '.join(map(str, row))} |", flush=True)
+            return fleet, wall
 
-        single = call("one worker", "one", workers=1)
         threading.Thread(target=kill_a_worker, args=(2.0,), daemon=True).start()
-        call("two workers, one killed", "two", workers=2)
-        double = call("the same again", "two", workers=2)
+        killed, wall_of_two = call("two workers, one killed", "two", workers=2)
+        double, _ = call("the same again", "two", workers=2)
+        single, wall_of_one = call("one worker", "one", workers=1)
         started = cluster()
         address = f"tcp://127.0.0.1:{PORT}"
 
-        def killed_after_the_first(step: object) -> None:
-            if "%" in str(step):
+        def killed_half_way(step: object) -> None:
+            done, percent, _ = str(step).partition(" %")
+            if percent and int(done) >= 50:
                 started[0].kill()
 
         try:
-            call("Dask, scheduler killed", "dask", scheduler=address, progress=killed_after_the_first)
+            call("Dask, scheduler killed", "dask", scheduler=address, progress=killed_half_way)
         except DynidError as error:
-            print(f"| Dask, scheduler killed | – | {error} | – | – |", flush=True)
+            print(f"| Dask, scheduler killed | – | {error} | – | – | – |", flush=True)
         for process in started:
             process.kill()
         started = cluster()
@@ -141,10 +148,15 @@ def main() -> None:
         cpu = [sum(job.seconds for job in fleet.done) for fleet in (single, double)]
         written = sum(path.stat().st_size for path in (folder / "one").rglob("*") if path.is_file())
         same = results(folder / "one") == results(folder / "two") == results(folder / "dask")
+        job, outcome = read_fleet(folder / "fleet.yaml")[-1], single.done[-1]
+        efficiency = len(killed.done) / wall_of_two / 2 * wall_of_one / count
         print(f"\nresults are the same: {'yes' if same else 'no'}")
+        print(f"results per second of two workers over twice those of one: {100 * efficiency:.0f} %")
         print(f"CPU time of one worker over that of two: {100 * cpu[0] / cpu[1]:.0f} %")
         print(f"per result {cpu[0] / count:.2f} CPU s, per hour of recording {cpu[0] / hours:.0f} CPU s")
-        print(f"written per result {written / count / 1e6:.2f} MB")
+        print(f"per result {size / count / 1e3:.0f} kB read, {written / count / 1e3:.0f} kB written")
+        sent, returned = len(pickle.dumps(job)), len(pickle.dumps(outcome))
+        print(f"through the scheduler: {sent} bytes per job and {returned} per outcome")
 
 
 if __name__ == "__main__":
