@@ -52,11 +52,11 @@ void servo_profile(long rows, long lanes, double step, const double *command, co
     free(block);
 }
 
-/* Means over each step of delayed goals (rows, lanes), of commands (history + rows, lanes), and their derivatives by
-   the delay and, as a difference over ± `span`, by the logarithm of the limit, where they are not NULL. A limit of
-   `unlimited` or more is none. */
+/* Delayed goals (rows + 1, lanes), of commands (history + rows, lanes), and their derivatives by the logarithm of the
+   limit, as a difference over ± `span`, where they are not NULL. During a step, its own row is the goal for the `late`
+   (lanes) share, and the next row for the rest. A limit of `unlimited` or more is none. */
 void servo_goals(long history, long rows, long lanes, double step, double span, double unlimited,
-                 const double *command, const double *delay, const double *limit, double *goals, double *by_delay,
+                 const double *command, const double *delay, const double *limit, double *goals, double *late,
                  double *by_limit)
 {
     long all = history + rows;
@@ -72,31 +72,22 @@ void servo_goals(long history, long rows, long lanes, double step, double span, 
             if (limited)
                 profiles(all, lanes, count, step, command + first, steep, block);
             long whole[WIDTH];
-            double late[WIDTH], older[WIDTH], newer[WIDTH];
             for (long l = 0; l < count; l++) {
                 whole[l] = floor(delay[first + l] / step);
-                late[l] = delay[first + l] / step - whole[l];
+                late[first + l] = delay[first + l] / step - whole[l];
             }
-            for (long row = -1; row < rows; row++) {
+            for (long row = 0; row <= rows; row++)
                 for (long l = 0; l < count; l++) {
-                    long place = history - whole[l] + row + 1;
+                    long at = row * lanes + first + l, place = history - whole[l] + row;
                     place = place < 0 ? 0 : place > all - 1 ? all - 1 : place;
-                    older[l] = newer[l];
-                    newer[l] = !(steep[l] < unlimited) || !place
-                                   ? command[place * lanes + first + l]
-                                   : 0.5 * (block[place * WIDTH + l] + block[(place - 1) * WIDTH + l]);
-                }
-                for (long l = 0; row >= 0 && l < count; l++) {
-                    long at = row * lanes + first + l;
-                    double change = older[l] - newer[l], goal = newer[l] + late[l] * change;
+                    double goal = !(steep[l] < unlimited) || !place
+                                      ? command[place * lanes + first + l]
+                                      : 0.5 * (block[place * WIDTH + l] + block[(place - 1) * WIDTH + l]);
                     if (variant)
                         by_limit[at] = variant == 1 ? goal : (by_limit[at] - goal) / (2 * span);
                     else
                         goals[at] = goal;
-                    if (!variant && by_delay)
-                        by_delay[at] = change / step;
                 }
-            }
         }
     }
     free(block);
@@ -106,25 +97,37 @@ enum { SWEEPS = 200, PATTERNS = 6, SIDE_BY_SIDE = 8 }; /* pieces: memory is read
 static const double SETTLED = 1e-9; /* [rad/s or N] change of a sweep at which the joints of a step agree */
 
 struct servo {
-    double p[TERMS], position, velocity, middle, torque, acting, inertia, momentum, friction, per_torque, faded, share,
-        push, side, against, passed, divisor;
-    int outside, moving;
+    double p[TERMS], position, velocity, middle, torque, toward, acting, shares[2], limited, sided, later, inertia,
+        momentum, friction, per_torque, faded, share, push, against, passed, divisor, gone, after,
+        turn[3];
+    int moving, turning;
 };
 
-/* Half a step of a joint on its own, without what other joints and a contact add to its momentum. */
-static void begin(struct servo *s, double h, double goal, double inertia, double load, double slope)
+/* Half a step of a joint on its own, without what other joints and a contact add to its momentum. The goal is `older`
+   for the `late` share of the step, and `newer` for the rest: a limit holds for each, not for their mean. */
+static void begin(struct servo *s, double h, double older, double newer, double late, double inertia, double load,
+                  double slope)
 {
-    const double *p = s->p;
-    double error = goal - s->position - p[BIAS];
-    s->side = sign(error);
-    s->outside = fabs(error) > p[DEAD_BAND];
-    double linear = s->outside ? p[STIFFNESS] * (error - s->side * p[DEAD_BAND]) : 0;
-    s->torque = smaller(larger(linear, -p[TORQUE_LIMIT]), p[TORQUE_LIMIT]);
-    s->acting = s->outside && s->torque == linear ? p[STIFFNESS] : 0;
+    const double *p = s->p, goals[2] = {older, newer}, parts[2] = {late, 1 - late};
+    double middle = s->position + h * s->velocity + p[BIAS], torques[2];
+    s->torque = s->limited = s->sided = 0;
+    for (int k = 0; k < 2; k++) {
+        double error = goals[k] - middle, side = sign(error), outside = fabs(error) - p[DEAD_BAND];
+        double linear = outside > 0 ? p[STIFFNESS] * side * outside : 0;
+        torques[k] = smaller(larger(linear, -p[TORQUE_LIMIT]), p[TORQUE_LIMIT]);
+        s->shares[k] = outside > 0 && torques[k] == linear ? parts[k] * p[STIFFNESS] : 0;
+        s->torque += parts[k] * torques[k];
+        s->limited += torques[k] == linear ? 0 : parts[k] * torques[k];
+        s->sided += s->shares[k] * side;
+    }
+    s->acting = s->shares[0] + s->shares[1];
+    s->later = torques[0] - torques[1];
+    s->toward = sign(s->torque);
+    s->torque += h * s->acting * s->velocity; /* as at the beginning, from where the step is implicit */
     s->inertia = p[ARMATURE] + inertia;
     s->momentum = s->inertia * s->velocity + h * (s->torque - load - p[ZERO] * slope);
     s->share = s->velocity / p[STRIBECK_VELOCITY];
-    double loaded = fabs(s->torque), breakaway = p[BREAKAWAY] + p[LOAD_BREAKAWAY] * loaded;
+    double loaded = s->toward * s->torque, breakaway = p[BREAKAWAY] + p[LOAD_BREAKAWAY] * loaded;
     s->faded = breakaway > 0 ? exp(-s->share * s->share) : 0;
     s->friction = h * (p[COULOMB] + p[LOAD_FRICTION] * loaded + breakaway * s->faded);
     s->per_torque = p[LOAD_FRICTION] + p[LOAD_BREAKAWAY] * s->faded;
@@ -135,40 +138,41 @@ static void begin(struct servo *s, double h, double goal, double inertia, double
 static double move(struct servo *s, double h)
 {
     double momentum = s->momentum + s->push, before = s->middle;
-    s->moving = fabs(momentum) > s->friction;
-    s->against = sign(momentum);
-    s->passed = larger(1 - s->against * sign(s->torque) * s->per_torque, 0);
+    s->moving = s->velocity != 0 || fabs(momentum) > s->friction;
+    s->against = sign(s->velocity != 0 ? s->velocity : momentum);
+    s->passed = larger(1 - s->against * s->toward * s->per_torque, 0);
     s->divisor = s->inertia + h * s->p[DAMPING] + h * h * s->acting * s->passed;
     s->middle = s->moving ? (momentum - s->against * s->friction) / s->divisor : 0;
     return fabs(s->middle - before);
 }
 
 /* How the momentum in the middle of a step changes with each of the joint's own terms (TERMS). */
-static void by_terms(const struct servo *s, double h, double by_delay, double by_limit, double slope, double *own)
+static void by_terms(const struct servo *s, double h, double by_delay, double old_by_limit, double by_limit, double slope,
+                     double *own)
 {
     const double *p = s->p;
-    double left = s->torque - h * s->acting * s->middle, loaded = sign(s->torque) * left, push = h * s->passed;
+    double left = s->torque - h * s->acting * s->middle, loaded = s->toward * left, push = h * s->passed;
     double drag = -s->against * h;
-    own[STIFFNESS] = s->acting > 0 ? push * left : 0;
+    own[STIFFNESS] = push * (left - s->limited);
     own[DAMPING] = -h * p[DAMPING] * s->middle;
     own[ARMATURE] = p[ARMATURE] * (s->velocity - s->middle);
     own[COULOMB] = drag * p[COULOMB];
     own[BIAS] = -push * s->acting;
-    own[DELAY] = push * s->acting * by_delay;
-    own[ACCELERATION_LIMIT] = push * s->acting * by_limit;
+    own[DELAY] = push * s->later * by_delay;
+    own[ACCELERATION_LIMIT] = push * (s->shares[0] * old_by_limit + s->shares[1] * by_limit);
     own[LOAD_FRICTION] = drag * p[LOAD_FRICTION] * loaded;
     own[ZERO] = -h * slope;
     own[BREAKAWAY] = drag * p[BREAKAWAY] * s->faded;
     own[LOAD_BREAKAWAY] = drag * p[LOAD_BREAKAWAY] * loaded * s->faded;
     own[STRIBECK_VELOCITY] = drag * (p[BREAKAWAY] + p[LOAD_BREAKAWAY] * loaded) * s->faded * 2 * s->share * s->share;
-    own[TORQUE_LIMIT] = s->outside && !(s->acting > 0) ? push * s->torque : 0;
-    own[DEAD_BAND] = -push * s->acting * s->side * p[DEAD_BAND];
+    own[TORQUE_LIMIT] = push * s->limited;
+    own[DEAD_BAND] = -push * s->sided * p[DEAD_BAND];
 }
 
 /* How the momentum changes with the velocity before the step, beyond the inertia: friction that fades. */
 static double by_velocity(const struct servo *s, double h)
 {
-    double loaded = sign(s->torque) * (s->torque - h * s->acting * s->middle);
+    double loaded = s->toward * (s->torque - h * s->acting * s->middle);
     double breakaway = s->p[BREAKAWAY] + s->p[LOAD_BREAKAWAY] * loaded;
     return s->against * h * breakaway * s->faded * 2 * s->share / s->p[STRIBECK_VELOCITY];
 }
@@ -196,6 +200,60 @@ static void solved(long n, const double *factor, double *x)
         for (long k = i + 1; k < n; k++)
             x[i] -= factor[k * n + i] * x[k];
         x[i] *= factor[i * n + i];
+    }
+}
+
+/* A joint that comes to rest within a step: friction turns round with it, or holds it there from then on. `turn` is its
+   velocity after the step if friction had not turned, half of its fall, and the share that it moves back with. Other
+   joints feel it from the next step on. */
+static void turned(struct servo *s)
+{
+    s->turn[0] = s->after;
+    s->turn[1] = 0.5 * (s->velocity - s->after);
+    s->turn[2] = larger(1 - 2 * s->friction / (fabs(s->turn[1]) * s->divisor), 0);
+    s->after *= s->turn[2];
+    s->gone = (s->velocity * s->velocity - s->after * s->turn[0]) / (4 * s->turn[1]);
+}
+
+/* How friction's part of the momentum, and what resists the joint, change with each of its own terms. */
+static void turn_by_terms(const struct servo *s, double h, double by_delay, double old_by_limit, double by_limit,
+                          double *friction, double *resists)
+{
+    double back[TERMS], bent = -h * h * s->acting * s->against * s->toward;
+    struct servo rest = *s;
+    rest.middle = 0, rest.against = 1, rest.passed = 1 - s->toward * s->per_torque;
+    by_terms(&rest, h, by_delay, old_by_limit, by_limit, 0, friction);
+    rest.against = -1, rest.passed = 1 + s->toward * s->per_torque;
+    by_terms(&rest, h, by_delay, old_by_limit, by_limit, 0, back);
+    for (int index = 0; index < TERMS; index++) {
+        friction[index] = 0.5 * (back[index] - friction[index]);
+        resists[index] = 0;
+    }
+    resists[STIFFNESS] = h * h * s->acting * s->passed;
+    resists[DAMPING] = h * s->p[DAMPING];
+    resists[ARMATURE] = s->p[ARMATURE];
+    resists[LOAD_FRICTION] = bent * s->p[LOAD_FRICTION];
+    resists[LOAD_BREAKAWAY] = bent * s->p[LOAD_BREAKAWAY] * s->faded;
+}
+
+/* Derivatives of a turning joint's `place` and `rate` from those without the turn, and from those `before` the step of
+   position and, `apart` from it, velocity; friction and resistance change with its own terms by so much. */
+static void turn_differentiated(const struct servo *s, double h, const double *friction, const double *resists,
+                                long parameters, const int *own, const long *term, const double *before, long apart,
+                                double *place, double *rate)
+{
+    struct servo still = *s;
+    still.middle = 0;
+    double by_place = -h * s->per_torque * s->toward * s->acting, by_rate = -s->against * by_velocity(&still, h);
+    double without = s->turn[0], half = s->turn[1], back = s->turn[2], fall = fabs(half) * s->divisor;
+    for (long k = 0; k < parameters; k++) {
+        double x = before[k], v = before[apart + k], w = rate[k], u = 0.5 * (v - w);
+        double rubs = by_place * x + by_rate * v + (own[k] ? friction[term[k]] : 0);
+        double falls = s->against * u * s->divisor + (own[k] ? fabs(half) * resists[term[k]] : 0);
+        double backs = back > 0 ? 2 * (s->friction * falls / fall - rubs) / fall : 0;
+        rate[k] = back * w + without * backs;
+        double squares = 2 * s->velocity * v - without * without * backs - 2 * back * without * w;
+        place[k] = x + 2 * h * (squares / (4 * half) - s->gone * u / half);
     }
 }
 
@@ -312,10 +370,9 @@ static void differentiated(long n, long wide, const struct servo *servos, double
     }
 }
 
-/* Paths (rows, lanes) with values (TERMS, lanes) on goals (rows, lanes), and `slopes` (pieces, samples, joints, parameters):
+/* Paths (rows, lanes) with values (TERMS, lanes) on goals (rows + 1, lanes), `late` (lanes), and `slopes` (pieces, samples, joints, parameters):
    derivatives at the times `sample` (samples, pieces), in steps, by `parameters`, each a `term` of an `owner`
-   among the joints; goals depend on a lane's own delay and limit by `by_delay` and
-   `by_limit` (rows, lanes).
+   among the joints; goals depend on a lane's own limit by `by_limit` (rows + 1, lanes).
 
    Lanes are the joints of `pieces` of motion, side by side. They move each other where there is inertia `between` them
    (every `thinned` rows, pieces, joints, joints), whose torque on each is written into `pull` (rows, lanes). What they
@@ -323,9 +380,9 @@ static void differentiated(long n, long wide, const struct servo *servos, double
    damping `surface` (2, pieces); its forces go to `force` (rows, pieces), and are left out of the derivatives. */
 void servo_roll_out(long rows, long pieces, long joints, double step, const double *values, const double *inertias,
                     const double *loads, const double *slopes_of_loads, const double *start, const double *goals,
-                    const double *between, long thinned, double *pull, const double *clear, const double *lever,
+                    const double *late, const double *between, long thinned, double *pull, const double *clear, const double *lever,
                     const double *surface, double *force, long parameters, const long *owner, const long *term,
-                    const double *by_delay, const double *by_limit, long samples, const double *sample, double *path,
+                    const double *by_limit, long samples, const double *sample, double *path,
                     double *slopes)
 {
     double h = 0.5 * step;
@@ -334,6 +391,7 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
     double m[square], factor[square], terms[joints][TERMS], own[wide + 1], last[joints * wide + 1];
     struct servo *all = malloc(sizeof(struct servo) * SIDE_BY_SIDE * joints);
     double *derivatives = malloc(sizeof(double) * SIDE_BY_SIDE * 2 * (joints * wide + 1));
+    double *before = malloc(sizeof(double) * 2 * (joints * wide + 1));
     memset(own, 0, sizeof own);
     for (long k = 0; k < wide; k++)
         owners[k] = k < parameters ? owner[k] : 0;
@@ -356,7 +414,7 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
             for (long i = 0; i < joints; i++) {
                 struct servo *s = servos + i;
                 path[line + i] = s->position;
-                begin(s, h, goals[line + i], inertias[line + i], loads[line + i], slopes_of_loads[line + i]);
+                begin(s, h, goals[line + i], goals[line + lanes + i], late[piece * joints + i], inertias[line + i], loads[line + i], slopes_of_loads[line + i]);
                 above += lever ? lever[line + i] * s->position : 0;
             }
             if (between) {
@@ -384,6 +442,16 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
             }
             if (force)
                 force[row * pieces + piece] = forces[number] = pressed;
+            int turning = 0;
+            for (long i = 0; i < joints; i++) {
+                struct servo *s = servos + i;
+                s->after = s->moving ? 2 * s->middle - s->velocity : 0;
+                s->gone = s->middle;
+                s->turning = s->velocity * s->after < 0;
+                turning |= s->turning;
+                if (s->turning)
+                    turned(s);
+            }
             for (long i = 0; between && i < joints; i++) {
                 double sum = 0;
                 for (long j = 0; j < joints; j++)
@@ -393,14 +461,27 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
             if (parameters) {
                 if (between)
                     factored(joints, servos, m, factor);
+                if (turning)
+                    memcpy(before, place, sizeof(double) * 2 * joints * wide);
                 for (long i = 0; i < joints; i++)
-                    by_terms(servos + i, h, by_delay ? by_delay[line + i] : 0, by_limit ? by_limit[line + i] : 0,
-                             slopes_of_loads[line + i], terms[i]);
+                    by_terms(servos + i, h, 1 / step, by_limit ? by_limit[line + i] : 0,
+                             by_limit ? by_limit[line + lanes + i] : 0, slopes_of_loads[line + i], terms[i]);
                 for (long k = 0; k < parameters; k++)
                     own[k] = terms[owner[k]][term[k]];
                 if (next < samples && (sample[next * pieces + piece] < row + 1 || row > rows - 3))
                     memcpy(last, place, sizeof(double) * joints * wide);
                 differentiated(joints, wide, servos, h, between ? m : NULL, factor, owners, own, place, rate);
+                for (long i = 0; turning && i < joints; i++)
+                    if (servos[i].turning) {
+                        double friction[TERMS], resists[TERMS];
+                        int mine[wide];
+                        for (long k = 0; k < parameters; k++)
+                            mine[k] = owner[k] == i;
+                        turn_by_terms(servos + i, h, 1 / step, by_limit ? by_limit[line + i] : 0,
+                                      by_limit ? by_limit[line + lanes + i] : 0, friction, resists);
+                        turn_differentiated(servos + i, h, friction, resists, parameters, mine, term, before + i * wide,
+                                            joints * wide, place + i * wide, rate + i * wide);
+                    }
                 for (; next < samples && (sample[next * pieces + piece] < row + 1 || row > rows - 3); next++) {
                     double part = sample[next * pieces + piece] - row;
                     double *to = slopes + (piece * samples + next) * joints * parameters;
@@ -412,11 +493,12 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
             }
             for (long i = 0; i < joints; i++) {
                 struct servo *s = servos + i;
-                s->velocity = s->moving ? 2 * s->middle - s->velocity : 0;
-                s->position += step * s->middle;
+                s->velocity = s->after;
+                s->position += step * s->gone;
             }
         }
     }
     free(all);
     free(derivatives);
+    free(before);
 }

@@ -4,7 +4,9 @@ Every joint is one equation, with gravity known along the motion. The joints of 
 between them, which is known along the motion, too: a step solves them together, or, where only single joints are
 looked at, takes the torque between them as known. A step is the implicit midpoint rule: half a step implicit in
 damping, stiffness and friction (soft threshold, so that sticking is exact), and its velocity over the whole step. It is
-stable with any step, and neither ahead of the joint nor damped.
+stable with any step, and neither ahead of the joint nor damped. A joint that comes to rest within a step sticks or
+turns there, and a goal that changes within a step meets the drive's limit before and after: with the friction or the
+limit of the whole step's mean, errors would fall with the step only, and the cost would jump with the parameters.
 """
 
 from __future__ import annotations
@@ -184,11 +186,19 @@ def with_pull(lanes: Lanes, values: FloatArray) -> Lanes:
 
 
 class _Goals(NamedTuple):
-    """Goals (K, L) of profiles in each step, and their derivatives by delay and limit; None where not asked for."""
+    """Goals (K + 1, L) of profiles, and their derivatives by a limit; None where not asked for.
+
+    During a step, its own row is the goal for the `late` (L,) share, and the next row for the rest.
+    """
 
     path: FloatArray
-    by_delay: FloatArray | None
+    late: FloatArray
     by_limit: FloatArray | None
+
+    def errors(self, steps: int | slice, position: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Position errors (…, L) before and after the goal changes in some steps, from positions (…, L) before them."""
+        older, newer = (self.path[:-1], self.path[1:])
+        return older[steps] - position, newer[steps] - position
 
 
 def _compiled(
@@ -210,12 +220,12 @@ def _compiled(
     library.servo_roll_out(
         *(c_long(size) for size in (count, pieces, joints)),
         c_double(lanes.step),
-        *map(call.given, (values, lanes.inertia, lanes.load, lanes.load_slope, lanes.start, goals.path)),
+        *map(call.given, (values, lanes.inertia, lanes.load, lanes.load_slope, lanes.start, goals.path, goals.late)),
         *(call.given(lanes.between), c_long(THINNED), call.given(pull if coupled else None)),
         *(call.given(array if touched else None) for array in (together.clear, together.lever, together.surface)),
         *(call.given(force if touched else None), c_long(len(terms))),
         *(call.given(owners, np.int_), call.given(terms, np.int_)),
-        *(call.given(goals.by_delay), call.given(goals.by_limit), c_long(samples)),
+        *(call.given(goals.by_limit), c_long(samples)),
         *(call.given(lanes.sample[:, ::joints]), call.given(path), call.given(slopes)),
     )
     return RollOut(path, slopes, force, pull)
@@ -252,24 +262,32 @@ def _by_numpy(
     present = _Present.of(p)
     for index in range(count):
         path[index], velocities[index] = position, velocity
-        error = goals.path[index] - position - p["bias"]
-        step = _step(
-            half, p, inertia[index], resistance[index], lanes.load[index], offset[index], error, velocity, present
-        )
+        errors = goals.errors(index, position + p["bias"])
+        now = inertia[index], resistance[index], lanes.load[index], offset[index]
+        step = _step(half, p, *now, errors, goals.late, velocity, present)
         middle, moving = step.velocity, step.moving
         if together.touched or lanes.between is not None:
-            middle, pull[index], force[index] = together.settled(step, index, resistance[index], position, velocity)
-            moving = middle != 0.0
-        velocity = np.where(moving, 2.0 * middle - velocity, 0.0)
-        position = position + h * middle
+            middle, force[index] = together.settled(step, index, resistance[index], position, velocity)
+            moving = (velocity != 0.0) | (middle != 0.0)
+        after, gone = np.where(moving, 2.0 * middle - velocity, 0.0), middle
+        if lanes.between is not None:
+            changed = (middle - velocity).reshape(-1, together.joints)
+            pull[index] = np.einsum("pij,pj->pi", together.matrix(index), changed).ravel() / half
+        turning = velocity * after < 0.0
+        if turning.any():
+            passed = np.maximum(1.0 - np.sign(velocity) * step.toward * step.share, 0.0)
+            turn = _Turn.of(velocity, after, step.friction, resistance[index] + half**2 * step.acting * passed)
+            after, gone = np.where(turning, turn.back * after, after), np.where(turning, turn.gone, gone)
+        velocity, position = after, position + h * gone
     terms, owners = parameters
     pieces = width // together.joints
     slopes = np.zeros((pieces, 0, together.joints, 0))
     if len(terms):
         columns = np.unique(terms)
-        error = goals.path - path - p["bias"]
-        step = _step(half, p, inertia, resistance, lanes.load + pull, offset, error, velocities)
-        tangents = _tangents(lanes, p, columns, inertia, step, velocities, goals, together)
+        errors = goals.errors(slice(None), path + p["bias"])
+        step = _step(half, p, inertia, resistance, lanes.load + pull, offset, errors, goals.late, velocities)
+        rows = {TERMS[term].name: row for row, term in enumerate(columns)}
+        tangents = _tangents(_Known(lanes, p, rows, step, velocities, goals, together), inertia)
         sampled = at_samples(lanes, tangents[np.searchsorted(columns, terms) + owners * len(columns)])
         slopes = np.moveaxis(sampled.reshape(len(terms), -1, pieces, together.joints), (1, 2, 3, 0), (1, 0, 2, 3))
     none = slice(None) if lanes.between is not None else slice(0)
@@ -299,12 +317,20 @@ _ALL = _Present()
 
 
 class _Step(NamedTuple):
-    """What a step computes, (…, L) each: the drive's torque, whether it acts freely, and the velocity after it."""
+    """What a step computes, (…, L) each.
 
-    outside: BoolArray
-    side: FloatArray
+    The drive's torque and its direction; the stiffness that acts, and its shares before and after the goal changes; the
+    part of the torque that is at the drive's limit; what a wider dead band takes away and a later goal adds; and the
+    velocity in the middle.
+    """
+
     torque: FloatArray
+    toward: FloatArray
     acting: FloatArray
+    shares: tuple[FloatArray, FloatArray]
+    limited: FloatArray
+    sided: FloatArray
+    later: FloatArray
     share: FloatArray
     divisor: FloatArray
     faded: FloatArray
@@ -323,43 +349,71 @@ def _step(
     resistance: FloatArray,
     load: FloatArray,
     offset: FloatArray,
-    error: FloatArray,
+    errors: tuple[FloatArray, FloatArray],
+    late: FloatArray,
     velocity: FloatArray,
     present: _Present = _ALL,
 ) -> _Step:
     """Half a step, of h [s], or those of a path's steps, from position errors and velocities (…, L) before it.
 
-    `resistance` is the inertia with what damping adds in it; `offset` the load that the encoder's zero adds. What
-    the derivatives need of terms that are not `present` has no meaning.
+    The error is the first for the `late` share of the step, and then the other: a drive's limit holds for each, not for
+    their mean. `resistance` is the inertia with what damping adds in it; `offset` what the encoder's zero adds.
+    What the derivatives need of terms that are not `present` has no meaning.
     """
-    if present.dead_band:
-        outside, side = np.abs(error) > p["dead_band"], np.sign(error)
-        linear = p["stiffness"] * np.where(outside, error - side * p["dead_band"], 0.0)
-    else:
-        outside, side, linear = error != 0.0, error, p["stiffness"] * error
-    if present.limit:
-        torque = np.minimum(np.maximum(linear, -p["torque_limit"]), p["torque_limit"])
-        acting = np.where(outside & (torque == linear), p["stiffness"], 0.0)
-    else:
-        torque, acting = linear, p["stiffness"] * outside
+    ahead, shares, torques = h * velocity, [], []
+    torque, limited, sided = np.zeros_like(velocity), np.zeros_like(velocity), np.zeros_like(velocity)
+    for error, part in zip(errors, (late, 1.0 - late), strict=True):
+        middle = error - ahead  # which tells whether a drive is at its limit
+        side, share, linear = np.sign(middle), part * p["stiffness"], p["stiffness"] * middle
+        if present.dead_band:
+            outside = np.abs(middle) - p["dead_band"]
+            linear = p["stiffness"] * side * np.maximum(outside, 0.0)
+            share = np.where(outside > 0.0, share, 0.0)
+        own = linear
+        if present.limit:
+            own = np.minimum(np.maximum(linear, -p["torque_limit"]), p["torque_limit"])
+            limited = limited + np.where(own == linear, 0.0, part * own)
+            share = np.where(own == linear, share, 0.0)
+        if present.dead_band:
+            sided = sided + share * side
+        torque = torque + part * own
+        torques.append(own)
+        shares.append(share)
+    acting, toward = shares[0] + shares[1], np.sign(torque)
+    torque = torque + acting * ahead  # as at the beginning, from where the step is implicit
     momentum = inertia * velocity + h * (torque - load - offset)
-    loaded = np.abs(torque) if present.load or present.breakaway else torque
-    friction, share = p["coulomb"], np.zeros_like(p["coulomb"])
+    loaded = toward * torque if present.load or present.breakaway else torque
+    friction, lost = p["coulomb"], np.zeros_like(p["coulomb"])
     if present.load:
-        friction, share = friction + p["load_friction"] * loaded, p["load_friction"]
+        friction, lost = friction + p["load_friction"] * loaded, p["load_friction"]
     faded = velocity
     if present.breakaway:
         faded = np.exp(-((velocity / p["stribeck_velocity"]) ** 2))
         friction = friction + (p["breakaway"] + p["load_breakaway"] * loaded) * faded
-        share = share + p["load_breakaway"] * faded
-    friction = h * friction
-    moving, direction = np.abs(momentum) > friction, np.sign(momentum)
+        lost = lost + p["load_breakaway"] * faded
+    friction, resting = h * friction, velocity == 0.0
+    moving, direction = ~resting | (np.abs(momentum) > friction), np.sign(np.where(resting, momentum, velocity))
     # friction follows the torque that is left after the step, as the drive does
-    passed = np.maximum(1.0 - direction * np.sign(torque) * share, 0.0)
+    passed = np.maximum(1.0 - direction * toward * lost, 0.0)
     divisor = resistance + h * h * acting * passed
     after = np.where(moving, (momentum - direction * friction) / divisor, 0.0)
     return _Step(
-        outside, side, torque, acting, share, divisor, faded, passed, momentum, friction, moving, direction, after
+        torque,
+        toward,
+        acting,
+        (shares[0], shares[1]),
+        limited,
+        sided,
+        torques[0] - torques[1],
+        lost,
+        divisor,
+        faded,
+        passed,
+        momentum,
+        friction,
+        moving,
+        direction,
+        after,
     )
 
 
@@ -389,11 +443,11 @@ class _Together:
 
     def settled(
         self, step: _Step, index: int, resistance: FloatArray, position: FloatArray, velocity: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Velocities (L,) in the middle of a step, torques (L,) between the joints, and forces (P,) of the surface."""
+    ) -> tuple[FloatArray, FloatArray]:
+        """Velocities (L,) in the middle of a step, and forces (P,) of the surface."""
         h, shape = self._half, self._middle.shape
-        given = step.momentum, step.friction, step.torque, step.acting, step.share, velocity, self.lever[index]
-        momentum, friction, torque, acting, share, before, lever = (each.reshape(shape) for each in given)
+        given = step.momentum, step.friction, step.toward, step.acting, step.share, velocity, self.lever[index]
+        momentum, friction, toward, acting, share, before, lever = (each.reshape(shape) for each in given)
         above = self.clear[index] + np.sum(lever * position.reshape(shape), axis=1)
         matrix, resisting, middle = self.matrix(index), resistance.reshape(shape), self._middle
         hardness, damping = self.surface
@@ -403,10 +457,11 @@ class _Together:
             for joint in range(self.joints):
                 pushed = momentum[:, joint] + h * lever[:, joint] * pressed
                 pushed = pushed + np.einsum("pj,pj->p", matrix[:, joint], before - middle)
-                direction = np.sign(pushed)
-                passed = np.maximum(1.0 - direction * np.sign(torque[:, joint]) * share[:, joint], 0.0)
+                resting = before[:, joint] == 0.0
+                direction = np.sign(np.where(resting, pushed, before[:, joint]))
+                passed = np.maximum(1.0 - direction * toward[:, joint] * share[:, joint], 0.0)
                 divisor[:, joint] = resisting[:, joint] + h * h * acting[:, joint] * passed
-                moving = np.abs(pushed) > friction[:, joint]
+                moving = ~resting | (np.abs(pushed) > friction[:, joint])
                 middle[:, joint] = np.where(moving, (pushed - direction * friction[:, joint]) / divisor[:, joint], 0.0)
             if self.touched:
                 rate, give = (lever * middle).sum(axis=1), np.sum(lever**2 * (h / divisor) * (middle != 0.0), axis=1)
@@ -414,8 +469,7 @@ class _Together:
                 self._pressed = np.maximum(pressed + lacking / (1.0 + (h * hardness + damping) * give), 0.0)
             if max(np.max(np.abs(middle - last)), np.max(np.abs(self._pressed - pressed))) < SETTLED:
                 break
-        pull = np.einsum("pij,pj->pi", matrix, middle - before) / h
-        return middle.ravel().copy(), pull.ravel(), self._pressed
+        return middle.ravel().copy(), self._pressed
 
     def matrix(self, index: int) -> FloatArray:
         """(P, n, n) inertia between joints in a step, 0 on the diagonal."""
@@ -441,59 +495,94 @@ class _Together:
         return np.asarray(np.moveaxis(found, 2, 0).reshape(d_middle.shape), dtype=np.float64)
 
 
-def _tangents(
-    lanes: Lanes,
-    p: dict[str, FloatArray],
-    terms: IndexArray,
-    inertia: FloatArray,
-    step: _Step,
-    velocity: FloatArray,
-    goals: _Goals,
-    together: _Together,
-) -> FloatArray:
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """A path that is known, along which derivatives are linear in each other; `rows` of its terms by name."""
+
+    lanes: Lanes
+    p: dict[str, FloatArray]
+    rows: dict[str, int]
+    step: _Step
+    velocity: FloatArray
+    goals: _Goals
+    together: _Together
+
+    def fading(self, middle: FloatArray | float) -> FloatArray:
+        """(K, L) by how much friction's part of the momentum falls with velocity, with its direction."""
+        h, p, step = 0.5 * self.lanes.step, self.p, self.step
+        loaded = step.toward * (step.torque - h * step.acting * middle)
+        static = (p["breakaway"] + p["load_breakaway"] * loaded) * step.faded
+        return np.asarray(h * static * 2.0 * self.velocity / p["stribeck_velocity"] ** 2, dtype=np.float64)
+
+    def by_terms(self, passed: FloatArray, direction: FloatArray | float, middle: FloatArray | float) -> FloatArray:
+        """How the momentum in the middle of each step changes with a joint's own terms (F, K, L)."""
+        h, p, step = 0.5 * self.lanes.step, self.p, self.step
+        torque, push = step.torque - h * step.acting * middle, h * passed
+        loaded, drag = step.toward * torque, -direction * h
+        partials: dict[str, Callable[[], FloatArray]] = {
+            "delay": lambda: push * step.later / self.lanes.step,
+            "bias": lambda: -push * step.acting,
+            "dead_band": lambda: -push * step.sided * p["dead_band"],
+            "stiffness": lambda: push * (torque - step.limited),
+            "torque_limit": lambda: push * step.limited,
+            "coulomb": lambda: drag * p["coulomb"],
+            "load_friction": lambda: drag * p["load_friction"] * loaded,
+            "breakaway": lambda: drag * p["breakaway"] * step.faded,
+            "load_breakaway": lambda: drag * p["load_breakaway"] * loaded * step.faded,
+            "stribeck_velocity": lambda: -direction * self.fading(middle) * self.velocity,
+            "zero": lambda: -h * self.lanes.load_slope,
+            "armature": lambda: p["armature"] * (self.velocity - middle),
+            "damping": lambda: -h * p["damping"] * middle,
+        }
+        if (by_limit := self.goals.by_limit) is not None:
+            changed = step.shares[0] * by_limit[:-1] + step.shares[1] * by_limit[1:]
+            partials["acceleration_limit"] = lambda: push * changed
+        return self._in_rows(partials)
+
+    def resisting(self) -> FloatArray:
+        """How what resists a joint changes with its own terms (F, K, L)."""
+        h, p, step = 0.5 * self.lanes.step, self.p, self.step
+        curved = h**2 * step.acting
+        return self._in_rows(
+            {
+                "stiffness": lambda: curved * step.passed,
+                "damping": lambda: h * p["damping"],
+                "armature": lambda: p["armature"],
+                "load_friction": lambda: -curved * step.direction * step.toward * p["load_friction"],
+                "load_breakaway": lambda: -curved * step.direction * step.toward * p["load_breakaway"] * step.faded,
+            }
+        )
+
+    def of_owners(self, own: FloatArray) -> FloatArray:
+        """Derivatives (n·F, …, L) by the terms of each joint of a piece, where its joints move each other."""
+        if self.lanes.between is None:
+            return own
+        count = self.together.joints
+        each = np.zeros((count, *own.shape))
+        for joint in range(count):
+            each[joint, ..., joint::count] = own[..., joint::count]
+        return each.reshape(-1, *own.shape[1:])
+
+    def _in_rows(self, partials: dict[str, Callable[[], FloatArray]]) -> FloatArray:
+        found = np.zeros((len(self.rows), *self.velocity.shape))
+        for name in self.rows.keys() & partials.keys():
+            found[self.rows[name]] = partials[name]()
+        return found
+
+
+def _tangents(known: _Known, inertia: FloatArray) -> FloatArray:
     """Derivatives (F, K, L) of the positions on the grid; (n·F, K, L) where joints move each other.
 
-    Along a known path they are linear in each other: of the velocity in the middle of a step, from those of position
-    and velocity before it, d_middle = kept·d_velocity + pulled·d_position + driven. The coefficients of all steps are
-    computed at once.
+    Of the velocity in the middle of a step, from those of position and velocity before it, d_middle =
+    kept·d_velocity + pulled·d_position + driven. The coefficients of all steps are computed at once.
     """
-    h, rows = 0.5 * lanes.step, {TERMS[term].name: row for row, term in enumerate(terms)}
-    freely = step.acting > 0
-    gate = step.moving / step.divisor
-    torque = step.torque - h * step.acting * step.velocity
-    loaded = np.sign(step.torque) * torque
-    pull = gate * h * step.passed
-    static = (p["breakaway"] + p["load_breakaway"] * loaded) * step.faded
-    slope = h * static * 2.0 * velocity / p["stribeck_velocity"] ** 2
-    kept, pulled = gate * (inertia + step.direction * slope), -pull * step.acting
-    opposed = -gate * step.direction * h
-    driven = np.zeros((len(rows), *velocity.shape))
-
-    def add(name: str, partial: Callable[[], FloatArray]) -> None:
-        if name in rows:
-            driven[rows[name]] = partial()
-
-    for name, derivative in (("delay", goals.by_delay), ("acceleration_limit", goals.by_limit)):
-        if derivative is not None:
-            driven[rows[name]] = -pulled * derivative
-    add("bias", lambda: pulled)
-    add("dead_band", lambda: pulled * step.side * p["dead_band"])
-    add("stiffness", lambda: pull * np.where(freely, torque, 0.0))
-    add("torque_limit", lambda: pull * np.where(step.outside & ~freely, step.torque, 0.0))
-    add("coulomb", lambda: opposed * p["coulomb"])
-    add("load_friction", lambda: opposed * p["load_friction"] * loaded)
-    add("breakaway", lambda: opposed * p["breakaway"] * step.faded)
-    add("load_breakaway", lambda: opposed * p["load_breakaway"] * loaded * step.faded)
-    add("stribeck_velocity", lambda: opposed * static * 2.0 * (velocity / p["stribeck_velocity"]) ** 2)
-    add("zero", lambda: -gate * h * lanes.load_slope)
-    add("armature", lambda: gate * p["armature"] * (velocity - step.velocity))
-    add("damping", lambda: -gate * h * p["damping"] * step.velocity)
-    if lanes.between is not None:
-        own, count = driven, together.joints
-        driven = np.zeros((count, *own.shape))
-        for joint in range(count):
-            driven[joint, :, :, joint::count] = own[:, :, joint::count]
-        driven = driven.reshape(-1, *own.shape[1:])
+    lanes, step, velocity, together = known.lanes, known.step, known.velocity, known.together
+    h, gate = 0.5 * lanes.step, step.moving / step.divisor
+    kept = gate * (inertia + step.direction * known.fading(step.velocity))
+    pulled = -gate * h * step.passed * step.acting
+    driven = known.of_owners(gate * known.by_terms(step.passed, step.direction, step.velocity))
+    turning = velocity * (2.0 * step.velocity - velocity) * step.moving < 0.0
+    turned = _turned(known, turning) if turning.any() else None
     d_position, d_velocity = np.zeros_like(driven[:, 0]), np.zeros_like(driven[:, 0])
     change = np.empty_like(d_position)
     for index in range(len(velocity)):
@@ -503,9 +592,64 @@ def _tangents(
         if lanes.between is not None:
             d_middle = together.solved(index, step, d_middle, d_velocity)
         driven[:, index] = d_position  # what this step was driven by is needed no more
-        d_velocity = np.subtract(2.0 * d_middle, d_velocity, out=d_velocity) * step.moving[index]
+        d_after = (2.0 * d_middle - d_velocity) * step.moving[index]
+        if turned is not None and turning[index].any():
+            d_middle, d_after = turned(index, d_position, d_velocity, d_middle, d_after)
+        d_velocity = d_after
         d_position += np.multiply(d_middle, lanes.step, out=change)
     return driven
+
+
+def _turned(
+    known: _Known, turning: BoolArray
+) -> Callable[[int, FloatArray, FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+    """What turns (K, L) make of derivatives (F, L) in a step.
+
+    Of that step's number, those of position and velocity before it, and of mean and last velocity without the turn.
+    """
+    step = known.step
+    bent = step.toward * step.share
+    rubs = 0.5 * (known.by_terms(1.0 + bent, -1.0, 0.0) - known.by_terms(1.0 - bent, 1.0, 0.0))
+    by_place, by_rate = -0.5 * known.lanes.step * bent * step.acting, -known.fading(0.0)
+    resisting = known.resisting()
+
+    def slopes(
+        index: int, d_position: FloatArray, d_velocity: FloatArray, d_middle: FloatArray, d_after: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        now, friction, resists = known.velocity[index], step.friction[index], step.divisor[index]
+        after = 2.0 * step.velocity[index] - now
+        turn = _Turn.of(now, after, friction, resists)
+        d_half = 0.5 * (d_velocity - d_after)
+        d_friction = known.of_owners(rubs[:, index]) + by_place[index] * d_position + by_rate[index] * d_velocity
+        d_fall = np.sign(now) * d_half * resists + np.abs(turn.half) * known.of_owners(resisting[:, index])
+        d_back = np.where(turn.back > 0.0, 2.0 * (friction * d_fall / turn.fall - d_friction) / turn.fall, 0.0)
+        squares = 2.0 * now * d_velocity - after**2 * d_back - 2.0 * turn.back * after * d_after
+        d_gone = squares / (4.0 * turn.half) - turn.gone * d_half / turn.half
+        d_turned = turn.back * d_after + after * d_back
+        return np.where(turning[index], d_gone, d_middle), np.where(turning[index], d_turned, d_after)
+
+    return slopes
+
+
+class _Turn(NamedTuple):
+    """Joints (L,) that come to rest within a step: friction turns round with them, or holds them there from then on.
+
+    Half of their fall of velocity if friction did not turn, the impulse that this takes, the share of their velocity
+    after it that they move back with, and their mean velocity. Other joints feel it from the next step on.
+    """
+
+    half: FloatArray
+    fall: FloatArray
+    back: FloatArray
+    gone: FloatArray
+
+    @classmethod
+    def of(cls, velocity: FloatArray, after: FloatArray, friction: FloatArray, resists: FloatArray) -> _Turn:
+        """Turns from velocities before a step and, if friction did not turn, after it; no meaning elsewhere."""
+        half = np.where(velocity * after < 0.0, 0.5 * (velocity - after), 1.0)
+        fall = np.abs(half) * resists
+        back = np.maximum(1.0 - 2.0 * friction / fall, 0.0)
+        return cls(half, fall, back, (velocity**2 - back * after**2) / (4.0 * half))
 
 
 def at_samples(lanes: Lanes, path: FloatArray) -> FloatArray:
@@ -518,21 +662,21 @@ def at_samples(lanes: Lanes, path: FloatArray) -> FloatArray:
 
 
 def _goals(lanes: Lanes, delay: FloatArray, steepest: FloatArray, names: Collection[str]) -> _Goals:
-    """Goals of the servos' profiles, and their derivatives by those of delay and limit that `names` holds.
+    """Goals of the servos' profiles, and their derivatives by the limit where `names` holds it.
 
     A profile starts at once, however small a part of a command has come: goals are delayed, not commands. Goals are
-    means over the step, as commands are. A profile
-    that switches between its limits has no smooth derivative by them: differences over a finite span stand for it.
+    means over the step, as commands are. A profile that switches between its limits has no smooth derivative by them:
+    differences over a finite span stand for it.
     """
     limited = "acceleration_limit" in names
     if (library := kernels().long) is not None:
         call, shape = _Call(), lanes.load.shape
-        path, by_delay = np.empty(shape), np.empty(shape) if "delay" in names else None
-        by_limit = np.empty(shape) if limited else None
+        path, late = np.empty((shape[0] + 1, shape[1])), np.empty(shape[1])
+        by_limit = np.empty_like(path) if limited else None
         sizes = (c_long(lanes.history), c_long(shape[0]), c_long(shape[1]), c_double(lanes.step))
-        given = map(call.given, (lanes.command, delay, steepest, path, by_delay, by_limit))
+        given = map(call.given, (lanes.command, delay, steepest, path, late, by_limit))
         library.servo_goals(*sizes, c_double(STEEPNESS_SPAN), c_double(UNLIMITED), *given)
-        return _Goals(path, by_delay, by_limit)
+        return _Goals(path, late, by_limit)
     factor = np.exp(STEEPNESS_SPAN)
     limits = [steepest, *([steepest * factor, steepest / factor] if limited else [])]
     wide, steep = np.tile(lanes.command, (1, len(limits))), np.concatenate(limits)
@@ -542,16 +686,10 @@ def _goals(lanes: Lanes, delay: FloatArray, steepest: FloatArray, names: Collect
     whole = np.floor(lateness)
     newer = lanes.history - whole.astype(np.intp)
     places = np.clip(newer + np.arange(len(lanes.load) + 1)[:, None], 0, len(lanes.command) - 1)
-    lane, late, delayed = np.arange(len(delay)), lateness - whole, []
-    for own in np.split(wide, len(limits), axis=1):
-        reached = own[places, lane]
-        older = reached[:-1] - reached[1:]
-        delayed.append((reached[1:] + late * older, older))
-    return _Goals(
-        delayed[0][0],
-        delayed[0][1] / lanes.step if "delay" in names else None,
-        (delayed[1][0] - delayed[2][0]) / (2 * STEEPNESS_SPAN) if limited else None,
-    )
+    lane = np.arange(len(delay))
+    reached = [own[places, lane] for own in np.split(wide, len(limits), axis=1)]
+    by_limit = (reached[1] - reached[2]) / (2 * STEEPNESS_SPAN) if limited else None
+    return _Goals(reached[0], lateness - whole, by_limit)
 
 
 def profile_goals(command: FloatArray, step: float, steepest: FloatArray) -> FloatArray:

@@ -144,36 +144,42 @@ class ServoArm:
         return self._bodies[self._driven]
 
     def advance(self, goal: FloatArray) -> None:
-        """One step with the means (n,) of the servos' profiles over it [rad or m]."""
+        """One step with the means (n,) of the servos' profiles over it, or over equal parts (k, n) of it [rad or m].
+
+        A drive's limit holds for each part: a new goal is not limited as its mean with the one before would be.
+        """
         h, n = 0.5 * self.step, self._dof
         position, velocity = self._bodies[:n], self._rates[:n]
         middle = position + h * velocity
-        behind_play = np.where(self._implicit > 0, position, middle)
-        seen = np.where(self._encoder > 0, _quantised(position, self._encoder), behind_play)
+        seen = np.where(self._encoder > 0, _quantised(position, self._encoder), middle)
         error = goal - seen - self._bias
         acting = np.abs(error) > self._dead_band
         linear = self._stiffness * np.where(acting, error - np.sign(error) * self._dead_band, 0.0) + self.push
         duty = np.clip(linear / self._limit, -self.effort, self.effort)
+        free = acting & (np.abs(duty) < self.effort)
+        if goal.ndim > 1:
+            duty, free = duty.mean(axis=0), free.mean(axis=0)
         strength = self._strength * np.where(self._voltage, self.supply, 1.0)
         torque = strength * self._limit * duty
-        stiffness = np.where(acting & (np.abs(duty) < self.effort), strength * self._implicit, 0.0)
+        stiffness = strength * self._implicit * free
         matrix = self._matrix(middle)
         momentum = matrix @ self._rates
         momentum[:n] -= h * self._arm.bias(middle, velocity)
         momentum[self._driven] += h * torque
+        momentum[:n] += h * h * stiffness * velocity
         diagonal = np.zeros(len(self._rates))
         diagonal[self._driven] += h * (self._damping_now + self._gain_d)
         diagonal[:n] += h * h * stiffness
         matrix.flat[:: len(matrix) + 1] += diagonal
         self._close_play(matrix, momentum)
         response = np.linalg.inv(matrix)
-        free, weights = np.asarray(response @ momentum, dtype=np.float64), np.asarray(h * response, dtype=np.float64)
-        limits = self._friction(torque - h * stiffness * velocity)
-        self._guess = quick_dry_friction(weights, free, limits, self._guess)
-        rates = free - weights @ self._guess
+        alone, weights = np.asarray(response @ momentum, dtype=np.float64), np.asarray(h * response, dtype=np.float64)
+        limits = self._friction(torque)
+        self._guess = quick_dry_friction(weights, alone, limits, self._guess)
+        rates = alone - weights @ self._guess
         self._bodies = self._bodies + self.step * rates
         self._rates = np.where(np.abs(self._guess) < limits, 0.0, 2.0 * rates - self._rates)
-        self.torque = torque - self._back_now * rates[self._driven]
+        self.torque = torque + h * stiffness * (velocity - rates[:n]) - self._back_now * rates[self._driven]
         self.current = self.torque / (self._limit * self._constant) * self._stall
         drawn = float(np.sum(np.maximum(self.current * duty, 0.0)))
         sagging = max(self._supply.voltage - self._supply.resistance * drawn, 0.1 * self._supply.voltage)

@@ -176,8 +176,8 @@ def _arrived(servos: list[TruthServo], time: FloatArray, seed: int) -> FloatArra
 
 
 def _goals(servos: list[TruthServo], arrived: FloatArray, command: FloatArray, count: int, step: float) -> FloatArray:
-    """Means (count, n) over each step of the servos' profiles, which stop at the latest command as fast as they may."""
-    goals = np.empty((count, len(servos)))
+    """Means (count, `PARTS`, n) over parts of each step of the profiles, which stop at the latest command in time."""
+    goals = np.empty((count, PARTS, len(servos)))
     times = (np.arange(count * PARTS) + 0.5) * step / PARTS
     for joint, servo in enumerate(servos):
         goal, pace, most = float(command[0, joint]), 0.0, servo.acceleration * step
@@ -186,16 +186,16 @@ def _goals(servos: list[TruthServo], arrived: FloatArray, command: FloatArray, c
         newest = np.maximum.accumulate(order)
         latest = np.searchsorted(arrived[order, joint], times, side="right") - 1
         chosen = np.where(latest < 0, 0, newest[np.maximum(latest, 0)])
-        goals[:, joint] = command[chosen, joint].reshape(count, PARTS).mean(axis=1)
+        goals[:, :, joint] = command[chosen, joint].reshape(count, PARTS)
         if servo.acceleration >= UNLIMITED:
             continue
         before = goal
-        for index, target in enumerate(goals[:, joint].tolist()):
+        for index, target in enumerate(goals[:, :, joint].mean(axis=1).tolist()):
             distance = abs(target - goal)
             speed = min((2 * servo.acceleration * distance + most**2 / 4) ** 0.5 - most / 2, distance / step)
             pace = min(max(speed if target > goal else -speed, pace - most), pace + most)
             goal += step * pace
             after = goal - 0.5 * step * pace  # the sum is half a step ahead of the profile
-            goals[index, joint] = 0.5 * (before + after)
+            goals[index, :, joint] = 0.5 * (before + after)
             before = after
     return goals

@@ -197,7 +197,8 @@ def test_a_later_command_is_followed_later_and_otherwise_alike():
     late, later = values.copy(), values.copy()
     late[:, INDEX["delay"]], later[:, INDEX["delay"]] = 0.0, 2.5 * moved.step
     delay, limit = INDEX["delay"], INDEX["acceleration_limit"]
-    goals = [_goals(moved, own[:, delay], own[:, limit], ()).path for own in (late, later)]
+    found = [_goals(moved, own[:, delay], own[:, limit], ()) for own in (late, later)]
+    goals = [each.late * each.path[:-1] + (1.0 - each.late) * each.path[1:] for each in found]
     steps = np.arange(400.0)
     shifted = np.stack([np.interp(steps[10:] - 2.5, steps, column) for column in goals[0].T], axis=1)
     np.testing.assert_allclose(goals[1][10:], shifted, atol=1e-12)
