@@ -136,22 +136,11 @@ def simulate(options: SimOptions, *, live: bool) -> None:
 
     def obey(line: str) -> None:
         if line.split()[0] in CONTACT_WORDS:
-            require_contacts(robot_file)
             plant.contacts.request(line)
         else:
             served.obey(line)
 
     serve_until_interrupted(served, robot_file.robot.name, obey, live=live)
-
-
-def require_contacts(robot_file: RobotFile) -> None:
-    """Refuse contacts of an arm of servos, whose plant is another.
-
-    Raises:
-        UsageError: it is one.
-    """
-    if any(joint.servo is not None for joint in robot_file.robot.truth.joints.values()):
-        raise UsageError("contacts are not simulated on arms of servos", where=robot_file.robot.name)
 
 
 def back_end_of(wire: str) -> SimulatedBackEnd:
@@ -234,7 +223,6 @@ def served_arm(
         for beside in filter(None, (candidate.beside for candidate in _back_ends())):
             served = named(beside)(served, robot_file, plant, options, clock)
     if options.contact is not None:
-        require_contacts(robot_file)
         for line in filter(str.strip, options.contact.split(";")):
             plant.contacts.request(line)
     return served, plant

@@ -117,11 +117,22 @@ class Contacts:
 
     def torque(self, position: FloatArray, velocity: FloatArray, time: float) -> FloatArray:
         """External torque (n,) [N·m or N] at the joints with a motor, for their position and velocity (n,)."""
+        total, pressed = self.acting(position, time)
+        for wall, lever, depth in pressed:
+            leaving = float(lever @ velocity)
+            total += lever * max(0.0, wall.stiffness * depth - wall.damping * leaving)  # a wall does not pull
+        return total
+
+    def acting(self, position: FloatArray, time: float) -> tuple[FloatArray, list[tuple[Wall, FloatArray, float]]]:
+        """Torque (n,) of pushes [N·m or N], and the walls that the tool point (joints at `position`, (n,)) is in.
+
+        Beside each wall: the lever (n,) of its force on the joints [m or 1], and how deep the tool point is in it [m].
+        """
         self._touching = [surface for surface in self._touching if isinstance(surface, Wall) or surface.end > time]
-        total = np.zeros(len(position))
+        total, pressed = np.zeros(len(position)), list[tuple[Wall, FloatArray, float]]()
         acting = [surface for surface in self._touching if surface.start <= time]
         if not acting:
-            return total
+            return total, pressed
         if self._places is None:
             self._places = LinkJacobians(self._model)
         self._places.move(position)
@@ -132,10 +143,8 @@ class Contacts:
             jacobian = self._places.jacobian(self._model.tool_link, self._tool)[:3]
             depth = float(surface.normal @ (surface.point - self._places.point(self._model.tool_link, self._tool)))
             if depth > 0.0:
-                leaving = float(surface.normal @ (jacobian @ velocity))
-                push = max(0.0, surface.stiffness * depth - surface.damping * leaving)  # a wall does not pull
-                total += jacobian.T @ (push * surface.normal)
-        return total
+                pressed.append((surface, jacobian.T @ surface.normal, depth))
+        return total, pressed
 
 
 def parse_contact(line: str, model: DynamicModel, tool: FloatArray, now: float) -> Event:

@@ -12,7 +12,7 @@ sags by the current that the duty cycles draw. Where a joint has play, motor and
 gear holds together at its ends; the encoder is the joint's. Each step solves all bodies together to its middle,
 implicitly in stiffness and damping, with dry friction exact (`ident.simulation.dry_friction`), and goes on from there
 with the velocity of the middle: of an implicit step to the end, so much damping and inertia would be the step's own
-that an underdamped servo's truth would not be its own.
+that an underdamped servo's truth would not be its own. A wall that it touches is solved together with them.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from ident.compiled.library import kernels
 from ident.model.dynamics.rigid_arm import rigid_arm
 from ident.model.true_parameters import true_model, truth_vector
 from ident.simulation.dry_friction import quick_dry_friction
+from sim_drivers.plant.altered_arm import with_load
+from sim_drivers.plant.contact import Contacts
 from sim_drivers.plant.friction import JointHeat
 
 STEP = 0.002
@@ -72,6 +74,7 @@ class ServoArm:
         supply: share of the nominal voltage.
         effort: (n,) largest share of the full duty cycle, 0 where a servo is limp.
         push: (n,) what the drives are to add to their position loops [N·m or N].
+        contacts: what touches the arm, in the time of its steps; `contacts.request` takes more.
     """
 
     def __init__(self, file: RobotFile, position: FloatArray, celsius: float | None = None) -> None:
@@ -108,7 +111,9 @@ class ServoArm:
         model = true_model(file)
         inertial = truth_vector(file, model)[: 10 * len(model.joints)]
         armature[self._loose] = 0.0
+        self._file, self._model, self._armature = file, model, armature
         self._arm = rigid_arm(model, inertial, armature)
+        self.contacts = Contacts(file, model)
         self.step = STEP_WITH_PLAY if len(self._loose) else STEP
         self._dof = count
         self._bodies = np.concatenate([position, position[self._loose]])
@@ -172,6 +177,7 @@ class ServoArm:
         diagonal[:n] += h * h * stiffness
         matrix.flat[:: len(matrix) + 1] += diagonal
         self._close_play(matrix, momentum)
+        self._touch(matrix, momentum)
         response = np.linalg.inv(matrix)
         alone, weights = np.asarray(response @ momentum, dtype=np.float64), np.asarray(h * response, dtype=np.float64)
         limits = self._friction(torque)
@@ -237,6 +243,23 @@ class ServoArm:
                 momentum[row] -= sign * h * self._gear[index] * beyond
                 matrix[row, motor] += sign * spring
                 matrix[row, joint] -= sign * spring
+
+    def _touch(self, matrix: FloatArray, momentum: FloatArray) -> None:
+        """Add what touches the arm; walls, as springs and dampers, in the middle of the step."""
+        h, n, time = 0.5 * self.step, self._dof, self._steps * self.step
+        if (grasp := self.contacts.due(time)) is not None:
+            loaded = with_load(self._file, grasp.mass, grasp.centre, [0.0] * 6) if grasp.mass > 0.0 else self._file
+            inertial = truth_vector(loaded, self._model)[: 10 * len(self._model.joints)]
+            self._arm = rigid_arm(self._model, inertial, self._armature)
+        if not self.contacts.present:
+            return
+        push, pressed = self.contacts.acting(self._bodies[:n], time)
+        momentum[:n] += h * push
+        for wall, lever, depth in pressed:
+            leaving = float(lever @ self._rates[:n])
+            if wall.stiffness * (depth - h * leaving) > wall.damping * leaving:  # a wall does not pull
+                momentum[:n] += h * wall.stiffness * depth * lever
+                matrix[:n, :n] += h * (wall.damping + h * wall.stiffness) * np.outer(lever, lever)
 
     def _friction(self, torque: FloatArray) -> FloatArray:
         """Dry friction (bodies,) [N·m]."""

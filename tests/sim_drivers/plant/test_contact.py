@@ -11,6 +11,7 @@ from ident.model.dynamic_model import build_model
 from ident.model.dynamics.link_jacobian import LinkJacobians, link_end
 from sim_drivers.plant.contact import Grasp, Push, Wall, parse_contact
 from sim_drivers.plant.plant import Plant
+from sim_drivers.plant.servo import ServoArm
 
 UR = load_robot("ur5e")
 MODEL = build_model(UR)
@@ -86,6 +87,56 @@ def test_what_is_picked_up_weighs_until_it_is_released() -> None:
     assert loaded - gravity == pytest.approx(weight, abs=1e-9)
     plant.advance(0.6)
     assert plant._arm.gravity(POSE) == pytest.approx(gravity)
+
+
+@pytest.mark.parametrize("robot", ["moteus_rig", "so101"])
+def test_an_arm_of_servos_is_pushed_held_by_a_wall_and_loaded(robot: str) -> None:
+    file = load_robot(robot)
+    model, tool = build_model(file), np.array(file.robot.workspace.tool)
+    places, goal = LinkJacobians(model), np.full(len(file.robot.joints), 0.4)
+    stiffness = np.array([file.robot.truth.joints[name].servo.stiffness for name in file.robot.joint_names])
+
+    def rested(arm: ServoArm, seconds: float = 1.0) -> np.ndarray:
+        for _ in range(round(seconds / arm.step)):
+            arm.advance(goal)
+        assert np.max(np.abs(arm.velocity)) < 0.01
+        return arm.position.copy()
+
+    def moment(arm: ServoArm) -> np.ndarray:
+        return stiffness * (goal - arm.position)
+
+    arm = ServoArm(file, goal)
+    rested(arm)
+    before = moment(arm)
+    arm.contacts.request("push 1 3 2 0 for 1.5")
+    places.move(rested(arm))
+    torque = places.jacobian(0, link_end(model, 0, tool))[:3].T @ [3.0, 2.0, 0.0]
+    dry = sum(file.robot.truth.joints[name].coulomb for name in file.robot.joint_names)
+    assert np.abs(before - moment(arm) - torque).max() < 2.0 * dry + 0.05
+    start = rested(arm, 2.0)
+    assert not arm.contacts.present
+
+    places.move(start)
+    point, up = places.point(model.tool_link, tool), np.array([0.0, 0.0, 1.0])
+    lever = places.jacobian(model.tool_link, tool)[:3]
+    goal = goal - 0.3 * np.sign(lever.T @ up)
+    for stiff in ("", " 1e5 2000"):
+        arm = ServoArm(file, start)
+        arm.contacts.request(f"wall {' '.join(map(str, point - 0.02 * up))} {' '.join(map(str, up))}{stiff}")
+        places.move(rested(arm, 1.5))
+        assert up @ (places.point(model.tool_link, tool) - point) == pytest.approx(-0.02, abs=0.004)
+
+    arm = ServoArm(file, start)
+    gravity = arm._arm.gravity(start)
+    arm.contacts.request("pick 0.2")
+    arm.contacts.request(f"release after {10 * arm.step}")
+    arm.advance(goal)
+    places.move(start)
+    weight = places.jacobian(model.tool_link, tool)[:3].T @ [0.0, 0.0, 0.2 * 9.81]
+    assert arm._arm.gravity(start) - gravity == pytest.approx(weight, abs=1e-6)
+    for _ in range(10):
+        arm.advance(goal)
+    assert arm._arm.gravity(start) == pytest.approx(gravity)
 
 
 def test_lines_are_read() -> None:
