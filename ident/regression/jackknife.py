@@ -277,8 +277,8 @@ class BlockRows:
 
     index: int  # of the block
     samples: npt.NDArray[np.int64]  # (m,) which of the segment's filtered samples
-    regressor: FloatArray  # (kernel.row_count, m) packed rows; valid until the next ones are requested
-    torque: FloatArray  # (k, m) filtered; valid as long
+    regressor: FloatArray  # (kernel.row_count, m) packed rows
+    torque: FloatArray  # (k, m) filtered
 
 
 def rows_by_block(

@@ -15,10 +15,11 @@ import numpy.typing as npt
 from pydantic import Field
 from pydantic.dataclasses import dataclass as stored
 
-from drivers.core.arrays import FloatArray, IntArray
+from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
 from ident.assessment.delay.delay_equations import (
     FEWEST_BLOCKS,
+    DelayData,
     DelayEquations,
     DelayFit,
     contiguous_blocks,
@@ -111,7 +112,7 @@ def search_delay(
     """
     dof = kernel.model.dof
     seen = np.isin(np.arange(dof), range(dof) if torques_of is None else list(torques_of))
-    data = _Data(kernel, segments, parallel_filter, seen, contiguous_blocks(segments, parallel_filter))
+    data = DelayData(kernel, segments, parallel_filter, seen, contiguous_blocks(segments, parallel_filter))
     if data.count < FEWEST_BLOCKS:
         return _none_found(kernel, f"too few samples to estimate a delay: fewer than {FEWEST_BLOCKS} blocks; none used")
     if not any(np.ptp(segment.torque[seen], axis=1).any() for segment in segments):
@@ -145,22 +146,6 @@ def delay_checks(search: DelaySearch | None) -> list[Check]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Data:
-    """Data of the search: which torques (n,) are `seen`, and each filtered sample's block."""
-
-    kernel: RegressorKernel
-    segments: Sequence[Segment]
-    parallel_filter: ZeroPhaseFilter
-    seen: npt.NDArray[np.bool_]
-    blocks: tuple[tuple[IntArray, ...], int]
-
-    @property
-    def count(self) -> int:
-        """Number of blocks."""
-        return self.blocks[1]
-
-
-@dataclass(frozen=True, eq=False)
 class _Candidate:
     """Delays that joints share.
 
@@ -180,13 +165,11 @@ class _Candidate:
         return deviation_without(self.without)
 
 
-def _settled(data: _Data, groups: Sequence[int | None], start: FloatArray) -> _Candidate | None:
+def _settled(data: DelayData, groups: Sequence[int | None], start: FloatArray) -> _Candidate | None:
     """Newton from `start` (n,) [s]; None where it leaves ±LONGEST_DELAY or does not settle."""
     delays = start
     for _ in range(_STEPS):
-        equations = delay_equations(
-            data.kernel, data.segments, data.parallel_filter, data.blocks, delays, seen=data.seen
-        )
+        equations = delay_equations(data, delays)
         fit = fit_delays(equations, groups)
         steps = fit.delays - delays
         if np.max(np.abs(steps)) < _SETTLED_DELAY:
@@ -206,7 +189,7 @@ def _candidate(equations: DelayEquations, groups: Sequence[int | None]) -> _Cand
     return _Candidate(equations, fit, np.array(without))
 
 
-def _judged(data: _Data, common: _Candidate) -> DelaySearch:
+def _judged(data: DelayData, common: _Candidate) -> DelaySearch:
     """Judge whether the common delay helps, and beside it delays of single joints."""
     count, dof = data.count, data.kernel.model.dof
     quantile = _t_quantile(1.0 - LEVEL / 2.0, count)
@@ -249,7 +232,7 @@ def _judged(data: _Data, common: _Candidate) -> DelaySearch:
     )
 
 
-def _sharing(data: _Data, alone: _Candidate, helps: bool) -> npt.NDArray[np.bool_]:
+def _sharing(data: DelayData, alone: _Candidate, helps: bool) -> npt.NDArray[np.bool_]:
     """(n,) joints whose delay does not differ significantly from most others', or from 0 where the common is not used.
 
     The others' is the median weighted by the inverse variances: a joint with another delay moves the common one.
@@ -263,7 +246,7 @@ def _sharing(data: _Data, alone: _Candidate, helps: bool) -> npt.NDArray[np.bool
     return data.seen & (np.abs(alone.fit.delays - reference) <= _all_joints_quantile(data) * alone.std)
 
 
-def _own_delays(data: _Data, alone: _Candidate, sharing: npt.NDArray[np.bool_], shared: float) -> _Candidate | None:
+def _own_delays(data: DelayData, alone: _Candidate, sharing: npt.NDArray[np.bool_], shared: float) -> _Candidate | None:
     """Joints that share no delay get their own, 0 where they lead; None where there are none."""
     own = data.seen & ~sharing
     lagging = own & (alone.fit.delays > 0.0)
@@ -280,7 +263,7 @@ def _own_delays(data: _Data, alone: _Candidate, sharing: npt.NDArray[np.bool_], 
     return candidate
 
 
-def _all_joints_quantile(data: _Data) -> float:
+def _all_joints_quantile(data: DelayData) -> float:
     return _t_quantile(1.0 - LEVEL / 2.0 / int(data.seen.sum()), data.count)
 
 

@@ -7,7 +7,7 @@ matrix of [W τ…] is kept, so that estimates without a block, and errors on it
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray, IntArray
 from ident.model.regressor import RegressorKernel
-from ident.regression.jackknife import rows_by_block
+from ident.regression.jackknife import BlockRows, rows_by_block
 from ident.regression.least_squares import LEAST_TORQUE, RESIDUAL_FLOOR
 from ident.regression.velocity_reversals import STICKING_SHARE, reversal_mask
 from ident.signals.filters import ZeroPhaseFilter
@@ -33,6 +33,9 @@ LEAST_SAMPLES = 4
 RECORDED, SHIFTED, SLOPE, DRIFTING, CURVATURE = range(5)
 """Torques of every equation: as recorded, at the delay d, its derivative there, this times the time, and the second
 derivative."""
+
+KEPT_AT_MOST = 128e6
+"""Bytes of filtered regressor rows that are kept from one delay to the next; more are computed each time."""
 
 _TORQUES = 5
 _INDEPENDENT = 1e-10
@@ -107,39 +110,64 @@ def contiguous_blocks(
     return tuple(np.minimum(block, count - 1) for block in blocks), count
 
 
-def delay_equations(
-    kernel: RegressorKernel,
-    segments: Sequence[Segment],
-    parallel_filter: ZeroPhaseFilter,
-    blocks: tuple[tuple[IntArray, ...], int],
-    delays: FloatArray,
-    seen: npt.NDArray[np.bool_],
-) -> DelayEquations:
-    """Sum up the equations of `segments` (prepared with delay 0).
+@dataclass(frozen=True, eq=False)
+class DelayData:
+    """What no delay changes.
 
-    Args:
+    Attributes:
         kernel: of the base columns.
-        segments: motion and torque.
+        segments: motion and torque, prepared with delay 0.
         parallel_filter: for τ and W.
-        blocks: as of `contiguous_blocks`.
-        delays: (n,) at which the joints' torques are evaluated [s].
         seen: (n,) joints whose equations count.
+        blocks: as of `contiguous_blocks`.
     """
-    block_of_sample, count = blocks
+
+    kernel: RegressorKernel
+    segments: Sequence[Segment]
+    parallel_filter: ZeroPhaseFilter
+    seen: npt.NDArray[np.bool_]
+    blocks: tuple[tuple[IntArray, ...], int]
+
+    @property
+    def count(self) -> int:
+        """Number of blocks."""
+        return self.blocks[1]
+
+    @cached_property
+    def slides(self) -> tuple[npt.NDArray[np.bool_], ...]:
+        """Of each segment, the equations (n, M) that no velocity reversal affects."""
+        return tuple(~_reversing(self.kernel, segment, self.parallel_filter) for segment in self.segments)
+
+    def rows(self) -> Iterable[Iterable[BlockRows]]:
+        """Filtered regressor rows of each segment, without torques."""
+        samples = sum(len(segment.time) for segment in self.segments) // self.parallel_filter.factor
+        return self._kept if 8 * self.kernel.row_count * samples <= KEPT_AT_MOST else self._streamed()
+
+    @cached_property
+    def _kept(self) -> list[list[BlockRows]]:
+        return [list(rows) for rows in self._streamed()]
+
+    def _streamed(self) -> Iterator[Iterator[BlockRows]]:
+        for segment, blocks in zip(self.segments, self.blocks[0], strict=True):
+            yield rows_by_block(self.kernel, replace(segment, reversing=None), self.parallel_filter, blocks)
+
+
+def delay_equations(data: DelayData, delays: FloatArray) -> DelayEquations:
+    """Sum up the equations with the joints' torques at delays (n,) [s]."""
+    kernel, segments, count = data.kernel, data.segments, data.count
     dof = kernel.model.dof
     widths = [len(joint.columns) + _TORQUES for joint in kernel.joint_rows]
     every = tuple(np.zeros((count, width, width)) for width in widths)
     sliding = tuple(np.zeros((count, width, width)) for width in widths)
     every_rows, sliding_rows = np.zeros((count, dof)), np.zeros((count, dof))
     middle = 0.5 * (segments[0].time[0] + segments[-1].time[-1])
-    for segment, of_sample in zip(segments, block_of_sample, strict=True):
-        slides = ~_reversing(kernel, segment, parallel_filter)
-        torques = _torques(segment, delays, middle)
-        whole = replace(segment, reversing=None)
-        for block in rows_by_block(kernel, whole, parallel_filter, of_sample, torques):
-            for joint in np.flatnonzero(seen):
+    for segment, slides, blocks in zip(segments, data.slides, data.rows(), strict=True):
+        torques = data.parallel_filter.apply(_torques(segment, delays, middle))
+        for block in blocks:
+            torque = torques[:, block.samples]
+            for joint in np.flatnonzero(data.seen):
                 packed = kernel.joint_rows[joint]
-                rows = np.concatenate([block.regressor[packed.rows], block.torque[joint::dof]])
+                rows = np.concatenate([block.regressor[packed.rows], torque[joint::dof]])
                 kept = rows[:, slides[joint, block.samples]]
                 every[joint][block.index] += rows @ rows.T
                 sliding[joint][block.index] += kept @ kept.T
