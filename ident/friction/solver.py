@@ -73,17 +73,11 @@ class FrictionProblem(Protocol[Fit]):
 
 @dataclass(frozen=True)
 class Settled(Generic[Fit]):
-    """Where the solver ended.
+    """Where the solver ended."""
 
-    Attributes:
-        fit: the last one.
-        rounds: number of them.
-        converged: whether load torque and shapes did not change any more.
-    """
-
-    fit: Fit
-    rounds: int
-    converged: bool
+    fit: Fit  # the last one
+    rounds: int  # number of them
+    converged: bool  # whether load torque and shapes did not change any more
 
 
 def settle(problem: FrictionProblem[Fit], fit: Fit) -> Settled[Fit]:

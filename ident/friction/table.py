@@ -40,18 +40,12 @@ SLOPE_SPEED = 1e-3
 
 @dataclass(frozen=True)
 class Maths:
-    """The functions that terms are written with, of arrays or of expressions of C code.
+    """The functions that terms are written with, of arrays or of expressions of C code."""
 
-    Attributes:
-        sign: 1, 0 or −1.
-        power: |x| to a positive constant.
-        decay: exp(−x).
-        cosine, sine: of an angle [rad].
-    """
-
-    sign: Callable[[Any], Any]
-    power: Callable[[Any, float], Any]
-    decay: Callable[[Any], Any]
+    sign: Callable[[Any], Any]  # 1, 0 or −1
+    power: Callable[[Any, float], Any]  # |x| to a positive constant
+    decay: Callable[[Any], Any]  # exp(−x)
+    # cosine, sine: of an angle [rad]
     cosine: Callable[[Any], Any]
     sine: Callable[[Any], Any]
 
@@ -62,27 +56,18 @@ ARRAYS = Maths(np.sign, lambda value, exponent: np.abs(value) ** exponent, lambd
 
 @dataclass(frozen=True)
 class Operands:
-    """What a term's signal is made of, arrays (m,) or expressions, at one motor.
+    """What a term's signal is made of, arrays (m,) or expressions, at one motor."""
 
-    Attributes:
-        rate: velocity that the term follows [rad/s or m/s].
-        direction: its sign, smoothed or with a presliding state; None for terms that are not dry.
-        shape: exponent of |q̇| or of the load torque, Stribeck velocity [rad/s or m/s], or number of periods per turn.
-        load: load torque of the motor [N·m or N]; None where the term does not need it.
-        kelvin: temperature of the joint [K]; None where the term does not need it.
-        maths: functions of these.
-        direction_slope: derivative of `direction` by the velocity, for slopes: 0 but where the sign is smoothed.
-        angle: position of the motor [rad]; None where the term does not need it.
-    """
-
-    rate: Any
-    direction: Any = None
+    rate: Any  # velocity that the term follows [rad/s or m/s]
+    direction: Any = None  # its sign, smoothed or with a presliding state; None for terms that are not dry
+    # exponent of |q̇| or of the load torque, Stribeck velocity [rad/s or m/s], or number of periods per turn
     shape: float = 1.0
-    load: Any = None
-    kelvin: Any = None
-    maths: Maths = ARRAYS
+    load: Any = None  # load torque of the motor [N·m or N]; None where the term does not need it
+    kelvin: Any = None  # temperature of the joint [K]; None where the term does not need it
+    maths: Maths = ARRAYS  # functions of these
+    # derivative of `direction` by the velocity, for slopes: 0 but where the sign is smoothed
     direction_slope: FloatArray | float = 0.0
-    angle: Any = None
+    angle: Any = None  # position of the motor [rad]; None where the term does not need it
 
     @property
     def floored(self) -> FloatArray:
@@ -101,101 +86,63 @@ class Derivative:
     """The column that is a term's derivative by its shape.
 
     Times the term's coefficient it is what a small change of the shape does.
-
-    Attributes:
-        symbol: of its parameter.
-        signal: the derivative.
-        slope: of it over the velocity.
     """
 
-    symbol: str
-    signal: Signal
-    slope: Signal
+    symbol: str  # of its parameter
+    signal: Signal  # the derivative
+    slope: Signal  # of it over the velocity
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape parameter of a term: what its signal depends on beside velocity, load and temperature.
+    """A shape parameter of a term: what its signal depends on beside velocity, load and temperature."""
 
-    Attributes:
-        name: in files; also the kind of its derivative's column.
-        text: in words, and its unit for turning joints.
-        allowed: its range.
-        first: value until it is estimated.
-        plain: value without which the term is none, or the plain one; None where each motor with the term has a shape.
-        grid: values that its search begins from; shares of a motor's greatest speed where `relative`.
-        derivative: of the signal by the shape; None of a shape that is chosen from the grid and not estimated.
-        left_out: what a format with the plain term lacks, in words before the joints' values.
-    """
-
-    name: str
-    text: str
+    name: str  # in files; also the kind of its derivative's column
+    text: str  # in words, and its unit for turning joints
     unit: str
-    allowed: Range
-    first: float
+    allowed: Range  # its range
+    first: float  # value until it is estimated
+    # value without which the term is none, or the plain one; None where each motor with the term has a shape
     plain: float | None
-    grid: tuple[float, ...]
+    grid: tuple[float, ...]  # values that its search begins from; shares of a motor's greatest speed where `relative`
     relative: bool
+    # of the signal by the shape; None of a shape that is chosen from the grid and not estimated
     derivative: Derivative | None
-    left_out: str = ""
+    left_out: str = ""  # what a format with the plain term lacks, in words before the joints' values
 
 
 @dataclass(frozen=True)
 class FrictionOption:
-    """A word of `--friction`, and what a motor gets by it.
+    """A word of `--friction`, and what a motor gets by it."""
 
-    Attributes:
-        word: as the user writes it.
-        group: key of the robot file's `friction`, or the word; of a group a motor has one.
-        value: that the key has.
-        kinds: of the columns.
-        shape: of the first of them, known; None where there is none, or one that is estimated.
-        bends: whether it gives a shape to a column that is there without it.
-    """
-
-    word: str
-    group: str
-    value: object
-    kinds: tuple[str, ...]
-    shape: float | None = None
-    bends: bool = False
+    word: str  # as the user writes it
+    group: str  # key of the robot file's `friction`, or the word; of a group a motor has one
+    value: object  # that the key has
+    kinds: tuple[str, ...]  # of the columns
+    shape: float | None = None  # of the first of them, known; None where there is none, or one that is estimated
+    bends: bool = False  # whether it gives a shape to a column that is there without it
 
 
 @dataclass(frozen=True)
 class Term:
-    """One friction column of a motor.
+    """One friction column of a motor."""
 
-    Attributes:
-        kind: its name in files.
-        symbol: of its parameter.
-        unit: of its coefficient, for turning joints, by the shape's value.
-        signal: what the coefficient multiplies.
-        slope: derivative (m,) of the signal by the velocity; sign(q̇) counts as constant where it is not smoothed.
-        words, colour, marker: how it is called and drawn in reports.
-        dry: whether sign(q̇) multiplies it and it does not vanish at rest.
-        brakes: whether its coefficient is not negative on any arm.
-        rubs: whether it is friction, and not a torque that is the same in both directions.
-        needs: what its signal depends on beside the velocity.
-        shape: a parameter that the signal has beside the coefficient; None where there is none.
-        options: how a user asks for it; where None, by its kind.
-        left_out: what a format lacks that has no such term, in words; empty where another term's entry says it.
-    """
-
-    kind: str
-    symbol: str
-    unit: Callable[[float], str]
-    signal: Signal
-    slope: Signal
+    kind: str  # its name in files
+    symbol: str  # of its parameter
+    unit: Callable[[float], str]  # of its coefficient, for turning joints, by the shape's value
+    signal: Signal  # what the coefficient multiplies
+    slope: Signal  # derivative (m,) of the signal by the velocity; sign(q̇) counts as constant where it is not smoothed
+    # words, colour, marker: how it is called and drawn in reports
     words: str
     colour: str
     marker: str
-    dry: bool = False
-    brakes: bool = True
-    rubs: bool = True
-    needs: Need = ""
-    shape: Shape | None = None
-    options: tuple[FrictionOption, ...] | None = None
-    left_out: str = ""
+    dry: bool = False  # whether sign(q̇) multiplies it and it does not vanish at rest
+    brakes: bool = True  # whether its coefficient is not negative on any arm
+    rubs: bool = True  # whether it is friction, and not a torque that is the same in both directions
+    needs: Need = ""  # what its signal depends on beside the velocity
+    shape: Shape | None = None  # a parameter that the signal has beside the coefficient; None where there is none
+    options: tuple[FrictionOption, ...] | None = None  # how a user asks for it; where None, by its kind
+    left_out: str = ""  # what a format lacks that has no such term, in words; empty where another term's entry says it
 
 
 def power_law(velocity: FloatArray, exponent: float) -> FloatArray:

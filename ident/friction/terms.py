@@ -23,34 +23,25 @@ NO_STATES: States = {}
 
 @dataclass(frozen=True)
 class LoadTorque:
-    """Parameters whose gravity torque the load-dependent friction follows (AUBO eq. 18).
+    """Parameters whose gravity torque the load-dependent friction follows (AUBO eq. 18)."""
 
-    Attributes:
-        columns: standard columns of links' parameters.
-        values: of them; those of base parameters from an earlier estimate.
-    """
-
-    columns: tuple[int, ...]
-    values: tuple[float, ...]
+    columns: tuple[int, ...]  # standard columns of links' parameters
+    values: tuple[float, ...]  # of them; those of base parameters from an earlier estimate
 
 
 @dataclass(frozen=True)
 class FrictionTerms:
-    """Friction of n motors beside viscous, Coulomb and offset, and the shapes of all terms.
+    """Friction of n motors beside viscous, Coulomb and offset, and the shapes of all terms."""
 
-    Attributes:
-        kinds: of each motor, the kinds of its further columns; empty where no motor has any.
-        shapes: each motor's value, by the name of the shape; a shape that is not here is the plain or the first one.
-        free: whether each motor's shape is estimated, by its name; one that is not here is not.
-        load_torque: what the load torque follows from; without it there is no load column.
-        sensitivities: whether there are columns for the derivatives by the free shapes, through which a regression
-            takes them for unknown: their parameters are a coefficient times a small change of its shape.
-    """
-
+    # of each motor, the kinds of its further columns; empty where no motor has any
     kinds: tuple[tuple[str, ...], ...] = ()
+    # each motor's value, by the name of the shape; a shape that is not here is the plain or the first one
     shapes: dict[str, tuple[float, ...]] = field(default_factory=dict)
+    # whether each motor's shape is estimated, by its name; one that is not here is not
     free: dict[str, tuple[bool, ...]] = field(default_factory=dict)
-    load_torque: LoadTorque | None = None
+    load_torque: LoadTorque | None = None  # what the load torque follows from; without it there is no load column
+    # whether there are columns for the derivatives by the free shapes, through which a regression takes them for
+    # unknown: their parameters are a coefficient times a small change of its shape
     sensitivities: bool = False
 
     def has(self, kind: str, motor: int) -> bool:
@@ -169,19 +160,12 @@ NO_TERMS = FrictionTerms()
 
 @dataclass(frozen=True)
 class FrictionConditions:
-    """What friction depends on beside the velocity; None where the model asks for neither.
+    """What friction depends on beside the velocity; None where the model asks for neither."""
 
-    Attributes:
-        load_torque: (n, m) of the motors [N·m or N].
-        temperature: (n, m) of the motors' joints [K].
-        presliding: states in place of sign(q̇).
-        position: (n, m) of the joints with a motor [rad or m].
-    """
-
-    load_torque: FloatArray | None = None
-    temperature: FloatArray | None = None
-    presliding: States = field(default_factory=dict)
-    position: FloatArray | None = None
+    load_torque: FloatArray | None = None  # (n, m) of the motors [N·m or N]
+    temperature: FloatArray | None = None  # (n, m) of the motors' joints [K]
+    presliding: States = field(default_factory=dict)  # states in place of sign(q̇)
+    position: FloatArray | None = None  # (n, m) of the joints with a motor [rad or m]
 
 
 def friction_terms(friction: Friction, joint_names: Sequence[str]) -> FrictionTerms:

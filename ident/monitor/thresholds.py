@@ -77,46 +77,33 @@ class MotionWays:
 
 @dataclass(frozen=True)
 class Thresholds:
-    """When a residual is an alarm.
+    """When a residual is an alarm."""
 
-    Attributes:
-        kind: of the observer.
-        bandwidth: of it [1/s].
-        period: of the samples [s].
-        ways: of motion.
-        spread: (3, n) σ of the residual in each way of motion, without contact [N·m or N].
-        level: (3,) alarms begin at this many spreads, in each way of motion.
-        tails: where they come from, of the ways of motion that were observed long enough; the others have the largest.
-        per_hour: false alarms asked for [1/h].
-        model_std: (n,) mean of the model's σ in the recordings [N·m or N]; where it is larger, so is the threshold.
-        fastest: (n,) speed that was observed [rad/s or m/s].
-        celsius: (2, n) lowest and highest temperature that was observed [°C]; None where none was recorded.
-        drift: (n,) by which thresholds grow per kelvin beyond these [N·m/K or N/K]; 0 where the model's friction
-            depends on the temperature, and its σ with it.
-        noticed: (3, n) external torque that is noticed in 95 % of contacts of `CONTACT`, by the way of motion in which
-            they begin [N·m or N]; near rest, where the joint stays there.
-        momentum_noise, torque_noise: (n,) of the observer [N·m·s, N·m].
-        torque_limit: (n,) largest |torque of the drives| that was observed, for comparison [N·m or N].
-        sources: recordings.
-    """
-
-    kind: Kind
-    bandwidth: float
-    period: float
-    ways: MotionWays
-    spread: FloatArray
-    level: FloatArray
+    kind: Kind  # of the observer
+    bandwidth: float  # of it [1/s]
+    period: float  # of the samples [s]
+    ways: MotionWays  # of motion
+    spread: FloatArray  # (3, n) σ of the residual in each way of motion, without contact [N·m or N]
+    level: FloatArray  # (3,) alarms begin at this many spreads, in each way of motion
+    # where they come from, of the ways of motion that were observed long enough; the others have the largest
     tails: dict[str, ReturnLevel]
-    per_hour: float
+    per_hour: float  # false alarms asked for [1/h]
+    # (n,) mean of the model's σ in the recordings [N·m or N]; where it is larger, so is the threshold
     model_std: FloatArray
-    fastest: FloatArray
+    fastest: FloatArray  # (n,) speed that was observed [rad/s or m/s]
+    # (2, n) lowest and highest temperature that was observed [°C]; None where none was recorded
     celsius: FloatArray | None
+    # (n,) by which thresholds grow per kelvin beyond these [N·m/K or N/K]; 0 where the model's friction depends on the
+    # temperature, and its σ with it
     drift: FloatArray
+    # (3, n) external torque that is noticed in 95 % of contacts of `CONTACT`, by the way of motion in which they begin
+    # [N·m or N]; near rest, where the joint stays there
     noticed: FloatArray
+    # momentum_noise, torque_noise: (n,) of the observer [N·m·s, N·m]
     momentum_noise: FloatArray
     torque_noise: FloatArray
-    torque_limit: FloatArray
-    sources: tuple[str, ...]
+    torque_limit: FloatArray  # (n,) largest |torque of the drives| that was observed, for comparison [N·m or N]
+    sources: tuple[str, ...]  # recordings
 
     def observer(self) -> Observer:
         """The observer that they belong to, at rest."""

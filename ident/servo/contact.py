@@ -62,19 +62,12 @@ PRESSING = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """A surface and the point that touches it.
+    """A surface and the point that touches it."""
 
-    Attributes:
-        link: index of the link in the tree.
-        point: (3,) [m] in the frame of the link's joint.
-        height: of the surface, against gravity from the base frame's origin [m].
-        stiffness: [N/m].
-    """
-
-    link: int
-    point: FloatArray
-    height: float
-    stiffness: float
+    link: int  # index of the link in the tree
+    point: FloatArray  # (3,) [m] in the frame of the link's joint
+    height: float  # of the surface, against gravity from the base frame's origin [m]
+    stiffness: float  # [N/m]
 
     def surface(self, pieces: int) -> FloatArray:
         """(5, pieces) as a roll-out takes it."""

@@ -67,34 +67,22 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True, eq=False)
 class ServoFit:
-    """Parameters of an arm of servos.
+    """Parameters of an arm of servos."""
 
-    Attributes:
-        values: (n, terms).
-        low, high: (n, terms) ends of the 95 % intervals; nan of terms that were not searched.
-        free: (n, terms) terms that were searched.
-        seen: (n, terms) whether the data tell the term; False where it is absent or held.
-        held: (n, terms) values that were given or assumed, not searched.
-        assumed: those of `held` that were assumed, as (joint, term).
-        moving: (n,) joints that are commanded to move.
-        covariance: per joint, of its searched terms in the search's coordinates.
-        gains: per joint, the share of the held-out cost that each optional term saved; kept ones only.
-        pieces: number of pieces of motion in the fit.
-        contact: what the arm touches; None without a sign of it.
-    """
-
-    values: FloatArray
+    values: FloatArray  # (n, terms)
+    # low, high: (n, terms) ends of the 95 % intervals; nan of terms that were not searched
     low: FloatArray
     high: FloatArray
-    free: BoolArray
-    seen: BoolArray
-    held: BoolArray
-    assumed: frozenset[tuple[int, int]]
-    moving: BoolArray
-    covariance: tuple[FloatArray, ...]
+    free: BoolArray  # (n, terms) terms that were searched
+    seen: BoolArray  # (n, terms) whether the data tell the term; False where it is absent or held
+    held: BoolArray  # (n, terms) values that were given or assumed, not searched
+    assumed: frozenset[tuple[int, int]]  # those of `held` that were assumed, as (joint, term)
+    moving: BoolArray  # (n,) joints that are commanded to move
+    covariance: tuple[FloatArray, ...]  # per joint, of its searched terms in the search's coordinates
+    # per joint, the share of the held-out cost that each optional term saved; kept ones only
     gains: tuple[Mapping[str, float], ...]
-    pieces: int
-    contact: Contact | None
+    pieces: int  # number of pieces of motion in the fit
+    contact: Contact | None  # what the arm touches; None without a sign of it
 
 
 def fit_servo(

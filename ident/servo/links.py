@@ -24,17 +24,11 @@ GRAVITY_FLOOR = 0.02
 
 @dataclass(frozen=True, eq=False)
 class ServoLinks:
-    """Links of an arm whose masses are known.
+    """Links of an arm whose masses are known."""
 
-    Attributes:
-        model: kinematics and gravity.
-        inertial: (10·links,) standard parameters.
-        origin: where the masses are from, in words.
-    """
-
-    model: DynamicModel
-    inertial: FloatArray
-    origin: str
+    model: DynamicModel  # kinematics and gravity
+    inertial: FloatArray  # (10·links,) standard parameters
+    origin: str  # where the masses are from, in words
 
     def torque(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Torques (n, N) that the links need for a motion (n, N) [N·m or N]."""

@@ -38,26 +38,17 @@ SMOOTHED = 0.14
 
 @dataclass(frozen=True, eq=False)
 class ServoMotion:
-    """A motion without gaps.
+    """A motion without gaps."""
 
-    Attributes:
-        label: of its recording.
-        begin: of its first sample, in the recording's clock [s].
-        step: of the grid [s].
-        time: (N,) of the measured samples, from the first [s].
-        position: (N, n) measured [rad or m].
-        command: (history + K, n) that was in force on the mean of the step before each time of the grid, from
-            `history` steps before the first sample on [rad or m].
-        history: number of steps.
-    """
-
-    label: str
-    begin: float
-    step: float
-    time: FloatArray
-    position: FloatArray
+    label: str  # of its recording
+    begin: float  # of its first sample, in the recording's clock [s]
+    step: float  # of the grid [s]
+    time: FloatArray  # (N,) of the measured samples, from the first [s]
+    position: FloatArray  # (N, n) measured [rad or m]
+    # (history + K, n) that was in force on the mean of the step before each time of the grid, from `history` steps
+    # before the first sample on [rad or m]
     command: FloatArray
-    history: int
+    history: int  # number of steps
 
     @property
     def grid(self) -> FloatArray:
@@ -135,19 +126,13 @@ def _in_force(stamps: FloatArray, values: FloatArray, times: FloatArray, step: f
 
 @dataclass(frozen=True, eq=False)
 class MotionLoad:
-    """What the links do to the joints along a motion's grid, (K, n) each.
+    """What the links do to the joints along a motion's grid, (K, n) each."""
 
-    Attributes:
-        torque: that gravity asks for, and what depends on velocities where joints move each other [N·m].
-        slope: derivative of gravity by each joint's own position [N·m/rad].
-        inertia: of the links about each joint [kg·m²].
-        between: (K / `THINNED`, n, n) the matrix of inertia, by which the joints move each other [kg·m²]; None where
-            they do not, or where the torque holds it.
-    """
-
-    torque: FloatArray
-    slope: FloatArray
-    inertia: FloatArray
+    torque: FloatArray  # that gravity asks for, and what depends on velocities where joints move each other [N·m]
+    slope: FloatArray  # derivative of gravity by each joint's own position [N·m/rad]
+    inertia: FloatArray  # of the links about each joint [kg·m²]
+    # (K / `THINNED`, n, n) the matrix of inertia, by which the joints move each other [kg·m²]; None where they do not,
+    # or where the torque holds it
     between: FloatArray | None = None
 
 

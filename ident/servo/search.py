@@ -109,30 +109,20 @@ def robust_scale(residual: FloatArray, lanes: Lanes, joints: int, least: float) 
 
 @dataclass(eq=False)
 class _Descent:
-    """Levenberg-Marquardt on parameters that are searched together: those of a joint, or of a whole arm.
+    """Levenberg-Marquardt on parameters that are searched together: those of a joint, or of a whole arm."""
 
-    Attributes:
-        free: (n, terms) of the parameters.
-        patience: trials that are followed although the cost rises, until the next has to be better than all before.
-        still: relative fall of the cost at which it ends.
-        best: coordinates, curvature and gradient of the least cost.
-        followed: of the trial that the next step begins at.
-        least: cost of the best.
-        damping: over the curvature's diagonal.
-        waited: trials since the best.
-        done: whether it has ended.
-        trials: cost, coordinates, curvature and gradient of all.
-    """
-
-    free: BoolArray
-    patience: int
-    still: float
+    free: BoolArray  # (n, terms) of the parameters
+    patience: int  # trials that are followed although the cost rises, until the next has to be better than all before
+    still: float  # relative fall of the cost at which it ends
+    # coordinates, curvature and gradient of the least cost
     best: tuple[FloatArray, FloatArray, FloatArray] = (np.empty(0), np.empty(0), np.empty(0))
+    # of the trial that the next step begins at
     followed: tuple[FloatArray, FloatArray, FloatArray] = (np.empty(0), np.empty(0), np.empty(0))
-    least: float = np.inf
-    damping: float = DAMPING_START * DAMPING_FACTOR
-    waited: int = 0
-    done: bool = False
+    least: float = np.inf  # cost of the best
+    damping: float = DAMPING_START * DAMPING_FACTOR  # over the curvature's diagonal
+    waited: int = 0  # trials since the best
+    done: bool = False  # whether it has ended
+    # cost, coordinates, curvature and gradient of all
     trials: list[tuple[float, FloatArray, FloatArray, FloatArray]] = field(default_factory=list)
 
     def judge(self, trial: FloatArray, curvature: FloatArray, gradient: FloatArray, cost: float) -> None:

@@ -25,29 +25,17 @@ from drivers.core.ranges import Range
 
 @dataclass(frozen=True)
 class ServoTerm:
-    """A parameter of a servo joint.
+    """A parameter of a servo joint."""
 
-    Attributes:
-        name: in results and exports.
-        unit: of a turning joint.
-        text: what it is, in words.
-        start: where a search starts.
-        absent: the value without this term.
-        positive: whether it is searched by its logarithm.
-        spread: σ of the weak prior about the start; in log units where positive.
-        group: name under which an optional term is tried; empty for those that every joint has.
-        allowed: values.
-    """
-
-    name: str
-    unit: str
-    text: str
-    start: float
-    absent: float
-    positive: bool
-    spread: float
-    group: str
-    allowed: Range
+    name: str  # in results and exports
+    unit: str  # of a turning joint
+    text: str  # what it is, in words
+    start: float  # where a search starts
+    absent: float  # the value without this term
+    positive: bool  # whether it is searched by its logarithm
+    spread: float  # σ of the weak prior about the start; in log units where positive
+    group: str  # name under which an optional term is tried; empty for those that every joint has
+    allowed: Range  # values
 
 
 TERMS = (

@@ -45,26 +45,16 @@ class ActuatorLaw:
     The command acts `delay` seconds late:
 
         τ = clip(stiffness·(command − q) − damping·q̇, ±effort_limit) − viscous·q̇ − friction
-
-    Attributes:
-        stiffness: [N·m/rad].
-        damping: within the limit [N·m·s/rad].
-        viscous: friction, outside of the limit [N·m·s/rad].
-        armature: [kg·m²].
-        static: friction at rest [N·m].
-        dynamic: friction of a moving joint [N·m].
-        effort_limit: [N·m].
-        delay: [s].
     """
 
-    stiffness: FloatArray
-    damping: FloatArray
-    viscous: FloatArray
-    armature: FloatArray
-    static: FloatArray
-    dynamic: FloatArray
-    effort_limit: FloatArray
-    delay: FloatArray
+    stiffness: FloatArray  # [N·m/rad]
+    damping: FloatArray  # within the limit [N·m·s/rad]
+    viscous: FloatArray  # friction, outside of the limit [N·m·s/rad]
+    armature: FloatArray  # [kg·m²]
+    static: FloatArray  # friction at rest [N·m]
+    dynamic: FloatArray  # friction of a moving joint [N·m]
+    effort_limit: FloatArray  # [N·m]
+    delay: FloatArray  # [s]
 
 
 def actuator_law(values: FloatArray, links: ServoLinks, delay_step: float) -> ActuatorLaw:
@@ -128,44 +118,26 @@ def law_values(law: ActuatorLaw) -> FloatArray:
 
 @dataclass(frozen=True)
 class FileFormat:
-    """A simulator's file.
+    """A simulator's file."""
 
-    Attributes:
-        name: in words.
-        program: that moves it.
-        missing: terms that it has no place for.
-        delay_step: in which it counts delays [s]; 0 where it knows any.
-        shaped: whether its commands are those that the servos' profiles and biases shaped.
-    """
-
-    name: str
-    program: str
-    missing: tuple[str, ...]
-    delay_step: float = 0.0
-    shaped: bool = False
+    name: str  # in words
+    program: str  # that moves it
+    missing: tuple[str, ...]  # terms that it has no place for
+    delay_step: float = 0.0  # in which it counts delays [s]; 0 where it knows any
+    shaped: bool = False  # whether its commands are those that the servos' profiles and biases shaped
 
 
 @dataclass(frozen=True)
 class ServoReplay:
-    """A file rolled out on recorded commands; mean absolute errors over all joints [rad or m].
+    """A file rolled out on recorded commands; mean absolute errors over all joints [rad or m]."""
 
-    Attributes:
-        file: its format.
-        program: that read and moved it.
-        error: of the file.
-        identified_error: of one with the values as identified, not those nearest to the model.
-        model_error: of the model's own roll-out of the same motions.
-        seconds: of motion.
-        left_out: what the format has no place for, in words.
-    """
-
-    file: str
-    program: str
-    error: float
-    identified_error: float
-    model_error: float
-    seconds: float
-    left_out: tuple[str, ...]
+    file: str  # its format
+    program: str  # that read and moved it
+    error: float  # of the file
+    identified_error: float  # of one with the values as identified, not those nearest to the model
+    model_error: float  # of the model's own roll-out of the same motions
+    seconds: float  # of motion
+    left_out: tuple[str, ...]  # what the format has no place for, in words
 
     @property
     def faithful(self) -> bool:
