@@ -159,7 +159,11 @@ def _array(name: str, values: Any, where: str, units: dict[str, str]) -> npt.NDA
     except (TypeError, ValueError, RuntimeError) as error:  # rows of several lengths; a tensor with a gradient
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise ImportFileError(
-            f"does not consist of numbers in equal rows: {printable(reason)}", where=f"{where}: {printable(name)}"
+            f"does not consist of numbers in equal rows: {printable(reason)}",
+            where=f"{where}: {printable(name)}",
+            hint="pandas.read_csv reads decimal commas with decimal=',', and skips a line of units with skiprows=[1]"
+            if "string" in reason
+            else "",
         ) from error
     if array.dtype.kind in "mM":
         units[name] = NANOSECONDS
@@ -173,5 +177,5 @@ def _other_door(given: object) -> str:
     if isinstance(given, Mapping):
         return "Recording.from_dict takes it"
     if isinstance(given, str):
-        return "dynid.import_recording reads files"
+        return "the robot comes first, then the numbers; dynid.import_recording reads files"
     return "Recording.from_arrays takes arrays: time=, position=, torque= or current="

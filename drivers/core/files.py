@@ -89,6 +89,7 @@ def check_input(path: Path, kind: InputKind, refusal: type[InputError], hint: st
         raise refusal(
             "is a folder, not a file" if is_folder else f"is not a regular file, so it is not read as {kind.name}",
             where=where,
+            hint=f"name {kind.name} in it" if is_folder else "",
         )
     if about.st_size > kind.largest:
         raise _too_large(kind, path, refusal)

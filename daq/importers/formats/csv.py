@@ -1,4 +1,4 @@
-"""CSV: comma, semicolon, tab or blanks between the columns, a point in the numbers; a header, or column numbers."""
+"""CSV: comma, semicolon, tab or blanks between the columns; a header, perhaps units below it, or column numbers."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ from drivers.core.files import TEXT_TABLE, read_bytes
 _SEPARATORS = (";", "\t", ",")
 _SEPARATOR_NAMES = {";": "semicolon", "\t": "tab", ",": "comma", None: "blanks"}
 _DECIMAL_COMMA = re.compile(r"^[+-]?\d+,\d+([eE][+-]?\d+)?$")
+_BRACKET = re.compile(r"[\[(]")
+_UNIT = re.compile(r"^[^\W\d_][\w°µ·*/^²³ .-]*$|^°$")
 _MISSING = frozenset({"", "na", "n/a", "null", "none", "-"})
 _EXAMPLE = "t,q1,q2,…,torque1,torque2,…"
 
@@ -26,8 +28,9 @@ _EXAMPLE = "t,q1,q2,…,torque1,torque2,…"
 def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> ForeignTable:
     """Read a CSV file; columns are recognised by their header or chosen by number, units in brackets are honoured.
 
-    Lines that begin with # are comments; `choices.columns` maps headers without a meaning, or column numbers where
-    there is no header.
+    So are units in a line of their own under the header. Numbers have a decimal point, or a comma where semicolons or
+    tabs are between the columns. Lines that begin with # are comments; `choices.columns` maps headers without a
+    meaning, or column numbers where there is no header.
 
     Raises:
         ImportFileError: not text, no header, no rows, a row of another length, something that is not a number; with
@@ -36,6 +39,7 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
     where = str(path)
     lines, line_numbers, comments = _significant_lines(_decoded(path), where)
     notes: list[Note] = []
+    units: dict[str, str] = {}
     header = lines[0]
     separator = _separator(header)
     names = _split_header(header, separator)
@@ -55,6 +59,12 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
             )
     else:
         lines, line_numbers = lines[1:], line_numbers[1:]
+        if lines and (units := _units(names, _split(lines[0], separator))):
+            notes.append(Note("info", f"the units were taken from line {line_numbers[0]}"))
+            lines, line_numbers = lines[1:], line_numbers[1:]
+    if separator in (";", "\t") and _has_decimal_commas(lines, separator):
+        notes.append(Note("info", "decimal commas were read"))
+        lines = [line.replace(",", ".") for line in lines]
     if not lines:
         raise ImportFileError("has a header, but no rows of numbers under it", where=where)
     _check_columns(lines, line_numbers, names, separator, where)
@@ -75,6 +85,7 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
         {names[column]: values[:, place] for place, column in enumerate(used)},
         joints,
         where,
+        units=units,
         unused=[name for column, name in enumerate(names) if column not in set(used)],
         notes=notes,
         lines=np.asarray(line_numbers, dtype=np.int64),
@@ -145,6 +156,27 @@ def _is_numeric(fields: Sequence[str]) -> bool:
     )
 
 
+def _units(names: list[str], fields: list[str]) -> dict[str, str]:
+    """The units of the columns from the line under their names; empty where that holds anything else."""
+    units = ["" if field.casefold() in _MISSING else field.strip("[]()") for field in fields]
+    if len(fields) != len(names) or not any(units) or any(_BRACKET.search(name) for name in names):
+        return {}
+    if any(unit and (_number(unit) is not None or not _UNIT.match(unit)) for unit in units):
+        return {}
+    return dict(zip(names, units, strict=True))
+
+
+def _has_decimal_commas(lines: list[str], separator: str) -> bool:
+    """Whether commas in the numbers can only be decimal: no point is among them, and not all have three digits after.
+
+    Thousands have three digits after a comma.
+    """
+    if any("." in line for line in lines):
+        return False
+    fields = [field for line in lines for field in _split(line, separator) if "," in field]
+    return all(_DECIMAL_COMMA.match(field) for field in fields) and any(len(f.split(",")[1]) != 3 for f in fields)
+
+
 def _check_columns(
     lines: list[str], line_numbers: list[int], names: list[str], separator: str | None, where: str
 ) -> None:
@@ -195,6 +227,8 @@ def _values(
 def _not_a_number(field: str, where: str) -> ImportFileError:
     if _DECIMAL_COMMA.match(field):
         return ImportFileError(
-            f"'{printable(field)}' has a decimal comma", where=where, hint="export it with a decimal point"
+            f"'{printable(field)}' has a decimal comma",
+            where=where,
+            hint="export it with a decimal point, or with semicolons between the columns",
         )
     return ImportFileError(f"'{printable(field)}' is not a number", where=where)

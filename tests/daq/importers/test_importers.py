@@ -113,6 +113,25 @@ def test_csv_columns_in_any_order_and_any_separator(seed: int, separator: str) -
         np.testing.assert_array_equal(found[NAMED[name]], values)
 
 
+@pytest.mark.parametrize("line_end", ["\n", "\r\n"])
+def test_a_spreadsheets_decimal_commas_and_line_of_units_are_read(tmp_path: Path, line_end: str) -> None:
+    """A byte order mark, semicolons, and degrees that only the line under the header states."""
+    arrays = samples(20)
+    columns = columns_of(arrays)
+    degrees = {name: np.rad2deg(values) if name.startswith("q") else values for name, values in columns.items()}
+    path = write_csv(tmp_path, degrees, ";")
+    header, *rows = path.read_text().splitlines()
+    kinds = {"t": "s", "q": "deg", "qd": "deg/s"}
+    units = ";".join(kinds.get(name.rstrip("0123456789"), "") for name in header.split(";"))
+    rows = [row.replace(".", ",") for row in rows]
+    path.write_text(line_end.join(["\ufeff" + header, units, *rows]), newline="")
+    recording = import_file(path, make_robot(), ImportChoices())
+    for name, values in arrays.items():
+        np.testing.assert_allclose(content(recording)[NAMED[name]], values, rtol=1e-12, atol=1e-15)
+    assert "the units were taken from line 2" in messages(recording)
+    assert "decimal commas were read" in messages(recording)
+
+
 # --- joints ---------------------------------------------------------------------------------------------------------
 
 

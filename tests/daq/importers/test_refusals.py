@@ -84,7 +84,7 @@ CSV = [
     Refused("word", text(HEADER + ROWS + "0.03,0,zero,0\n"), "line 5, column q2: 'zero' is not a number"),
     Refused("underscore", text(HEADER + ROWS + "0.03,0,1_0,0\n"), "'1_0' is not a number"),
     Refused(
-        "decimal comma", text("t;q1;q2;q3\n0,0;0,1;0,2;0,3\n0,1;0,1;0,2;0,3\n"), "line 2.*decimal comma.*decimal point"
+        "decimal comma", text("t;q1;q2;q3\n0,000;0,1;0,2;0.3\n0,001;0,1;0,2;0,3\n"), "line 2.*decimal comma.*point"
     ),
     Refused(
         "decimal comma with commas", text(HEADER + "0,0,0,1,0,2,0,3\n"), "has 8 columns.*a decimal point, not a comma"
