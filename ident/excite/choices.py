@@ -69,7 +69,6 @@ class DesignChoices(Options):
     )
     margin: float = option(DEFAULT_MARGIN, "Share of every limit kept free.")
     self_collision: bool = option(True, "Check for self-collision.", flag="--self-collision/--no-self-collision")
-    moment_weights: tuple[float, float] = option((1.0, 1.0), meaning="W1, W2 of the criterion moments (AUBO eq. 21).")
 
     def __post_init__(self) -> None:
         """Check every option, and the duration of all.

@@ -72,22 +72,20 @@ def deviations(scale: FloatArray) -> Measure:
     return measure
 
 
-def moments_apart(
-    first: tuple[int, ...], second: tuple[int, ...], weights: tuple[float, float] = (1.0, 1.0)
-) -> Measure:
-    """log(W1·cond(Φ1) + W2·cond(Φ2)) of the columns of first and of second moments (AUBO eq. 21), column-normalised.
+def moments_apart(first: tuple[int, ...], second: tuple[int, ...]) -> Measure:
+    """log(cond(Φ1) + cond(Φ2)) of the columns of first and of second moments (AUBO eq. 21), column-normalised.
 
     Masses belong to the first moments, in whose base parameters they end.
     """
 
     def measure(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
         total, gradient = 0.0, np.zeros_like(gram)
-        for columns, weight in ((first, weights[0]), (second, weights[1])):
+        for columns in (first, second):
             if columns:
                 submatrix = np.ix_(columns, columns)
                 cost, derivative = condition(gram[submatrix], sharpness)
-                total += weight * np.exp(cost)
-                gradient[submatrix] += weight * np.exp(cost) * derivative
+                total += np.exp(cost)
+                gradient[submatrix] += np.exp(cost) * derivative
         return float(np.log(total)), gradient / total
 
     return measure

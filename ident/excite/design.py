@@ -180,7 +180,7 @@ def build_criterion(
         symbols = [model.parameters[column].symbol for column in columns]
         first = tuple(i for i, symbol in enumerate(symbols) if symbol in INERTIAL[6:])
         second = tuple(i for i, symbol in enumerate(symbols) if symbol in INERTIAL[:6])
-        measure = moments_apart(first, second, choices.moment_weights)
+        measure = moments_apart(first, second)
     else:
         measure = _MEASURES[choices.criterion]
     return RegressorCriterion(model, columns, measure, weights)

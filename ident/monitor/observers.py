@@ -26,25 +26,18 @@ class Observer:
         numerator, denominator: (n, 3) of each joint's filter in z⁻¹.
 
     Attributes:
-        noise_gain: (n,) standard deviation of the output for white noise of 1 at the input.
         output: (n,) the newest filtered torque [N·m or N].
     """
 
     def __init__(self, numerator: FloatArray, denominator: FloatArray) -> None:
-        from scipy.signal import lfilter  # here, since every command reads this module's options
-
         self._numerator, self._denominator = numerator, denominator
-        impulse = np.zeros(4000)
-        impulse[0] = 1.0
-        pairs = zip(numerator, denominator, strict=True)
-        self.noise_gain = np.array([float(np.linalg.norm(lfilter(b, a, impulse))) for b, a in pairs])
         self._alike = bool(np.all(numerator == numerator[0]) and np.all(denominator == denominator[0]))
         self._state = np.zeros((2, len(numerator)))
         self.output = np.zeros(len(numerator))
 
     def apply(self, external: FloatArray, restarted: BoolArray) -> FloatArray:
         """Filtered torques (N, n) [N·m or N]; from rest where the observer is `restarted` (N,)."""
-        from scipy.signal import lfilter
+        from scipy.signal import lfilter  # here, since every command reads this module's options
 
         result = np.empty_like(external)
         edges = [0, *np.flatnonzero(restarted).tolist(), len(external)]
