@@ -34,7 +34,12 @@ class KalmanOptions:
     """Options of least squares on Kalman-filtered torques."""
 
     ratio: Annotated[
-        float, within(Range(1e-12, 1e12)), Field(description="Q/R: variance of the model's change over R")
+        float,
+        within(Range(1e-12, 1e12)),
+        Field(
+            description="Q/R: variance of the model's change over that of the measured torque; the settled filter has no "
+            "other setting, since its gain does not change with Q and R multiplied alike"
+        ),
     ] = 0.1
     rounds: Annotated[int, within(GENERATIONS), Field(description="of filter and estimate; the first model is wls")] = 1
 
