@@ -37,8 +37,8 @@ class KalmanOptions:
         float,
         within(Range(1e-12, 1e12)),
         Field(
-            description="Q/R: variance of the model's change over that of the measured torque; the settled filter has no "
-            "other setting, since its gain does not change with Q and R multiplied alike"
+            description="Q/R: variance of the model's change over that of the measurement; the settled gain depends on "
+            "nothing else, so that Q and R have no settings of their own"
         ),
     ] = 0.1
     rounds: Annotated[int, within(GENERATIONS), Field(description="of filter and estimate; the first model is wls")] = 1
