@@ -212,6 +212,20 @@ _MODEL = (
         "Check the unit of torque or current, the drive gains, and the lengths in the robot file or URDF (m, not mm).",
     ),
     CheckKind(
+        "torques-scaled",
+        "mistake",
+        "warning",
+        ALL,
+        "the torques are those of the URDF's bodies times one factor",
+        "Check the unit of torque or current and all drive gains, or the URDF's masses.",
+    ),
+    note(
+        "torque-biased",
+        "mistake",
+        "a large constant is added to the torque of a joint",
+        "Check the zero of its torque sensor or current; the model's offset holds it. A spring does this, too.",
+    ),
+    CheckKind(
         "implausible-link",
         "model",
         "warning",

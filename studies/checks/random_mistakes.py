@@ -53,7 +53,10 @@ from studies.synthetic import data_mistakes as mistakes
 PERIOD, DURATION, RATE = 10.0, 15.0, 100.0
 ONLY = tuple(one for one in os.environ.get("MISTAKES", "").split(",") if one)
 CHOICES = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), search_delay=False, presliding=False)
-SCALE = ("implausible-load", "implausible-mass", "torque-beyond-limits", "torque-far-below-limits", "implausible-link")
+SCALE = (
+    "implausible-load", "implausible-mass", "torque-beyond-limits", "torque-far-below-limits", "implausible-link",
+    "torques-scaled",
+)  # fmt: skip
 CLAUSES = {
     "joint-zero": "added to the position of {joint}", "gravity-direction": "gravity along",
     "inconsistent-gain": "the drive gain of {joint} ", "wrong-gain": "the drive gain of {joint} ",
@@ -271,6 +274,10 @@ def all_mistakes(count: int, sliding: Sequence[bool], generator: np.random.Gener
     def shifted(run: Recording) -> Recording:
         return with_signals(run, position=signals(run)["position"] + shift)
 
+    def biased(run: Recording) -> Recording:
+        torque = signals(run)["torque"]
+        return with_signals(run, torque=torque + 0.5 * gain * np.max(np.abs(torque), axis=0))
+
     def unsigned(run: Recording) -> Recording:
         return with_signals(run, torque=np.abs(signals(run)["torque"]))
 
@@ -308,6 +315,7 @@ def all_mistakes(count: int, sliding: Sequence[bool], generator: np.random.Gener
         Mistake("all gains left at 1 (× 0.1)", SCALE, (), torque_times(0.1)),
         Mistake("all torques × 10", SCALE, (), torque_times(10.0)),
         Mistake("current in mA (× 1000)", SCALE, (), torque_times(1000.0)),
+        Mistake("half of its peak added to a torque", ("torque-biased",), (one,), biased),
         Mistake("a position 60 ms late", ("position-late",), (one,), late),
         Mistake("coupled motors not declared", ("motors-coupled",), pair, coupled),
         Mistake("zero off by 5°", ("joint-zero",), (angle,), shifted),

@@ -11,6 +11,7 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+import yaml
 from check_bench import (
     PERIOD,
     SEARCHED,
@@ -35,7 +36,7 @@ from check_bench import (
 from exported_arms import exported_arm
 
 from daq.recording.recording import HAND_GUIDED, JOINTS_STREAM, Event
-from daq.robot.loader import RobotFile
+from daq.robot.loader import RobotFile, parse_robot
 from ident.export import mujoco_reading, pinocchio_reading
 from ident.export.arm import ExportedArm
 from ident.export.export import export_mjcf
@@ -62,6 +63,14 @@ from studies.synthetic.data_mistakes import (
 def exported(robot_file: RobotFile) -> ExportedArm:
     """The true arm."""
     return exported_arm(robot_file, truth_vector(robot_file))
+
+
+def beside_its_urdf(bench: Bench, factor: float) -> Names:
+    """Checks of torques times a factor, the robot file having the true URDF."""
+    content = yaml.safe_load(bench.arm.text) | {"model": {"urdf": "arm.urdf"}}
+    urdf = new_urdf(exported(bench.arm))
+    robot_file = parse_robot(yaml.safe_dump(content), where="arm", folder=Path(), urdf_text=urdf)
+    return bench.found(changed(bench.recorded(), lambda i: factor * i), robot_file=robot_file)
 
 
 def in_simulation(arm: ExportedArm, **dynamics: str) -> Names:
@@ -114,6 +123,11 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "consistency-costs": (lambda b: b.opposite(), lambda b: b.clean()),
     "links-on-boundary": (lambda b: b.opposite(), lambda b: b.clean()),
     "implausible-mass": (lambda b: b.tested(changed(b.recorded(), lambda i: 0.01 * i)), lambda b: b.clean()),
+    "torques-scaled": (lambda b: beside_its_urdf(b, 1.3), lambda b: beside_its_urdf(b, 1.0)),
+    "torque-biased": (
+        lambda b: b.found(changed(b.recorded(), lambda i: i + [0.0, 4.0, 0.0])),
+        lambda b: b.found(changed(b.recorded(), lambda i: i + [0.0, 0.1, 0.0])),
+    ),
     "implausible-link": (lambda b: b.tested(changed(b.recorded(), lambda i: 200 * i)), lambda b: b.clean()),
     "implausible-centre": (
         lambda b: b.tested(robot_file=b.said({"r: 0.3": "r: 0.03", "d: 0.4, r: 0.1": "d: 0.04, r: 0.01"})),
