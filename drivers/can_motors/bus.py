@@ -130,7 +130,7 @@ class MotorBus:
     def send(self, frames: Sequence[CanFrame]) -> float:
         """Send frames, of which nothing is awaited; when."""
         sender, _ = self._opened()
-        return sender.send_all(frames)
+        return self._send(sender, frames)
 
     def cycle(self, commands: Commands | None = None, patience: float = PATIENCE) -> Feedback:
         """Read all motors, and command them, if so: by their answers, else just before.
@@ -174,9 +174,7 @@ class MotorBus:
             overdue = sum("position" in told for told in late)
             for asked in range(len(self._motors)) if of is None else (of,):
                 self._surplus[asked] = max(self._surplus[asked] - 1, -MOST_AWAITED)
-            if self._returned is not None:
-                self._returned += frames
-            sent = sender.send_all(frames)
+            sent = self._send(sender, frames)
             end, received, strange = sent + patience, sent, 0
             when = [-math.inf] * len(self._motors)
             everyone = range(len(self._motors))
@@ -219,7 +217,7 @@ class MotorBus:
                 break
             with self._lock:
                 receiver.take()
-                end = sender.send_all(calling) + self.codecs[0].roll_call_time
+                end = self._send(sender, calling) + self.codecs[0].roll_call_time
                 heard: list[CanFrame] = []
                 while (left := end - self._clock.now()) > 0.0:
                     heard += [(identifier, data) for _, identifier, data in receiver.take(left)]
@@ -251,7 +249,7 @@ class MotorBus:
         for _ in range(ATTEMPTS):
             with self._lock:
                 receiver.take()
-                end = sender.send_all((codec.read(register),)) + PATIENCE
+                end = self._send(sender, (codec.read(register),)) + PATIENCE
                 while (left := end - self._clock.now()) > 0.0:
                     for _, identifier, data in receiver.take(left):
                         answer = codec.parse(identifier, data, number)
@@ -273,6 +271,12 @@ class MotorBus:
                 where=self._settings.where,
                 hint="is it in fault, or is its firmware too old for it?",
             )
+
+    def _send(self, sender: Sender, frames: Sequence[CanFrame]) -> float:
+        """Send frames; when."""
+        if self._returned is not None:
+            self._returned += frames
+        return sender.send_all(frames)
 
     def _hear(self, identifier: int, data: bytes, heard: list[set[str]]) -> int | None:
         """The motor whose frame it is; None where it is none's."""

@@ -89,6 +89,9 @@ class MotorCycle(PolledRows):
         with self._changed:
             latest = self._begun + LATE * self._period
             self._changed.wait_for(lambda: self._wanted or self._ending.is_set(), latest - self._clock.now())
+            if (missed := int((self._clock.now() - latest) / self._period)) > 0:
+                self._lost += missed
+                self._late += missed
         if (soonest := self._begun + SOONEST * self._period) > self._clock.now():
             self._ending.wait(soonest - self._clock.now())
         return self._clock.now()

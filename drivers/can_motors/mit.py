@@ -149,7 +149,7 @@ class DamiaoCodec(MitCodec):
             return None
         if data[:2] == self._asking and data[2] in (READ, WRITE) and data[3] in self.registers.values():
             if data[2] == WRITE or data[3] != asked:
-                return None
+                return Answer()
             return Answer(register=(asked, struct.unpack("<I" if asked in WHOLE_NUMBERS else "<f", data[4:])[0]))
         if data[0] & 0x0F != self.motor.id & 0x0F:
             return None

@@ -159,6 +159,19 @@ def test_who_was_late_is_said(clock: SimulatedClock, monkeypatch):
     assert "answer" not in said[2]
 
 
+def test_rows_that_a_stalled_computer_does_not_ask_for_in_a_motion_are_its_own(clock: SimulatedClock):
+    with motors(clock) as bench, bench.opened() as driver:
+        driver.start()
+        driver.read(0.1)
+        driver.take_control()
+        for stall in (0.0, 0.0, 0.045, 0.0):
+            driver.command(driver._cycle.latest)
+            clock.sleep(0.01)
+            clock.stall(stall)
+        clock.sleep(0.02)
+        assert driver.losses("joints").startswith("4 while this computer was late to ask, or to look")
+
+
 @pytest.mark.parametrize("wire", ["damiao", "moteus"])
 def test_motors_that_go_limp_with_the_end_are_not_in_fault_at_the_next_begin(clock: SimulatedClock, tmp_path, wire):
     with motors(clock, wire, when_lost="limp") as bench:
