@@ -74,11 +74,14 @@ def _work(sending: Connection, job: Job, out: str) -> None:
 
 def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
     try:
-        return future.result()
+        outcome = future.result()
     except CancelledError:
         return _failed(job, "the scheduler was lost before it was done")
     except Exception as error:  # Dask's KilledWorker, or what cannot be sent
         return _failed(job, f"its worker failed: {type(error).__name__}: {error}")
+    if outcome.key != job.key():
+        return _failed(job, "its worker has another version of dynid or another file, or the recording has changed")
+    return outcome
 
 
 def _failed(job: Job, why: str) -> JobOutcome:

@@ -6,6 +6,7 @@ import json
 import multiprocessing
 import os
 import sys
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -113,6 +114,13 @@ def test_a_worker_that_dies_is_an_outcome(tmp_path, monkeypatch):
     assert outcome.failure.startswith("its process died (exit status 9)")
 
 
+def test_a_worker_of_another_version_is_an_outcome(tmp_path):
+    (job,) = read_fleet(written(tmp_path, "arms: [{name: a, recordings: [a.h5]}]"))
+    future = Future()
+    future.set_result(replace(run_job(job, str(tmp_path)), key="of another version", failure=""))
+    assert "another version" in workers._outcome(future, job).failure
+
+
 def test_a_dask_cluster_does_the_same(tmp_path):
     distributed = pytest.importorskip("distributed", reason="needs the extra 'dask'")
     jobs = read_fleet(written(tmp_path, "arms: [{name: a, recordings: [a.h5, b.h5]}]"))
@@ -165,6 +173,15 @@ def test_a_recording_in_an_object_store_is_fetched_by_the_worker(tmp_path, run, 
         assert "FileNotFoundError" in run_job(gone, str(tmp_path / "out")).failure
     finally:
         server.stop()
+
+
+@pytest.mark.usefixtures("in_this_process")
+def test_the_results_of_another_fleet_are_left_alone(tmp_path):
+    arms = ["arms: [{name: a, recordings: [a.h5]}]", "arms: [{name: b, recordings: [a.h5]}]"]
+    identify_fleet(written(tmp_path, arms[0]), tmp_path / "out")
+    with pytest.raises(UsageError, match=r"fleet\.json"):
+        identify_fleet(written(tmp_path, arms[1]), tmp_path / "out")
+    assert len(identify_fleet(written(tmp_path, arms[0]), tmp_path / "out").outcomes) == 1
 
 
 def test_a_folder_of_another_kind_is_left_alone(tmp_path, run):
