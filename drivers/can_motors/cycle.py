@@ -87,7 +87,7 @@ class MotorCycle(PolledRows):
         if not (self._control.active and following):
             return super()._pause(due)
         with self._changed:
-            latest = self._begun + LATE * self._period
+            latest = max(self._begun + LATE * self._period, self._clock.now())
             self._changed.wait_for(lambda: self._wanted or self._ending.is_set(), latest - self._clock.now())
             if (missed := int((self._clock.now() - latest) / self._period)) > 0:
                 self._lost += missed
