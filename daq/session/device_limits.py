@@ -44,12 +44,12 @@ def require_same_arm(robot_file: RobotFile, driver: Driver) -> None:
         DynidError: the robot file's geometry cannot be read.
     """
     main = driver.main if isinstance(driver, Sources) else driver
-    told, own = main.arm_lengths() if isinstance(main, Measured) else None, arm_lengths(robot_file)
-    if told is None or own is None or np.max(np.abs(told - own)) < LENGTH_AGREEMENT:
+    reported, own = main.arm_lengths() if isinstance(main, Measured) else None, arm_lengths(robot_file)
+    if reported is None or own is None or np.max(np.abs(reported - own)) < LENGTH_AGREEMENT:
         return
     pairs = [
         f"{name} {length:.4g} m, and not {own_length:.4g} m"
-        for name, length, own_length in zip(LENGTHS, told, own, strict=True)
+        for name, length, own_length in zip(LENGTHS, reported, own, strict=True)
         if abs(length - own_length) >= LENGTH_AGREEMENT
     ]
     raise UsageError(

@@ -71,7 +71,7 @@ class MakeCompensation(Protocol):
     """Makes the compensation of an arm; entered in `COMPENSATION_GROUP`."""
 
     def __call__(self, robot_file: RobotFile, path: Path) -> Compensation:
-        """By the model of a result.json or its folder.
+        """Build the compensation from the model of a result.json or its folder.
 
         Raises:
             DynidError: it cannot be used.

@@ -416,7 +416,7 @@ class VelocityUnit:
         self._below, self._above = np.zeros((2, joints), dtype=int)
         self._last, self._varied = np.full(joints, np.nan), np.zeros(joints, dtype=bool)
         self.mean, self.speed = np.zeros(joints), np.zeros(joints)
-        """Of the segment that was compared last [rad/s or m/s]."""
+        """`mean` and `speed` are those of the segment that was compared last [rad/s or m/s]."""
 
     def add(self, velocity: FloatArray, speed: FloatArray) -> IndexArray:
         """Take samples; returns the joints whose velocity is another quantity.

@@ -275,8 +275,8 @@ def _holding_goal(motor: CanMotor, state: MotorState) -> float:
 
 def _asked_while_limp(codec: MotorCodec) -> Sequence[CanFrame]:
     """Frames that switch a motor off, and after which it tells where it is, and whether it drives."""
-    told = () if codec.answers_goals else (*codec.poll(read_only=False), *codec.slow_poll())
-    return (*codec.disable(), *told)
+    requests = () if codec.answers_goals else (*codec.poll(read_only=False), *codec.slow_poll())
+    return (*codec.disable(), *requests)
 
 
 def _nothing() -> None:

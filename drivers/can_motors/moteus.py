@@ -144,7 +144,7 @@ class MoteusCodec(MotorCodec):
         if POSITION not in held or MODE not in held or FAULT not in held:
             return None
         mode = int(held[MODE])
-        told = {
+        readings = {
             "position": TURN * held[POSITION],
             "velocity": TURN * held[POSITION + 1],
             "torque": held[TORQUE],
@@ -153,7 +153,7 @@ class MoteusCodec(MotorCodec):
             "supply_voltage": held.get(VOLTAGE, math.nan),
         }
         fault = {FAULTY: int(held[FAULT]) or FAULTY, TIMEOUT_MODE: TIMEOUT_MODE}.get(mode, 0)
-        return Answer(told, fault, mode == POSITION_MODE)
+        return Answer(readings, fault, mode == POSITION_MODE)
 
     @property
     def _most_torque(self) -> float:

@@ -121,15 +121,15 @@ class CanMotorKeys(CanSettings):
 
 def _require_own_answers(motors: Mapping[str, MotorKeys]) -> None:
     """Damiao motors say in their answers the last four bits of their ids alone."""
-    told: dict[tuple[int, int], str] = {}
+    owners: dict[tuple[int, int], str] = {}
     for name, motor in motors.items():
         answer = motor.id + DAMIAO_HOST if motor.answers_on is None else motor.answers_on, motor.id & 0x0F
-        if answer in told:
+        if answer in owners:
             raise refused(
-                f"answers of {told[answer]} and {name} are alike: on {answer[0]}, ids that end in the same four bits",
+                f"answers of {owners[answer]} and {name} are alike: on {answer[0]}, ids that end in the same four bits",
                 "give one of them another master id (answers_on)",
             )
-        told[answer] = name
+        owners[answer] = name
 
 
 @dataclass(frozen=True)

@@ -39,8 +39,8 @@ class MotorFamily:
         """Return what a fault code means; empty where it means none."""
         if not self.bits:
             return [self.faults.get(code, f"fault {code}")] if code else []
-        told = [words for bit, words in self.faults.items() if code >> bit & 1]
-        return told or ([f"fault 0x{code:X}"] if code else [])
+        named = [words for bit, words in self.faults.items() if code >> bit & 1]
+        return named or ([f"fault 0x{code:X}"] if code else [])
 
 
 @cache

@@ -64,10 +64,10 @@ class SerialServoDriver(PolledArm):
         """The position limits that the servos keep."""
         self._require_open("tell limits")
         bounds = [
-            sorted((motor.scale.position(told.min_position), motor.scale.position(told.max_position)))
-            if told.min_position < told.max_position
+            sorted((motor.scale.position(servo.min_position), motor.scale.position(servo.max_position)))
+            if servo.min_position < servo.max_position
             else [math.nan, math.nan]
-            for motor, told in zip(self._settings.motors, self._identities, strict=True)
+            for motor, servo in zip(self._settings.motors, self._identities, strict=True)
         ]
         nothing = np.full(len(bounds), np.nan)
         lowest, highest = np.array(bounds).T
@@ -109,11 +109,11 @@ class SerialServoDriver(PolledArm):
         return "the torque is off, the arm is limp" if limp else "the arm holds, its torque stays on"
 
     def _require_own_calibration(self) -> None:
-        for motor, told in zip(self._settings.motors, self._identities, strict=True):
+        for motor, servo in zip(self._settings.motors, self._identities, strict=True):
             expected = motor.calibration
-            if expected is not None and told.homing_offset != expected.homing_offset:
+            if expected is not None and servo.homing_offset != expected.homing_offset:
                 raise UsageError(
-                    f"{called(motor)} has homing offset {told.homing_offset}, and {expected.homing_offset} in "
+                    f"{called(motor)} has homing offset {servo.homing_offset}, and {expected.homing_offset} in "
                     f"{self._settings.keys.calibration}: its positions would be wrong",
                     where=self._settings.url,
                     hint="use the calibration of this arm, or write it: dynid check --connect --configure",

@@ -72,8 +72,7 @@ def scanned(
 class ServoProtocol(Protocol):
     """How packets are written and read; without a state."""
 
-    name: str
-    """Of the protocol."""
+    name: str  # of the protocol
 
     def request(self, motor: int, instruction: int, data: bytes = b"") -> bytes:
         """An instruction as bytes."""

@@ -49,11 +49,11 @@ def extrapolation_checks(
     """
     if base.count != base_parameters(model).count:
         return []
-    known = np.isfinite(np.diag(covariance))
-    sure = [column for column, there in zip(active, known, strict=True) if there]
+    finite = np.isfinite(np.diag(covariance))
+    sure = [column for column, there in zip(active, finite, strict=True) if there]
     guessed = np.diag(np.where(np.isin(np.arange(base.count), sure), 0.0, np.nan_to_num(values)))
-    followed = (np.eye(base.count)[:, list(active)] if moves is None else moves)[:, known]
-    powers, axes = np.linalg.eigh(covariance[np.ix_(known, known)])
+    followed = (np.eye(base.count)[:, list(active)] if moves is None else moves)[:, finite]
+    powers, axes = np.linalg.eigh(covariance[np.ix_(finite, finite)])
     root = np.hstack([followed @ (axes * np.sqrt(np.clip(powers, 0.0, None))), guessed])
     kernel = RegressorKernel(model, base.columns)
     position, velocity, acceleration = random_states(model, STATES)

@@ -37,17 +37,17 @@ def smallest_forces(
     """The smallest forces on every link at poses (K, n) [rad or m]."""
     places = LinkJacobians(model)
     moving, resting = np.max(thresholds.noticed[[SLOW, FAST]], axis=0), thresholds.noticed[REST]
-    found = np.empty((2, len(model.joints), len(poses), 3))
+    forces = np.empty((2, len(model.joints), len(poses), 3))
     for number, pose in enumerate(poses):
         places.move(pose)
         for link in range(len(model.joints)):
             lever = np.abs(places.jacobian(link, link_end(model, link, tool))[:3])
             for row, needed in enumerate((moving, resting)):
-                found[row, link, number] = force_noticed(lever, needed)
+                forces[row, link, number] = force_noticed(lever, needed)
     with np.errstate(invalid="ignore"):
-        middle = np.median(found, axis=2)
+        middle = np.median(forces, axis=2)
     return tuple(
-        SmallestForce(name, middle[0, link], middle[1, link], found[0, link].max(axis=0))
+        SmallestForce(name, middle[0, link], middle[1, link], forces[0, link].max(axis=0))
         for link, name in enumerate(model.link_names)
     )
 

@@ -178,7 +178,7 @@ class IntervalTorque:
         return intervals
 
     def _intervals(self, rows: JointSamples, start: int, stop: int) -> Intervals:
-        """Of the samples from `start` to before `stop`."""
+        """The intervals of the samples from `start` to before `stop`."""
         at = slice(start, stop)
         time, position = rows.time, rows.position
         steps = (time[start : stop + 1] - time[start - 1 : stop])[:, None]

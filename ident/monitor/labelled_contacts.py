@@ -89,8 +89,8 @@ def operating_point(
             delays.append(float(during[0] - contact.start))
     outside = passed[free]
     alarms = int(np.count_nonzero(np.diff(outside, prepend=-np.inf) > ONCE))
-    found = len(delays) / len(contacts) if contacts else math.nan
-    return OperatingPoint(threshold, found, alarms / hours, float(np.median(delays)) if delays else math.nan)
+    detected = len(delays) / len(contacts) if contacts else math.nan
+    return OperatingPoint(threshold, detected, alarms / hours, float(np.median(delays)) if delays else math.nan)
 
 
 def roc(

@@ -46,20 +46,20 @@ def motion_phases(velocities: Sequence[FloatArray]) -> tuple[IntArray, ...]:
 
     They are consecutive along a motion, and disjoint for different motions.
     """
-    known: list[_Known] = []
+    earlier_segments: list[_Known] = []
     following = 0
     for velocity in velocities:
         count = velocity.shape[1]
         period = own_period(velocity)
         phases = following + (np.arange(count) if period is None else np.arange(count) % period)
-        for earlier in known:
+        for earlier in earlier_segments:
             lag = _best_lag(earlier.velocity, velocity)
             if lag is not None:
                 phases = _phases_like(earlier, lag, phases)
                 break
         following = max(following, int(phases.max(initial=-1)) + 1)
-        known.append(_Known(velocity, phases, period))
-    return tuple(entry.phases for entry in known)
+        earlier_segments.append(_Known(velocity, phases, period))
+    return tuple(entry.phases for entry in earlier_segments)
 
 
 def own_period(velocity: FloatArray) -> int | None:

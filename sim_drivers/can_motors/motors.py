@@ -34,8 +34,7 @@ class SimulatedMotor(ABC):
     over_temperature: int
     under_voltage: int
     timed_out: int
-    position_byte = 1
-    """Of an answer."""
+    position_byte = 1  # of an answer
 
     def __init__(self, motor: CanMotor, index: int, plant: MotorPlant) -> None:
         self.motor, self.index, self._plant = motor, index, plant
@@ -286,8 +285,8 @@ class MoteusMotor(SimulatedMotor):
             self._write(written, now)
             for kind, form, first, values in parts:
                 if kind == moteus.READ and isinstance(values, int):
-                    told = [self._register(first + k, form) for k in range(values)]
-                    answer += moteus.subframe(moteus.REPLY, form, first, told)
+                    contents = [self._register(first + k, form) for k in range(values)]
+                    answer += moteus.subframe(moteus.REPLY, form, first, contents)
         except (ValueError, IndexError, struct.error):
             return []
         if not plain & moteus.ANSWER or not answer:
@@ -300,7 +299,7 @@ class MoteusMotor(SimulatedMotor):
         return None if math.isnan(seconds) else seconds or 0.1
 
     def hold(self, position: float, now: float) -> None:
-        """In position mode, without a watchdog."""
+        """Hold a position in position mode, without a watchdog."""
         self._mode = moteus.POSITION_MODE
         self._registers[moteus.WATCHDOG] = math.nan
         super().hold(position, now)
@@ -313,7 +312,7 @@ class MoteusMotor(SimulatedMotor):
         self._let_go()
 
     def restart(self, now: float) -> None:
-        """As it begins: stopped."""
+        """Begin again, stopped."""
         super().restart(now)
         self._mode = moteus.STOPPED
 
@@ -418,7 +417,7 @@ class OdriveMotor(SimulatedMotor):
 
     def _told(self, command: int) -> list[CanFrame]:
         state = self._state
-        told = {
+        payloads = {
             odrive.ESTIMATES: (state["position"] / odrive.TURN, state["velocity"] / odrive.TURN),
             odrive.TORQUES: (state["torque"], state["torque"]),
             odrive.TEMPERATURES: (state["drive_temperature"], state["temperature"]),
@@ -430,7 +429,7 @@ class OdriveMotor(SimulatedMotor):
             return [(identifier, struct.pack("<IB3x", self.fault, axis))]
         if command == odrive.ADDRESS:
             return [(identifier, bytes([self.motor.id]) + (SERIAL + self.index).to_bytes(6, "little") + bytes(1))]
-        return [(identifier, struct.pack("<ff", *told[command]))] if command in told else []
+        return [(identifier, struct.pack("<ff", *payloads[command]))] if command in payloads else []
 
 
 SIMULATED: Mapping[str, type[SimulatedMotor]] = {

@@ -38,7 +38,7 @@ class Received:
         return self
 
     def samples(self) -> int:
-        """Of the stream that came most."""
+        """Number of samples of the stream with the most."""
         return max((len(self.stamps(block.stream)) for block in self.blocks), default=0)
 
     def stamps(self, stream: str) -> FloatArray:

@@ -38,9 +38,9 @@ def life_cycle(bench: Bench) -> None:
         driver = bench.driver()
         try:
             require(not driver.notices(), "it has a notice before it is open")
-            told: list[Callable[[], object]] = [driver.identify] if isinstance(driver, Identifying) else []
-            told += [driver.device_limits] if isinstance(driver, Limiting) else []
-            for action in (driver.streams, driver.start, lambda: driver.read(0.0), driver.take_control, *told):
+            actions: list[Callable[[], object]] = [driver.identify] if isinstance(driver, Identifying) else []
+            actions += [driver.device_limits] if isinstance(driver, Limiting) else []
+            for action in (driver.streams, driver.start, lambda: driver.read(0.0), driver.take_control, *actions):
                 refused(action, "before it is open")
             for _ in range(2):
                 driver.open()
@@ -184,10 +184,10 @@ def silence(bench: Bench) -> None:
         device.obey(bench.fall_silent)
         begun = bench.clock.now()
         heard = listen_for(bench, driver, PATIENCE, until_error=True)
-        told = heard.error is not None or any(notice.level == "error" for notice in heard.notices)
+        reported = heard.error is not None or any(notice.level == "error" for notice in heard.notices)
         if not driver.streams()[0].essential:
-            told = told or bool(heard.notices)
-        require(told, f"a device silent for {PATIENCE:g} s is neither ConnectionLostError nor a notice")
+            reported = reported or bool(heard.notices)
+        require(reported, f"a device silent for {PATIENCE:g} s is neither ConnectionLostError nor a notice")
 
 
 def garbage(bench: Bench) -> None:

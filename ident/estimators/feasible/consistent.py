@@ -179,9 +179,11 @@ def _of_data(
     """Return what the file and the data say of a key, in words: behind the key."""
     name = key.split(".")[1]
     if name in known:
-        one = known[name]
-        limits = [f"{word} {limit:.4g}" for word, limit in (("min", one.min), ("max", one.max)) if limit is not None]
-        text = ", ".join(limits) if one.value is None else f"= {one.value:.4g}"
+        entry = known[name]
+        limits = [
+            f"{word} {limit:.4g}" for word, limit in (("min", entry.min), ("max", entry.max)) if limit is not None
+        ]
+        text = ", ".join(limits) if entry.value is None else f"= {entry.value:.4g}"
         if name in values and np.isfinite(values[name][1]):
             value, std = values[name]
             return f" {text} (the data say {value:.4g} ± {WITHIN_95_PERCENT * std:.2g})"

@@ -186,8 +186,8 @@ class FrictionRows:
             for (place, column), row in zip(new, filtered, strict=True):
                 for motor, factor in column.rows:
                     of_motor[motor].append((place, factor * row))
-        for motor, found in enumerate(of_motor):
-            ordered = sorted(found, key=lambda entry: entry[0])
+        for motor, entries in enumerate(of_motor):
+            ordered = sorted(entries, key=lambda entry: entry[0])
             yield tuple(place for place, _ in ordered), np.array([*(row for _, row in ordered), part.torque[motor]])
 
     def _conditions(self, model: DynamicModel, part: _SegmentRows) -> FrictionConditions:

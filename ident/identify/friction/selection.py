@@ -91,8 +91,8 @@ class FrictionSearch:
         places = [[at for at, candidate in enumerate(of) if candidate.quantity == kind] for kind in option.kinds]
         shape = TERM[option.kinds[0]].shape
         if shape is None:
-            found = tuple(place for of_kind in places for place in of_kind)
-            return [_Addition(found)] if all(places) else []
+            added = tuple(place for of_kind in places for place in of_kind)
+            return [_Addition(added)] if all(places) else []
         if option.shape is not None:
             alike = [[place for place in of_kind if of[place].shape == option.shape] for of_kind in places]
             return [_Addition(together) for together in zip(*alike, strict=True)]
@@ -105,14 +105,14 @@ class FrictionSearch:
         self, motor: int, ways: Sequence[_Addition], gram: FloatArray
     ) -> tuple[float, _Addition | None, FloatArray]:
         """Smallest squared error of a Gram matrix (d, d), the addition behind it, and the values (d − 1,)."""
-        found: tuple[float, _Addition | None, FloatArray] = (float("inf"), None, np.zeros(len(gram) - 1))
+        lowest: tuple[float, _Addition | None, FloatArray] = (float("inf"), None, np.zeros(len(gram) - 1))
         for way in ways:
             parameters = solve_columns(gram, self._columns(motor, way))
             if parameters is None or not self._brakes(motor, way, parameters):
                 continue
-            if (error := squared_error(gram, parameters)) < found[0]:
-                found = (error, way, parameters)
-        return found
+            if (error := squared_error(gram, parameters)) < lowest[0]:
+                lowest = (error, way, parameters)
+        return lowest
 
     def _brakes(self, motor: int, way: _Addition, parameters: FloatArray) -> bool:
         """Whether no friction of a motor is negative, that of the temperature aside, once it has a further term."""
