@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,11 +16,11 @@ from daq.recording.quality.quantisation import resolution
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import DataError, IdentificationError
+from drivers.core.errors import DataError, IdentificationError, UsageError
 from drivers.core.reading_process import Progress
 from drivers.core.software import software_versions
 from ident.assessment.command_checks import refuse_unusable_commands
-from ident.identify.summary import provenance, recording_sha256
+from ident.identify.summary import provenance
 from ident.model.another_arm import check_arm
 from ident.result.graded import Grade
 from ident.servo.arm_rollout import command_paths, delay_and_lag, delayed_paths, rollout_errors, touched_paths
@@ -40,6 +41,7 @@ from ident.servo.result import (
 )
 from ident.servo.simulators.mjcf import model_paths, read_model_file
 from ident.servo.terms import TERMS
+from ident.signals.sample_hashes import HashArray, kept_hashes, overlap, sample_hashes
 
 HELD_OUT = 0.3
 """Share at the end of each recording that validates, where no other recording does."""
@@ -101,7 +103,9 @@ def identify_servo(
     robot, links = file.robot, servo_links(file)
     reference = None if model_file is None else read_model_file(model_file, robot.joint_names)
     progress("reading commands")
-    motions = [motion for recording in recordings for motion in read_motions(recording, file)]
+    parts = [read_motions(recording, file) for recording in recordings]
+    _check_counted_once(parts)
+    motions = [motion for part in parts for motion in part]
     if held_out:
         judged = [motion for recording in held_out for motion in read_motions(recording, file)]
         source = "recordings of their own"
@@ -118,7 +122,8 @@ def identify_servo(
     lag = delay_and_lag(motions)
     contact = fitted.contact
     fit, _ = judge(motions, links, fitted.values, lag, contact, None, held_out=False)
-    own = not _same_data(recordings, held_out)
+    used = [kept_hashes(_hashes(part)) for part in parts]
+    own = not (held_out and _uses(judged, used))
     validation, paths = judge(judged, links, fitted.values, lag, contact, reference, held_out=own)
     joints = [_joint(fitted, row, name, links.model.sliding[row]) for row, name in enumerate(robot.joint_names)]
     result = ServoResult(
@@ -174,8 +179,7 @@ def revalidate_servo(
     links = servo_links(robot_file)
     reference = None if model_file is None else read_model_file(model_file, result.joints)
     motions = [motion for recording in recordings for motion in read_motions(recording, robot_file)]
-    used = {use.sha256 for use in result.recordings if use.role == "identification"}
-    held_out = not any(recording_sha256(recording) in used for recording in recordings)
+    held_out = not _uses(motions, [use.sample_hashes for use in result.recordings if use.role == "identification"])
     lag = delay_and_lag(motions)
     contact = contact_of(result, links)
     fit, paths = judge(motions, links, result.values, lag, contact, reference, held_out=held_out)
@@ -399,12 +403,31 @@ def _use(recording: Recording, file: RobotFile, role: str) -> ServoRecording:
             "file": recording.label,
             "role": role,
             **provenance(recording, file.robot.joint_names),
+            "sample_hashes": kept_hashes(_hashes(servo_motions(recorded, recording.label))),
             "seconds": seconds,
             "rate_hz": (len(recorded.time) - 1) / seconds,
         }
     )
 
 
-def _same_data(recordings: Sequence[Recording], held_out: Sequence[Recording]) -> bool:
-    used = {recording_sha256(recording) for recording in recordings}
-    return any(recording_sha256(recording) in used for recording in held_out)
+def _hashes(motions: Sequence[ServoMotion]) -> HashArray:
+    """Of the measured positions and how they change: other runs of a motion share few of them."""
+    each = [sample_hashes(motion.position[1:], np.diff(motion.position, axis=0)) for motion in motions]
+    return np.unique(np.concatenate(each)) if each else np.zeros(0, dtype=np.uint64)
+
+
+def _uses(motions: Sequence[ServoMotion], used: Sequence[Sequence[int]]) -> bool:
+    """Whether the samples of some motion are in recordings of which hashes were kept."""
+    return any(overlap(_hashes([motion]), used) >= 1.0 for motion in motions)
+
+
+def _check_counted_once(parts: Sequence[Sequence[ServoMotion]]) -> None:
+    """Refuse a recording whose samples are another's."""
+    hashes = [_hashes(part) for part in parts]
+    for (first, own), (second, other) in combinations(zip(parts, hashes, strict=True), 2):
+        if max(overlap(own, [kept_hashes(other)]), overlap(other, [kept_hashes(own)])) >= 1.0:
+            raise UsageError(
+                f"its samples are those of {first[0].label}; they would count twice",
+                where=second[0].label,
+                hint="give each recording once, without copies or parts of it",
+            )

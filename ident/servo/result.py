@@ -94,6 +94,7 @@ class ServoRecording(UsedRecording):
 
     seconds: Value
     rate_hz: Value
+    sample_hashes: list[int] = Field(default=[], description="the smallest hashes of its samples")
 
 
 class ServoResult(Stored):

@@ -29,8 +29,13 @@ def other() -> Recording:
 
 
 @pytest.fixture(scope="module")
-def model(other) -> dynid.ServoModel:
-    return dynid.identify_servo(dynid.simulate_servo("so101", duration=20.0, seed=1), validation=other)
+def training() -> Recording:
+    return dynid.simulate_servo("so101", duration=20.0, seed=1)
+
+
+@pytest.fixture(scope="module")
+def model(training, other) -> dynid.ServoModel:
+    return dynid.identify_servo(training, validation=other)
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +66,20 @@ def test_a_held_out_motion_is_rolled_out_to_two_encoder_steps(model):
     error = np.abs(np.interp(measured.x, rolled.x, rolled.y) - measured.y)[np.asarray(measured.x) > 1.0]
     assert np.mean(error) < 0.02
     assert len(model.plot(backend="matplotlib").axes) == len(model.result.joints)
+
+
+def test_data_of_the_identification_do_not_count_twice_nor_as_held_out(model, training, other):
+    stream = training.streams[JOINTS_STREAM]
+    channel = stream.channels["position"]
+    single = changed(training, position=channel.values.astype(np.float32).astype(np.float64))
+    for copied in (
+        single,
+        dataclasses.replace(training, streams={**training.streams, JOINTS_STREAM: _first(stream, 500)}),
+    ):
+        assert not model.validate(copied).result.validation.held_out
+        with pytest.raises(dynid.UsageError, match="would count twice"):
+            dynid.identify_servo([training, other, copied])
+    assert model.validate(other).result.validation.held_out
 
 
 def test_the_truth_comes_back_where_gravity_ties_the_torques(model):
