@@ -134,6 +134,17 @@ static void begin(struct servo *s, double h, double older, double newer, double 
     s->push = 0;
 }
 
+/* A joint that comes to rest within a step: friction turns round with it, or holds it there from then on. `turn` is its
+   velocity after the step if friction had not turned, half of its fall, and the share that it moves back with. */
+static void turned(struct servo *s)
+{
+    s->turn[0] = 2 * s->middle - s->velocity;
+    s->turn[1] = s->velocity - s->middle;
+    s->turn[2] = larger(1 - 2 * s->friction / (fabs(s->turn[1]) * s->divisor), 0);
+    s->middle = 0.5 * (s->velocity + s->turn[2] * s->turn[0]);
+    s->gone = (s->velocity * s->velocity - s->turn[2] * s->turn[0] * s->turn[0]) / (4 * s->turn[1]);
+}
+
 /* The velocity in the middle of the step, with `push` in the momentum; returns by how much it changed. */
 static double move(struct servo *s, double h)
 {
@@ -142,7 +153,10 @@ static double move(struct servo *s, double h)
     s->against = sign(s->velocity != 0 ? s->velocity : momentum);
     s->passed = larger(1 - s->against * s->toward * s->per_torque, 0);
     s->divisor = s->inertia + h * s->p[DAMPING] + h * h * s->acting * s->passed;
-    s->middle = s->moving ? (momentum - s->against * s->friction) / s->divisor : 0;
+    s->gone = s->middle = s->moving ? (momentum - s->against * s->friction) / s->divisor : 0;
+    s->turning = s->velocity * (2 * s->middle - s->velocity) < 0;
+    if (s->turning)
+        turned(s);
     return fabs(s->middle - before);
 }
 
@@ -177,12 +191,13 @@ static double by_velocity(const struct servo *s, double h)
     return s->against * h * breakaway * s->faded * 2 * s->share / s->p[STRIBECK_VELOCITY];
 }
 
-/* The Cholesky factor (n, n; below the diagonal, with its reciprocal) of what resists the moving joints together. */
+/* The Cholesky factor (n, n; below the diagonal, with its reciprocal) of what resists together the joints that move and
+   do not turn. */
 static void factored(long n, const struct servo *servos, const double *m, double *a)
 {
     for (long i = 0; i < n; i++)
         for (long j = 0; j <= i; j++) {
-            double sum = servos[i].moving && servos[j].moving ? i == j ? servos[i].divisor : m[i * n + j] : i == j;
+            double sum = servos[i].moving > servos[i].turning && servos[j].moving > servos[j].turning ? i == j ? servos[i].divisor : m[i * n + j] : i == j;
             for (long k = 0; k < j; k++)
                 sum -= a[i * n + k] * a[j * n + k];
             a[i * n + j] = i == j ? 1 / sqrt(larger(sum, 1e-300)) : sum * a[j * n + j];
@@ -201,18 +216,6 @@ static void solved(long n, const double *factor, double *x)
             x[i] -= factor[k * n + i] * x[k];
         x[i] *= factor[i * n + i];
     }
-}
-
-/* A joint that comes to rest within a step: friction turns round with it, or holds it there from then on. `turn` is its
-   velocity after the step if friction had not turned, half of its fall, and the share that it moves back with. Other
-   joints feel it from the next step on. */
-static void turned(struct servo *s)
-{
-    s->turn[0] = s->after;
-    s->turn[1] = 0.5 * (s->velocity - s->after);
-    s->turn[2] = larger(1 - 2 * s->friction / (fabs(s->turn[1]) * s->divisor), 0);
-    s->after *= s->turn[2];
-    s->gone = (s->velocity * s->velocity - s->after * s->turn[0]) / (4 * s->turn[1]);
 }
 
 /* How friction's part of the momentum, and what resists the joint, change with each of its own terms. */
@@ -278,26 +281,30 @@ static int solved_together(long n, struct servo *servos, double h, const double 
     for (int attempt = 0; attempt < PATTERNS; attempt++) {
         int same = attempt > 0;
         for (long i = 0; i < n; i++) {
-            int moving = servos[i].moving;
+            int moving = servos[i].moving, turning = servos[i].turning;
             double against = servos[i].against, push = 0;
             for (long j = 0; j < n; j++)
                 push += j == i ? 0 : m[i * n + j] * (servos[j].velocity - servos[j].middle);
             servos[i].push = push;
-            move(servos + i, h);
+            double change = move(servos + i, h);
             same &= moving == servos[i].moving && (!moving || against == servos[i].against);
+            same &= turning == servos[i].turning && (!turning || change < SETTLED);
         }
         if (same)
             return 1;
         factored(n, servos, m, factor);
         for (long i = 0; i < n; i++) {
             x[i] = 0;
-            for (long j = 0; servos[i].moving && j < n; j++)
-                x[i] += j == i ? 0 : m[i * n + j] * servos[j].velocity;
-            x[i] += servos[i].moving ? servos[i].momentum - servos[i].against * servos[i].friction : 0;
+            if (servos[i].moving <= servos[i].turning)
+                continue;
+            for (long j = 0; j < n; j++)
+                x[i] += j == i ? 0 : m[i * n + j] * (servos[j].velocity - (servos[j].turning ? servos[j].middle : 0));
+            x[i] += servos[i].momentum - servos[i].against * servos[i].friction;
         }
         solved(n, factor, x);
         for (long i = 0; i < n; i++)
-            servos[i].middle = servos[i].moving ? x[i] : 0;
+            if (!servos[i].turning)
+                servos[i].middle = servos[i].moving ? x[i] : 0;
     }
     return 0;
 }
@@ -442,21 +449,20 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
             }
             if (force)
                 force[row * pieces + piece] = forces[number] = pressed;
-            int turning = 0;
-            for (long i = 0; i < joints; i++) {
-                struct servo *s = servos + i;
-                s->after = s->moving ? 2 * s->middle - s->velocity : 0;
-                s->gone = s->middle;
-                s->turning = s->velocity * s->after < 0;
-                turning |= s->turning;
-                if (s->turning)
-                    turned(s);
-            }
             for (long i = 0; between && i < joints; i++) {
                 double sum = 0;
                 for (long j = 0; j < joints; j++)
                     sum += j == i ? 0 : m[i * joints + j] * (servos[j].middle - servos[j].velocity);
                 pull[line + i] = sum / h;
+            }
+            int turning = 0, turns[joints];
+            for (long i = 0; i < joints; i++) {
+                struct servo *s = servos + i;
+                s->after = s->moving ? 2 * s->middle - s->velocity : 0;
+                turning |= turns[i] = s->turning;
+                if (turns[i]) /* derivatives begin without the turn */
+                    s->middle = 0.5 * (s->velocity + s->turn[0]);
+                s->turning = 0;
             }
             if (parameters) {
                 if (between)
@@ -472,7 +478,7 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
                     memcpy(last, place, sizeof(double) * joints * wide);
                 differentiated(joints, wide, servos, h, between ? m : NULL, factor, owners, own, place, rate);
                 for (long i = 0; turning && i < joints; i++)
-                    if (servos[i].turning) {
+                    if (turns[i]) {
                         double friction[TERMS], resists[TERMS];
                         int mine[wide];
                         for (long k = 0; k < parameters; k++)

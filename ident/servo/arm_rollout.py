@@ -94,8 +94,8 @@ def _settled(
     for number in range(PASSES):
         loads, touches = [], []
         for motion, path in zip(motions, paths, strict=True):
-            # the first path is the command, which jumps
-            velocity = np.gradient(path, motion.step, axis=0) if number else np.zeros_like(path)
+            # the first path is the command, which jumps: joints would be given inertia that no pose has
+            velocity = np.gradient(path, motion.step, axis=0) if number else None
             loads.append(motion_load(links, motion, motion.grid, path, zero, velocity))
             if contact is not None:
                 touches.append(motion_touch(links, contact.link, motion, motion.grid, path))

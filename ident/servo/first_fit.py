@@ -121,14 +121,18 @@ def first_fit(
     centres = np.where(every_free & ~np.tile(free, (many, 1)), to_search(begun), np.tile(centre, (many, 1)))
     begun = search(wide, begun, np.concatenate(searched), np.tile(scale, many), centres, 8, EVERY_ERROR)
     costs = joint_cost(evaluate(wide, begun)[0], wide, np.tile(scale, many), EVERY_ERROR).reshape(many, -1)
-    # servos of one arm are mostly of one kind: a start of its own has to be clearly better than that of all
-    common = costs[np.argmin(costs[:, moving].sum(axis=1))]
-    own, which = np.argmin(costs, axis=0), np.full(len(values), np.argmin(costs[:, moving].sum(axis=1)))
-    which = np.where(costs.min(axis=0) < (1.0 - OWN_START) * common, own, which)
-    cheapest = which * len(values) + np.arange(len(values))
-    best, best_free, best_centre = begun[cheapest], every_free[cheapest], centres[cheapest]
-    best = search(chosen, best, best_free, scale, best_centre, 10, EVERY_ERROR)
-    best = search(chosen, best, best_free, error_scale(chosen, best, least), best_centre, 15, EVERY_ERROR)
+    # a profile and a drive's limit are told apart by searches to their ends
+    ended, rows = [], np.arange(len(values))
+    for part in (slice(0, len(ACCELERATIONS)), slice(len(ACCELERATIONS), many)):
+        cheapest = (part.start + _of_one_kind(costs[part], moving)) * len(values) + rows
+        best, best_free, best_centre = begun[cheapest], every_free[cheapest], centres[cheapest]
+        best = search(chosen, best, best_free, scale, best_centre, 10, EVERY_ERROR)
+        best = search(chosen, best, best_free, error_scale(chosen, best, least), best_centre, 15, EVERY_ERROR)
+        ended.append((best, best_free, best_centre))
+    kind = _of_one_kind(
+        np.array([joint_cost(evaluate(judged, end[0])[0], judged, scale, EVERY_ERROR) for end in ended]), moving
+    )
+    best, best_free, best_centre = (np.stack(arrays)[kind, rows] for arrays in zip(*ended, strict=True))
     offered = np.union1d(able[0], able[1]).tolist()
     saved = savings(judged, plain, best, offered, least, EVERY_ERROR)
     profiled = [joint for joint in saved if best_free[joint, limit]]
@@ -147,12 +151,19 @@ def first_fit(
             alike = search(own, alike, freed, scale, best_centre, 12, EVERY_ERROR)
         best[left], best_free[left] = alike[left], alike_free[left]
         saved = savings(judged, plain, best, offered, least, EVERY_ERROR)
-    rows = list(saved)
+    kept = list(saved)
     values, free = plain.copy(), free.copy()
-    values[rows], free[rows], centre[rows] = best[rows], best_free[rows], best_centre[rows]
+    values[kept], free[kept], centre[kept] = best[kept], best_free[kept], best_centre[kept]
     for joint, share in saved.items():
         gains[joint]["profile" if best_free[joint, limit] else "saturation"] = share
     return values, free
+
+
+def _of_one_kind(costs: FloatArray, moving: IndexArray) -> IndexArray:
+    """(n,) the cheapest start of each joint by costs (starts, n): that of all, or one of its own if clearly better."""
+    common = np.argmin(costs[:, moving].sum(axis=1))
+    clearly = costs.min(axis=0) < (1.0 - OWN_START) * costs[common]
+    return np.where(clearly, np.argmin(costs, axis=0), common)
 
 
 def largest_torques(lanes: Lanes, values: FloatArray) -> FloatArray:

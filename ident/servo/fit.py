@@ -35,8 +35,8 @@ WANTED_PIECES, LONGEST_PIECE = 60, 12.0
 whole motions, and a piece begins at the measured position, which hides where friction would have stopped the joint."""
 
 LATE_GAIN, ZERO_GAIN = 0.05, 0.25
-"""The same of a limit or a dead band, and of a zero: an offset makes up for some of what any joint's friction lacks, at
-other torques and for these motions only."""
+"""The same of a limit or a dead band, and of a zero, or of a profile beside a drive's limit: an offset makes up for
+some of what any joint's friction lacks, at other torques and for these motions only; a slow profile, for a limit."""
 
 LITTLE, FADING = 0.02, 0.1
 """Starts of load_breakaway and of the Stribeck velocity [rad/s]."""
@@ -243,7 +243,7 @@ def _settle_terms(
         if not len(able):
             continue
         progress(f"testing the term {group}")
-        share = ZERO_GAIN if group == "zero" else LATE_GAIN
+        share = ZERO_GAIN if group in ("zero", "profile") else LATE_GAIN
         # as many steps without the term: what a longer search saves is not the term's
         scale = error_scale(chosen, state.values, least)
         state.values = search(chosen, state.values, state.free, scale, centre, 12, BLOCKED_LITTLE)

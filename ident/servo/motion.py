@@ -32,8 +32,8 @@ GAP = 0.25
 SHORTEST = 3.0
 """[s] of a motion that can be used."""
 
-SMOOTHED = 0.14
-"""[s] span of the local polynomial through measured positions that gives velocities and accelerations."""
+SMOOTHED, SMOOTHED_MORE = 0.06, 0.14
+"""[s] spans of the local polynomials through measured positions that give velocities and accelerations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,15 +150,14 @@ def motion_load(
     (N, n) the joints move each other.
     """
     moved = (position + zero).T
-    thin = np.unique(np.append(np.arange(0, len(times), THINNED), len(times) - 1))
     torque = links.gravity(moved) if velocity is None else links.torque(moved, velocity.T, np.zeros_like(moved))
-    _, slope, matrix = links.along(moved[:, thin])
+    _, slope, matrix = links.along(moved)
     grid, joints = motion.grid, len(moved)
 
     def on_grid(stamps: FloatArray, values: FloatArray) -> FloatArray:
         return np.stack([np.interp(grid, stamps, row) for row in values], axis=1)
 
-    slopes, whole = on_grid(times[thin], slope), on_grid(times[thin], matrix.reshape(joints * joints, -1))
+    slopes, whole = on_grid(times, slope), on_grid(times, matrix.reshape(joints * joints, -1))
     inertia = whole[:, :: joints + 1]
     between = None if velocity is None else whole[::THINNED].reshape(-1, joints, joints)
     return MotionLoad(on_grid(times, torque) - zero * slopes, slopes, inertia, between)
@@ -169,8 +168,7 @@ def motion_touch(links: ServoLinks, link: int, motion: ServoMotion, times: Float
 
     Without the joints' `zero`: gravity tells it too badly to move the surface's height by it.
     """
-    thin = np.unique(np.append(np.arange(0, len(times), THINNED), len(times) - 1))
-    height, lever = links.heights(link, position[thin].T)
+    height, lever = links.heights(link, position.T)
     grid = motion.grid
 
     def on_grid(stamps: FloatArray, values: FloatArray) -> FloatArray:
@@ -178,8 +176,8 @@ def motion_touch(links: ServoLinks, link: int, motion: ServoMotion, times: Float
 
     return Touch(
         on_grid(times, position.T),
-        np.stack([on_grid(times[thin], row[None]) for row in height]),
-        np.stack([on_grid(times[thin], rows) for rows in lever]),
+        np.stack([on_grid(times, row[None]) for row in height]),
+        np.stack([on_grid(times, rows) for rows in lever]),
     )
 
 
@@ -277,9 +275,9 @@ def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray, know
     from scipy.signal import savgol_filter  # here, since `dynid excite` reads this module and needs no SciPy signals
 
     period = float(np.median(np.diff(motion.time)))
-    window = max(5, round(SMOOTHED / period) | 1)
     velocity, acceleration = (
-        savgol_filter(motion.position, window, 3, deriv=order, delta=period, axis=0) for order in (1, 2)
+        savgol_filter(motion.position, max(5, round(span / period) | 1), 3, deriv=order, delta=period, axis=0)
+        for order, span in ((1, SMOOTHED), (2, SMOOTHED_MORE))
     )
     load = motion_load(links, motion, motion.time, motion.position, zero, velocity)
     if not known or load.between is None:

@@ -32,8 +32,7 @@ TOUCH_DAMPING = 0.01
 """[s] Damping of a contact over its stiffness."""
 
 THINNED = 4
-"""Inertia and the slope of gravity are evaluated at every fourth sample, and inertia between joints at every fourth
-step: they change slowly."""
+"""Inertia between joints is evaluated at every fourth step: it changes slowly."""
 
 SWEEPS, SETTLED = 200, 1e-9
 """Rounds at most over the joints of a step and what they touch, and the change [rad/s or N] at which they agree."""
@@ -265,19 +264,13 @@ def _by_numpy(
         errors = goals.errors(index, position + p["bias"])
         now = inertia[index], resistance[index], lanes.load[index], offset[index]
         step = _step(half, p, *now, errors, goals.late, velocity, present)
-        middle, moving = step.velocity, step.moving
+        middle, gone = _turned(velocity, step.velocity, step.friction, step.divisor)
         if together.touched or lanes.between is not None:
-            middle, force[index] = together.settled(step, index, resistance[index], position, velocity)
-            moving = (velocity != 0.0) | (middle != 0.0)
-        after, gone = np.where(moving, 2.0 * middle - velocity, 0.0), middle
+            middle, gone, force[index] = together.settled(step, index, resistance[index], position, velocity)
+        after = np.where((velocity != 0.0) | (middle != 0.0), 2.0 * middle - velocity, 0.0)
         if lanes.between is not None:
             changed = (middle - velocity).reshape(-1, together.joints)
             pull[index] = np.einsum("pij,pj->pi", together.matrix(index), changed).ravel() / half
-        turning = velocity * after < 0.0
-        if turning.any():
-            passed = np.maximum(1.0 - np.sign(velocity) * step.toward * step.share, 0.0)
-            turn = _Turn.of(velocity, after, step.friction, resistance[index] + half**2 * step.acting * passed)
-            after, gone = np.where(turning, turn.back * after, after), np.where(turning, turn.gone, gone)
         velocity, position = after, position + h * gone
     terms, owners = parameters
     pieces = width // together.joints
@@ -443,15 +436,15 @@ class _Together:
 
     def settled(
         self, step: _Step, index: int, resistance: FloatArray, position: FloatArray, velocity: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Velocities (L,) in the middle of a step, and forces (P,) of the surface."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Velocities (L,) in the middle of a step and their means over it, and forces (P,) of the surface."""
         h, shape = self._half, self._middle.shape
         given = step.momentum, step.friction, step.toward, step.acting, step.share, velocity, self.lever[index]
         momentum, friction, toward, acting, share, before, lever = (each.reshape(shape) for each in given)
         above = self.clear[index] + np.sum(lever * position.reshape(shape), axis=1)
         matrix, resisting, middle = self.matrix(index), resistance.reshape(shape), self._middle
         hardness, damping = self.surface
-        divisor = np.empty(shape)
+        divisor, gone = np.empty(shape), np.empty(shape)
         for _ in range(SWEEPS):
             last, pressed = middle.copy(), self._pressed
             for joint in range(self.joints):
@@ -462,14 +455,17 @@ class _Together:
                 passed = np.maximum(1.0 - direction * toward[:, joint] * share[:, joint], 0.0)
                 divisor[:, joint] = resisting[:, joint] + h * h * acting[:, joint] * passed
                 moving = ~resting | (np.abs(pushed) > friction[:, joint])
-                middle[:, joint] = np.where(moving, (pushed - direction * friction[:, joint]) / divisor[:, joint], 0.0)
+                alone = np.where(moving, (pushed - direction * friction[:, joint]) / divisor[:, joint], 0.0)
+                middle[:, joint], gone[:, joint] = _turned(
+                    before[:, joint], alone, friction[:, joint], divisor[:, joint]
+                )
             if self.touched:
                 rate, give = (lever * middle).sum(axis=1), np.sum(lever**2 * (h / divisor) * (middle != 0.0), axis=1)
                 lacking = -hardness * (above + h * rate) - damping * rate - pressed
                 self._pressed = np.maximum(pressed + lacking / (1.0 + (h * hardness + damping) * give), 0.0)
             if max(np.max(np.abs(middle - last)), np.max(np.abs(self._pressed - pressed))) < SETTLED:
                 break
-        return middle.ravel().copy(), self._pressed
+        return middle.ravel().copy(), gone.ravel(), self._pressed
 
     def matrix(self, index: int) -> FloatArray:
         """(P, n, n) inertia between joints in a step, 0 on the diagonal."""
@@ -582,7 +578,7 @@ def _tangents(known: _Known, inertia: FloatArray) -> FloatArray:
     pulled = -gate * h * step.passed * step.acting
     driven = known.of_owners(gate * known.by_terms(step.passed, step.direction, step.velocity))
     turning = velocity * (2.0 * step.velocity - velocity) * step.moving < 0.0
-    turned = _turned(known, turning) if turning.any() else None
+    turned = _turn_slopes(known, turning) if turning.any() else None
     d_position, d_velocity = np.zeros_like(driven[:, 0]), np.zeros_like(driven[:, 0])
     change = np.empty_like(d_position)
     for index in range(len(velocity)):
@@ -600,7 +596,7 @@ def _tangents(known: _Known, inertia: FloatArray) -> FloatArray:
     return driven
 
 
-def _turned(
+def _turn_slopes(
     known: _Known, turning: BoolArray
 ) -> Callable[[int, FloatArray, FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
     """What turns (K, L) make of derivatives (F, L) in a step.
@@ -635,7 +631,7 @@ class _Turn(NamedTuple):
     """Joints (L,) that come to rest within a step: friction turns round with them, or holds them there from then on.
 
     Half of their fall of velocity if friction did not turn, the impulse that this takes, the share of their velocity
-    after it that they move back with, and their mean velocity. Other joints feel it from the next step on.
+    after it that they move back with, and their mean velocity.
     """
 
     half: FloatArray
@@ -650,6 +646,18 @@ class _Turn(NamedTuple):
         fall = np.abs(half) * resists
         back = np.maximum(1.0 - 2.0 * friction / fall, 0.0)
         return cls(half, fall, back, (velocity**2 - back * after**2) / (4.0 * half))
+
+
+def _turned(
+    velocity: FloatArray, middle: FloatArray, friction: FloatArray, resists: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Half of velocities (L,) before and after a step, and their means over it, from a middle without turns (L,)."""
+    after = 2.0 * middle - velocity
+    turning = velocity * after < 0.0
+    if not turning.any():
+        return middle, middle
+    turn = _Turn.of(velocity, after, friction, resists)
+    return np.where(turning, 0.5 * (velocity + turn.back * after), middle), np.where(turning, turn.gone, middle)
 
 
 def at_samples(lanes: Lanes, path: FloatArray) -> FloatArray:
