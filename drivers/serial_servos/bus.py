@@ -217,7 +217,7 @@ class ServoBus:
         else:
             said, hint = (
                 "does not answer",
-                "check check power, cable, id and baud rate; a servo keeps its id when it is moved to another joint "
+                "check power, cable, id and baud rate; a servo keeps its id when it is moved to another joint "
                 "to another joint",
             )
         raise ConnectionFailedError(f"{called(motor)} {said}", where=self.line.url, hint=hint)

@@ -145,7 +145,7 @@ def identify_slow_gains(
     sweeps = sweeps_of(*passes)
     if not sweeps:
         raise DataError(
-            "no joint passes the same positions slowly in both directions in both runs, with with the others at "
+            "no joint passes the same positions slowly in both directions in both runs, with the others at "
             "rest in the same pose",
             where=f"{free.label}, {loaded.label}",
             hint="record a motion of kind 'points', one joint after the other back and forth; without --up-and-down "
