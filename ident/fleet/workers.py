@@ -15,7 +15,7 @@ from drivers.core.cluster import cluster_executor
 from ident.fleet.job import JobOutcome, run_job
 from ident.fleet.plan import Job
 
-PRELOADED = ["ident.fleet.job", "ident.tasks.identification", "jinja2", "pinocchio", "scipy.fft", "threadpoolctl"]
+PRELOADED = ["ident.fleet.job", "ident.tasks.identification", "jinja2", "pinocchio", "scipy.special", "threadpoolctl"]
 """What every job needs, imported once for all."""
 
 
