@@ -222,15 +222,17 @@ def _gravity(
     return rows, np.asarray(np.einsum("nbN,b->nN", rows, parameters[inertial]))
 
 
-def urdf_scale_checks(
+def urdf_scale(
     robot_file: RobotFile,
     model: DynamicModel,
     base: BaseParameters,
     parameters: FloatArray,
     position: FloatArray,
     torques: Sequence[int],
-) -> list[Check]:
-    """Whether gravity's torques are those of the URDF's bodies, at all joints times one factor.
+) -> tuple[float, float] | None:
+    """Return gravity's torques over those of the URDF's bodies, and what the worst joint differs by from that factor.
+
+    None where the URDF states no bodies, fewer than two joints carry weight, or the factor is negative.
 
     Args:
         robot_file: its URDF, where it has one.
@@ -242,7 +244,7 @@ def urdf_scale_checks(
     """
     bodies = [body for body in urdf_inertias(robot_file, model.link_names) if body is not None]
     if len(bodies) < len(model.link_names) or len({mass for mass, _, _ in bodies}) < 2:  # equal masses: placeholders
-        return []
+        return None
     few = _few(position)
     stated = np.concatenate(
         [link_parameters(mass, list(centre), list(inertia[np.triu_indices(3)])) for mass, centre, inertia in bodies]
@@ -255,17 +257,29 @@ def urdf_scale_checks(
     size = np.where(model.sliding, 0.0, np.linalg.norm(urdf, axis=1))
     shown = [joint for joint in torques if size[joint] > SHOWN * size.max() > 0.0]
     if len(shown) < 2:
-        return []
+        return None
     factors = np.array([found[joint] @ urdf[joint] for joint in shown]) / size[shown] ** 2
     factor = float(np.median(factors))
-    if factor <= 0.0 or abs(np.log(factor)) < np.log(SCALED):
+    if factor <= 0.0:
+        return None
+    return factor, float(np.max(np.linalg.norm(found[shown] - factor * urdf[shown], axis=1) / (factor * size[shown])))
+
+
+def of_urdf(scale: tuple[float, float] | None) -> bool:
+    """Whether gravity's torques are those of the URDF's bodies, by what `urdf_scale` returns."""
+    return scale is not None and abs(np.log(scale[0])) < np.log(SCALED) and scale[1] < ALIKE
+
+
+def urdf_scale_checks(scale: tuple[float, float] | None) -> list[Check]:
+    """Check whether gravity's torques are the URDF's bodies' times one factor, by what `urdf_scale` returns."""
+    if scale is None:
         return []
-    left = np.linalg.norm(found[shown] - factor * urdf[shown], axis=1) / (factor * size[shown])
-    if np.max(left) > ALIKE * min(1.0, abs(float(np.log(factor)))):
+    factor, left = scale
+    if abs(np.log(factor)) < np.log(SCALED) or left > ALIKE * min(1.0, abs(float(np.log(factor)))):
         return []
     text = (
         f"gravity's torques are {factor:.2g} times those of the URDF's bodies, at all joints alike (within "
-        f"{percent_text(float(np.max(left)), 2)}): check the unit of torque or current and all drive gains, or the "
+        f"{percent_text(left, 2)}): check the unit of torque or current and all drive gains, or the "
         "URDF's masses"
     )
     return [raised("implausible-mass" if abs(np.log(factor)) > np.log(IMPOSSIBLE_SCALE) else "torques-scaled", text)]

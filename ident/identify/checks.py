@@ -19,7 +19,7 @@ from ident.assessment.model_errors import INDEPENDENT_PER_PARAMETER
 from ident.assessment.plausibility import POSES, indefinite_share, inertia_matrices, opposite_gravity, sign_checks
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.residual_tests import residual_checks
-from ident.assessment.torque_level import torque_level_checks, urdf_scale_checks, weight_checks
+from ident.assessment.torque_level import of_urdf, torque_level_checks, urdf_scale, urdf_scale_checks, weight_checks
 from ident.estimators.energy_model import fits_energy_better
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
@@ -89,6 +89,9 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     mistakes = [] if unsound else _mistake_checks(identification)
     torque = np.concatenate([run.signals.torque for run in identification.runs])
     levels = torque_level_checks(identification.robot_file, identification.model, torque)
+    scale = _urdf_scale(identification)
+    if of_urdf(scale):  # limits of a leg are for the whole animal, not for its own weight
+        levels = [check for check in levels if check.name != "torque-far-below-limits"]
     # A torque beyond its limit that is another joint's, or in part, is explained.
     of_others = any(
         "exchanged" in mistake.name or mistake.name in ("motors-coupled", "sign-or-column") for mistake in mistakes
@@ -140,7 +143,9 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     )
     # Bodies that the robot file states against the data have a wrong weight and place, too.
     denied = any(check.name == "known-contradicts-data" for check in checks)
-    checks += [] if named or levels else _weight_checks(identification)
+    if not (named or levels):
+        weight = [] if of_urdf(scale) else _weight_checks(identification)
+        checks += weight or urdf_scale_checks(scale)
     checks += [] if named else _bias_checks(identification)
     if consistent is not None and (sliding := weights_in_offsets(identification.model, identification.base)):
         text = (
@@ -253,24 +258,32 @@ def _weight_checks(identification: Identification) -> list[Check]:
     if consistent is not None:
         stated, without = consistent.parameters.base, consistent.parameters.without
         parameters = without if consistent.parameters.contradicted and without is not None else stated
-    segments = [segment for run in identification.runs for segment in run.prepared.segments]
-    position = np.concatenate([segment.position[:, segment.used] for segment in segments], axis=1)
     return weight_checks(
         identification.robot_file.robot,
         identification.model,
         identification.base,
         parameters,
-        position,
+        _positions(identification),
         None if consistent is None else consistent.parameters.apparent_mass,
         np.concatenate([run.signals.torque for run in identification.runs]),
-    ) or urdf_scale_checks(
+    )
+
+
+def _urdf_scale(identification: Identification) -> tuple[float, float] | None:
+    return urdf_scale(
         identification.robot_file,
         identification.model,
         identification.base,
-        solution.parameters,
-        position,
+        identification.solution.parameters,
+        _positions(identification),
         identification.experiment.torques,
     )
+
+
+def _positions(identification: Identification) -> FloatArray:
+    """(n, N) of all samples that count [rad or m]."""
+    segments = [segment for run in identification.runs for segment in run.prepared.segments]
+    return np.concatenate([segment.position[:, segment.used] for segment in segments], axis=1)
 
 
 def _bias_checks(identification: Identification) -> list[Check]:
