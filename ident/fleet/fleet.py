@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -146,11 +146,14 @@ def identify_fleet(
     count = (os.cpu_count() or 1) if workers is None else workers
     if not isinstance(count, int) or isinstance(count, bool) or count < 1:
         raise UsageError(f"{workers!r} workers cannot do any work", where="--workers", hint="1 or more")
+    written_to, inputs = (FLEET_RESULT, REPORT_FILE), [path_of(file)]
+    earlier = _earlier_jobs(folder / FLEET_RESULT)
+    check_output_folder(folder, written_to, inputs, overwrite=overwrite or earlier is not None)
     jobs = read_fleet(path_of(file))
     stages = [jobs, *merges(jobs)]
     names = [job.name for stage in stages for job in stage]
-    goes_on = _is_of_this_fleet(folder / FLEET_RESULT, names)
-    check_output_folder(folder, (FLEET_RESULT, REPORT_FILE), [path_of(file)], overwrite=overwrite or goes_on)
+    if earlier and earlier.isdisjoint(names):  # another fleet's
+        check_output_folder(folder, written_to, inputs, overwrite=overwrite)
     folder.mkdir(parents=True, exist_ok=True)
     by_name = {job.name: outcome for job in jobs if (outcome := finished(job, folder)) is not None}
     repeated = 0
@@ -192,11 +195,10 @@ def _kept(job: Job, folder: Path, by_name: dict[str, JobOutcome]) -> bool:
     return outcome is not None
 
 
-def _is_of_this_fleet(file: Path, names: Sequence[str]) -> bool:
-    """Return whether a regular file is what an earlier call has written that had a job in common, or none done yet."""
+def _earlier_jobs(file: Path) -> set[str] | None:
+    """Names of the jobs that an earlier call has done; None where a regular file is not what one has written."""
     try:
         content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() and not file.is_symlink() else None
-        earlier = {job["name"] for job in content["jobs"]} if content is not None else {""}
+        return None if content is None else {job["name"] for job in content["jobs"]}
     except (OSError, ValueError, TypeError, KeyError):
-        return False
-    return not earlier or not earlier.isdisjoint(names)
+        return None
