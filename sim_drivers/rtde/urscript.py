@@ -65,13 +65,14 @@ class UrscriptProgram:
         self._body = module.body[0].body
         self._variables: dict[str, object] = {}
         self._compiled: dict[ast.expr, CodeType] = {}
-        self._answers: dict[str, object] = {}
+        self._words: dict[str, object] = {}
         self._obeyed = 0
         self._run: _Run | None = None
 
     def begin(self, controller: Controller) -> None:
         """Start of the program."""
-        self._answers = {name: partial(self._answer, controller, name) for name in WORDS - MOVES}
+        answers = {name: partial(self._answer, controller, name) for name in WORDS - MOVES}
+        self._words = {"__builtins__": {}, **answers}
         self._run = self._block(self._body, controller)
 
     def kick(self, controller: Controller, received: Mapping[str, Value]) -> None:
@@ -131,13 +132,16 @@ class UrscriptProgram:
 
     def _value(self, expression: ast.expr) -> object:
         if expression not in self._compiled:
-            if not all(isinstance(node, _EXPRESSIONS) for node in ast.walk(expression)):
+            if not _is_simulated(expression):
                 raise UsageError(f"'{ast.unparse(expression)}' is not simulated")
             self._compiled[expression] = compile(ast.Expression(expression), "<URScript>", "eval")
         try:
-            return eval(self._compiled[expression], {"__builtins__": {}} | self._answers, self._variables)
+            value = eval(self._compiled[expression], self._words, self._variables)
         except NameError as error:
             raise UsageError(f"'{error.name}' is not simulated") from error
+        if isinstance(value, list):
+            return np.array([_number(element) for element in value])
+        return _number(value) if isinstance(value, int) else value
 
     def _answer(self, controller: Controller, name: str, *values: object) -> object:
         """Return what a function that takes no time returns."""
@@ -157,3 +161,26 @@ class UrscriptProgram:
                     controller.values[f"output_int_register_{number}"] = value
                     return None
         raise UsageError(f"{name} with {len(values)} arguments is not simulated")
+
+
+def _is_simulated(expression: ast.expr) -> bool:
+    """Whether an expression is simulated: lists stand alone, and texts in calls, so that neither is multiplied."""
+    nodes = list(ast.walk(expression))
+    texts = {argument for node in nodes if isinstance(node, ast.Call) for argument in node.args}
+    for node in nodes:
+        if not isinstance(node, _EXPRESSIONS) or (isinstance(node, ast.List) and node is not expression):
+            return False
+        if isinstance(node, ast.Constant) and not isinstance(node.value, int | float) and node not in texts:
+            return False
+    return True
+
+
+def _number(value: object) -> float:
+    """A number that a controller holds.
+
+    Raises:
+        UsageError: it is none, or an integer of more than 32 bits.
+    """
+    if not isinstance(value, int | float) or (isinstance(value, int) and not -(2**31) <= value < 2**31):
+        raise UsageError("a value is not a number that the controller holds")
+    return value

@@ -53,6 +53,11 @@ def test_statements_mean_what_the_manual_says(controller: Controller, body: str,
         ("x = (1).real", "is not simulated"),
         ("import os", "is not simulated"),
         ("x = [1][0]", "is not simulated"),
+        ("x = [0] * 9999999999", "is not simulated"),
+        ("x = (1 and [0]) * 9999999999", "is not simulated"),
+        ("x = 'a'", "is not simulated"),
+        ("x = [0]\ny = [x, x]", "not a number"),
+        ("x = 2\nwhile True:\n  x = x * x\nend", "not a number that the controller holds"),
     ],
 )
 def test_what_is_not_simulated_ends_the_program(controller: Controller, body: str, reason: str) -> None:
