@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from ident.regression.least_squares import LEAST_TORQUE
 from ident.signals.copied_runs import copied_run
 from ident.signals.joint_signals import JointSignals, read_joint_signals
 from ident.signals.options import PreprocessChoices
-from ident.signals.sample_hashes import HashArray, kept_hashes, overlap, sample_hashes
+from ident.signals.sample_hashes import HashArray, check_counted_once, overlap, sample_hashes
 from ident.signals.segments import played_window
 
 
@@ -106,14 +105,15 @@ def split_data(
         DataError: as `read_joint_signals`.
     """
     runs = tuple(run_window(recording, robot, chosen) for recording in recordings)
-    _check_counted_once(runs)
+    used = []
+    if validation or len(runs) > 1:
+        used = check_counted_once([run.signals.label for run in runs], [run.hashes for run in runs])
     if validation:
         if split is not None:
             raise UsageError(
                 "--split and --validate exclude each other", hint="name the held-out recording, or split one"
             )
         held_out = tuple(run_window(recording, robot, PreprocessChoices()) for recording in validation)
-        used = [kept_hashes(run.hashes) for run in runs]
         held_out = tuple(replace(run, overlap=overlap(run.hashes, used)) for run in held_out)
         for run in held_out:
             if run.overlap >= 1.0:
@@ -196,18 +196,6 @@ def check_torques(runs: Sequence[RunWindow], torques: Sequence[int], names: Sequ
             where=", ".join(run.signals.label for run in runs),
             hint=f"check the column of the torque or current, or omit it: --torques-of {','.join(measured)}",
         )
-
-
-def _check_counted_once(runs: Sequence[RunWindow]) -> None:
-    """Refuse recordings that share samples: these would count twice, and part of them be held out from themselves."""
-    for first, second in combinations(runs, 2):
-        share = overlap(second.hashes, [kept_hashes(first.hashes)])
-        if share > 0.0:
-            raise UsageError(
-                f"{percent_text(share, 2)} of its samples are those of {first.signals.label}; they would count twice",
-                where=second.signals.label,
-                hint="give each recording once, without copies or parts of it",
-            )
 
 
 def _split(run: RunWindow, split: float | None) -> tuple[RunWindow, RunWindow]:

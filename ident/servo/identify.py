@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from itertools import combinations
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,7 +15,7 @@ from daq.recording.quality.quantisation import resolution
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
-from drivers.core.errors import DataError, IdentificationError, UsageError
+from drivers.core.errors import DataError, IdentificationError
 from drivers.core.reading_process import Progress
 from drivers.core.software import software_versions
 from ident.assessment.command_checks import refuse_unusable_commands
@@ -41,7 +40,7 @@ from ident.servo.result import (
 )
 from ident.servo.simulators.mjcf import model_paths, read_model_file
 from ident.servo.terms import TERMS
-from ident.signals.sample_hashes import HashArray, kept_hashes, overlap, sample_hashes
+from ident.signals.sample_hashes import SAME_DATA, HashArray, check_counted_once, overlap, sample_hashes
 
 HELD_OUT = 0.3
 """Share at the end of each recording that validates, where no other recording does."""
@@ -91,6 +90,7 @@ def identify_servo(
 
     Raises:
         DataError: a recording has no commands, or its positions do not follow them.
+        UsageError: the samples of one recording are another's.
         RobotFileError: a link's mass is not known.
         IdentificationError: no joint moves.
         UsageError, ModelError: the MJCF cannot be rolled out.
@@ -104,7 +104,9 @@ def identify_servo(
     reference = None if model_file is None else read_model_file(model_file, robot.joint_names)
     progress("reading commands")
     parts = [read_motions(recording, file) for recording in recordings]
-    _check_counted_once(parts)
+    used = check_counted_once(
+        [recording.label for recording in recordings], [_hashes(part) for part in parts], SAME_DATA
+    )
     motions = [motion for part in parts for motion in part]
     if held_out:
         judged = [motion for recording in held_out for motion in read_motions(recording, file)]
@@ -122,7 +124,6 @@ def identify_servo(
     lag = delay_and_lag(motions)
     contact = fitted.contact
     fit, _ = judge(motions, links, fitted.values, lag, contact, None, held_out=False)
-    used = [kept_hashes(_hashes(part)) for part in parts]
     own = not (held_out and _uses(judged, used))
     validation, paths = judge(judged, links, fitted.values, lag, contact, reference, held_out=own)
     joints = [_joint(fitted, row, name, links.model.sliding[row]) for row, name in enumerate(robot.joint_names)]
@@ -151,8 +152,8 @@ def identify_servo(
         validation=validation,
         validation_source=source,
         recordings=[
-            *(_use(recording, file, "identification") for recording in recordings),
-            *(_use(recording, file, "validation") for recording in held_out),
+            *(_use(recording, file, "identification", kept) for recording, kept in zip(recordings, used, strict=True)),
+            *(_use(recording, file, "validation", []) for recording in held_out),
         ],
         versions=software_versions(),
         verdict=verdict(robot.joint_names, joints, validation, steps, contact),
@@ -395,7 +396,7 @@ def _encoder_steps(motions: Sequence[ServoMotion]) -> FloatArray:
     return np.maximum(np.where(np.isfinite(known), known, common), 1e-6)
 
 
-def _use(recording: Recording, file: RobotFile, role: str) -> ServoRecording:
+def _use(recording: Recording, file: RobotFile, role: str, kept: list[int]) -> ServoRecording:
     recorded = commanded_motion(recording, file.robot)
     seconds = float(recorded.time[-1] - recorded.time[0])
     return ServoRecording.model_validate(
@@ -403,7 +404,7 @@ def _use(recording: Recording, file: RobotFile, role: str) -> ServoRecording:
             "file": recording.label,
             "role": role,
             **provenance(recording, file.robot.joint_names),
-            "sample_hashes": kept_hashes(_hashes(servo_motions(recorded, recording.label))),
+            "sample_hashes": kept,
             "seconds": seconds,
             "rate_hz": (len(recorded.time) - 1) / seconds,
         }
@@ -419,15 +420,3 @@ def _hashes(motions: Sequence[ServoMotion]) -> HashArray:
 def _uses(motions: Sequence[ServoMotion], used: Sequence[Sequence[int]]) -> bool:
     """Whether the samples of some motion are in recordings of which hashes were kept."""
     return any(overlap(_hashes([motion]), used) >= 1.0 for motion in motions)
-
-
-def _check_counted_once(parts: Sequence[Sequence[ServoMotion]]) -> None:
-    """Refuse a recording whose samples are another's."""
-    hashes = [_hashes(part) for part in parts]
-    for (first, own), (second, other) in combinations(zip(parts, hashes, strict=True), 2):
-        if max(overlap(own, [kept_hashes(other)]), overlap(other, [kept_hashes(own)])) >= 1.0:
-            raise UsageError(
-                f"its samples are those of {first[0].label}; they would count twice",
-                where=second[0].label,
-                hint="give each recording once, without copies or parts of it",
-            )

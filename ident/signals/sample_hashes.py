@@ -10,11 +10,14 @@ the samples of one recording whose hash lies below the largest that is kept of t
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
+from drivers.core.errors import UsageError
+from drivers.core.text import percent_text
 
 KEPT = 1024
 """Hashes that are kept of a recording."""
@@ -74,6 +77,34 @@ def overlap(hashes: HashArray, others: Iterable[Sequence[int]]) -> float:
     common = np.isin(comparable, np.concatenate([np.asarray(of_run, dtype=np.uint64) for of_run in kept]))
     share = float(np.mean(common))
     return 0.0 if share <= LEAST_OVERLAP else 1.0 if share >= SAME_DATA else share
+
+
+def check_counted_once(
+    labels: Sequence[str], hashes: Sequence[HashArray], least: float = LEAST_OVERLAP
+) -> list[list[int]]:
+    """Refuse recordings that share samples: these would count twice, and part of them be held out from themselves.
+
+    Args:
+        labels: of the recordings.
+        hashes: of all their samples.
+        least: share of common samples from which on they are refused.
+
+    Returns:
+        The hashes that are kept of each.
+
+    Raises:
+        UsageError: two share samples.
+    """
+    kept = [kept_hashes(own) for own in hashes]
+    for first, second in combinations(range(len(labels)), 2):
+        share = max(overlap(hashes[second], [kept[first]]), overlap(hashes[first], [kept[second]]))
+        if share > 0.0 and share >= least:
+            raise UsageError(
+                f"up to {percent_text(share, 2)} of its samples are those of {labels[first]}; they would count twice",
+                where=labels[second],
+                hint="give each recording once, without copies or parts of it",
+            )
+    return kept
 
 
 def _significant(values: FloatArray, digits: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
