@@ -134,7 +134,7 @@ static void begin(struct servo *s, double h, double older, double newer, double 
     s->push = 0;
 }
 
-/* A joint that comes to rest within a step: friction turns round with it, or holds it there from then on. `turn` is its
+/* A joint that comes to rest within a step: friction reverses with it, or holds it there from then on. `turn` is its
    velocity after the step if friction had not turned, half of its fall, and the share that it moves back with. */
 static void turned(struct servo *s)
 {

@@ -628,7 +628,7 @@ def _turn_slopes(
 
 
 class _Turn(NamedTuple):
-    """Joints (L,) that come to rest within a step: friction turns round with them, or holds them there from then on.
+    """Joints (L,) that come to rest within a step: friction reverses with them, or holds them there from then on.
 
     Half of their fall of velocity if friction did not turn, the impulse that this takes, the share of their velocity
     after it that they move back with, and their mean velocity.

@@ -206,7 +206,7 @@ def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock
     robot = robot_file.robot
     keys = table_keys(robot, family, options, "there are no ids", "docs/can-motors.md")
     settings = parse_settings(keys, robot.joint_names, family)
-    # Of the plant, whose drives are told torques, place and contacts are taken: motors have a plant of their own.
+    # Of the plant, whose drives are commanded torques, place and contacts are taken: motors have a plant of their own.
     server = CanMotorServer(robot_file, settings, plant.position.copy(), clock, held=True)
     server.plant.arm.contacts = plant.contacts
     return server

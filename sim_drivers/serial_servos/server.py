@@ -360,7 +360,7 @@ def serve(robot_file: RobotFile, plant: Plant, options: SimOptions, clock: Clock
     if options.channel is not None:
         keys["url"] = options.channel
     settings = parse_settings(keys, robot.joint_names, robot_file.folder, driver)
-    # Of the plant, whose drives are told torques, place and contacts are taken: servos have a plant of their own.
+    # Of the plant, whose drives are commanded torques, place and contacts are taken: servos have a plant of their own.
     server = SerialServoServer(robot_file, settings, plant.position.copy(), options.seed, clock=clock)
     server.plant.arm.contacts = plant.contacts
     return server

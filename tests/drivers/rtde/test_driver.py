@@ -325,7 +325,7 @@ def test_motion_begins_where_the_arm_stands_and_ends_with_stop(clock: SimulatedC
     joints = [block for block in blocks if block.stream == "joints"]
     assert sum(block.lost for block in joints) == 0  # taking control costs no sample
     assert_recorded(joints, arm)
-    # A lookahead of 0.1 s and a delay of 0.06 s behind at 0.1 rad/s when it is told to stop.
+    # A lookahead of 0.1 s and a delay of 0.06 s behind at 0.1 rad/s when it is asked to stop.
     assert joints[-1].values["position"][-1, 0] - position[0] == pytest.approx(0.0002 * 499 - 0.016, abs=1e-3)
     assert np.all(arm.values("velocity")[-1] == 0.0)
     assert {notice.level for notice in driver.notices()} == {"info"}
