@@ -130,9 +130,9 @@ def test_the_trajectory_of_the_docs_is_valid():
     from daq.motion.trajectory_file import parse_trajectory
     from daq.robot.loader import load_robot
 
-    text = (REPOSITORY / "docs" / "recording-ur.md").read_text(encoding="utf-8")
+    text = (REPOSITORY / "docs" / "trajectories.md").read_text(encoding="utf-8")
     block = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
     assert block is not None
     robot = load_robot("ur5e").robot
-    played = parse_trajectory(block[1].replace("my_ur5e", "ur5e"), robot, where="docs", folder=None)
+    played = parse_trajectory(block[1], robot, where="docs", folder=None)
     assert played.motion.duration == pytest.approx(28.0)
