@@ -16,10 +16,10 @@ from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray, IntArray
-from drivers.core.errors import DataError, UsageError
 from ident.assessment.delay.delay import DelaySearch, search_delay
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recording_checks import closing_checks
+from ident.model.another_arm import check_one_arm
 from ident.model.base_parameters import BaseParameters, base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.regressor import RegressorKernel
@@ -76,31 +76,6 @@ class BlockGrams:
         return int(self.grams[0][0].shape[0])
 
 
-def check_same_robot(free: Recording, loaded: Recording) -> None:
-    """Refuse two recordings of different arms, and the same file twice.
-
-    Raises:
-        DataError: names, joints or geometry differ.
-        UsageError: free and loaded run are one file.
-    """
-    if free.path is not None and free.path == loaded.path:
-        raise UsageError("free and loaded run are the same file", where=free.label)
-    first, second = free.robot(), loaded.robot()
-    if first.robot.name != second.robot.name:
-        difference = f"one is of '{first.robot.name}', the other of '{second.robot.name}'"
-    elif first.robot.joint_names != second.robot.joint_names:
-        difference = "their robot files name different joints"
-    elif first.robot.model != second.robot.model or first.urdf_text != second.urdf_text:
-        difference = "their robot files have different kinematics or gravity"
-    else:
-        return
-    raise DataError(
-        f"the two recordings are of different arms: {difference}",
-        where=f"{free.label}, {loaded.label}",
-        hint="a free and a loaded run of the same arm are needed",
-    )
-
-
 def prepare_pair(
     free: Recording,
     loaded: Recording,
@@ -113,7 +88,7 @@ def prepare_pair(
     Raises:
         DynidError: the recordings are of different arms, or one of them lacks something.
     """
-    check_same_robot(free, loaded)
+    check_one_arm([free, loaded])
     robot_file = free.robot() if robot_file is None else robot_file
     motions = [motion_of(recording, robot_file.robot) for recording in (free, loaded)]
     model = build_model(robot_file)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
-from drivers.core.errors import DataError
+from drivers.core.errors import DataError, UsageError
 from ident.model.dynamic_model import build_model
 
 SAME_PLACE = 1e-4
@@ -48,3 +48,25 @@ def check_arm(recordings: Iterable[Recording], robot_file: RobotFile) -> None:
                 where=recording.label,
                 hint="recordings of one arm are needed; if they are, identify with --robot FILE",
             )
+
+
+def check_one_arm(recordings: Sequence[Recording]) -> None:
+    """Refuse recordings of which one is of another arm than the first, by name too, and a file given twice.
+
+    Raises:
+        DataError: name, joints, geometry or gravity differ.
+        UsageError: two are one file.
+    """
+    own, paths = recordings[0].robot(), set()
+    for recording in recordings:
+        if recording.path in paths:
+            raise UsageError("the same file is given twice", where=recording.label)
+        paths |= {recording.path} - {None}
+        theirs = recording.robot()
+        difference = another_arm(own, theirs)
+        if not difference and theirs.robot.name != own.robot.name:
+            difference = f"is of {theirs.robot.name}, not of {own.robot.name}"
+        if not difference and theirs.robot.model.gravity != own.robot.model.gravity:
+            difference = f"has gravity {theirs.robot.model.gravity}, not {own.robot.model.gravity}"
+        if difference:
+            raise DataError(difference, where=recording.label, hint="recordings of one arm are needed")

@@ -17,10 +17,10 @@ from drivers.core.software import software_versions
 from ident.experiments.friction.joint_data import JointExperiment
 from ident.experiments.friction.joint_fit import fit_joint
 from ident.experiments.friction.single_joint import JointPeriods, joint_periods
-from ident.experiments.run_pair import check_same_robot
 from ident.friction.choice import AUTO, WORDS, check_friction
 from ident.friction.table import POSITION_KINDS
 from ident.identify.identification import IdentifyChoices
+from ident.model.another_arm import check_one_arm
 from ident.result.friction_experiment import FrictionExperimentResult
 from ident.signals.options import PreprocessChoices
 
@@ -55,8 +55,7 @@ def analyse_friction(
         raise UsageError(
             f"the experiment has no term '{periodic[0]}'", where="--friction", hint=f"identify --friction {friction}"
         )
-    for other in recordings[1:]:
-        check_same_robot(recordings[0], other)
+    check_one_arm(recordings)
     robot_file = recordings[0].robot() if robot_file is None else robot_file
     choices = IdentifyChoices(preprocess=PreprocessChoices(delay=delay or 0.0), search_delay=delay is None)
     periods = joint_periods(recordings, robot_file, choices, progress)

@@ -27,9 +27,9 @@ from drivers.core.text import percentage_text
 from ident.experiments.gains.drive_gains import LEAST_GAP, JointGain
 from ident.experiments.gains.gain_system import signal_of, torques_by
 from ident.experiments.gains.slow_passes import Sweep, passes_of, sweeps_of
-from ident.experiments.run_pair import check_same_robot
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.linear_algebra.triangular import triangular
+from ident.model.another_arm import check_one_arm
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.load import FIRST_MOMENTS, KnownLoad, load_effect
@@ -136,7 +136,7 @@ def identify_slow_gains(
         DataError: different arms, no motor signal, no joint with slow passes in both directions and both runs.
         IdentificationError: the gains are confounded with the unknown centre of mass.
     """
-    check_same_robot(free, loaded)
+    check_one_arm([free, loaded])
     robot_file = free.robot() if robot_file is None else robot_file
     robot = robot_file.robot
     model = build_model(robot_file)

@@ -9,7 +9,7 @@ import pytest
 import dynid
 from daq.robot.loader import load_robot
 from drivers.core.errors import DataError
-from ident.model.another_arm import another_arm, check_arm
+from ident.model.another_arm import another_arm, check_arm, check_one_arm
 
 
 def test_another_arm_is_named() -> None:
@@ -28,3 +28,12 @@ def test_recordings_of_arms_with_equal_joint_names_are_told_apart() -> None:
         dynid.identify(small, validation=large)
     renamed = replace(large, robot_text=large.robot_text.replace("name: ur10e", "name: ur5e"))
     check_arm([small, renamed, replace(large, robot_text="")], load_robot("ur5e"))
+
+
+def test_an_experiment_takes_recordings_of_one_arm_mounted_in_one_way() -> None:
+    run = dynid.simulate("ur5e", duration=1.0, seed=1, rate=100.0)
+    turned = run.robot_text.replace("gravity: [0, 0, -9.81]", "gravity: [0, 1, -9.76]")
+    assert turned != run.robot_text
+    check_one_arm([run, run])
+    with pytest.raises(DataError, match=r"has gravity \(0.0, 1.0, -9.76\), not"):
+        check_one_arm([run, replace(run, robot_text=turned)])

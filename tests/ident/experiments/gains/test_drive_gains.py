@@ -140,7 +140,7 @@ def test_drives_that_give_torque_are_refused():
 def test_different_arms_are_refused():
     free, loaded = runs(0)
     other = loaded.robot_text.replace("name: ur10e", "name: another")
-    with pytest.raises(DataError, match="different arms"):
+    with pytest.raises(DataError, match="is of another, not of ur10e"):
         identify_gains(free, replace(loaded, robot_text=other), KnownLoad(2.8))
 
 
