@@ -202,7 +202,7 @@ def test_different_arms_are_refused(three_joint):
     other = simulate_recording(
         three_joint, random_fourier_motion(build_model(three_joint), 10.0, seed=0, candidates=2), 5.0, seed=0
     )
-    with pytest.raises(DataError, match="is of three_joint with joints .* not of ur10e"):
+    with pytest.raises(DataError, match=r"is of three_joint with joints .* not of ur10e"):
         identify_payload(free, other)
     moved = loaded.robot_text.replace("r: 0.11655", "r: 0.1")
     with pytest.raises(DataError, match="is placed differently"):
