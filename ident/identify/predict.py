@@ -11,7 +11,8 @@ from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.units import ZERO_CELSIUS
-from ident.identify.revalidate import stored_choices
+from ident.identify.data_split import RunWindow
+from ident.identify.revalidate import stored_choices, used_share
 from ident.model.another_arm import check_arm
 from ident.result.models.model import Model, TorquePart
 from ident.signals.joint_signals import JointSignals, joint_positions, joint_temperature, read_joint_signals
@@ -56,6 +57,7 @@ class RecordingPrediction:
     torque_origin: str  # where the recorded torque comes from; empty where none was recorded
     steps: tuple[str, ...]  # how the recording was processed, a sentence per step
     presliding: bool  # whether dry friction follows Dahl's model near velocity reversals
+    overlap: float  # share of the recorded samples that the model was identified from; 0 where no torque is recorded
 
 
 def predict_recording(model: Model, robot_file: RobotFile, recording: Recording) -> RecordingPrediction:
@@ -99,6 +101,7 @@ def predict_recording(model: Model, robot_file: RobotFile, recording: Recording)
             "all samples kept",
         ),
         presliding=model.slides_gradually,
+        overlap=used_share(model.result, recording, RunWindow(signals, None, None)) if signals.torque_origin else 0.0,
     )
 
 

@@ -52,7 +52,7 @@ def read_result(path: Path) -> Result:
         raise ResultFileError(
             "is a servo model, which has no torques",
             where=str(path),
-            hint="dynid validate, dynid diff and dynid export --mjcf take it, and in Python dynid.load_servo_model",
+            hint="dynid validate, predict, diff and export --mjcf take it, and in Python dynid.load_servo_model",
         )
     if content.get("kind") == GRAVITY:
         raise ResultFileError(

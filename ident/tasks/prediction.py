@@ -22,6 +22,7 @@ from drivers.core.options import keywords_of
 from drivers.core.software import software_versions
 from drivers.core.units import common_unit
 from drivers.streams import UNITS
+from ident.identify.data_split import labelled
 from ident.identify.predict import PARTS, RecordingPrediction, predict_recording
 from ident.report.prediction_page import prediction_figure, prediction_page
 from ident.result.delivered import Parameters
@@ -229,7 +230,7 @@ def predict(options: PredictOptions) -> Prediction:
     residual = [segment.residual for segment in segments if segment.residual is not None]
     return Prediction(
         robot_file=robot_file,
-        label=recording.label,
+        label=labelled(recording.label, predicted.overlap),
         joint_names=model.joint_names,
         time=np.concatenate([segment.time for segment in segments]),
         position=np.concatenate([segment.position for segment in segments]),

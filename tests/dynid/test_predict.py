@@ -51,6 +51,11 @@ def test_the_residual_is_as_large_as_validation_says_and_within_its_deviation(pr
     assert np.all(prediction.residual_std >= prediction.std)
 
 
+def test_data_of_the_identification_are_said_not_to_be_held_out(prediction, result, run):
+    assert "NOT held out" in dynid.predict(result, run).summary.title
+    assert "held out" not in prediction.summary.title
+
+
 def test_an_external_torque_appears_in_the_residual_with_the_sign_that_is_written(prediction, result, other):
     time = other.streams["joints"].time - other.streams["joints"].time[0]
     extra = np.zeros((len(time), 6))

@@ -98,14 +98,15 @@ def predict_servo_command(path: Path, run: Path, out: Path, *, as_json: bool, fo
     rolled = model.predict(run)
     judged = model.validate(run)
     write_recording(out, rolled, overwrite=force)
+    validation = judged.result.validation
+    assert validation is not None
     if as_json:
         from daq.commands.console import print_json
 
-        validation = judged.result.validation
-        assert validation is not None
         print_json({"file": str(out), "joints": judged.result.joints, "validation": validation.model_dump(mode="json")})
         return
-    print(f"Positions rolled out on the commands alone: {out}")
+    used = "" if validation.held_out else " (NOT held out: these data are in the identification)"
+    print(f"Positions rolled out on the commands alone{used}: {out}")
     print_tables([judged.errors])
 
 

@@ -66,6 +66,7 @@ def predict_torque(
                 "page": None if page is None else str(page),
                 "parameters": options.parameters,
                 "presliding": prediction.segments.presliding,
+                "overlap": prediction.segments.overlap,
                 "samples": len(prediction.time),
                 "segments": len(prediction.segments.segments),
                 "rate_hz": prediction.segments.segments[0].rate,
