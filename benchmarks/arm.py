@@ -13,8 +13,8 @@ import numpy as np
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import DynamicModel, build_model
+from ident.model.dynamics.pinocchio_model import PINOCCHIO_ORDER
 from ident.model.parameters import INERTIAL
-from ident.model.pinocchio_model import PINOCCHIO_ORDER
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from ident.signals.prepared import Segment

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import DynamicModel
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 
 Motion = tuple[FloatArray, FloatArray, FloatArray]
 """Position, velocity, acceleration (N, n): a row a sample, as the peers take them."""

@@ -30,8 +30,8 @@ from ident.excite.search.problem import DesignProblem
 from ident.excite.search.search import SearchChoices
 from ident.excite.search.solve import ROUNDS, solve
 from ident.model.dynamic_model import build_model
+from ident.model.dynamics.pinocchio_model import PINOCCHIO_ORDER
 from ident.model.parameters import INERTIAL
-from ident.model.pinocchio_model import PINOCCHIO_ORDER
 
 TARGET = 12.0
 """The condition number whose time is taken."""

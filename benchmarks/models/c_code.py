@@ -20,7 +20,7 @@ from ident.export.c_code.write import write_c
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 
 COMPARED = """\

@@ -28,7 +28,7 @@ from ident.excite.choices import FEWEST_POSES, GravityChoices
 from ident.excite.families.moving_joints import ONE_TURN, middle_of_range
 from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.prior import PriorKnowledge
-from ident.model.gravity_base import gravity_base, gravity_columns, gravity_rows, resting_model
+from ident.model.base_parameters import gravity_base, gravity_columns, gravity_rows, resting_model
 
 STROKE, SLIDE = 0.2, 0.05
 """Length of a pass [rad, m]: a few periods of a gear's ripple, and gravity is nearly constant along it."""

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from ident.export.arm import ExportedArm
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.parameters import LINK_SIZE
-from ident.model.pinocchio_model import pinocchio_model
 
 
 def pinocchio_arm(arm: ExportedArm) -> Any:

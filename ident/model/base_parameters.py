@@ -4,6 +4,9 @@ They are found numerically from random states inside the joint limits, never fro
 does not depend on what somebody happened to record. Columns are kept greedily in a fixed order of preference that
 follows Khalil's regrouping rules (keep XX XY XZ YZ ZZ MX MY, regroup YY MZ M towards the base), so that the choice is
 stable and reads like the papers' tables.
+
+Gravity parameters are those of an arm at rest, which shows first moments and masses only, and of those fewer
+combinations than an arm in motion: nothing of what turns about a vertical axis.
 """
 
 from __future__ import annotations
@@ -14,17 +17,18 @@ from functools import lru_cache
 
 import numpy as np
 
+from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from drivers.core.units import ZERO_CELSIUS
 from ident.friction.table import FRICTION_KINDS, SHAPES
-from ident.friction.terms import NO_TERMS
+from ident.friction.terms import NO_TERMS, LoadTorque
 from ident.linear_algebra.independent_columns import independent_columns
-from ident.model.dynamic_model import DynamicModel
+from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.joint_columns import joint_column
 from ident.model.kinematics.loops import main_chain
 from ident.model.parameters import StandardParameter
-from ident.model.regressor import RegressorKernel, motion_factor
+from ident.model.regressor import RegressorKernel, motion_factor, regressor
 
 RANDOM_SEED = 20260101
 STATES_PER_PARAMETER = 6
@@ -277,3 +281,46 @@ def _expression(row: FloatArray, column: int, parameters: tuple[StandardParamete
         terms.append(f"{'-' if row[i] < 0 else '+'} {factor}{parameters[i].name}")
     name = f"{kept.symbol}R{kept.joint + 1}" if others else kept.name
     return name, " ".join(terms)
+
+
+def gravity_of(base: BaseParameters, parameters: FloatArray) -> LoadTorque:
+    """Return what the links' parameters among base parameters (b,) say of gravity (AUBO eq. 18)."""
+    links = [place for place, kind in enumerate(base.kinds) if kind == "inertial"]
+    return LoadTorque(tuple(base.columns[place] for place in links), tuple(parameters[links].tolist()))
+
+
+def resting_model(robot_file: RobotFile) -> DynamicModel:
+    """The model of an arm whose motors have an offset and nothing that a motion shows.
+
+    Raises:
+        RobotFileError: the geometry cannot be used.
+    """
+    model = build_model(robot_file)
+    none, every = (False,) * model.dof, (True,) * model.dof
+    return replace(model, motor_inertia=none, viscous=none, coulomb=none, offset=every, terms=NO_TERMS, presliding=())
+
+
+def gravity_base(model: DynamicModel) -> BaseParameters:
+    """Base parameters of a `resting_model`, offsets among them.
+
+    A joint that slides along gravity has its weight and its offset in one parameter.
+
+    Raises:
+        IdentificationError: their number cannot be decided.
+    """
+    kernel = RegressorKernel(model)
+    position, _, _ = random_states(model, max(100, STATES_PER_PARAMETER * len(kernel.columns)))
+    still = np.zeros_like(position)
+    return base_parameters_of(model, motion_factor(kernel, position, still, still))
+
+
+def gravity_rows(model: DynamicModel, base: BaseParameters, position: FloatArray) -> FloatArray:
+    """Rows (N, n, b) of the motors' torques in poses (N, n) by the gravity parameters, offsets among them."""
+    still = np.zeros_like(position.T)
+    rows = regressor(model, np.ascontiguousarray(position.T), still, still, base.columns)
+    return np.ascontiguousarray(np.moveaxis(rows, -1, 0))
+
+
+def gravity_columns(base: BaseParameters) -> list[int]:
+    """Indices of the parameters other than offsets, which thus weigh."""
+    return [index for index, kind in enumerate(base.kinds) if kind == "inertial"]

@@ -203,3 +203,14 @@ def quantity_of(parameter: StandardParameter) -> str:
 
 def _entries(values: FloatArray) -> tuple[tuple[int, float], ...]:
     return tuple((joint, value) for joint, value in enumerate(values.tolist()) if value)
+
+
+def own_column(model: DynamicModel, columns: Sequence[int], kind: str, motor: int) -> int | None:
+    """Place among standard `columns` of a motor's own parameter of a kind; None where it is not among them."""
+    standard, joint = model.parameters, model.active[motor]
+    places = (
+        place
+        for place, column in enumerate(columns)
+        if standard[column].kind == kind and standard[column].joint == joint
+    )
+    return next(places, None)

@@ -26,7 +26,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.friction.table import LOAD_KINDS
-from ident.friction.terms import NO_STATES, NO_TERMS, FrictionConditions, States
+from ident.friction.terms import NO_STATES, NO_TERMS, FrictionConditions, FrictionTerms, States
 from ident.linear_algebra.triangular import QrAccumulator
 from ident.linear_algebra.vectors import cross
 from ident.model.compiled_rows import LinkRows, Share, compiled_rows, compiled_torques
@@ -36,6 +36,7 @@ from ident.model.kinematics.joints import ancestors
 from ident.model.kinematics.transmission import TreeMotion
 from ident.model.newton_euler import FrameMotion, Recursion, stacked
 from ident.model.parameters import LINK_SIZE
+from ident.signals.prepared import Prepared
 
 SAMPLES_AT_ONCE = 4096
 """Samples evaluated at once: enough to hide the interpreter, few enough for the cache."""
@@ -358,3 +359,18 @@ def evaluate_in_chunks(
         states = {motion: state[chunk] for motion, state in presliding.items()}
         kernel.evaluate(position[:, chunk], velocity[:, chunk], acceleration[:, chunk], packed, heat, states)
         yield chunk, packed
+
+
+def load_change(model: DynamicModel, runs: Sequence[Prepared], before: FrictionTerms, after: FrictionTerms) -> float:
+    """Largest change of a motor's load torque over the data's largest one of any motor."""
+    if before.load_torque is None:
+        return float("inf")
+    old, new = (LoadTorqueKernel(replace(model, terms=terms)) for terms in (before, after))
+    change, size = 0.0, float(np.finfo(np.float64).tiny)
+    for run in runs:
+        for segment in run.segments:
+            position = segment.position[:, :: run.parallel_filter.factor]
+            torque = new.torque(position)
+            change = max(change, float(np.max(np.abs(torque - old.torque(position)))))
+            size = max(size, float(np.max(np.abs(torque))))
+    return change / size

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from drivers.core.arrays import FloatArray, IndexArray
+from ident.model.dynamics.pinocchio_model import PINOCCHIO_ORDER, pinocchio_model
 from ident.model.load import moved_origin
 from ident.model.parameters import INERTIAL
-from ident.model.pinocchio_model import PINOCCHIO_ORDER, pinocchio_model
 from ident.monitor.interval_torque import Intervals
 from ident.monitor.observers import observer
 from ident.monitor.thresholds import REST, Thresholds

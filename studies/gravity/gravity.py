@@ -21,8 +21,7 @@ from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot
 from drivers.core.errors import DynidError
 from ident.experiments.gravity.suspicions import file_parameters
-from ident.model.base_parameters import random_states
-from ident.model.gravity_base import gravity_base, gravity_rows, resting_model
+from ident.model.base_parameters import gravity_base, gravity_rows, random_states, resting_model
 from ident.model.parameters import INERTIAL
 from ident.model.true_parameters import truth_vector
 from sim_drivers.synthetic.measurement import simulate_recording

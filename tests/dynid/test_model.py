@@ -13,9 +13,9 @@ import dynid
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import build_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.dynamics.rigid_arm import rigid_arm
 from ident.model.parameters import INERTIAL, link_parameters
-from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 
 TREES = ("ur5e", "ur10e", "panda", "rocr6", "up6", "aubo_i5")

@@ -10,7 +10,7 @@ import pytest
 
 from daq.robot.loader import load_robot
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 
 pytestmark = pytest.mark.realdata

@@ -8,9 +8,9 @@ import pinocchio as pin
 from drivers.core.arrays import FloatArray
 from ident.friction.terms import FrictionConditions
 from ident.model.dynamic_model import DynamicModel
+from ident.model.dynamics.pinocchio_model import PINOCCHIO_ORDER, pinocchio_model
 from ident.model.joint_columns import NO_CONDITIONS, column_signal, joint_column
 from ident.model.parameters import INERTIAL
-from ident.model.pinocchio_model import PINOCCHIO_ORDER, pinocchio_model
 
 _TO_OURS = tuple(PINOCCHIO_ORDER.index(symbol) for symbol in INERTIAL)
 

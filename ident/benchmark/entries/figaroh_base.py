@@ -11,7 +11,7 @@ from drivers.core.errors import UsageError
 from ident.benchmark.entries.plain_regression import EVERY
 from ident.benchmark.entry import TorquePredictor, Training
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 
 EFFECT = 0.001
 """Sum of squares from which a column counts, figaroh's own default."""

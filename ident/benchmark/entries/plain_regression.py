@@ -7,7 +7,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.benchmark.entry import TorquePredictor, Training
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 
 EVERY = 4.0
 """Rows that are kept per period of the band: more are filtered copies."""

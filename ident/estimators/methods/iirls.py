@@ -27,8 +27,9 @@ from ident.estimators.robust.sensitivities import ShapeSystem
 from ident.friction.solver import SHAPE_TOLERANCE, Value, moved_shapes, settle_nested, shape_change, shape_step
 from ident.friction.table import FRICTION_KINDS
 from ident.friction.terms import FrictionTerms
-from ident.model.own_columns import gravity_of, load_change, own_column
-from ident.model.regressor import RegressorKernel
+from ident.model.base_parameters import gravity_of
+from ident.model.joint_columns import own_column
+from ident.model.regressor import RegressorKernel, load_change
 from ident.ranges import FRICTION_SHARE
 from ident.regression.least_squares import LeastSquares
 from ident.regression.observation_matrix import Reduction

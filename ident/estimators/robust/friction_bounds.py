@@ -16,7 +16,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Setup
 from ident.friction.table import DISSIPATIVE_KINDS, SLOPE_SPEED, TERMS, Operands
-from ident.model.own_columns import own_column
+from ident.model.joint_columns import own_column
 from ident.model.regressor import LoadTorqueKernel, RegressorKernel
 from ident.regression.least_squares import LeastSquares, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction

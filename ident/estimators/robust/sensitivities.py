@@ -12,7 +12,7 @@ from ident.estimators.estimator import Estimation
 from ident.estimators.robust.friction_bounds import FrictionBounds
 from ident.estimators.robust.reweighting import Reweighting, RobustFit, weighted_pass
 from ident.friction.table import DISSIPATIVE_KINDS, SHAPED
-from ident.model.own_columns import own_column
+from ident.model.joint_columns import own_column
 from ident.model.regressor import RegressorKernel
 from ident.regression.least_squares import excited_columns, ordinary_least_squares
 from ident.regression.observation_matrix import Reduction

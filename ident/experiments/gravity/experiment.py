@@ -22,9 +22,8 @@ from ident.experiments.gravity.passes import Visit, Visits, find_visits
 from ident.experiments.gravity.suspicions import doubts, file_parameters, refuse_wrong_size
 from ident.identify.summary import provenance, recording_sha256
 from ident.model.another_arm import check_arm
-from ident.model.base_parameters import BaseParameters
+from ident.model.base_parameters import BaseParameters, gravity_base, gravity_columns, gravity_rows, resting_model
 from ident.model.dynamic_model import DynamicModel
-from ident.model.gravity_base import gravity_base, gravity_columns, gravity_rows, resting_model
 from ident.model.parameters import LINK_SIZE
 from ident.result.graded import Grade
 from ident.result.gravity import (

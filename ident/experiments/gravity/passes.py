@@ -15,9 +15,8 @@ from scipy.ndimage import uniform_filter1d
 
 from drivers.core.arrays import FloatArray, IntArray
 from drivers.core.errors import DataError
-from ident.model.base_parameters import BaseParameters
+from ident.model.base_parameters import BaseParameters, gravity_rows
 from ident.model.dynamic_model import DynamicModel
-from ident.model.gravity_base import gravity_rows
 from ident.signals.joint_signals import JointSignals
 
 FASTEST, FASTEST_SLIDE = 0.4, 0.15

@@ -13,9 +13,8 @@ from drivers.core.errors import DataError
 from ident.assessment.arm_mass import LENGTHS_PER_REACH, arm_length, mass_of_size
 from ident.experiments.gravity.fit import GravityFit
 from ident.experiments.gravity.passes import Visit, Visits, pose_text
-from ident.model.base_parameters import BaseParameters
+from ident.model.base_parameters import BaseParameters, gravity_base, gravity_rows
 from ident.model.dynamic_model import DynamicModel
-from ident.model.gravity_base import gravity_base, gravity_rows
 from ident.model.true_parameters import truth_vector
 
 POOR_FIT = 0.1

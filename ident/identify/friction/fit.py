@@ -39,12 +39,11 @@ from ident.identify.friction.rows import FrictionRows
 from ident.identify.friction.selection import FrictionSearch
 from ident.identify.identification import FrictionFit, IdentifyChoices
 from ident.identify.preparation import PreparedData, compare_run
-from ident.model.base_parameters import BaseParameters
+from ident.model.base_parameters import BaseParameters, gravity_of
 from ident.model.dynamic_model import DynamicModel
-from ident.model.joint_columns import combined
-from ident.model.own_columns import gravity_of, load_change, own_column
+from ident.model.joint_columns import combined, own_column
 from ident.model.presliding import dry_friction
-from ident.model.regressor import RegressorKernel
+from ident.model.regressor import RegressorKernel, load_change
 from ident.regression.comparison import TorqueSeries, independent_share, residual_autocorrelation
 from ident.regression.jackknife import distinct_samples
 from ident.regression.least_squares import LeastSquares, LinearMethod, ordinary_least_squares, weighted_least_squares

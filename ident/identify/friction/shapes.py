@@ -29,7 +29,7 @@ from ident.estimators.robust.sensitivities import ShapeColumns, shape_columns, w
 from ident.estimators.torque_estimator import reduce_torques
 from ident.friction.solver import shifted_shapes
 from ident.friction.table import FRICTION_KINDS, SHAPED
-from ident.model.own_columns import own_column
+from ident.model.joint_columns import own_column
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun, block_jackknife
 from ident.regression.least_squares import (

@@ -24,9 +24,9 @@ from drivers.core.arrays import FloatArray
 from ident.friction.terms import NO_STATES, FrictionConditions, States
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.joint_columns import JointColumn, alike, column_signal, joint_column
 from ident.model.parameters import INERTIAL, LINK_SIZE
-from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import LoadTorqueKernel, model_torque
 
 LOOP_BELOW = 400

@@ -9,7 +9,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from ident.model.dynamic_model import DynamicModel
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 
 
 class LinkJacobians:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import DynamicModel
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.kinematics.transmission import LinearTransmission, Transmission
-from ident.model.pinocchio_model import pinocchio_model
 
 if TYPE_CHECKING:
     from ident.model.kinematics.linkages.closed_loops import ClosedLoops, ClosedPose

@@ -14,8 +14,8 @@ from daq.robot.loader import parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError, ResultFileError
 from ident.export.export import Export
+from ident.model.base_parameters import gravity_base, gravity_columns, gravity_rows, resting_model
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
-from ident.model.gravity_base import gravity_base, gravity_columns, gravity_rows, resting_model
 from ident.result.arrays import outward, samples
 from ident.result.estimate import AGAIN
 from ident.result.gravity import GravityResult

@@ -17,7 +17,7 @@ from ident.friction.table import REFERENCE_TEMPERATURE
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
-from ident.model.own_columns import own_column
+from ident.model.joint_columns import own_column
 from ident.model.regressor import regressor
 from ident.regression.estimate import Estimate
 from ident.regression.observability import describe

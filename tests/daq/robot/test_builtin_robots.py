@@ -13,8 +13,8 @@ from daq.robot.loader import RobotFile, builtin_robots, load_robot, parse_robot
 from daq.robot.schema import TruthLink
 from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.kinematics.urdf import urdf_inertias
-from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 
 UR_JOINTS = (

@@ -13,7 +13,7 @@ from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from daq.robot.loader import load_robot, parse_robot
 from ident.checks.tool_pose import tool_poses
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 
 
 def poses_of(text: str):

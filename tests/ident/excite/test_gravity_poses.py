@@ -10,7 +10,7 @@ from daq.motion.trajectory_file import parse_trajectory
 from daq.robot.loader import load_robot
 from drivers.core.errors import UsageError
 from ident.commands.preparation.excite import PURPOSES, ExciteCommandOptions, purpose_of
-from ident.model.gravity_base import gravity_base, gravity_rows, resting_model
+from ident.model.base_parameters import gravity_base, gravity_rows, resting_model
 
 
 @cache

@@ -17,9 +17,9 @@ from ident.assessment.plausibility import inertia_matrices
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.dynamics.energy import EnergyKernel, energy_base_parameters
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.kinematics.linkages.closed_loops import ClosedLoops
 from ident.model.kinematics.loops import loop_ends
-from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import model_torque, regressor
 from ident.model.true_parameters import truth_vector
 

@@ -12,9 +12,9 @@ from daq.robot.loader import parse_robot
 from drivers.core.errors import RobotFileError
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.kinematics.joints import Joint
 from ident.model.parameters import INERTIAL, link_parameters
-from ident.model.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 
 

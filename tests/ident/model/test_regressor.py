@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pinocchio_reference import pinocchio_regressor
 
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.regressor import RegressorKernel, model_torque, motion_factor, regressor
 
 

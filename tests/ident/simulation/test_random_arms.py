@@ -10,7 +10,7 @@ from true_results import true_result
 
 import dynid
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 
 DURATION = 0.02

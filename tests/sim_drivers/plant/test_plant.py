@@ -10,7 +10,7 @@ from arm_kinds import ARM_KINDS
 from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 from sim_drivers.can_signals.arm import MEASURED
 from sim_drivers.plant.plant import Plant, PlantSettings

@@ -15,8 +15,8 @@ from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.dynamics.rigid_arm import rigid_arm
-from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import model_torque
 from ident.model.true_parameters import truth_vector
 from sim_drivers.plant.plant import Plant, PlantSettings

@@ -12,7 +12,7 @@ from daq.recording.writer import write_recording
 from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import RobotFileError
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.true_parameters import truth_vector
 from ident.signals.joint_signals import read_joint_signals
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording

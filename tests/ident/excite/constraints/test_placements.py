@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ident.excite.constraints.placements import moved_by, place, wrench
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 
 
 @pytest.mark.parametrize("seed", range(8))

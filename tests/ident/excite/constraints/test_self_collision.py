@@ -22,7 +22,7 @@ from ident.excite.motion_check import ArmMotionCheck
 from ident.excite.path import JointPath
 from ident.model.base_parameters import random_states
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 
 URDF = """<robot name="crab">
   <link name="body"><collision><geometry><box size="0.1 0.1 0.4"/></geometry></collision></link>

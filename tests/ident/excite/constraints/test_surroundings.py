@@ -8,7 +8,7 @@ from daq.motion.trajectories import PointToPoint
 from daq.robot.loader import load_robot
 from ident.excite.constraints.workspace import surroundings_warning
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 
 
 def hanging() -> PointToPoint:

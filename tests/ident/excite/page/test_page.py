@@ -18,7 +18,7 @@ from ident.excite.page.page import FRAMES, arm_figure, capsule_mesh, excitation_
 from ident.excite.page.plots import shown_part
 from ident.excite.prior import PriorKnowledge, find_prior
 from ident.model.dynamic_model import build_model
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.tasks.excitation import ExcitationTrajectory
 from sim_drivers.synthetic.measurement import random_fourier_motion
 

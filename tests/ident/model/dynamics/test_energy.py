@@ -12,7 +12,7 @@ from daq.robot.loader import load_robot
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.dynamics.energy import EnergyKernel, energy_base_parameters, motor_velocity
-from ident.model.pinocchio_model import pinocchio_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.regressor import regressor
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(60)

@@ -18,9 +18,9 @@ from ident.assessment.excitation import excited_base_columns
 from ident.assessment.plausibility import inertia_matrices
 from ident.model.base_parameters import base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
+from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.kinematics.loops import loop_ends, main_chain, place_tree
 from ident.model.kinematics.transmission import LinearTransmission
-from ident.model.pinocchio_model import pinocchio_model
 from ident.model.regressor import model_torque, regressor
 
 FOUR_BAR = """\
