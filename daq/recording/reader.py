@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from bisect import bisect_left
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from drivers.core.files import LONG_RECORDING_FILE, RECORDING_FILE, InputKind, c
 from drivers.core.ranges import STAMP
 from drivers.core.reading_process import read_apart
 from drivers.core.terminal import hidden_character
+from drivers.core.text import parsed_json
 
 _Read = TypeVar("_Read")
 
@@ -214,8 +214,8 @@ def _read_speed_scale(value: Any) -> float:
 
 def _read_versions(text: Any) -> dict[str, str]:
     try:
-        versions = json.loads(str(text))
-    except json.JSONDecodeError:
+        versions = parsed_json(str(text))
+    except ValueError:
         return {}
     return {str(key): str(value) for key, value in versions.items()} if isinstance(versions, dict) else {}
 
@@ -250,7 +250,7 @@ def _read_stream(group: Any, where: str, within: tuple[float, float]) -> Stream:
     for name, dataset in group.items():
         if name in ("time", "host_time"):
             continue
-        if dataset.ndim != 2 or not np.issubdtype(dataset.dtype, np.number):
+        if dataset.ndim != 2 or dataset.dtype.kind not in "iuf":
             raise RecordingError(
                 f"'{name}' has shape {dataset.shape}, type {dataset.dtype}; (N, n) numbers expected", where=where
             )

@@ -47,6 +47,18 @@ def percentage_text(percentage: float | None, digits: int = 3) -> str:
     return f"{sign}{size:.{max(0, digits - 1 - exponent)}f}"
 
 
+def parsed_json(text: str | bytes) -> Any:
+    """The value of a JSON text.
+
+    Raises:
+        ValueError: it is none, is nested too deeply, or holds an integer of more digits than Python reads.
+    """
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+
+
 def json_text(content: Any) -> str:
     """The JSON text of an object; what is not a finite number becomes null."""
     return json.dumps(_strict(content), ensure_ascii=False, indent=1, allow_nan=False)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.core.errors import UsageError
 from drivers.core.files import KB, InputKind, read_text
+from drivers.core.text import parsed_json
 from drivers.serial_servos.registers import TURN
 
 CALIBRATION = InputKind("a calibration file of LeRobot", 256 * KB)
@@ -56,8 +56,8 @@ def read_calibration(path: Path) -> dict[str, MotorCalibration]:
     text = read_text(path, CALIBRATION, UsageError)
     hint = "such as the files below ~/.cache/huggingface/lerobot/calibration"
     try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        content = parsed_json(text)
+    except ValueError as error:
         raise UsageError(f"is not JSON: {error}", where=str(path), hint=hint) from None
     if not isinstance(content, dict) or not content:
         raise UsageError("is not a calibration: an object with a key per motor is expected", where=str(path), hint=hint)

@@ -10,7 +10,7 @@ import numpy as np
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
-from drivers.core.errors import DataError, DynidError, RobotFileError, UsageError
+from drivers.core.errors import DynidError
 from ident.friction.table import FRICTION_KINDS
 from ident.linear_algebra.triangular import scaled_condition
 from ident.model.base_parameters import BaseParameters, base_parameters
@@ -54,21 +54,19 @@ class RecordedMotion:
         return reduce_segments(self.kernel, self.prepared.segments, self.prepared.parallel_filter)
 
 
-def recorded_motion(recording: Recording, robot_file: RobotFile) -> RecordedMotion | None:
-    """The motion of a recording; None where it holds none that could be analysed.
+def recorded_motion(recording: Recording, robot_file: RobotFile) -> RecordedMotion:
+    """The motion of a recording, prepared as `dynid identify` would.
 
     Raises:
+        DataError, UsageError, RobotFileError: it holds none that can be analysed.
         IdentificationError: the number of the arm's base parameters cannot be decided.
     """
-    try:
-        positions = joint_positions(recording, robot_file.robot)
-        measured = _measured(recording, robot_file)
-        start, stop = played_window(recording)
-        signals = _without_torque(positions) if measured is None else measured
-        prepared = prepare(signals, PreprocessChoices(start=start, stop=stop))
-        model = build_model(robot_file)
-    except (DataError, UsageError, RobotFileError):
-        return None
+    positions = joint_positions(recording, robot_file.robot)
+    measured = _measured(recording, robot_file)
+    start, stop = played_window(recording)
+    signals = _without_torque(positions) if measured is None else measured
+    prepared = prepare(signals, PreprocessChoices(start=start, stop=stop))
+    model = build_model(robot_file)
     base = base_parameters(model)
     kernel = RegressorKernel(model, base.columns)
     return RecordedMotion(robot_file, model, base, kernel, positions, measured, prepared)

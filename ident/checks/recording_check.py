@@ -12,7 +12,7 @@ from daq.recording.quality.stream_quality import StreamQuality
 from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Recording
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
-from drivers.core.errors import DataError, DynidError
+from drivers.core.errors import DataError, DynidError, RobotFileError, UsageError
 from drivers.core.reading_process import Progress
 from drivers.core.units import common_unit
 from ident.assessment.command_checks import command_checks
@@ -77,7 +77,11 @@ def recording_info(
     columns = column_qualities(recording)
     progress("motion")
     excitation = delay = sufficiency = times = None
-    motion = recorded_motion(recording, robot_file)
+    motion, reason = None, ""
+    try:
+        motion = recorded_motion(recording, robot_file)
+    except (DataError, UsageError, RobotFileError) as error:
+        reason = error.message
     signed, commanded = _signed_signals(recording), _commanded(recording, robot_file.robot)
     if motion is not None:
         excitation = excitation_reached(motion)
@@ -91,7 +95,7 @@ def recording_info(
     progress("checks")
     checks = recording_checks(recording, streams, columns) + delay_checks(delay)
     if signed or commanded is None:
-        checks += _excitation_checks(recording, excitation) + _precision_checks(sufficiency)
+        checks += _excitation_checks(recording, excitation, reason) + _precision_checks(sufficiency)
     if not signed:
         checks += _without_torque_checks(recording, commanded)
     if motion is not None and motion.measured is not None:
@@ -145,10 +149,10 @@ def _delays(motion: RecordedMotion, search: DelaySearch | None) -> PreprocessCho
     return PreprocessChoices(delay=search.used, joint_delays=search.joint_delays, start=chosen.start, stop=chosen.stop)
 
 
-def _excitation_checks(recording: Recording, excitation: ExcitationReached | None) -> list[Check]:
-    """Check whether the motion shows the parameters."""
+def _excitation_checks(recording: Recording, excitation: ExcitationReached | None, reason: str) -> list[Check]:
+    """Check whether the motion shows the parameters; `reason` is why there is none."""
     if excitation is None:
-        return [raised("no-motion", "no motion to analyse: record an excitation trajectory")]
+        return [raised("no-motion", f"no motion to analyse: {reason}")]
     checks = []
     if excitation.unexcited:
         text = f"the motion does not excite {', '.join(excitation.unexcited)}"

@@ -15,7 +15,7 @@ from drivers.core.clock import SYSTEM_CLOCK
 from drivers.core.errors import UsageError
 from drivers.core.files import path_of
 from drivers.core.reading_process import Progress
-from drivers.core.text import in_percent
+from drivers.core.text import in_percent, parsed_json
 from ident.fleet.job import JobOutcome, finished
 from ident.fleet.plan import Job, merges, read_fleet
 from ident.fleet.workers import outcomes
@@ -198,7 +198,7 @@ def _kept(job: Job, folder: Path, by_name: dict[str, JobOutcome]) -> bool:
 def _earlier_jobs(file: Path) -> set[str] | None:
     """Names of the jobs that an earlier call has done; None where a regular file is not what one has written."""
     try:
-        content = json.loads(file.read_text(encoding="utf-8")) if file.is_file() and not file.is_symlink() else None
+        content = parsed_json(file.read_text(encoding="utf-8")) if file.is_file() and not file.is_symlink() else None
         return None if content is None else {job["name"] for job in content["jobs"]}
     except (OSError, ValueError, TypeError, KeyError):
         return None

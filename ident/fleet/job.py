@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from daq.output_files import RESULT_FILE, replace_files
 from daq.recording.reader import read_recording
 from drivers.core.errors import DynidError, UsageError
+from drivers.core.text import parsed_json
 from ident.fleet.plan import Job, is_url
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ def finished(job: Job, out: Path) -> JobOutcome | None:
     """The outcome of a job whose result stands already; None where it failed, is not whole, or its inputs changed."""
     folder = out / job.name
     try:
-        content = json.loads((folder / JOB_FILE).read_text(encoding="utf-8"))
+        content = parsed_json((folder / JOB_FILE).read_text(encoding="utf-8"))
         outcome = JobOutcome(**{**content, "recordings": tuple(content["recordings"])})
     except (OSError, ValueError, TypeError, KeyError):
         return None

@@ -16,6 +16,7 @@ from daq.output_files import warn_of_strange_files
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
+from drivers.core.text import parsed_json
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.joint_columns import quantity_of
@@ -96,8 +97,8 @@ def read_content(path: Path) -> dict[str, Any]:
         ResultFileError: no such file, or no JSON.
     """
     try:
-        content = json.loads(read_text(path, RESULT_FILE, ResultFileError))
-    except (ValueError, RecursionError) as error:  # also a number of more than 4,300 digits
+        content = parsed_json(read_text(path, RESULT_FILE, ResultFileError))
+    except ValueError as error:
         raise ResultFileError(f"is not JSON: {error}", where=str(path)) from error
     return content if isinstance(content, dict) else {}
 

@@ -6,7 +6,6 @@ is 0 to 100. A dataset does not say which of them it holds (lerobot/motors/motor
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -24,6 +23,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError, UsageError
 from drivers.core.files import ARRAY_FILE, DATASET_META, check_input, read_text
 from drivers.core.ranges import SAMPLING_RATE
+from drivers.core.text import parsed_json
 
 INFO = Path("meta", "info.json")
 STATE, ACTION = "observation.state", "action"
@@ -128,8 +128,8 @@ def read_lerobot(path: Path, robot: RobotFile, choices: ImportChoices) -> list[L
 def _info(path: Path) -> Mapping[str, Any]:
     where = str(path / INFO)
     try:
-        info: Any = json.loads(read_text(path / INFO, DATASET_META, ImportFileError))
-    except (json.JSONDecodeError, RecursionError) as error:
+        info: Any = parsed_json(read_text(path / INFO, DATASET_META, ImportFileError))
+    except ValueError as error:
         raise ImportFileError("is not JSON text", where=where) from error
     version = info.get("codebase_version") if isinstance(info, dict) else None
     if not isinstance(version, str) or version.split(".")[0] not in ("v2", "v3"):
@@ -224,8 +224,8 @@ def _spans(calibration: Path, motors: Sequence[str]) -> dict[str, float]:
     """Motor → calibrated range [rad], from the JSON file that `lerobot-calibrate` writes."""
     where = str(calibration)
     try:
-        content = json.loads(read_text(calibration, DATASET_META, ImportFileError))
-    except (json.JSONDecodeError, RecursionError) as error:
+        content = parsed_json(read_text(calibration, DATASET_META, ImportFileError))
+    except ValueError as error:
         raise ImportFileError("is not JSON text", where=where) from error
     content = content if isinstance(content, dict) else {}
     spans = {}

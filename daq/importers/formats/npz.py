@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import zipfile
 from collections.abc import Mapping, Sequence
@@ -18,6 +17,7 @@ from daq.importers.roles import assign_roles
 from daq.importers.table import ForeignTable, Note, check_count, listed, parsing, printable
 from drivers.core.errors import ImportFileError
 from drivers.core.files import ARRAY_FILE, check_input, size_text
+from drivers.core.text import parsed_json
 
 JOINT_NAME_KEYS = ("joints", "joint_names")
 MOST_ARRAYS = 10_000
@@ -156,8 +156,8 @@ def _stated_units(meta: npt.NDArray[Any], quantities: Mapping[str, str], notes: 
     if meta.dtype.kind not in "US" or meta.size != 1:
         return {}
     try:
-        content = json.loads(_text(meta.reshape(-1)[0]))
-    except (json.JSONDecodeError, RecursionError):
+        content = parsed_json(_text(meta.reshape(-1)[0]))
+    except ValueError:
         notes.append(Note("info", "'meta' is not JSON text and was ignored"))
         return {}
     units = content.get("units") if isinstance(content, dict) else None

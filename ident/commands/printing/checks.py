@@ -109,6 +109,8 @@ def print_info(info: RecordingInfo, file: str, *, verbose: bool = False) -> None
     if not verdict.checks:
         print("Checks on this recording: no problems found.")
     steps = next_steps(verdict, f"dynid identify {file} -o model")
+    if any(check.name == "no-torque" for check in verdict.checks):
+        steps.append(f"dynid identify {file} --method servo -o model")
     print_next(steps, verdict, "All figures: --verbose, or --page FOLDER.")
     if verbose:
         _print_columns(info)

@@ -247,6 +247,11 @@ def one_dimension(path: Path) -> None:
         file["streams/joints/force"] = np.zeros(20)
 
 
+def complex_numbers(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file["streams/joints/force"] = np.zeros((20, 2), dtype=np.complex128)
+
+
 def foreign_events(path: Path) -> None:
     with h5py.File(path, "a") as file:
         del file["events"]
@@ -285,6 +290,7 @@ def nothing(path: Path) -> None:
         (absurd_stamp, "/streams/joints: the 'host_time' of sample 7, -1e\\+256 s, is not within"),
         (lost_names, "'position' has 2 columns, but its attribute 'joints' names 1"),
         (one_dimension, r"'force' has shape \(20,\)"),
+        (complex_numbers, r"'force' has .* type complex128"),
         (foreign_events, "is damaged"),
         (text_file, "is not an HDF5 file.*dynid import"),
         (empty_file, r"is empty \(0 bytes\)"),

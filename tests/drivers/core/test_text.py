@@ -1,4 +1,4 @@
-"""Percentages as people write them."""
+"""Percentages as people write them; JSON that is none."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.core.text import DASH, LEAST_PERCENT, MOST_PERCENT, percent_text, percentage_text
+from drivers.core.text import DASH, LEAST_PERCENT, MOST_PERCENT, parsed_json, percent_text, percentage_text
 
 
 @pytest.mark.parametrize(
@@ -42,3 +42,11 @@ def test_digits_are_kept_and_no_power_of_ten_is_written(value: float, digits: in
     assert re.fullmatch(r"\d+(\.\d+)?", text)
     assert float(text) == pytest.approx(value, rel=0.5 * 10 ** (1 - digits), abs=1e-9)
     assert percentage_text(-value, digits) == f"-{text}"
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"), [("{", "Expecting"), ("[" * 100_000, "too deeply"), ("9" * 5_000, "digits"), ("", "Expecting")]
+)
+def test_what_is_no_json_is_a_value_error(text: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        parsed_json(text)

@@ -9,6 +9,7 @@ import pytest
 
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import load_robot
+from drivers.core.errors import InputError
 from ident.assessment.delay.delay import search_delay
 from ident.assessment.excitation import excitation_reached, recorded_motion
 from ident.checks.recording_check import recording_info
@@ -47,13 +48,17 @@ def test_torque_that_is_no_number_leaves_the_motion(recording, three_joint):
     assert motion_sufficiency(motion).source == "the robot file's truth"
 
 
-def test_nothing_to_analyse_is_none(recording, three_joint):
+def test_nothing_to_analyse_is_refused_with_the_reason(recording, three_joint):
     position = recording.streams[JOINTS_STREAM].channels["position"].values
     short = simulate_recording(three_joint, random_fourier_motion(build_model(three_joint), 10.0, seed=1), 0.02, seed=1)
-    assert recorded_motion(with_values(recording, "position", np.zeros_like(position)), three_joint) is None
-    assert recorded_motion(short, three_joint) is None
-    assert recorded_motion(recording, load_robot("ur5e")) is None
-    assert recorded_motion(replace(recording, streams={}), three_joint) is None
+    for without, robot, reason in (
+        (with_values(recording, "position", np.zeros_like(position)), three_joint, "nothing moves"),
+        (short, three_joint, "samples are too few"),
+        (recording, load_robot("ur5e"), "has no column for joint"),
+        (replace(recording, streams={}), three_joint, "has no stream"),
+    ):
+        with pytest.raises(InputError, match=reason):
+            recorded_motion(without, robot)
 
 
 @pytest.mark.parametrize("late", [False, True])
