@@ -106,7 +106,7 @@ def reported(deviation: Deviation) -> bool:
     level = LATE_LEVEL if deviation.unknown.kind == "late" else LIKELIHOOD_LEVEL
     if abs(deviation.value) < MOST_UNCERTAIN * deviation.std or deviation.likelihood < level:
         return False
-    if deviation.unknown.kind == "lengths":
+    if deviation.parts:
         return bool(_off(deviation))
     if deviation.unknown.kind != "gain":
         return abs(deviation.value) >= _LEAST[deviation.unknown.kind]
@@ -115,12 +115,35 @@ def reported(deviation: Deviation) -> bool:
 
 
 def _off(deviation: Deviation) -> list[tuple[Unknown, float, float]]:
-    """Of several lengths, those that are clearly off, with shift and standard deviation [m]."""
+    """Of several lengths or gains, those that are clearly off, with value and standard deviation.
+
+    What gains are off from is the one that most others agree with; where fewer than half do, all are off.
+    """
+    if deviation.unknown.kind == "gains":
+        return _disagreeing(deviation)
     return [
         (unknown, shift, std)
         for unknown, shift, std in deviation.parts
         if abs(shift) > max(MOST_UNCERTAIN * std, LEAST_SHIFT)
     ]
+
+
+def _disagreeing(deviation: Deviation) -> list[tuple[Unknown, float, float]]:
+    gains = [(Unknown("gain", deviation.unknown.joint), 0.0, 0.0), *deviation.parts]
+
+    def off(reference: tuple[Unknown, float, float]) -> list[tuple[Unknown, float, float]]:
+        found = []
+        for unknown, value, std in gains:
+            ratio = (1.0 + value) / (1.0 + reference[1])
+            share = ratio * float(np.hypot(std / (1.0 + value), reference[2] / (1.0 + reference[1])))
+            if abs(np.log(ratio)) > max(np.log(1.0 + GAIN_OFF), MOST_UNCERTAIN * share / ratio):
+                found.append((unknown, ratio - 1.0, share))
+        return found
+
+    fewest = min((off(reference) for reference in gains), key=len)
+    if 2 * len(fewest) < len(gains):
+        return fewest
+    return gains if off(gains[0]) else []
 
 
 def candidates(refit: Refit, independent: float, poor: bool) -> list[Deviation]:
@@ -148,6 +171,8 @@ def candidates(refit: Refit, independent: float, poor: bool) -> list[Deviation]:
         finer.append(together)
     if poor:
         finer += _far_gains(refit)
+        gains = refit.gains()
+        finer += [gains] if gains is not None and gains.likelihood > CLEAR_FALL * total else []
     return [one for one in finer if one is not None and _plausible(refit.model, one)]
 
 
@@ -193,11 +218,12 @@ def most_likely(
         return []
     worth = (after - width) / total
     judged = [_judged(deviation, worth) for deviation in deviations]
-    return simplest_first(sorted(judged, key=lambda one: -one.likelihood))
+    lasting = [one for one in judged if not reported(one) or refit.throughout(one)]
+    return simplest_first(sorted(lasting, key=lambda one: -one.likelihood)) if lasting else []
 
 
 def _price(deviation: Deviation) -> float:
-    """Return what several lengths must explain more than a single number."""
+    """Return what several lengths or gains must explain more than a single number."""
     return RIVAL_LIKELIHOOD * max(0, len(deviation.parts) - 1)
 
 
@@ -328,6 +354,7 @@ def unchecked_lengths(refit: Refit, independent: float) -> list[Check]:
 
 _CHECKS: dict[Kind, str] = {
     "gain": "inconsistent-gain",
+    "gains": "wrong-gain",
     "length": "inconsistent-length",
     "scale": "inconsistent-length",
     "lengths": "inconsistent-length",
@@ -341,6 +368,7 @@ _FAR: dict[Kind, tuple[str, float]] = {"gain": ("wrong-gain", 2.0), "scale": ("o
 _OF_LENGTHS = ("length", "scale")
 _REMEDIES: dict[Kind, str] = {
     "gain": "check the gain (one left at 1 gives amperes), or identify the gains with a known load (dynid gains)",
+    "gains": "check the torques' unit (N·m, not percent of each joint's rated torque) and all drive gains",
     "length": "check this length",
     "scale": "check that the file is for this arm, not for another size",
     "lengths": "check these lengths, and that the file belongs to this arm",
@@ -361,9 +389,10 @@ def _clause(model: DynamicModel, one: Deviation) -> str:
     """Return what the torques agree better with."""
     between = WITHIN_95_PERCENT * one.std
     if one.unknown.kind == "gain":
-        factor = 1.0 / (1.0 + one.value)  # the gain multiplies the recorded torque, the unknown the model's
-        size = f"{factor:.3g} ± {between * factor**2:.2g}"
-        return f"the drive gain of {model.joint_names[one.unknown.joint]} multiplied by {size}"
+        return f"the drive gain of {_factor(model, one.unknown, one.value, one.std, ' multiplied by')}"
+    if one.unknown.kind == "gains":
+        factors = ", ".join(_factor(model, *gain) for gain in sorted(_off(one), key=lambda gain: gain[0].joint))
+        return f"drive gains multiplied by factors relative to each other: {factors}"
     if one.unknown.kind == "zero":
         size = f"{np.rad2deg(one.value):+.1f}° ± {np.rad2deg(between):.1f}°"
         return f"{size} added to the position of {model.joint_names[one.unknown.joint]}"
@@ -380,6 +409,13 @@ def _clause(model: DynamicModel, one: Deviation) -> str:
     angle = f"{np.rad2deg(one.value):.1f}° ± {np.rad2deg(between):.1f}° from the robot file's"
     what = "opposite to the robot file's" if one.value > OPPOSITE else angle
     return f"gravity along [{direction}] m/s² in the base's frame ({what})"
+
+
+def _factor(model: DynamicModel, unknown: Unknown, value: float, std: float, by: str = "") -> str:
+    """A gain's factor: it multiplies the recorded torque, the unknown the model's."""
+    factor = 1.0 / (1.0 + value)
+    size = f"{factor:.3g} ± {WITHIN_95_PERCENT * std * factor**2:.2g}" if std else "1"
+    return f"{model.joint_names[unknown.joint]}{by} {size}"
 
 
 def _origin(model: DynamicModel, unknown: Unknown, shift: float, between: float) -> str:
@@ -410,8 +446,8 @@ def _compared(runs: Sequence[Prepared], deviation: Deviation) -> list[TorqueSeri
             deviation.model, deviation.columns, deviation.parameters, segments, run.parallel_filter
         ):
             scale = np.ones((len(compared.predicted), 1))
-            if unknown.kind == "gain":
-                scale[unknown.joint] += deviation.value
+            for joint, value in deviation.gains.items():
+                scale[joint] += value
             series.append(replace(compared, predicted=scale * compared.predicted))
     return series
 

@@ -9,7 +9,7 @@ doubled log-likelihood ratio against the file's values says whether that is more
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
@@ -19,7 +19,7 @@ import scipy.linalg
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
-from ident.assessment.instants import Instants
+from ident.assessment.instants import BLOCKS, Instants
 from ident.linear_algebra.triangular import solved_factor, triangular
 from ident.model.dynamic_model import DynamicModel
 from ident.model.regressor import RegressorKernel, model_torque
@@ -59,11 +59,14 @@ TINY = float(np.finfo(float).tiny)
 SHIFTS = ("length", "scale", "zero", "late")
 """Kinds of unknowns that change the model's positions."""
 
+THROUGHOUT = 0.3
+"""Share of a deviation's likelihood that any block of the recording may be left out for."""
+
 TELLING = 0.3
 TOLD_APART = 10.0
 """Lengths are estimated together as far as each shows a change by this share with so many σ beside the others."""
 
-Kind = Literal["gain", "length", "scale", "lengths", "zero", "late", "gravity"]
+Kind = Literal["gain", "gains", "length", "scale", "lengths", "zero", "late", "gravity"]
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ class Unknown:
 
     Attributes:
         kind: of it; `late` is a joint's position against all else that was recorded, `scale` is a factor common to all
-            lengths, `lengths` are all that the data show, together.
+            lengths, `lengths` are all that the data show, together, and `gains` all but that of `joint`.
         joint: number in the tree for a length, among the motors for a gain, a zero or a late position, -1 for gravity
             and all lengths.
         axis: of the parent's frame along which the joint's origin shifts; None but for a length.
@@ -96,7 +99,7 @@ class Deviation:
         parameters: (b,) base parameters that go with it.
         model: with it; the columns of `parameters` are its base parameters `columns`.
         columns: (b,) standard columns.
-        parts: of several lengths, each with its shift [m] and the standard deviation.
+        parts: of several lengths or gains, each with its value and the standard deviation.
     """
 
     unknown: Unknown
@@ -107,6 +110,12 @@ class Deviation:
     model: DynamicModel
     columns: tuple[int, ...]
     parts: tuple[tuple[Unknown, float, float], ...] = ()
+
+    @property
+    def gains(self) -> dict[int, float]:
+        """Model torque over recorded torque minus 1, by joint whose gain deviates."""
+        alone = (self.unknown, self.value, self.std)
+        return {part.joint: value for part, value, _ in self.parts or (alone,) if part.kind == "gain"}
 
 
 class Refit:
@@ -238,6 +247,50 @@ class Refit:
             Unknown("lengths"), largest, 1.0, self._likelihood(solved), parameters, model, self.columns, parts
         )
 
+    def gains(self) -> Deviation | None:
+        """All gains but the strongest joint's, together; None where these are fewer than two, or not all positive.
+
+        Its value is the largest deviation over its standard deviation. They start from the smallest singular vector of
+        [W −τ…]: parameters x, and a factor on each recorded torque.
+        """
+        width, number = len(self.active), {n: place for place, n in enumerate(self.used)}
+        if len(self.used) < 3:
+            return None
+        sizes = np.array([np.linalg.norm(self._plain[n][:, -1]) for n in self.used])
+        stacked = np.vstack(
+            [
+                np.hstack([one[:, :width], -one[:, -1:] / size * (np.arange(len(number)) == number[n])])
+                for (n, one), size in zip(self._plain.items(), np.maximum(sizes, TINY), strict=True)
+            ]
+        )
+        norms = np.maximum(np.linalg.norm(stacked[:, :width], axis=0), TINY)
+        rest = triangular(np.hstack([stacked[:, :width] / norms, stacked[:, width:]]))[width:, width:]
+        torques = np.linalg.svd(rest)[2][-1]
+        strongest = int(np.argmax(np.abs(torques)))
+        starts = (torques[strongest] / sizes[strongest]) * sizes / np.where(torques == 0.0, TINY, torques)
+        if np.any(starts < GAINS[0]) or np.any(starts > GAINS[1]):
+            return None
+        others = {n: float(starts[place]) for n, place in number.items() if place != strongest}
+        solved = _settled(self._plain, self.rows, 0, others)
+        if solved.unknown is None or solved.covariance is None:
+            return None
+        stds = np.sqrt(np.diag(solved.covariance))
+        parts = tuple(
+            (Unknown("gain", n), float(value), float(std))
+            for n, value, std in zip(others, solved.unknown, stds, strict=True)
+        )
+        largest = float(max(abs(value) / std for _, value, std in parts))
+        return Deviation(
+            Unknown("gains", self.used[strongest]),
+            largest,
+            1.0,
+            self._likelihood(solved),
+            self._all(solved.parameters),
+            self.model,
+            self.columns,
+            parts,
+        )
+
     def _length_slope(self, model: DynamicModel, origin: tuple[int, int], parameters: FloatArray) -> FloatArray:
         """(n, N) derivative of a model's torque by a length."""
         few = self.instants
@@ -280,7 +333,7 @@ class Refit:
 
     def _gain(self, unknown: Unknown, factor: float) -> Deviation | None:
         joint = unknown.joint
-        solved = _settled(self._plain, self.rows, 0, (joint, factor))
+        solved = _settled(self._plain, self.rows, 0, {joint: factor})
         if solved.unknown is None or solved.covariance is None:
             return None
         return self._deviation(unknown, float(solved.unknown[0]), solved.covariance[0, 0], solved)
@@ -376,6 +429,24 @@ class Refit:
             std = min(std, abs(value) / float(np.sqrt(likelihood)))
         return Deviation(unknown, value, std, likelihood, parameters, model, self.columns)
 
+    def throughout(self, one: Deviation) -> bool:
+        """Whether a deviation explains the recording without the block that it explains most, too: no single event."""
+        moved = self.shifted(one.unknown, one.value)[1] if one.unknown.kind in ("zero", "late") else self.instants
+        regressor = moved.filtered_regressor(RegressorKernel(one.model, one.columns))
+        predicted = np.einsum("nbN,b->nN", regressor, one.parameters)
+        for joint, value in one.gains.items():
+            predicted[joint] *= 1.0 + value
+        believed = np.einsum("nbN,b->nN", self.regressor, self._all(self._file_fit.parameters))
+        membership = self.instants.block == np.arange(BLOCKS)[:, None]
+        before, after = (
+            np.where(self.instants.counted, self.instants.torque - torque, 0.0)[self.used] ** 2 @ membership.T
+            for torque in (believed, predicted)
+        )
+        whole = float(self.rows[self.used] @ np.log(before.sum(axis=1) / np.maximum(after.sum(axis=1), TINY)))
+        before, after = (np.maximum(sums.sum(axis=1, keepdims=True) - sums, TINY) for sums in (before, after))
+        without = self.rows[self.used] @ np.log(before / after)
+        return bool(without.min() > THROUGHOUT * whole)
+
     def _likelihood(self, solved: _Solved) -> float:
         """Doubled log-likelihood ratio against the file's values."""
         used = self.rows > 0
@@ -387,16 +458,10 @@ class Refit:
         parameters[self.active] = active
         return parameters
 
-    def _solved(
-        self,
-        regressor: FloatArray,
-        active: Sequence[int],
-        slopes: FloatArray | None = None,
-        gain: tuple[int, float] | None = None,
-    ) -> _Solved:
+    def _solved(self, regressor: FloatArray, active: Sequence[int], slopes: FloatArray | None = None) -> _Solved:
         """Least squares over some columns of a regressor (n, b, N), with the slopes (k, n, N) of further unknowns."""
         slopes = np.empty((0, *self.instants.torque.shape)) if slopes is None else slopes
-        return _settled(self._blocks(regressor, active, slopes), self.rows, len(slopes), gain)
+        return _settled(self._blocks(regressor, active, slopes), self.rows, len(slopes))
 
     def _blocks(self, regressor: FloatArray, active: Sequence[int], slopes: FloatArray) -> dict[int, FloatArray]:
         """Each used joint's triangular factor of [W slopes τ]."""
@@ -459,8 +524,8 @@ class _Solved:
     covariance: FloatArray | None
 
 
-def _settled(  # noqa: C901 — one loop
-    blocks: dict[int, FloatArray], rows: FloatArray, unknowns: int, gain: tuple[int, float] | None = None
+def _settled(
+    blocks: dict[int, FloatArray], rows: FloatArray, unknowns: int, gains: Mapping[int, float] | None = None
 ) -> _Solved:
     """Least squares with the joints' weights settled.
 
@@ -468,12 +533,11 @@ def _settled(  # noqa: C901 — one loop
         blocks: each joint's factor of [W slopes τ].
         rows: (n,) equations of each joint.
         unknowns: how many slopes there are.
-        gain: joint, and factor on its model torque from which on this is estimated, too.
+        gains: joints, and factors on their model torques from which on these are estimated, too.
     """
     width = next(iter(blocks.values())).shape[1] - 1 - unknowns
-    factor = np.ones(len(rows))
-    if gain is not None:
-        factor[gain[0]] = gain[1]
+    factor, scaled_joints = np.ones(len(rows)), list(gains or {})
+    factor[scaled_joints] = list((gains or {}).values())
     sums = np.zeros(len(rows))
     for n, block in blocks.items():
         sums[n] = block[:, -1] @ block[:, -1]
@@ -483,12 +547,11 @@ def _settled(  # noqa: C901 — one loop
     covariance: FloatArray | None = None
     for iteration in range(STATIONARY_ITERATIONS):
         system = []
-        with_gain = gain is not None and iteration > 0
+        with_gains = bool(scaled_joints) and iteration > 0
         for n, block in blocks.items():
             parts = [factor[n] * block[:, :width], block[:, width:-1]]
-            if with_gain:
-                slope = block[:, :width] @ parameters if gain is not None and n == gain[0] else np.zeros(len(block))
-                parts.append(slope[:, None])
+            if with_gains:
+                parts.append((block[:, :width] @ parameters)[:, None] * (np.array(scaled_joints) == n))
             system.append(np.sqrt(rows[n] / max(sums[n], floor)) * np.hstack([*parts, block[:, -1:]]))
         stacked = triangular(np.vstack(system))
         left, right = stacked[:, :-1], stacked[:, -1]
@@ -503,8 +566,8 @@ def _settled(  # noqa: C901 — one loop
                 return _Solved(parameters, sums, None, None)
             unknown = estimate[width:]
             covariance = np.asarray(np.linalg.inv(rest.T @ rest), dtype=np.float64)
-        if with_gain and gain is not None and unknown is not None:
-            factor[gain[0]] = np.clip(factor[gain[0]] + unknown[-1], *GAINS)
+        if with_gains and unknown is not None:
+            factor[scaled_joints] = np.clip(factor[scaled_joints] + unknown[unknowns:], *GAINS)
         before = sums.copy()
         for n, block in blocks.items():
             rest_torque = block[:, -1] - factor[n] * (block[:, :width] @ parameters)
@@ -513,6 +576,6 @@ def _settled(  # noqa: C901 — one loop
             sums[n] = rest_torque @ rest_torque
         if iteration > 1 and np.all(np.abs(sums - before) <= WEIGHTS_SETTLED * before):
             break
-    if gain is not None:
-        unknown = np.array([factor[gain[0]] - 1.0])
+    if scaled_joints:
+        unknown = factor[scaled_joints] - 1.0
     return _Solved(parameters, sums, unknown, covariance)

@@ -278,6 +278,10 @@ def all_mistakes(count: int, sliding: Sequence[bool], generator: np.random.Gener
         torque = signals(run)["torque"]
         return with_signals(run, torque=torque + 0.5 * gain * np.max(np.abs(torque), axis=0))
 
+    def percent(run: Recording) -> Recording:
+        torque = signals(run)["torque"]
+        return with_signals(run, torque=100.0 * torque / np.max(np.abs(torque), axis=0))
+
     def unsigned(run: Recording) -> Recording:
         return with_signals(run, torque=np.abs(signals(run)["torque"]))
 
@@ -315,6 +319,7 @@ def all_mistakes(count: int, sliding: Sequence[bool], generator: np.random.Gener
         Mistake("all gains left at 1 (× 0.1)", SCALE, (), torque_times(0.1)),
         Mistake("all torques × 10", SCALE, (), torque_times(10.0)),
         Mistake("current in mA (× 1000)", SCALE, (), torque_times(1000.0)),
+        Mistake("torques in percent of each joint's peak", ("wrong-gain",), (), percent, SCALE),
         Mistake("half of its peak added to a torque", ("torque-biased",), (one,), biased),
         Mistake("a position 60 ms late", ("position-late",), (one,), late),
         Mistake("coupled motors not declared", ("motors-coupled",), pair, coupled),

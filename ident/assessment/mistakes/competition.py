@@ -207,10 +207,8 @@ class Competition:
         if deviation.unknown.kind == "late":
             moved = moved.later(deviation.unknown.joint, deviation.value)
         torques = self.recorded.torques
-        if deviation.unknown.kind == "gain":
-            joint = deviation.unknown.joint
-            factor = tuple(1.0 / (1.0 + deviation.value) if n == joint else one for n, one in enumerate(torques.factor))
-            torques = replace(torques, factor=factor)
+        factor = tuple(1.0 / (1.0 + deviation.gains.get(n, 0.0)) for n in range(self.model.dof))
+        torques = replace(torques, factor=factor)
         if deviation.columns != self.base.columns:
             base = experiment_base(in_unknown_gravity(model), [self.experiment])
             active = list(range(base.count))
@@ -225,7 +223,7 @@ class Competition:
     def explained_by(self, deviation: Deviation) -> bool:
         """Return whether a deviation leaves what still is an explanation, also of the joint that it is about."""
         found = self.with_deviation(deviation)
-        own = [deviation.unknown.joint] if deviation.unknown.kind in ("gain", "late") else []
+        own = [deviation.unknown.joint] if deviation.unknown.kind == "late" else list(deviation.gains)
         return found is not None and found[1] < EXPLAINED and not np.any(found[0].relative[own] > JOINT_EXPLAINED**2)
 
     def _whole(self, system: Equations, torques: Columns, fit: HypothesisFit) -> float:
