@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -94,13 +95,13 @@ def isaaclab_configuration(
     ranges = unit_ranges(result, unit_spread)
     missing = left_out(values, MISSING)
     lines = [
-        f'"""Servo model of {result.robot} for Isaac Lab 2.3 and later (Isaac Sim 5.0), identified with dynid.',
-        "",
-        "Torques N·m, angles rad, times s. Joints are called as in the robot file. The environment's sim.dt must be",
-        "PHYSICS_STEP: delays are counted in it. Use ACTUATORS in ArticulationCfg(actuators=...), or",
-        "IMPLICIT_ACTUATORS, which have no delay; shape commands with CommandProfile; EVENTS are for an EventCfg.",
-        f"Not in this file: {', '.join(missing) or 'nothing'}.",
-        '"""',
+        # A comment, since a name may hold quotes.
+        f"# Servo model of {' '.join(result.robot.split())} for Isaac Lab 2.3 and later (Isaac Sim 5.0), by dynid.",
+        "#",
+        "# Torques N·m, angles rad, times s. Joints are called as in the robot file. The environment's sim.dt must be",
+        "# PHYSICS_STEP: delays are counted in it. Use ACTUATORS in ArticulationCfg(actuators=...), or",
+        "# IMPLICIT_ACTUATORS, which have no delay; shape commands with CommandProfile; EVENTS are for an EventCfg.",
+        f"# Not in this file: {', '.join(missing) or 'nothing'}.",
         "",
         "from isaaclab.actuators import DelayedPDActuatorCfg, IdealPDActuatorCfg, ImplicitActuatorCfg",
         "from isaaclab.envs import mdp",
@@ -121,7 +122,13 @@ def isaaclab_configuration(
 
 
 def _text(value: object) -> str:
-    return json.dumps(value, ensure_ascii=False).replace("true", "True").replace("false", "False")
+    """The value as a Python literal, whatever characters names hold."""
+    return repr(json.loads(json.dumps(value)))
+
+
+def _pattern(name: str) -> str:
+    """The regular expression by which Isaac Lab finds a joint: its name, with special characters escaped."""
+    return name if re.fullmatch(r"[\w-]+", name) else re.escape(name)
 
 
 def _rounded(value: float) -> float:
@@ -133,7 +140,7 @@ def _by_joint(names: Sequence[str], column: FloatArray) -> str:
 
 
 def _fields(result: ServoResult, law: ActuatorLaw, speeds: FloatArray, rows: Sequence[int], limit: str) -> list[str]:
-    names = [result.joints[row] for row in rows]
+    names = [_pattern(result.joints[row]) for row in rows]
     columns = {
         limit: law.effort_limit,
         "velocity_limit_sim": speeds,
@@ -208,7 +215,7 @@ def _events(names: Sequence[str], law: ActuatorLaw, ranges: Mapping[str, Mapping
                 f"        func=mdp.{function},",
                 '        mode="startup",',
                 "        params={",
-                f'            "asset_cfg": SceneEntityCfg("robot", joint_names=[{_text(name)}]),',
+                f'            "asset_cfg": SceneEntityCfg("robot", joint_names=[{_text(_pattern(name))}]),',
                 *(f'            "{key}": {pair},' for key, pair in params.items()),
                 '            "operation": "scale",',
                 '            "distribution": "log_uniform",',
@@ -249,7 +256,7 @@ def read_isaaclab(text: str, where: str) -> ActuatorLaw:
         raise ModelError(f"is not a configuration that dynid wrote: {error}", where=where) from error
 
     def of(field: str, absent: float = 0.0) -> FloatArray:
-        return np.array([columns.get(field, {}).get(name, absent) for name in names], dtype=np.float64)
+        return np.array([columns.get(field, {}).get(_pattern(name), absent) for name in names], dtype=np.float64)
 
     return ActuatorLaw(
         stiffness=of("stiffness"),

@@ -72,6 +72,10 @@ def servo_usd(robot_file: RobotFile, links: ServoLinks, values: FloatArray, miss
         f"Servo model of {model.name}, identified with dynid; drives are in degrees. "
         f"Not in this file: {', '.join(missing) or 'nothing'}."
     )
+    prims = [Tf.MakeValidIdentifier(joint.name) for joint in model.joints]
+    used = ["base", "base_joint", *prims, *(f"{prim}_link" for prim in prims)]
+    if twice := [name for name in used if used.count(name) > 1]:
+        raise ModelError(f"USD would call two things '{twice[0]}'", where=model.name, hint="rename joints of the arm")
     root_path = "/" + Tf.MakeValidIdentifier(model.name)
     root = UsdGeom.Xform.Define(stage, root_path)
     stage.SetDefaultPrim(root.GetPrim())
@@ -84,7 +88,7 @@ def servo_usd(robot_file: RobotFile, links: ServoLinks, values: FloatArray, miss
     fixed.CreateBody1Rel().SetTargets([paths[BASE_INDEX]])
     places = {BASE_INDEX: (np.zeros(3), np.eye(3))}
     for index, joint in enumerate(model.joints):
-        name = Tf.MakeValidIdentifier(joint.name)
+        name = prims[index]
         row = model.active.index(index) if index in model.active else None
         zero = 0.0 if row is None else float(values[row, INDEX["zero"]])
         axes = _axes(joint.axis)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import json
+import re
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,7 +26,7 @@ from ident.servo.identify import read_motions
 from ident.servo.links import servo_links
 from ident.servo.rollout import profile_goals
 from ident.servo.simulators.actuator_law import FAITHFUL, actuator_law
-from ident.servo.simulators.isaaclab import PHYSICS_STEP, read_isaaclab
+from ident.servo.simulators.isaaclab import PHYSICS_STEP, isaaclab_configuration, read_isaaclab
 from ident.servo.simulators.usd import read_usd, usd_installed
 from ident.servo.terms import INDEX
 from sim_drivers.synthetic.servo import record_servo, servo_commands
@@ -171,6 +172,21 @@ def test_an_isaac_lab_configuration_compiles_and_holds_the_law_in_its_own_fields
         for key, ends in term.params.items():
             if key.endswith("_distribution_params"):
                 assert 0 < ends[0] < 1 < ends[1]
+
+
+def test_names_of_an_arm_are_no_code_and_match_themselves_alone(model, monkeypatch):
+    result, links = model.result, servo_links(model._robot)
+    names = ["true.*", 'a"b', *result.joints[2:]]
+    renamed = [joint.model_copy(update={"joint": name}) for joint, name in zip(result.servo, names, strict=True)]
+    hostile = {"robot": '"""\nraise SystemExit\n"""\\', "joints": names, "servo": renamed}
+    text = isaaclab_configuration(result.model_copy(update=hostile), result.values, links, np.ones(6), 0.0)
+    defined = configuration(text, monkeypatch)
+    assert names == defined.JOINTS
+    expressions = defined.IMPLICIT_ACTUATORS["servos"].joint_names_expr
+    matched = [[name for name in names if re.fullmatch(expression, name)] for expression in expressions]
+    assert matched == [[name] for name in names]
+    stiffness = actuator_law(result.values, links, PHYSICS_STEP).stiffness
+    np.testing.assert_allclose(read_isaaclab(text, "cfg").stiffness, stiffness, rtol=1e-6)
 
 
 def test_the_file_shapes_commands_as_the_roll_out_does_and_draws_arms(model, run, tmp_path, monkeypatch):
