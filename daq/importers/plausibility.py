@@ -17,6 +17,9 @@ from daq.recording.unit_plausibility import DEGREES, beyond_reach, displacement_
 from daq.robot.schema import Robot
 from drivers.core.errors import ImportFileError
 
+FULL_RANGE = 101.0
+"""Largest size of positions that may be percent of a range."""
+
 _MILLIAMPERE = 500.0
 _TORQUE_EXCESS = 10.0
 
@@ -92,10 +95,20 @@ def _check_positions(
         if choices.degrees:
             raise ImportFileError(f"position is {value:.4g} rad after the conversion from degrees", where=place)
         mixed = f"; {listed(fitting)} would fit as radians, so the file may mix units" if fitting else ""
+        columns = [robot.joint_names.index(name) for name in far]
+        degrees = not any(
+            beyond_reach(position.values[:, joint] / DEGREES, robot.joints[joint].position) for joint in columns
+        )
+        looks = f"{'looks' if len(far) == 1 else 'look'} like {'degrees' if degrees else 'counts of an encoder'}"
+        hint = "convert them to radians first: counts less those at zero, times 2π over the counts of a turn"
+        if degrees:
+            hint = "--degrees if all joints are in degrees; a header such as q1 [deg] states one joint's unit"
+            if all(np.abs(position.values[:, joint]).max() <= FULL_RANGE for joint in columns):
+                hint += "; convert percent of a range (LeRobot's -100 to 100, a gripper's 0 to 100) to radians first"
         raise ImportFileError(
-            f"position {value:.4g} is far outside the joint's limits; {listed(far)} look like degrees{mixed}",
+            f"position {value:.4g} is far outside the joint's limits; {listed(far)} {looks}{mixed}",
             where=place,
-            hint="--degrees if all joints are in degrees; a header such as q1 [deg] states one joint's unit",
+            hint=hint,
         )
     if small:
         text = f"before the conversion from degrees the positions of {listed(small)} stayed below 2π"

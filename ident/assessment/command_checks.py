@@ -41,6 +41,15 @@ def refuse_unusable_commands(motion: CommandedMotion, where: str) -> None:
 
 def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> list[Check]:
     checks = _cover_checks(motion, quality, of)
+    if quality.copied is not None or quality.unrelated:
+        rows = quality.copied
+        when = f" of {abs(rows)} row{'s' * (abs(rows) > 1)} {'later' if rows > 0 else 'earlier'}" if rows else ""
+        text = (
+            "no joint moves as its command does: are the commands changes of position, or velocities?"
+            if rows is None
+            else f"the commands are the measured positions{when}, so nothing shows what the servos do with a command"
+        )
+        checks.append(raised("command-other", f"{of}{text}"))
     # First: a joint that follows its command only at times looks like one with a wrong clock or order.
     for joint, (first, last) in quality.frozen.items():
         text = (
@@ -59,7 +68,9 @@ def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> l
         text = f"{of}joints follow the commands of others: {pairs}; is the order of the joints right?"
         checks.append(raised("command-order", text, list(quality.swapped)))
     if quality.opposite:
-        text = f"{of}{', '.join(quality.opposite)} move against their commands; are their signs right?"
+        one = len(quality.opposite) == 1
+        moves = "moves against its command; is its sign" if one else "move against their commands; are their signs"
+        text = f"{of}{', '.join(quality.opposite)} {moves} right?"
         checks.append(raised("command-order", text, quality.opposite))
     checks += _unit_checks(quality, of)
     if quality.still:
@@ -70,7 +81,7 @@ def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> l
         checks.append(raised("encoder-stuck", text, quality.still))
     if quality.resting:
         names = ", ".join(quality.resting)
-        text = f"{of}{names}: neither commanded to move nor moving, so nothing about it can be identified"
+        text = f"{of}{names}: does not move, and its command hardly does, so nothing about it can be identified"
         checks.append(raised("joint-at-rest", text, quality.resting))
     return checks
 
@@ -87,6 +98,10 @@ def _cover_checks(motion: CommandedMotion, quality: CommandQuality, of: str) -> 
 
 def _unit_checks(quality: CommandQuality, of: str) -> list[Check]:
     checks = []
+    if quality.offsets:
+        listed = ", ".join(f"{joint} by {offset:.2f}" for joint, offset in quality.offsets.items())
+        text = f"{of}positions follow their commands at another zero: {listed} [rad or m]; are both of one calibration?"
+        checks.append(raised("command-unit", text, list(quality.offsets)))
     for large, unit in (
         (True, "positions look like degrees, their commands like radians"),
         (False, "commands look like degrees, the positions like radians"),

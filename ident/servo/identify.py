@@ -12,12 +12,14 @@ import numpy as np
 
 from daq.recording.commanded_motion import commanded_motion
 from daq.recording.quality.quantisation import resolution
+from daq.recording.quality.stale_samples import stale_rows
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.reading_process import Progress
 from drivers.core.software import software_versions
+from drivers.core.text import percent_text
 from ident.assessment.command_checks import refuse_unusable_commands
 from ident.identify.summary import provenance
 from ident.model.another_arm import check_arm
@@ -44,6 +46,9 @@ from ident.signals.sample_hashes import SAME_DATA, HashArray, check_counted_once
 
 HELD_OUT = 0.3
 """Share at the end of each recording that validates, where no other recording does."""
+
+MOST_SHOWN = 3
+"""Rests and jumps of a recording's positions that the verdict lists."""
 
 PAUSE = 0.5
 """[s] without contact between two contacts."""
@@ -156,7 +161,7 @@ def identify_servo(
             *(_use(recording, file, "validation", []) for recording in held_out),
         ],
         versions=software_versions(),
-        verdict=verdict(robot.joint_names, joints, validation, steps, contact),
+        verdict=verdict(robot.joint_names, joints, validation, steps, contact, _doubts([*recordings, *held_out])),
     )
     return ServoIdentification(result, judged, paths)
 
@@ -189,7 +194,7 @@ def revalidate_servo(
         update={
             "validation": fit,
             "validation_source": "recordings of their own",
-            "verdict": verdict(tuple(result.joints), result.servo, fit, steps, contact),
+            "verdict": verdict(tuple(result.joints), result.servo, fit, steps, contact, _doubts(recordings)),
         }
     )
     return ServoIdentification(changed, motions, paths)
@@ -201,9 +206,41 @@ def read_motions(recording: Recording, robot_file: RobotFile) -> list[ServoMotio
     Raises:
         DataError: they do not belong together; says why, and what to do.
     """
+    stale = stale_rows(recording)
+    for jump in () if stale is None else stale.jumps:
+        if jump.cause == "turn":
+            raise DataError(
+                f"the position of {jump.joint} jumps by a full turn at {jump.time:.2f} s, as for wrapped angles",
+                where=recording.label,
+                hint="continue the angle there (numpy.unwrap) and import it again",
+            )
     recorded = commanded_motion(recording, robot_file.robot)
     refuse_unusable_commands(recorded, recording.label)
     return servo_motions(recorded, recording.label)
+
+
+def _doubts(recordings: Sequence[Recording]) -> list[str]:
+    """Return which samples of recordings are not what they say, in words; the fit has them all."""
+    doubts = []
+    for recording in recordings:
+        stale = stale_rows(recording)
+        if stale is None:
+            continue
+        repeats = stale.repeated | stale.held
+        if repeats.any():
+            share = percent_text(float(np.mean(repeats)), 2)
+            doubts.append(f"{recording.label}: {share} of the positions repeat the one before while the arm moves")
+        for encoder in stale.encoders[:MOST_SHOWN]:
+            doubts.append(
+                f"{recording.label}: the position of {encoder.joint} rests from {encoder.start:.1f} to "
+                f"{encoder.stop:.1f} s while its target moves: a stop, a limit of the servo, or its encoder"
+            )
+        for jump in stale.jumps[:MOST_SHOWN]:
+            doubts.append(
+                f"{recording.label}: the position of {jump.joint} jumps by {jump.size:.2g} at {jump.time:.2f} s: its "
+                "encoder lost its zero, or rows are missing"
+            )
+    return doubts
 
 
 def contact_of(result: ServoResult, links: ServoLinks) -> Contact | None:
@@ -287,6 +324,7 @@ def verdict(
     judged: RolloutFit,
     steps: FloatArray,
     contact: Contact | None = None,
+    doubts: Sequence[str] = (),
 ) -> Grade:
     """A grade for rolling out motions, by held-out errors against encoder steps and references."""
     error, lagged = np.array(judged.rollout_error), np.array(judged.references.delay_and_lag)
@@ -300,13 +338,13 @@ def verdict(
         grade = "poor" if gain < 1 else "usable" if grade == "good" else grade
     if not judged.held_out and grade == "good":
         grade = "usable"
-    checks = []
+    checks = list(doubts)
     zeros = {joint.joint: joint.parameters["zero"].value for joint in joints if "zero" in joint.parameters}
     far = [f"{name} by {value:.2g} rad" for name, value in zeros.items() if abs(value) > FAR_ZERO]
     if far:
         checks.append(
             f"gravity shows another encoder zero than the URDF's: {', '.join(far)}; compare a pose of the arm with its "
-            "model"
+            "model: zeros, signs and order of the joints, and its mounting"
         )
     if contact is not None:
         checks.append(_contact_words(contact, judged.contacts))

@@ -1,4 +1,4 @@
-"""Do measured positions follow the recorded commands? Their overlap, clocks, order, units and signs."""
+"""Do measured positions follow the recorded commands? Their overlap, clocks, order, units, zeros and signs."""
 
 from __future__ import annotations
 
@@ -30,6 +30,30 @@ LEAST_LAG, MOST_LAG = -0.025, 0.27
 
 LEAST_MOTION = 5e-3
 """Range of a command [rad or m] from which on its joint is to move."""
+
+SHIFTS = GRID_STEP * np.arange(-LARGEST_SHIFT, LARGEST_SHIFT + 1)
+"""(2·LARGEST_SHIFT + 1,) that are tried [s]."""
+
+POSSIBLE = (SHIFTS >= LEAST_LAG) & (SHIFTS <= MOST_LAG)
+"""Those that a servo can have."""
+
+HELD = 0.1
+"""Distance [rad or m] of a joint from its command up to which friction and gravity hold it: an SO-101 sags by 0.08."""
+
+LEAST_OFFSET = 0.3
+"""Median distance [rad or m] of a joint that follows its command beyond which the two have different zeros."""
+
+LEAST_CHANGES, MOST_ROWS = 50, 3
+"""Changes of the positions, and rows of shift, from and up to which they are compared with the commands' own values."""
+
+COPY_ROUNDING = 1e-6
+"""Relative difference of one value in two columns: of single precision."""
+
+COPIED = 0.9
+"""Share of the changed positions that are also commands, from which on these are measured positions."""
+
+UNRELATED = 0.5
+"""Correlation of a joint with its command at every shift below which it does not follow it."""
 
 LEAST_STEPS = 5.0
 """The same in steps of the encoder."""
@@ -68,7 +92,10 @@ class CommandQuality:
     still: tuple[str, ...]  # joints whose position does not change although they are commanded to move
     # joint → first and last time [s] between which its position rests while its command passes it by far
     frozen: dict[str, tuple[float, float]]
-    resting: tuple[str, ...]  # joints that neither are commanded to move nor do
+    resting: tuple[str, ...]  # joints that do not move, and are not commanded to by more than `HELD`
+    offsets: dict[str, float]  # joint → position less command [rad or m], of joints that follow at another zero
+    copied: int | None  # rows by which the commands' values are those measured later; None where they are not
+    unrelated: bool  # whether the commands are no positions: no joint follows its own, or all follow their integral
 
 
 def command_quality(motion: CommandedMotion) -> CommandQuality:
@@ -84,7 +111,15 @@ def command_quality(motion: CommandedMotion) -> CommandQuality:
     used = np.flatnonzero(commanded & (moves > 0.0) & sound)
     position, told_then = _on_one_grid(motion, used)
     delay, apart = _delay(position, told_then)
-    ratios, swapped, opposite = _followed(position, told_then)
+    correlations = _correlations(position, told_then) if position.size else np.zeros((0, 0, 0))
+    ratios, swapped, opposite = _followed(position, told_then, correlations)
+    frozen = {
+        names[joint]: rest
+        for place, joint in enumerate(used.tolist())
+        # Of two exchanged joints each rests while its own command passes it, but not while the other's does.
+        if (rest := _frozen(motion, joint, joint)) and _frozen(motion, joint, int(used[swapped.get(place, place)]))
+    }
+    offsets = np.median(motion.position - motion.held(motion.time), axis=0)
     return CommandQuality(
         before=max(0.0, float(motion.command_time[0] - motion.time[0])),
         after=max(0.0, float(motion.time[-1] - motion.command_time[-1]) - period),
@@ -93,14 +128,46 @@ def command_quality(motion: CommandedMotion) -> CommandQuality:
         ratios={names[used[place]]: ratio for place, ratio in ratios.items()},
         swapped={names[used[place]]: names[used[other]] for place, other in swapped.items()},
         opposite=tuple(names[used[place]] for place in opposite),
-        still=tuple(np.array(names)[commanded & (moves == 0.0)].tolist()),
-        frozen={names[joint]: rest for joint in used.tolist() if (rest := _frozen(motion, joint)) is not None},
-        resting=tuple(np.array(names)[~commanded & ~moving].tolist()),
+        still=tuple(np.array(names)[(asked > HELD) & (moves == 0.0)].tolist()),
+        frozen=frozen,
+        resting=tuple(np.array(names)[(asked <= HELD) & (moves == 0.0) | ~commanded & ~moving].tolist()),
+        offsets={
+            names[used[place]]: float(offsets[used[place]])
+            for place, ratio in ratios.items()
+            if abs(offsets[used[place]]) > LEAST_OFFSET and abs(ratio - 1.0) < LEAST_OFFSET
+        },
+        copied=_copied(motion),
+        unrelated=_unrelated(position, told_then, correlations) and not swapped and not opposite,
     )
 
 
-def _frozen(motion: CommandedMotion, joint: int) -> tuple[float, float] | None:
-    """First and last time [s] of a joint's longest rest, if its command passes it by far on both sides."""
+def _unrelated(position: FloatArray, command: FloatArray, correlations: FloatArray) -> bool:
+    """Whether no joint follows its command, at whatever shift, or all follow its integral instead."""
+    if not position.size:
+        return False
+    own = np.diagonal(correlations, axis1=1, axis2=2)
+    passed = np.cumsum(command[LARGEST_SHIFT:-LARGEST_SHIFT], axis=0)
+    same = [np.corrcoef(column, other)[0, 1] for column, other in zip(position.T, passed.T, strict=True)]
+    integral = np.maximum(own[POSSIBLE].max(axis=0), DELAY_CORRELATION) < same
+    return bool(np.all(own < UNRELATED) or np.all(integral))
+
+
+def _copied(motion: CommandedMotion) -> int | None:
+    """Rows by which the commands' values are those measured later, joint by joint; None where no shift has them."""
+    position, command = motion.position, motion.held(motion.time)
+    for rows in sorted(range(-MOST_ROWS, MOST_ROWS + 1), key=abs):
+        inner = slice(MOST_ROWS, len(position) - MOST_ROWS)
+        measured = position[MOST_ROWS + rows : len(position) - MOST_ROWS + rows]
+        changed = np.diff(measured, axis=0) != 0.0
+        if np.count_nonzero(changed) >= LEAST_CHANGES:
+            same = np.abs(command[inner] - measured)[1:] <= COPY_ROUNDING * np.abs(measured[1:])
+            if np.mean(same[changed]) > COPIED:
+                return rows
+    return None
+
+
+def _frozen(motion: CommandedMotion, joint: int, source: int) -> tuple[float, float] | None:
+    """First and last time [s] of a joint's longest rest, if the command `source` passes it by far on both sides."""
     position, time = motion.position[:, joint], motion.time
     ends = np.concatenate([[-1], np.flatnonzero(np.diff(position) != 0.0), [len(position) - 1]])
     longest = int(np.argmax(time[ends[1:]] - time[ends[:-1] + 1]))
@@ -108,10 +175,10 @@ def _frozen(motion: CommandedMotion, joint: int) -> tuple[float, float] | None:
     if time[last] - time[first] < 2 * LONGEST_REST:
         return None
     settled = time[first : last + 1]
-    command = motion.held(settled[settled <= time[last] - LONGEST_REST])[:, joint]
-    whole = float(np.ptp(motion.commands[TARGET][:, joint]))
+    command = motion.held(settled[settled <= time[last] - LONGEST_REST])[:, source]
+    whole = float(np.ptp(motion.commands[TARGET][:, source]))
     sides = min(float(command.max()) - position[first], position[first] - float(command.min()))
-    passed = sides > PASSED * whole and np.ptp(command) > GONE * whole
+    passed = sides > max(PASSED * whole, HELD) and np.ptp(command) > GONE * whole
     return (float(time[first]), float(time[last])) if passed else None
 
 
@@ -157,23 +224,23 @@ def _delay(position: FloatArray, command: FloatArray) -> tuple[float, bool]:
     closest = own[:, int(np.argmax(own.max(axis=0)))]
     if closest.max() < DELAY_CORRELATION:
         return float("nan"), False
-    left, shifts = 1.0 - np.maximum(closest, 0.0) ** 2, GRID_STEP * np.arange(-LARGEST_SHIFT, LARGEST_SHIFT + 1)
-    delay = float(shifts[int(np.argmin(left))])
-    possible = (shifts >= LEAST_LAG) & (shifts <= MOST_LAG)
-    return delay, not LEAST_LAG <= delay <= MOST_LAG and bool(left.min() < CLOCK_VARIANCE * left[possible].min())
+    left = 1.0 - np.maximum(closest, 0.0) ** 2
+    delay = float(SHIFTS[int(np.argmin(left))])
+    return delay, not LEAST_LAG <= delay <= MOST_LAG and bool(left.min() < CLOCK_VARIANCE * left[POSSIBLE].min())
 
 
-def _followed(position: FloatArray, command: FloatArray) -> tuple[dict[int, float], dict[int, int], list[int]]:
+def _followed(
+    position: FloatArray, command: FloatArray, correlations: FloatArray
+) -> tuple[dict[int, float], dict[int, int], list[int]]:
     """Slopes of the joints that follow their commands, those that follow another's, those that move against theirs."""
     ratios: dict[int, float] = {}
     swapped: dict[int, int] = {}
     opposite: list[int] = []
-    correlations = _correlations(position, command) if position.size else np.zeros((0, 0, 0))
     for place in range(correlations.shape[1]):
         own, best = correlations[:, place, place], correlations[:, place, :].max(axis=0)
         other = int(np.argmax(best))
         believed = np.sqrt(max(FOLLOWING_CORRELATION**2, 1.0 - MISTAKE_VARIANCE * (1.0 - max(best[place], 0.0) ** 2)))
-        if best[other] > believed:
+        if other != place and best[other] > believed:
             swapped[place] = other
         elif -own.min() > believed:
             opposite.append(place)

@@ -234,12 +234,14 @@ def test_recordings_whose_commands_and_positions_do_not_belong_together_are_refu
     position, command = (stream.channels[name].values for name in ("position", "target_position"))
     stuck, stopped, against = position.copy(), position.copy(), command.copy()
     stuck[:, 2], stopped[300:, 1], against[:, 1] = position[0, 2], position[300, 1], -command[:, 1]
+    wrapped = position - 2 * np.pi * (np.eye(6)[1] * position > position[:, 1].mean())
     rest = stream.channels["target_position"], Stream(COMMANDS_STREAM, stream.time[:600], stream.time[:600], {})
     cut = dataclasses.replace(rest[1], channels={"target_position": dataclasses.replace(rest[0], values=command[:600])})
     bare = dataclasses.replace(stream, channels={"position": stream.channels["position"]})
     mistakes = {
         "late by 0.3 s": (changed(other, target_position=np.roll(command, 15, axis=0)), "the clocks differ"),
-        "early by 0.3 s": (changed(other, target_position=np.roll(command, -15, axis=0)), "the clocks differ"),
+        "no commands": (changed(other, target_position=np.roll(position, -1, axis=0)), "are the measured positions"),
+        "wrapped": (changed(other, position=wrapped), "full turn"),
         "order": (changed(other, target_position=command[:, [0, 2, 1, 3, 4, 5]]), "commands of others"),
         "frozen": (changed(other, position=stuck), "position of elbow_flex never"),
         "frozen halfway": (changed(other, position=stopped), "shoulder_lift does not change from"),

@@ -183,7 +183,14 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.info(servo(b.recorded(), lambda q: q[:, [0, 2, 1]])) & b.info(servo(b.recorded(), np.negative)),
         lambda b: b.servo_info(),
     ),
-    "command-unit": (lambda b: b.info(servo(b.recorded(), np.rad2deg)), lambda b: b.servo_info()),
+    "command-unit": (
+        lambda b: b.info(servo(b.recorded(), np.rad2deg)) & b.info(servo(b.recorded(), lambda q: q + [0.0, 0.5, 0.0])),
+        lambda b: b.servo_info(),
+    ),
+    "command-other": (
+        lambda b: b.info(servo(b.recorded(), lambda q: np.diff(q, axis=0, prepend=q[:1]))),
+        lambda b: b.servo_info(),
+    ),
     "joint-at-rest": (lambda b: b.info(servo(at_rest(b.recorded(), 1))), lambda b: b.servo_info()),
     "signal-clipped": (
         lambda b: b.names(changed(b.recorded(), lambda i: np.clip(i, -0.5 * i.max(axis=0), 0.5 * i.max(axis=0)))),

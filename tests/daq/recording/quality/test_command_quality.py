@@ -62,6 +62,33 @@ def test_the_rest_is_told_by_joint() -> None:
     assert command_quality(short).after == pytest.approx(12.0, abs=0.05)
 
 
+def test_what_was_recorded_as_commands_is_told_from_goals() -> None:
+    sound, generator = motion(), np.random.default_rng(0)
+    quality = command_quality(sound)
+    assert (quality.copied, quality.unrelated, quality.offsets) == (None, False, {})
+    command = sound.commands[TARGET]
+    for rows in (-1, 0, 1):  # as in data sets whose action is an observation
+        copied = replace(sound, command_time=sound.time, commands={TARGET: np.roll(sound.position, -rows, axis=0)})
+        assert command_quality(copied).copied == rows
+    for values in (np.diff(command, axis=0, prepend=command[:1]), np.gradient(command, 0.02, axis=0)):
+        assert command_quality(replace(sound, commands={TARGET: values})).unrelated
+    elsewhere = replace(sound, position=sound.position + [0.0, -0.5, 0.0])
+    assert command_quality(elsewhere).offsets == {"b": pytest.approx(-0.5, abs=0.1)}
+    # A hand on the leader trembles, and the follower's friction holds it.
+    position, trembling = sound.position.copy(), command.copy()
+    position[:, 1] = np.where(sound.time < 10.0, position[0, 1], position[0, 1] + STEP)
+    trembling[:, 1] = position[0, 1] + 0.01 * generator.standard_normal(len(command))
+    quality = command_quality(replace(sound, position=position, commands={TARGET: trembling}))
+    assert (quality.still, quality.frozen) == ((), {})
+    # Exchanged joints rest while their own commands pass them.
+    paused = np.where(sound.time < 10.0, 0.0, sound.position[:, 0])
+    sent = np.where(sound.command_time < 10.0, 0.0, command[:, 0])
+    exchanged = np.stack([sound.position[:, 1], paused, sound.position[:, 2]], axis=1)
+    goals = np.stack([sent, command[:, 1], command[:, 2]], axis=1)
+    quality = command_quality(replace(sound, position=exchanged, commands={TARGET: goals}))
+    assert (quality.swapped, quality.frozen) == ({"a": "b", "b": "a"}, {})
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("value", [0.0, 1e300, -1e12])
 def test_damaged_values_and_long_recordings_are_no_obstacle(value: float) -> None:
