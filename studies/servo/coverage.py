@@ -6,7 +6,7 @@ in its scale only: neither gravity nor the inertia of its links ties them to N·
 gravity whose stiffness is refused, or right.
 
 `python -m studies.servo.coverage SEEDS` takes about five seconds of CPU time for each identification, of which there
-are six a seed; `python -m studies.servo.coverage 1 koch` takes one arm only.
+are six a seed; `python -m studies.servo.coverage 4-7 koch` takes seeds 4 to 7 of one arm.
 """
 
 from __future__ import annotations
@@ -65,13 +65,14 @@ def of_seed(name: str, spoilt: bool, seed: int) -> tuple[dict[str, list[bool]], 
 
 def main() -> None:
     """Print a row per arm."""
-    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 20
+    first, _, last = (sys.argv[1] if len(sys.argv) > 1 else "20").partition("-")
+    seeds = range(int(first), int(last) + 1) if last else range(int(first))
     arms = sys.argv[2:] or ARMS
     print("| arm | " + " | ".join(COUNTED) + " | all | no gravity: torque scale refused, or right |")
     print("|---|" + "---|" * (len(COUNTED) + 2))
     for name in arms:
         for spoilt, suffix in ((False, ""), (True, ", play and breakaway")):
-            outcomes = list(of_cases(of_seed, [(name, spoilt, seed) for seed in range(seeds)]))
+            outcomes = list(of_cases(of_seed, [(name, spoilt, seed) for seed in seeds]))
             columns = {term: [value for inside, _ in outcomes for value in inside[term]] for term in COUNTED}
             refused = [value for _, of_joints in outcomes for value in of_joints]
             every = [value for column in columns.values() for value in column]
