@@ -19,7 +19,6 @@ from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 
 import numpy as np
-import numpy.typing as npt
 
 from daq.live.shared_rows import SharedRows
 from daq.recording.recording import JOINTS_STREAM
@@ -27,6 +26,7 @@ from daq.robot.arm_lengths import joint_axes
 from daq.robot.loader import RobotFile
 from daq.session.course import View
 from daq.session.realtime import ordinary_priority
+from drivers.core.arrays import FloatArray
 from drivers.core.child_process import leave, started_without_interrupt
 from drivers.core.errors import UsageError
 from drivers.core.text import json_text
@@ -66,9 +66,9 @@ class BrowserPage:
         self._rows, self._pipe = rows, pipe
         self.address = address
 
-    def append(self, time: float, row: npt.NDArray[np.float64]) -> None:
-        """Show a row (C,) of the channels at a time [s]; NaN where there is no value."""
-        self._rows.append(time, row)
+    def append(self, time: FloatArray, rows: FloatArray) -> None:
+        """Show rows (N, C) of the channels at times (N,) [s]; NaN where there is no value."""
+        self._rows.append(time, rows)
 
     def alarm(self, alarm: Alarm) -> None:
         """List an alarm; pages that are opened later list it, too."""
@@ -199,8 +199,7 @@ class PageView:
                 batch.values.get(channel.quantity, np.full((len(batch.time), len(channel.columns)), np.nan))
                 for channel in self._layout.channels
             ]
-            for time, row in zip(batch.time, np.concatenate(parts, axis=1), strict=True):
-                self._page.append(float(time), row)
+            self._page.append(batch.time, np.concatenate(parts, axis=1))
 
     def show(self, state: str, elapsed: float, total: float) -> None:
         """The page shows samples alone."""

@@ -86,6 +86,7 @@ class Recorder:
         self._chunk_rows = {layout.name: chunk_rows(layout.rate) for layout in layouts}
         self._pending: dict[str, list[Batch]] = {layout.name: [] for layout in layouts}
         self._rows = dict.fromkeys(self._pending, 0)
+        self._begun = dict.fromkeys(self._pending, 0)  # rows handed over of each stream's next chunk
         self._since = dict.fromkeys(self._pending, 0.0)
         self._queue: deque[Batch | tuple[float, Level, str, str]] = deque()
         self._memory_limit = memory_limit
@@ -122,7 +123,10 @@ class Recorder:
                 return
             self._waiting += size
             self._queue.append(batch)
-            self._changed.notify()
+            self._begun[batch.stream] += len(batch.time)
+            if self._begun[batch.stream] >= self._chunk_rows[batch.stream]:  # to wake the thread for each costs more
+                self._begun[batch.stream] %= self._chunk_rows[batch.stream]
+                self._changed.notify()
 
     def event(self, time: float, level: Level, source: str, message: str) -> None:
         """Hand over an event; `time` [s] in the clock of the stream that it concerns."""

@@ -49,6 +49,22 @@ def dahl_states(
     return states
 
 
+def dahl_steps(displacement: FloatArray, travels: FloatArray, state: FloatArray) -> FloatArray:
+    """Dahl's states (m, N) of m motions after each of the displacements (m, N) [rad or m], from states (m,) on.
+
+    Args:
+        displacement: (m, N) between samples.
+        travels: (m,) δ [rad or m], positive.
+        state: (m,) before.
+    """
+    decay = np.exp(-np.abs(displacement) / travels[:, None])
+    aim = np.sign(displacement) * (1.0 - decay)
+    states = np.empty_like(displacement)
+    for sample in range(displacement.shape[1]):
+        state = states[:, sample] = decay[:, sample] * state + aim[:, sample]
+    return states
+
+
 def presliding_states(model: DynamicModel, velocity: FloatArray, rate: float) -> States:
     """Dahl's state (N,) of each motion of the model that has a travel, along velocities (n, N) on a uniform grid."""
     if not model.presliding:

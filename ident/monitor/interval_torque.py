@@ -22,7 +22,7 @@ from drivers.core.units import ZERO_CELSIUS
 from ident.identify.revalidate import stored_choices
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.joint_columns import combined
-from ident.model.presliding import dahl_states, presliding_motions
+from ident.model.presliding import dahl_steps, presliding_motions
 from ident.result.models.gravity_model import refuse_gravity_alone
 from ident.result.models.model import Model
 
@@ -64,6 +64,8 @@ class Intervals:
 
 def joined(parts: list[Intervals]) -> Intervals:
     """Consecutive intervals as one; `parts` is not empty."""
+    if len(parts) == 1:
+        return parts[0]
     names = ("time", "position", "velocity", "acceleration", "measured", "external", "restarted")
     rows = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     celsius = [part.celsius for part in parts if part.celsius is not None]
@@ -103,10 +105,12 @@ class IntervalTorque:
         self._delays = np.array(choices.joint_delays or (choices.delay,) * model.dof)
         self._delayed = [(delay, np.flatnonzero(self._delays == delay)) for delay in set(self._delays.tolist()) - {0.0}]
         self.lag = max(period, float(self._delays.max()))
-        self._motions = presliding_motions(self._dynamics.model)
+        travels = presliding_motions(self._dynamics.model)
+        self._motions, self._travels = tuple(travels), np.array(list(travels.values()), dtype=np.float64)
+        self._heated = self._dynamics.model.needs_temperature
         self._rows: JointSamples | None = None
         self._next, self._fresh = 1, True
-        self._dry = dict.fromkeys(self._motions, 0.0)
+        self._dry = np.zeros(len(travels))
 
     def add(self, samples: JointSamples) -> Intervals:
         """The intervals (M,) that these samples (N, n) complete; samples that are not finite count as missing.
@@ -119,8 +123,9 @@ class IntervalTorque:
             raise DataError(
                 f"samples of shape {samples.position.shape} for {len(names)} joints", where=self._model.name
             )
-        kelvin = None if samples.celsius is None else samples.celsius + ZERO_CELSIUS
-        self._model.require_temperature(kelvin, self._model.name)
+        if self._heated:
+            kelvin = None if samples.celsius is None else samples.celsius + ZERO_CELSIUS
+            self._model.require_temperature(kelvin, self._model.name)
         fine = np.isfinite(samples.time) & np.all(np.isfinite(samples.position) & np.isfinite(samples.torque), axis=1)
         samples = samples if fine.all() else _rows(samples, np.flatnonzero(fine))
         parts: list[Intervals] = []
@@ -137,7 +142,7 @@ class IntervalTorque:
 
     def _restart(self) -> None:
         self._rows, self._next, self._fresh = None, 1, True
-        self._dry = dict.fromkeys(self._motions, 0.0)
+        self._dry = np.zeros(len(self._travels))
 
     def _nothing(self) -> Intervals:
         none = np.zeros((0, self._model.dof))
@@ -220,10 +225,10 @@ class IntervalTorque:
     ) -> FloatArray:
         """Friction, offsets and regrouped weight (n, N) [N·m or N]; dry friction with its presliding state."""
         states = {}
-        for motion, travel in self._motions.items():
-            # Displacements in place of velocities: periods may differ.
-            state = dahl_states(combined(motion, rate) * width, 1.0, [travel], self._dry[motion])[0]
-            states[motion], self._dry[motion] = state, float(state[-1])
+        if self._motions:
+            moved = width * np.array([combined(motion, rate) for motion in self._motions])
+            rows = dahl_steps(moved, self._travels, self._dry)
+            states, self._dry = dict(zip(self._motions, rows, strict=True)), rows[:, -1]
         kelvin = None if celsius is None else celsius.T + ZERO_CELSIUS
         return self._dynamics.friction(rate, position, kelvin, states) + self._dynamics.weight[:, None]
 

@@ -38,8 +38,8 @@ SHOWN_EVERY = 0.15
 class Page(Protocol):
     """Where residuals are drawn; `daq.live.page.BrowserPage` is one."""
 
-    def append(self, time: float, row: FloatArray) -> None:
-        """Show a row of the channels."""
+    def append(self, time: FloatArray, rows: FloatArray) -> None:
+        """Show rows (N, C) of the channels at times (N,) [s]."""
 
 
 class LiveMonitor:
@@ -150,8 +150,7 @@ class LiveMonitor:
         intervals = residuals.intervals
         predicted = intervals.measured + intervals.external
         parts = (intervals.position, intervals.measured, predicted, residuals.external, residuals.threshold)
-        for time, row in zip(intervals.time.tolist(), np.concatenate(parts, axis=1), strict=True):
-            self.page.append(time, row)
+        self.page.append(intervals.time, np.concatenate(parts, axis=1))
 
     def _lacks_temperature(self) -> bool:
         return self._needs_temperature and bool(np.isnan(self._celsius[self._heated]).any())
@@ -195,7 +194,7 @@ class LiveMonitor:
         for quantity, shares in self._maps.items():
             torque += joints.channels[quantity].values @ shares
         measured = np.isfinite(self._celsius).any()
-        celsius = np.broadcast_to(self._celsius, position.shape) if measured else None
+        celsius = self._celsius[None].repeat(len(time), axis=0) if measured else None
         return JointSamples(time, position, torque, celsius)
 
     def events(self) -> Sequence[tuple[float, str]]:
@@ -265,8 +264,10 @@ class LiveMonitor:
 def _joined(name: str, batches: Sequence[Batch], columns: Mapping[str, tuple[str, ...]]) -> Stream:
     """Batches as a stream."""
     time = np.concatenate([batch.time for batch in batches])
-    quantities = {quantity: np.concatenate([batch.values[quantity] for batch in batches]) for quantity in columns}
-    channels = {quantity: Channel(quantity, rows, "", columns[quantity]) for quantity, rows in quantities.items()}
+    channels = {
+        quantity: Channel(quantity, np.concatenate([batch.values[quantity] for batch in batches]), "", names)
+        for quantity, names in columns.items()
+    }
     return Stream(name, time, time, channels)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ PRIOR_INERTIA = 0.5
 """[kg·m²]"""
 TOGETHER = 10
 """Samples that are averaged before they are evaluated."""
+AT_ONCE = 100
+"""Samples that are evaluated together, unless an estimate is asked for before: that costs a third."""
 PINOCCHIO_PLACES = tuple(INERTIAL.index(symbol) for symbol in PINOCCHIO_ORDER)
 """Where Pinocchio's parameters of a body stand among ours."""
 CORRELATION = 0.25
@@ -84,37 +87,44 @@ class LoadEstimator:
         self._information = np.diag(deviations**-2)
         # What the filter remembers is of the load before.
         self._rows, self._broken = [], True
+        self._waiting = 0
         self._moment = np.zeros(len(INERTIAL))
         self._moving = 0
 
     def add(self, intervals: Intervals, way: IndexArray) -> None:
         """Take over samples, with each joint's way of motion (N, n)."""
         parts = (intervals.position, intervals.velocity, intervals.acceleration, intervals.external, way)
-        rows = np.concatenate(parts, axis=1)
-        for row, restarted in zip(rows, intervals.restarted.tolist(), strict=True):
-            if restarted:
-                self._rows, self._broken = [], True
-            self._rows.append(row)
-            if len(self._rows) == TOGETHER:
-                self._add_block(np.array(self._rows))
-                self._rows = []
+        rows = np.concatenate(parts, axis=1, dtype=np.float64)
+        for first, end in pairwise([0, *np.flatnonzero(intervals.restarted).tolist(), len(rows)]):
+            if first < end and intervals.restarted[first]:
+                self._take_over()
+                self._rows, self._waiting, self._broken = [], 0, True
+            self._rows.append(rows[first:end])
+            self._waiting += end - first
+        if self._waiting >= AT_ONCE:
+            self._take_over()
 
-    def _add_block(self, rows: FloatArray) -> None:
-        joints = self._model.dof
-        position, velocity, acceleration, external, _ = np.split(rows.mean(axis=0), 5)
-        columns = self.columns(position, velocity, acceleration)
-        both = np.column_stack([columns, external]).reshape(1, -1)
-        filtered = self._filter.apply(both, np.array([self._broken])).reshape(joints, -1)
-        self._broken = False
-        ways = rows[:, 4 * joints :].astype(np.intp)
-        used = np.all(ways != REST, axis=0)
-        if not used.any():
+    def _take_over(self) -> None:
+        """Evaluate the whole blocks among the samples that wait."""
+        count = self._waiting // TOGETHER
+        if not count:
             return
-        spread = self._thresholds.spread[ways[-1], np.arange(joints)][used]
-        weighted = filtered[used, :-1] / spread[:, None]
-        self._information += self._independent * weighted.T @ weighted
-        self._moment -= self._independent * weighted.T @ (filtered[used, -1] / spread)
-        self._moving += TOGETHER
+        joints, rows = self._model.dof, np.concatenate(self._rows)
+        self._rows = [rows[count * TOGETHER :]]
+        self._waiting -= count * TOGETHER
+        blocks = rows[: count * TOGETHER].reshape(count, TOGETHER, -1)
+        position, velocity, acceleration, external, _ = np.split(blocks.mean(axis=1), 5, axis=1)
+        columns = np.array([self.columns(*motion) for motion in zip(position, velocity, acceleration, strict=True)])
+        both = np.concatenate([columns, external[:, :, None]], axis=2).reshape(count, -1)
+        broken = np.zeros(count, dtype=bool)
+        broken[0], self._broken = self._broken, False
+        filtered = self._filter.apply(both, broken).reshape(count, joints, -1)
+        ways = blocks[:, :, 4 * joints :].astype(np.intp)
+        used = np.all(ways != REST, axis=1)
+        weighted = (filtered / self._thresholds.spread[ways[:, -1], np.arange(joints)][:, :, None])[used]
+        self._information += self._independent * weighted[:, :-1].T @ weighted[:, :-1]
+        self._moment -= self._independent * weighted[:, :-1].T @ weighted[:, -1]
+        self._moving += TOGETHER * int(np.count_nonzero(used.any(axis=1)))
 
     def columns(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Joint torques (n, 10) per parameter of a body at the tool, for a motion (n,) [rad, rad/s, rad/s² or m…]."""
@@ -133,6 +143,7 @@ class LoadEstimator:
     @property
     def estimate(self) -> ToolLoad | None:
         """The load; None before the arm has moved long enough."""
+        self._take_over()
         seconds = self._moving * self._thresholds.period
         if seconds < FEWEST_SECONDS:
             return None

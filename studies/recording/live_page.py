@@ -148,7 +148,7 @@ def ages(seconds: float) -> dict[str, object]:
         def write() -> None:
             begun, number = time.time(), 0
             while not stopping.is_set():
-                page.append(time.time(), np.sin(time.time() * np.arange(1, 31)))
+                page.append(np.array([time.time()]), np.sin(time.time() * np.arange(1, 31))[None])
                 number += 1
                 time.sleep(max(0.0, begun + number / RATE - time.time()))
 

@@ -68,8 +68,9 @@ class ClockFit:
 
     def add(self, time: FloatArray, host_time: FloatArray) -> None:
         """Add the stamps (N,) [s] of consecutive samples; the fit restarts when a clock jumps back."""
-        usable = np.isfinite(time) & np.isfinite(host_time)
-        time, host_time = time[usable], host_time[usable]
+        ahead = host_time - time
+        if not (usable := np.isfinite(ahead)).all():
+            time, ahead = time[usable], ahead[usable]
         if not len(time):
             return
         if time[0] < self._last:
@@ -77,10 +78,10 @@ class ClockFit:
         self._last = float(time[-1])
         # Within a interval no drift shows: its earliest sample says it all.
         interval = np.floor(time / GROUP_SPAN)
-        inner = np.flatnonzero(interval[1:] != interval[:-1]) + 1
-        for first, end in itertools.pairwise([0, *inner.tolist(), len(time)]):
-            best = first + int(np.argmin(host_time[first:end] - time[first:end]))
-            self._add_point(float(time[best]), float(host_time[best] - time[best]), float(interval[first]))
+        inner = [] if interval[0] == interval[-1] else (np.flatnonzero(np.diff(interval)) + 1).tolist()
+        for first, end in itertools.pairwise([0, *inner, len(time)]):
+            best = first + int(ahead[first:end].argmin())
+            self._add_point(float(time[best]), float(ahead[best]), float(interval[first]))
 
     def estimate(self) -> ClockEstimate | None:
         """Offset and drift from the samples so far; None where they are too few."""

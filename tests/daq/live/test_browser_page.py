@@ -42,7 +42,8 @@ def page() -> Iterator[BrowserPage]:
         for number in range(2500):
             time = number / 500
             torque = 10 * np.sin(time * np.arange(1, 7))
-            shown.append(time, np.concatenate([torque + 0.1, torque, np.full(6, 0.1), np.ones(6), POSITION]))
+            row = np.concatenate([torque + 0.1, torque, np.full(6, 0.1), np.ones(6), POSITION])
+            shown.append(np.array([time]), row[None])
         shown.alarm(Alarm(float("nan"), "x" * 10_000))  # does not fit into a pipe at once: left out
         shown.alarm(Alarm(float("nan"), "at no time"))
         shown.alarm(Alarm(2.5, "external torque <b>3 N·m</b>", JOINTS[1]))
@@ -158,7 +159,7 @@ def test_the_page_draws_pauses_zooms_and_keeps_its_alarms(page, tmp_path):
             browser.loaded.discard(tab._session)
         before = tab.evaluate("document.documentElement.dataset.end")
         tab.evaluate("at('pause').click()")
-        page.append(5.1, np.concatenate([np.zeros(24), POSITION]))
+        page.append(np.array([5.1]), np.concatenate([np.zeros(24), POSITION])[None])
         tab.evaluate(
             "new Promise((done) => { const look = () => latest() > 5 ? done(true) : setTimeout(look, 5); look(); })"
         )

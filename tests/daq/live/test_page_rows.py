@@ -22,11 +22,11 @@ def test_a_reader_gets_the_newest_rows_in_order_and_each_once(blocks, capacity):
     try:
         written, read = 0, 0
         for block in blocks:
-            for _ in range(block):
-                rows.append(float(written), np.array([written, -written], dtype=np.float64))
-                written += 1
+            added = np.arange(written, written + block, dtype=np.float64)
+            rows.append(added, np.column_stack([added, -added]))
+            written += block
             new, read = reader.read(read)
-            expected = np.arange(written - min(block, capacity - 1), written)
+            expected = np.arange(written - min(block, capacity), written)
             np.testing.assert_array_equal(new, np.column_stack([expected, expected, -expected]))
             assert read == written
     finally:
@@ -37,21 +37,20 @@ def test_a_reader_gets_the_newest_rows_in_order_and_each_once(blocks, capacity):
 def test_rows_that_are_overwritten_while_they_are_read_are_dropped():
     rows = SharedRows.create(("a",), 8)
     try:
-        for number in range(8):
-            rows.append(float(number), np.zeros(1))
+        rows.append(np.arange(8.0), np.zeros((8, 1)))
 
         class Overtaken(SharedRows):
-            """Its count is three rows further when it is looked at again."""
+            """Four more rows are being written when the counts are looked at again."""
 
             looks = 0
 
             @property
-            def _count(self):
+            def _counts(self):
                 self.looks += 1
-                return np.array([8 if self.looks == 1 else 11])
+                return np.array([8, 8 if self.looks == 1 else 12])
 
-            @_count.setter
-            def _count(self, _):
+            @_counts.setter
+            def _counts(self, _):
                 """The array of the memory is not needed."""
 
         new, count = Overtaken(rows._memory, rows.handle, owner=False).read(0)
@@ -103,8 +102,8 @@ def test_a_session_shows_the_stream_of_its_joints_beside_its_terminal():
         def show(self, state: str, elapsed: float, total: float) -> None:
             self.seen.append(state)
 
-        def append(self, time: float, row: np.ndarray) -> None:
-            self.seen.append((time, row.tolist()))
+        def append(self, time: np.ndarray, rows: np.ndarray) -> None:
+            self.seen += zip(time.tolist(), rows.tolist(), strict=True)
 
     page, terminal = Beside(), Beside()
     layout = StreamLayout("joints", (ChannelLayout("position", ("a", "b")), ChannelLayout("current", ("a", "b"))))

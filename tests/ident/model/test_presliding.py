@@ -7,7 +7,7 @@ import pytest
 from friction_arm import arm_file
 
 from ident.model.base_parameters import base_parameters, random_states
-from ident.model.presliding import dahl_states, dry_friction
+from ident.model.presliding import dahl_states, dahl_steps, dry_friction
 from ident.model.true_parameters import true_model, truth_vector
 
 RATE = 1000.0
@@ -32,6 +32,11 @@ def test_a_short_travel_is_the_sign_and_travels_do_not_mix():
     assert np.array_equal(dahl_states(-velocity, RATE, [0.1])[0], -states[2])
     assert not dahl_states(np.zeros(3), RATE, [1e-3]).any()
     assert dahl_states(np.zeros(0), RATE, [1e-3]).shape == (1, 0)
+    moved, travels, state = np.array([velocity, -velocity]) / RATE, np.array([1e-3, 0.1]), np.zeros(2)
+    parts = [dahl_steps(moved[:, :150], travels, state)]
+    parts.append(dahl_steps(moved[:, 150:], travels, parts[0][:, -1]))
+    expected = [dahl_states(row * RATE, RATE, [travel], 0.0)[0] for row, travel in zip(moved, travels, strict=True)]
+    assert np.allclose(np.concatenate(parts, axis=1), expected, atol=1e-12)
 
 
 def test_all_terms_that_do_not_vanish_at_rest_follow_the_state():

@@ -18,7 +18,7 @@ from ident.model.load import load_effect
 from ident.model.true_parameters import truth_vector
 from ident.monitor.contact_forces import force_noticed, tool_wrench
 from ident.monitor.extremes import require_time, return_level
-from ident.monitor.interval_torque import JointSamples
+from ident.monitor.interval_torque import JointSamples, rows_of
 from ident.monitor.labelled_contacts import LabelledContact, found_at, operating_point, read_contacts, roc
 from ident.monitor.live import LiveMonitor
 from ident.monitor.load_estimate import LoadEstimator, changed_load
@@ -217,9 +217,17 @@ def test_a_load_is_estimated_with_its_interval(noisy: tuple[JointSamples, Thresh
     torque += np.random.default_rng(2).normal(scale=0.3, size=torque.shape)
     torque[:800] = quiet.torque[:800]  # before it was picked up
     watched = Monitor(model, thresholds)
-    watched.add(JointSamples(quiet.time, quiet.position, torque))
+    residuals = watched.add(JointSamples(quiet.time, quiet.position, torque))
     assert len(watched.contacts) == 1
     load = watched.load
+    whole, parts = (LoadEstimator(model, thresholds) for _ in range(2))
+    whole.add(residuals.intervals, residuals.way)
+    for begin in range(0, len(residuals.way), 7):
+        parts.add(rows_of(residuals.intervals, slice(begin, begin + 7)), residuals.way[begin : begin + 7])
+    assert whole.estimate is not None
+    assert parts.estimate is not None
+    assert parts.estimate.mass == pytest.approx(whole.estimate.mass)
+    assert parts.estimate.seconds == whole.estimate.seconds
     assert load is not None
     assert abs(load.mass - 2.0) < max(2.0 * load.margin, 0.04)
     assert load.centre == pytest.approx([0.02, 0.0, 0.1], abs=0.02)
