@@ -20,7 +20,6 @@ from ident.assessment.plausibility import POSES, indefinite_share, inertia_matri
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.residual_tests import residual_checks
 from ident.assessment.torque_level import of_urdf, torque_level_checks, urdf_scale, urdf_scale_checks, weight_checks
-from ident.estimators.energy_model import fits_energy_better
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.estimators.torque_estimator import reduce_torques
@@ -573,6 +572,8 @@ def _indefinite_share(identification: Identification) -> float:
 
 def _fits_opposite_gravity(identification: Identification) -> bool:
     """Return whether the energy's equations with gravity of the opposite sign fit clearly better, both by OLS."""
+    from ident.estimators.energy_model import fits_energy_better
+
     active, model, method = identification.solution.active, identification.model, identification.choices.estimator
     base = identification.base
     residual_sum = ordinary_least_squares(identification.reduction, active).residual_sum

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,8 +21,10 @@ from ident.friction.terms import FrictionConditions, FrictionTerms, no_terms
 from ident.model.dynamic_model import DynamicModel
 from ident.model.joint_columns import column_signal, joint_column
 from ident.model.parameters import JOINT_SYMBOLS, StandardParameter
-from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment
 from ident.signals.prepared import Prepared, Segment, Step
+
+if TYPE_CHECKING:
+    from ident.result.friction_experiment import FrictionExperimentResult, JointFrictionExperiment
 
 
 @dataclass(frozen=True, eq=False)

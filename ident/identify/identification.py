@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,12 +34,14 @@ from ident.regression.observation_matrix import Reduction
 from ident.regression.options import REVERSAL_SHARE, EssentialOptions, ExperimentChoices, ReversalOptions
 from ident.regression.pruning import Pruned
 from ident.result.friction import FrictionStep
-from ident.result.friction_experiment import FrictionExperimentResult
 from ident.result.schema import Presliding, PreslidingTravel
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
 from ident.signals.prepared import Prepared
 from ident.verdict.check import Check, texts
+
+if TYPE_CHECKING:
+    from ident.result.friction_experiment import FrictionExperimentResult
 
 
 @dataclass(frozen=True, kw_only=True)

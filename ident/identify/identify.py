@@ -17,7 +17,6 @@ from drivers.core.reading_process import Progress
 from ident.assessment.excitation import excited_base_columns
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import fit_errors
-from ident.estimators.energy_model import estimable
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
@@ -298,6 +297,8 @@ def _observation(estimator: Estimator, setup: Setup, choices: IdentifyChoices) -
     excited = excited_base_columns(reduction, setup.base, setup.runs)
     if choices.estimator.equations == "torque":
         return reduction, excited
+    from ident.estimators.energy_model import estimable
+
     identifiable = estimable(setup.kernel.model, setup.base)
     return reduction, tuple(column for column in excited if column in identifiable)
 

@@ -24,7 +24,6 @@ from ident.regression.options import ExperimentChoices
 from ident.report import RecordedRuns, ReportData, recorded_runs, render_report
 from ident.report.figures.torque_figure import torque_figure
 from ident.result.delivered import Delivered
-from ident.result.friction_experiment import read_friction_experiment
 from ident.result.models.model import Model, result_path
 from ident.result.result_file import read_result, result_json, stored_model
 from ident.result.schema import Result
@@ -234,7 +233,11 @@ def identify(options: IdentifyOptions) -> IdentificationResult:
 
 
 def _choices(options: IdentifyOptions) -> IdentifyChoices:
-    experiment = None if options.friction_from is None else read_friction_experiment(options.friction_from)
+    experiment = None
+    if options.friction_from is not None:
+        from ident.result.friction_experiment import read_friction_experiment
+
+        experiment = read_friction_experiment(options.friction_from)
     return same_named(
         options,
         IdentifyChoices,
