@@ -31,6 +31,7 @@ from ident.signals.resampling import (
     resample,
     shift_torque,
     shiftable,
+    spread_stamps,
     uniform_grid,
 )
 from ident.signals.segments import SHORTEST_SEGMENT, UniformSegment, motion_band, moving_segments, without_ends
@@ -57,6 +58,7 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
         raise UsageError("the recording holds no velocity", hint="omit the measured velocity; it is then derived")
     check_stamps(signals.time)
     windowed, window_step = _windowed(signals, choices)
+    windowed, spread_step = _spread(windowed)
     irregularity = measure_irregularity(windowed.time)
     uniform, resample_step = _uniform(windowed, irregularity)
     aligned, delay_step = _aligned(uniform, signals.joint_names, choices)
@@ -85,6 +87,7 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
             _stale_step(signals),
             _outlier_step(signals),
             window_step,
+            spread_step,
             resample_step,
             delay_step,
             decimation_step,
@@ -186,6 +189,17 @@ def _windowed(signals: JointSignals, choices: PreprocessChoices) -> tuple[Unifor
     samples = window.stop - window.start
     text = f"{start:.4g} s to {stop:.4g} s, {samples} of {len(time)} samples"
     return windowed, Step("window", {"start_s": start, "stop_s": stop, "samples": samples}, text)
+
+
+def _spread(recorded: UniformSegment) -> tuple[UniformSegment, Step | None]:
+    """Step 'repeated stamps': those of new positions, which a late or coarse clock made up for, are spread evenly."""
+    repeated = np.diff(recorded.time) == 0.0
+    if not repeated.any() or np.any(repeated & np.all(np.diff(recorded.position, axis=1) == 0.0, axis=0)):
+        return recorded, None
+    time = spread_stamps(recorded.time)
+    count = int(np.count_nonzero(repeated) - np.count_nonzero(np.diff(time) == 0.0))
+    text = f"{count} repeated stamps spread evenly between their neighbours"
+    return replace(recorded, time=time), Step("repeated stamps", {"spread": count}, text)
 
 
 def _stale_step(signals: JointSignals) -> Step | None:

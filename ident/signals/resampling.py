@@ -18,6 +18,10 @@ GAP_SECONDS = 0.05
 REGULAR_WITHIN = 0.01
 """Stamps count as regular when none is further than this fraction of a period from a uniform grid."""
 
+PERIOD_ROWS, LONGEST_SPREAD, IN_TIME = 500, 50, 0.25
+"""Rows over which the period is measured, rows over which repeated stamps are spread at most, and the deviation from
+the period [periods] of a stamp that is in time."""
+
 
 @dataclass(frozen=True)
 class Irregularity:
@@ -71,6 +75,26 @@ def check_rate(rate: float, where: str = "") -> None:
             where=where,
             hint="the time stamps are probably not in seconds",
         )
+
+
+def spread_stamps(time: FloatArray) -> FloatArray:
+    """Stamps (N,) [s] of which repeated ones are spread evenly up to the next one that is in time.
+
+    A clock that is coarser than the samples, or is read late, repeats a stamp and makes up for it: then the samples
+    were even. A sample that was recorded twice is not made up for; its stamp stays repeated.
+    """
+    span = min(PERIOD_ROWS, len(time) - 1)
+    period = float(np.median(time[span:] - time[:-span])) / span if span else 0.0
+    spread, first = time.copy(), 0
+    for repeated in np.flatnonzero(np.diff(time) == 0.0).tolist():
+        if repeated < first:
+            continue
+        rows = np.arange(2, min(LONGEST_SPREAD, len(time) - 1 - repeated) + 1)
+        in_time = np.abs(time[repeated + rows] - time[repeated] - rows * period) <= IN_TIME * period
+        if in_time.any():
+            first = repeated + int(rows[np.argmax(in_time)])
+            spread[repeated : first + 1] = np.linspace(time[repeated], time[first], first - repeated + 1)
+    return spread
 
 
 def measure_irregularity(time: FloatArray) -> Irregularity:

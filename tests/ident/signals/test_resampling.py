@@ -15,6 +15,7 @@ from ident.signals.resampling import (
     resample,
     shift_torque,
     shiftable,
+    spread_stamps,
     uniform_grid,
 )
 
@@ -68,6 +69,18 @@ def test_repeated_stamps_are_counted() -> None:
     found = measure_irregularity(np.repeat(np.arange(100) * 0.01, 2))
     assert found.duplicates == 100
     assert found.regular
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.3])
+def test_repeated_stamps_that_the_clock_makes_up_for_are_spread(share: float) -> None:
+    even = np.arange(2000) * 0.002
+    late = np.random.default_rng(3).random(2000) < share
+    late[:1] = late[-1:] = False
+    assert spread_stamps(np.where(late, np.roll(even, 1), even)) == pytest.approx(even, abs=1e-12)
+    coarse = np.floor(even / 0.016 + 1e-9) * 0.016
+    assert np.all(np.diff(spread_stamps(coarse))[:-8] > 0.0)
+    twice = np.insert(even, 700, even[699])  # recorded twice: nothing makes up for it
+    assert np.array_equal(spread_stamps(twice), twice)
 
 
 def test_bad_stamps_are_named() -> None:
