@@ -15,11 +15,12 @@ from daq.recording.quality.clocks import ClockEstimate, ClockFit
 from daq.recording.quality.signal_quality import ColumnQuality, channel_quality, unsigned_joints
 from daq.recording.quality.stale_samples import fresh_recording, stale_rows
 from daq.recording.quality.stream_quality import StreamQuality, stream_quality
-from daq.recording.recording import COMMANDS_STREAM, HAND_GUIDED, JOINTS_STREAM, MOTOR_SIGNALS, Recording
+from daq.recording.recording import COMMANDS_STREAM, HAND_GUIDED, JOINTS_STREAM, MOTOR_SIGNALS, Channel, Recording
 from daq.recording.repairs import DROP_REPEATS
 from daq.recording.unit_plausibility import displacement_ratios, other_unit
 from drivers.core.text import percent_text, percentage_text
 from ident.assessment.column_checks import column_checks, jump_checks
+from ident.ranges import RECORDED_POSITION, RECORDED_TORQUE
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
@@ -155,6 +156,7 @@ def recording_checks(
             text = f"{of}{stream}/{quantity} is clipped: {figures} of the samples; use a slower motion or a wider range"
             checks.append(raised("signal-clipped", text, [column.name for column in clipped]))
         if quantity in ("position", *MOTOR_SIGNALS):
+            checks += _unusable_checks(f"{of}{stream}/{quantity}", recording.streams[stream].channels[quantity])
             checks += _filled_checks(f"{of}{stream}/{quantity}", qualities)
             checks += _outlier_checks(f"{of}{stream}/{quantity}", qualities)
     return checks
@@ -206,6 +208,18 @@ def unit_checks(recording: Recording, of: str = "") -> list[Check]:
         raised("position-unit", f"{of}by range and speed the positions of {', '.join(names)} are in {unit}", names)
         for unit, names in found.items()
     ]
+
+
+def _unusable_checks(signal: str, channel: Channel) -> list[Check]:
+    """Values of a signal with which nothing can be identified."""
+    allowed = RECORDED_POSITION if channel.quantity == "position" else RECORDED_TORQUE
+    bad = ~(np.abs(channel.values) <= allowed.most)
+    if not bad.any():
+        return []
+    joints = [name for name, some in zip(channel.columns, bad.any(axis=0), strict=True) if some]
+    first, count = int(np.argmax(bad.any(axis=1))), int(np.count_nonzero(bad))
+    text = f"{signal}: {count} values of {', '.join(joints)} are not numbers within {allowed}, first at sample {first}"
+    return [raised("values-unusable", f"{text}; leave them out (import with --repair drop-nan)", joints)]
 
 
 def _filled_checks(signal: str, columns: Sequence[ColumnQuality]) -> list[Check]:

@@ -255,6 +255,14 @@ RECORDING = (
         "positions jitter, so the automatic cut-offs were lowered",
         "Record the controller's own stamps and positions, or set --position-cutoff and --torque-cutoff.",
     ),
+    CheckKind(
+        "values-unusable",
+        "data",
+        "serious",
+        ALL,
+        "values are not numbers, or are larger than any arm's",
+        "Leave these samples out: import with --repair drop-nan.",
+    ),
     CheckKind("no-motion", "data", "serious", ALL, "there is no motion to analyse", "Record an excitation trajectory."),
     note(
         "high-condition",

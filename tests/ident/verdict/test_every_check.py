@@ -243,6 +243,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.info(changed(b.recorded(1, 4.5, (0.02, 0.02, 0.02)), noisy)),
         lambda b: b.clean_info(),
     ),
+    "values-unusable": (
+        lambda b: b.names(changed(b.recorded(), lambda i: np.where(i == i.max(), np.nan, i))),
+        lambda b: b.clean_names(),
+    ),
     "no-motion": (
         lambda b: b.info(changed(b.recorded(), lambda q: np.zeros_like(q), "position")),
         lambda b: b.clean_info(),
