@@ -38,9 +38,16 @@ def import_recording(
     from daq.recording.quality.stream_quality import stream_quality
     from daq.recording.writer import write_recording
     from daq.robot.loader import load_robot
+    from drivers.core.errors import UsageError
 
     robot_file = load_robot(robot)
     several = is_lerobot(file) and options.episode is None
+    if several and out.suffix:
+        raise UsageError(
+            f"'{out.name}' is a file, but a LeRobot dataset becomes a recording per episode",
+            where="--out",
+            hint="name a folder (-o runs), or one episode (--episode 0)",
+        )
     if not several:
         check_outputs([out], [file, *robot_file.files], overwrite=force)
     with progress_line(quiet=as_json) as progress:

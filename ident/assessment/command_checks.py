@@ -81,7 +81,7 @@ def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> l
         checks.append(raised("encoder-stuck", text, quality.still))
     if quality.resting:
         names = ", ".join(quality.resting)
-        text = f"{of}{names}: does not move, and its command hardly does, so nothing about it can be identified"
+        text = f"{of}{names}: at rest, and hardly commanded to move, so nothing about them can be identified"
         checks.append(raised("joint-at-rest", text, quality.resting))
     return checks
 

@@ -78,7 +78,9 @@ def servo_motions(recorded: CommandedMotion, label: str) -> list[ServoMotion]:
     time = recorded.time
     if len(time) < 2 or time[-1] - time[0] < SHORTEST:
         seconds = float(time[-1] - time[0]) if len(time) else 0.0
-        raise DataError(f"lasts {seconds:.3g} s; a servo model needs {SHORTEST:g} s", where=label)
+        raise DataError(
+            f"lasts {seconds:.3g} s; a servo model needs {SHORTEST:g} s", where=label, hint="leave this recording out"
+        )
     period = float(np.median(np.diff(time)))
     if period > GAP / 2:
         raise DataError(f"has {1 / period:.3g} samples a second; a servo model needs {2 / GAP:g}", where=label)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
 from daq.importers.table import ForeignTable, Note, QuantityColumns, check_count, listed, parsing, printable
-from daq.robot.loader import RobotFile
+from daq.robot.loader import RobotFile, builtin_robots
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError, UsageError
 from drivers.core.files import ARRAY_FILE, DATASET_META, check_input, read_text
@@ -122,7 +122,7 @@ def read_lerobot(path: Path, robot: RobotFile, choices: ImportChoices) -> list[L
                 episodes.setdefault(number, []).append((file, taken))
     if not episodes:
         raise ImportFileError(f"has no episode {choices.episode}", where=str(path), hint="they are counted from 0")
-    return [_episode(number, parts, info, wanted, scales, path) for number, parts in sorted(episodes.items())]
+    return [_episode(number, parts, info, wanted, scales, path, robot) for number, parts in sorted(episodes.items())]
 
 
 def _info(path: Path) -> Mapping[str, Any]:
@@ -254,11 +254,16 @@ def _episode(
     features: Sequence[_Feature],
     scales: Mapping[str, tuple[float, float, str]],
     path: Path,
+    robot: RobotFile,
 ) -> LeRobotEpisode:
     where = f"{path}: episode {number}"
     version, robot_type = info["codebase_version"], info.get("robot_type")
     arrays = {name: np.concatenate([episode[name] for _, episode in parts]) for name in parts[0][1]}
     notes = [Note("info", f"LeRobot dataset {version}, episode {number}, robot type {printable(robot_type)}")]
+    name, builtin = robot.robot.name, builtin_robots()
+    known = [other for other in builtin if isinstance(robot_type, str) and other in robot_type]
+    if known and name in builtin and name not in known:
+        notes.append(Note("warning", f"the dataset's robot type is {printable(robot_type)}, the robot file is {name}"))
     frames, time = arrays["frame_index"].reshape(-1), arrays["timestamp"].reshape(-1)
     nominal = frames / info["fps"]
     if np.all(np.abs(time - nominal) < NOMINAL):

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.importers.choices import ImportChoices
-from daq.importers.formats.bag_commands import command_topic, read_commands
+from daq.importers.formats.bag_commands import TYPES, command_topic, read_commands
 from daq.importers.matching import JointMatch, match_joints, shares_joints
 from daq.importers.table import ForeignTable, Note, QuantityColumns, check_count, listed, parsing, printable
 from drivers.core.arrays import FloatArray
@@ -39,6 +39,7 @@ class _Messages:
     stamped: npt.NDArray[np.int64]
     names: list[tuple[str, ...]]
     fields: dict[str, list[FloatArray]]
+    others: tuple[str, ...]  # topics that were not read and may hold commands
 
 
 def bag_files(path: Path) -> tuple[Path, ...]:
@@ -90,6 +91,9 @@ def read_rosbag(
         raise _several(topics, where)
     messages = read[0] if len(read) == 1 else _joined(read)
     notes.append(Note("info", f"topic {printable(messages.topic)}, {len(messages.names)} messages"))
+    if messages.others:
+        text = f"not imported, may hold commanded positions (--column target_position=TOPIC): {listed(messages.others)}"
+        notes.append(Note("info", text))
     place = f"{where}: {printable(messages.topic)}"
     matches = _matches(messages.names, joints, choices.by_order, place, notes)
     selected = [index for index, names in enumerate(messages.names) if names in matches]
@@ -169,11 +173,12 @@ def _read_messages(path: Path, topic: str | None, beside: str, where: str, progr
             if len(names) % PROGRESS_STEP == 0:
                 progress(f"reading {printable(path.name)}: {len(names):,} messages")
         name = connections[0].topic
+        others = {one.topic for one in reader.connections if one.msgtype in TYPES and one.topic not in (name, beside)}
     if not names:
         raise ImportFileError("holds no message", where=f"{where}: {printable(name)}")
     with parsing(path, "a ROS 2 bag"):
         clocks = np.array(logged, dtype=np.int64), np.array(stamped, dtype=np.int64)
-    return _Messages(name, *clocks, names, fields)
+    return _Messages(name, *clocks, names, fields, tuple(sorted(others)))
 
 
 def _chosen(connections: Sequence[Any], topic: str | None, where: str) -> list[Any]:
@@ -216,6 +221,7 @@ def _joined(bags: Sequence[_Messages]) -> _Messages:
         np.concatenate([bag.stamped for bag in bags]),
         [names for bag in bags for names in bag.names],
         {field: [values for bag in bags for values in bag.fields[field]] for field in _FIELDS},
+        tuple(sorted({topic for bag in bags for topic in bag.others})),
     )
 
 

@@ -236,6 +236,8 @@ def test_a_bag_s_commands_come_from_the_topic_that_is_named(tmp_path: Path, robo
     np.testing.assert_array_equal(stream.channels["target_position"].values, told["command"])
     with pytest.raises(ImportFileError, match=r"is not in the bag; .*: /joint_states, /told"):
         import_file(path, robot, ImportChoices(columns={"target_position": "/tolled"}, topic="/joint_states"))
+    if kind != "JointState":
+        assert "/told" in messages(import_file(path, robot, ImportChoices()))
     if kind != "Float64MultiArray":
         with pytest.raises(ImportFileError, match="0 values of target_velocity for 3 joints"):
             import_file(path, robot, ImportChoices(columns={"target_velocity": "/told"}))

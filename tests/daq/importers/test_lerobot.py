@@ -73,6 +73,8 @@ def test_the_command_writes_a_folder_or_one_episode(tmp_path: Path) -> None:
     files = [Path(entry["file"]) for entry in json.loads(done.stdout)["recordings"]]
     assert [file.name for file in files] == ["episode_000000.h5", "episode_000001.h5"]
     assert len(read_recording(files[1]).streams[JOINTS_STREAM].time) == 35
+    assert run.invoke(app, [*dataset, "-o", str(tmp_path / "one.h5")]).exit_code != 0
+    assert not (tmp_path / "one.h5").exists()
     assert run.invoke(app, [*dataset, "-o", str(tmp_path / "one.h5"), "--episode", "1"]).exit_code == 0
     assert len(read_recording(tmp_path / "one.h5").streams[JOINTS_STREAM].time) == 35
 
