@@ -97,7 +97,7 @@ class Publisher:
         self._watch = watch
         self._samples: dict[str, int] = {}
         self._lost: dict[str, int] = {}
-        self._torque: tuple[float, str] | None = None
+        self._torque_shares = np.full(len(limits.joints), np.nan)
         self._temperature: tuple[float, str] | None = None
         self._past: deque[tuple[float, Mapping[str, int]]] = deque(maxlen=RATE_PICTURES)
         self._sent = -np.inf
@@ -140,7 +140,7 @@ class Publisher:
             StreamStatus(name, (count - counts.get(name, 0)) / passed if passed > 0 else 0.0, count, self._lost[name])
             for name, count in self._samples.items()
         )
-        share, torque_joint = self._torque or (None, "")
+        share, torque_joint = _largest(self._torque_shares, self._limits.joints) or (None, "")
         temperature, temperature_joint = self._temperature or (None, "")
         backlog, overflow = self._recorder.backlog, self._recorder.overflow
         return Status(
@@ -165,9 +165,7 @@ class Publisher:
         if torque is not None:
             limit = limits.torque[joints]
             shares = np.where(np.isinf(limit), np.nan, np.abs(torque).max(axis=0) / limit)
-            largest = _largest(shares, tuple(limits.joints[joint] for joint in joints))
-            if largest is not None and (self._torque is None or largest[0] > self._torque[0]):
-                self._torque = largest
+            self._torque_shares[joints] = np.fmax(self._torque_shares[joints], shares)
         if "temperature" in values:
             self._temperature = _largest(values["temperature"][-1], limits.joints)
 

@@ -152,9 +152,10 @@ class Supervisor:
             "temperature": limits.temperature,
         }
         # When each joint's newest value came [s, host clock]; NaN before the first, and where there is no limit.
-        self._last_value = {quantity: np.full(len(limits.joints), np.nan) for quantity in bounds}
+        self._newest = np.full((len(bounds), len(limits.joints)), np.nan)
+        self._last_value = dict(zip(bounds, self._newest, strict=True))
         self._limited = {quantity: np.isfinite(bound) for quantity, bound in bounds.items()}
-        self._value_stale_after = {quantity: _oldest(quantity, layouts) for quantity in bounds}
+        self._value_stale_after = np.array([[_oldest(quantity, layouts)] for quantity in bounds])
         self._commands: deque[tuple[float, FloatArray]] = deque()
         self._rates = {layout.name: layout.rate for layout in layouts}
         self._unseen: dict[str, tuple[float, list[Batch]]] = {}
@@ -281,20 +282,19 @@ class Supervisor:
             if now - arrival > allowed:
                 cause = "" if explain is None else explain(stream, allowed)
                 return Breach("stale data", f"stream {stream}", now - arrival, allowed, float("nan"), "s", cause)
-        for quantity, newest in self._last_value.items():
-            allowed = self._value_stale_after[quantity]
-            stale = np.flatnonzero(now - newest > allowed)
-            if len(stale):
-                who = f"{quantity} of {', '.join(self._limits.joints[joint] for joint in stale)}"
-                age = float(now - newest[stale].min())
-                return Breach("stale data", who, age, allowed, float("nan"), "s")
-        return None
+        stale = now - self._newest > self._value_stale_after
+        if not stale.any():
+            return None
+        row = int(stale.any(axis=1).argmax())
+        quantity, allowed = list(self._last_value)[row], float(self._value_stale_after[row, 0])
+        who = f"{quantity} of {', '.join(self._limits.joints[joint] for joint in np.flatnonzero(stale[row]))}"
+        age = float(now - self._newest[row, stale[row]].min())
+        return Breach("stale data", who, age, allowed, float("nan"), "s")
 
     def restart_ages(self, now: float) -> None:
         """Restart the ages at `now` [s, host clock], after a time in which this process could not check."""
         self._last_arrival = dict.fromkeys(self._last_arrival, now)
-        for newest in self._last_value.values():
-            newest[~np.isnan(newest)] = now
+        self._newest[~np.isnan(self._newest)] = now
 
     def _note_values(self, quantity: str, part: _Part, now: float) -> None:
         values, joints = part

@@ -25,7 +25,7 @@ from drivers.rtde.configuration import Configuration, read_configuration
 from drivers.rtde.modes import RUNTIME_STOPPED, describe_mode, serial_number, stop_program
 from drivers.rtde.motion import JOINTS, MotionProcess, has_ur_rtde
 from drivers.rtde.protocol import Connect, connect_tcp
-from drivers.rtde.receiver import TIMESTAMP, RtdeReceiver, Samples
+from drivers.rtde.receiver import TIMESTAMP, TOGETHER, UNMOVED, RtdeReceiver, Samples
 from drivers.rtde.settings import parse_settings
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
@@ -237,7 +237,7 @@ class RtdeDriver(LifeCycle):
     def read(self, timeout: float) -> Sequence[Batch]:
         """Blocks that have arrived, waiting at most `timeout` [s] for the first; empty where none came."""
         require_state(self._state, "running", "read")
-        samples = self._receiver.take(timeout)
+        samples = self._receiver.take(timeout, UNMOVED if self._motion is None else TOGETHER)
         if samples is None:
             return ()
         self._latest_position = samples.rows["actual_q"][-1].astype(np.float64)
@@ -330,11 +330,13 @@ class RtdeDriver(LifeCycle):
     def _thinned_block(self, stream: str, sources: Sequence[_Source], samples: Samples) -> Batch | None:
         """The first package of every so many ticks of the controller's clock, so that a gap shifts nothing."""
         clock = _clock(samples.rows)
-        group = np.floor(np.rint(clock * self._receiver.rate) / self._every(stream)).astype(np.int64)
-        before = self._last_group.get(stream, int(group[0]) - 1)
-        self._last_group[stream] = int(group[-1])
-        if before == group[-1] and before == group[0]:
+        rate, every = self._receiver.rate, self._every(stream)
+        newest = round(float(clock[-1]) * rate) // every
+        if newest == self._last_group.get(stream):
             return None
+        group = np.floor(np.rint(clock * rate) / every).astype(np.int64)
+        before = self._last_group.get(stream, int(group[0]) - 1)
+        self._last_group[stream] = newest
         steps = np.diff(group, prepend=before)
         first = steps != 0
         values = {source.quantity: _values(samples.rows[first], source) for source in sources}

@@ -30,8 +30,9 @@ BUFFER_SECONDS = 60.0
 """How long [s] `take` may stay away before the oldest packages are dropped."""
 CHUNK_BYTES = 1 << 18
 """More than a second of samples: what came during a stall is to be handed out together."""
-TOGETHER = 0.006
-"""Samples are handed out so long [s] at a time, or one by one where they come slower."""
+TOGETHER, UNMOVED = 0.006, 0.008
+"""Samples are handed out so long [s] at a time, or one by one where they come slower; `UNMOVED` where dynid does not
+move the arm, so that nothing is to be stopped."""
 TIMESTAMP = "timestamp"
 _TIMESTAMP_AT = struct.Struct(">d")
 _TIMESTAMP_OFFSET = wire.HEADER_SIZE + 1
@@ -161,15 +162,16 @@ class RtdeReceiver:
         self._thread = self._clock.thread(self._receive, f"rtde {self.where}")
         self._thread.start()
 
-    def take(self, timeout: float) -> Samples | None:
+    def take(self, timeout: float, together: float = TOGETHER) -> Samples | None:
         """Return what has arrived since the last call; None where nothing has.
 
-        It waits for the samples of `TOGETHER`, at most `timeout` [s]: handling each by itself takes most of a core.
+        It waits for the samples of `together` [s], at most `timeout` [s]: handling each by itself takes most of a core.
 
         Raises:
             ConnectionLostError: nothing is left and the connection broke, fell silent or spoke something else.
         """
         with self._arrival:
+            self._together = max(1, round(together * self.rate))
             self._arrival.wait_for(lambda: len(self._ring) >= self._together or self._failure, timeout)
             batch = list(self._ring)
             self._ring.clear()
@@ -258,7 +260,6 @@ class RtdeReceiver:
                 where=self.where,
                 hint="leave 'rate' out for the maximum",
             )
-        self._together = max(1, round(TOGETHER * self.rate))
         wanted = self._required | self._optional
         answer = self._ask_recipe(tuple(wanted), deadline)
         refused = {name: kind for name, kind in zip(wanted, answer.types, strict=True) if kind in wire.REFUSALS}

@@ -30,7 +30,7 @@ from daq.session.session import record
 from daq.session.supervisor import Limits, Supervisor
 from drivers.base import Driver, Notice
 from drivers.core.clock import Clock
-from drivers.rtde.receiver import TOGETHER
+from drivers.rtde.receiver import UNMOVED
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from ident.monitor.live import LiveMonitor, page_channels
 from ident.monitor.monitor import earned_thresholds
@@ -89,7 +89,7 @@ def cycles_of(seconds: float) -> list[list[Batch]]:
         "torque": samples.torque, "target_position": samples.position, "target_velocity": velocity,
     }  # fmt: skip
     celsius = np.full_like(samples.position, 25.0) if samples.celsius is None else samples.celsius
-    edges = np.arange(0, round(seconds * RATE), round(TOGETHER * RATE)).tolist()
+    edges = np.arange(0, round(seconds * RATE), round(UNMOVED * RATE)).tolist()
     cycles = []
     for begin, end in pairwise(edges):
         at = slice(begin, end)
