@@ -214,10 +214,10 @@ def _unusable_checks(signal: str, channel: Channel) -> list[Check]:
     """Values of a signal with which nothing can be identified."""
     allowed = RECORDED_POSITION if channel.quantity == "position" else RECORDED_TORQUE
     bad = ~(np.abs(channel.values) <= allowed.most)
-    if not bad.any():
+    if not np.any(bad):
         return []
-    joints = [name for name, some in zip(channel.columns, bad.any(axis=0), strict=True) if some]
-    first, count = int(np.argmax(bad.any(axis=1))), int(np.count_nonzero(bad))
+    joints = [channel.columns[joint] for joint in np.flatnonzero(np.any(bad, axis=0))]
+    first, count = int(np.argmax(np.any(bad, axis=1))), int(np.count_nonzero(bad))
     text = f"{signal}: {count} values of {', '.join(joints)} are not numbers within {allowed}, first at sample {first}"
     return [raised("values-unusable", f"{text}; leave them out (import with --repair drop-nan)", joints)]
 
