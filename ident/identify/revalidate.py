@@ -15,11 +15,12 @@ from drivers.core.errors import ResultFileError
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.validation import Fit, fit_errors
 from ident.estimators.feasible.armature import armature_vector
-from ident.identify.data_split import RunWindow, copied, run_window
+from ident.identify.data_split import RunWindow, check_torques, copied, run_window
 from ident.identify.held_out import HeldOutData, HeldOutRun, ParameterSets, held_out_run
 from ident.model.another_arm import check_arm
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import TorqueSeries
+from ident.regression.least_squares import LEAST_TORQUE
 from ident.regression.observability import predictable_torques
 from ident.regression.options import REST_TOLERANCE
 from ident.regression.velocity_reversals import leave_out_rest
@@ -78,6 +79,8 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
     consistent = None if found is None else np.array([found.base_values.get(name, 0.0) for name in base.names])
     window = run_window(recording, stored_parts.robot_file.robot, PreprocessChoices())
     motion = window.signals
+    if np.all(np.ptp(window.torque, axis=0) <= LEAST_TORQUE):
+        check_torques([window], range(model.dof), model.joint_names)
     model.require_temperature(None if motion.temperature is None else motion.temperature.T, motion.label)
     choices = replace(stored_choices(result), start=window.start, stop=window.stop)
     kernel = RegressorKernel(model, base.columns)
