@@ -33,7 +33,7 @@ from daq.robot.section import (
     within,
 )
 from daq.robot.workspace import Mounting, Workspace
-from drivers.core.ranges import EXPONENT, JOINTS, NUMBER, PAYLOAD, STRIBECK_VELOCITY
+from drivers.core.ranges import EXPONENT, JOINTS, PAYLOAD, STRIBECK_VELOCITY
 from drivers.core.terminal import LONGEST_NAME, unfit_name
 from drivers.core.units import common_unit, joint_unit
 from drivers.core.validation import SeveralProblems
@@ -290,7 +290,7 @@ class TruthServo(Section):
         default=0.0, description="play between motor and joint; the encoder is behind it [rad]"
     )
     gear_stiffness: Positive = Field(default=500.0, description="where the play is used up [N·m/rad]")
-    joint_friction: Annotated[float, Field(ge=0, le=1)] = Field(
+    joint_friction: Annotated[NonNegative, Field(le=1)] = Field(
         default=0.2, description="share of the Coulomb friction behind the play, on the joint's side"
     )
     resistance_slope: Finite = Field(default=0.0, description="of the winding, relative; copper has 0.00393 [1/K]")
@@ -377,7 +377,7 @@ class Robot(Section):
     name: str = Field(min_length=1)
     description: str = ""
     sources: dict[str, str] = Field(default_factory=dict, description="where the numbers come from, by section")
-    payload: Annotated[float, AfterValidator(within(PAYLOAD))] | None = Field(
+    payload: Annotated[Finite, AfterValidator(within(PAYLOAD))] | None = Field(
         default=None, description="that the data sheet allows at the flange [kg]"
     )
     model: ModelSection
@@ -392,7 +392,7 @@ class Robot(Section):
         default_factory=dict, description="joint → known parameters of a servo model (docs/servo.md)"
     )
     workspace: Workspace = Field(default_factory=Workspace)
-    poses: dict[str, tuple[Annotated[Angle, AfterValidator(within(NUMBER))], ...]] = Field(
+    poses: dict[str, tuple[Angle, ...]] = Field(
         default_factory=dict, description="name → positions of all joints [rad or m], to compare with the pendant"
     )
     truth: Truth = Field(default_factory=Truth)

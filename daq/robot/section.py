@@ -69,7 +69,7 @@ def _parse_angle(value: Any) -> Any:
     return -angle if sign == "-" else angle
 
 
-Angle = Annotated[float, Field(allow_inf_nan=False), NotTruthValue, BeforeValidator(_parse_angle)]
+Angle = Annotated[Finite, BeforeValidator(_parse_angle)]
 
 
 class Section(BaseModel):

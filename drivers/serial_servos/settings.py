@@ -22,9 +22,11 @@ class ServoMotorKeys(ConnectionSettings):
 
     id: int = Field(ge=0, le=252, description="of the servo on the bus")
     model: str | None = Field(None, description="of the servo; the connection's `model` if absent")
-    zero: float | None = Field(None, description="[steps] that it reports when the joint is at 0")
+    zero: float | None = Field(None, ge=-1e6, le=1e6, description="[steps] that it reports when the joint is at 0")
     direction: Literal[1, -1] | None = Field(None, description="-1 if it counts against the joint")
-    at_lowest: float | None = Field(None, description="[rad] of the joint at the lowest steps of its calibration")
+    at_lowest: float | None = Field(
+        None, ge=-100.0, le=100.0, description="[rad] of the joint at the lowest steps of its calibration"
+    )
 
 
 class ServoKeys(ConnectionSettings):

@@ -13,16 +13,17 @@ from urllib.error import URLError
 from urllib.request import urlopen
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_file
 from daq.recording.reader import read_recording
 from daq.recording.recording import Recording, Stream
 from daq.robot.loader import RobotFile, load_robot, parse_robot
-from daq.robot.section import NonNegative, Positive
+from daq.robot.section import NonNegative, Positive, within
 from drivers.core.errors import DataError, UsageError, WorkError
 from drivers.core.files import DATASET_FILE, read_text
+from drivers.core.ranges import SAMPLING_RATE
 from drivers.core.text import did_you_mean
 from drivers.core.validation import read_mapping, validated
 
@@ -81,7 +82,9 @@ class Dataset(_Section):
     reading: dict[str, Any] = Field(default_factory=dict, alias="import", description="options of `dynid import`")
     units: dict[str, str] = Field(description="quantity → unit in the files")
     traps: list[str] = Field(default_factory=list, description="what goes wrong without notice, a sentence each")
-    rate: Positive = Field(default=500.0, description="largest rate of the samples that are judged [Hz]")
+    rate: Annotated[Positive, AfterValidator(within(SAMPLING_RATE))] = Field(
+        default=500.0, description="largest rate of the samples that are judged [Hz]"
+    )
     states: Positive = Field(default=10.0, description="cut-off of the positions and velocities [Hz]")
     band: Positive = Field(default=5.0, description="cut-off of the torques that are compared [Hz]")
     judged: list[str] | None = Field(default=None, description="joints that are judged; all where null")

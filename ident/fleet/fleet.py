@@ -152,8 +152,12 @@ def identify_fleet(
     jobs = read_fleet(path_of(file))
     stages = [jobs, *merges(jobs)]
     names = [job.name for stage in stages for job in stage]
-    if earlier and earlier.isdisjoint(names):  # another fleet's
-        check_output_folder(folder, written_to, inputs, overwrite=overwrite)
+    if earlier and earlier.isdisjoint(names) and not overwrite:
+        raise UsageError(
+            "holds another fleet's results",
+            where=str(folder),
+            hint="choose another folder, or replace its overview: --force, in Python overwrite=True",
+        )
     folder.mkdir(parents=True, exist_ok=True)
     by_name = {job.name: outcome for job in jobs if (outcome := finished(job, folder)) is not None}
     repeated = 0

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from glob import glob, has_magic
@@ -19,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from daq.recording.reader import recording_seconds
 from drivers.core.errors import DynidError, RecordingError, UsageError
 from drivers.core.files import FLEET_FILE, read_text
+from drivers.core.ranges import RECORDING_TIME
 from drivers.core.text import did_you_mean
 from drivers.core.validation import read_mapping, validated
 from ident.tasks.options import IdentifyOptions
@@ -31,6 +33,8 @@ EXAMPLE = "arms: [{name: cell-1, recordings: [cell-1/*.h5]}]"
 
 _FolderName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._ -]{0,99}$")]
 _OF_A_JOB = frozenset({"runs", "validation", "robot", "method", "progress"})
+_FILES = ("accept", "friction_from")
+"""Options that name a file."""
 
 
 class FleetArm(BaseModel):
@@ -44,7 +48,10 @@ class FleetArm(BaseModel):
     validation: list[str] = Field(default=[], description="held-out recordings; the last 30 % without any")
     robot: str | None = Field(default=None, description="robot file in place of the recordings' own")
     parts: float | None = Field(
-        default=None, ge=10.0, description="seconds of a job: long recordings, merged in the end"
+        default=None,
+        ge=10.0,
+        le=RECORDING_TIME.most,
+        description="seconds of a job: long recordings, merged in the end",
     )
 
     @model_validator(mode="after")
@@ -81,8 +88,9 @@ class Job:
 
     def key(self) -> str:
         """What its result depends on, as hexadecimal digits: files by path, size and time, options, dynid's version."""
+        named = [value for name, value in self.options if name in _FILES and isinstance(value, str)]
         content = [
-            [_state(path) for path in (*self.recordings, *self.validation, self.robot or "")],
+            [_state(path) for path in (*self.recordings, *self.validation, self.robot or "", *named)],
             [self.method, self.options, self.part, self.merged, version("dynid")],
         ]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
@@ -99,10 +107,13 @@ def read_fleet(path: Path) -> list[Job]:
     content = read_mapping(text, kind="a fleet file", where=where, refusal=UsageError, hint=EXAMPLE)
     fleet = validated(content, FleetFile, where=where, refusal=UsageError)
     _check_options(fleet, where)
+    for name in _FILES:
+        if isinstance(value := fleet.options.get(name), str):
+            fleet.options[name] = str((path.parent / value).resolve())
     jobs = [job for arm in fleet.arms for job in _jobs(fleet, arm, path.parent, where)]
-    names = [job.name for job in jobs]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
-        raise UsageError(f"two results would be written to {twice[0]}", where=where, hint="give the arms other names")
+    name, count = Counter(job.name for job in jobs).most_common(1)[0]
+    if count > 1:
+        raise UsageError(f"two results would be written to {name}", where=where, hint="give the arms other names")
     return jobs
 
 

@@ -55,6 +55,12 @@ def test_each_recording_with_each_method_is_a_job(tmp_path):
     ]  # fmt: skip
     assert jobs[-1].recordings == ("s3://store/week.h5",)
     assert {job.robot for job in jobs} == {None, "ur10e"}
+    assert [job.key() for job in jobs] == [job.key() for job in read_fleet(tmp_path / "fleet.yaml")]
+    limits = read_fleet(written(tmp_path, FLEET + "options: {accept: limits.yaml}"))[0]
+    assert dict(limits.options)["accept"] == str(tmp_path / "limits.yaml")
+    before = limits.key()
+    (tmp_path / "limits.yaml").write_text("relative_error: 0.1")
+    assert limits.key() != before
     together = FLEET.replace('["run*.h5"]', '["run*.h5"], together: true')
     assert [len(job.recordings) for job in read_fleet(written(tmp_path, together))][:2] == [2, 2]
 
@@ -69,7 +75,13 @@ def test_each_recording_with_each_method_is_a_job(tmp_path):
         ("arms: [{name: a, recordings: [a.h5]}]\noptions: {decimat: 2}", "did you mean 'decimate'"),
         ("arms: [{name: a, recordings: [a.h5]}]\noptions: {runs: 2}", "not an option of identify"),
         ("arms: [{name: a, recordings: [a.h5]}]\noptions: {decimate: -2}", "decimate"),
+        (
+            "arms: [{name: a, recordings: [a.h5]}, {name: a, recordings: [b/a.h5]}]",
+            "two results would be written to a/a/wls",
+        ),
         ("arms: [{name: a, recordings: [a.h5], parts: 5}]", "parts"),
+        ("arms: [{name: a, recordings: [a.h5], parts: .inf}]", "parts"),
+        ("arms: [{name: a, recordings: [a.h5], parts: nan}]", "parts"),
         ("arms: [{name: a, recordings: [a.h5, b.h5], parts: 60, together: true}]", "omit 'together'"),
         ("arms: [{name: a, recordings: ['s3://x/a.h5'], parts: 60}]", "parts need files"),
         ("- 1", "mapping"),
@@ -179,7 +191,7 @@ def test_a_recording_in_an_object_store_is_fetched_by_the_worker(tmp_path, run, 
 def test_the_results_of_another_fleet_are_left_alone(tmp_path):
     arms = ["arms: [{name: a, recordings: [a.h5]}]", "arms: [{name: b, recordings: [a.h5]}]"]
     identify_fleet(written(tmp_path, arms[0]), tmp_path / "out")
-    with pytest.raises(UsageError, match=r"fleet\.json"):
+    with pytest.raises(UsageError, match="another fleet's results"):
         identify_fleet(written(tmp_path, arms[1]), tmp_path / "out")
     assert len(identify_fleet(written(tmp_path, arms[0]), tmp_path / "out").outcomes) == 1
 
