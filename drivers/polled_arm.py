@@ -138,7 +138,7 @@ class PolledArm(LifeCycle):
         cycle = self._running_cycle()
         batches = cycle.take(timeout)
         limit = max(SILENCE_LIMIT, SILENT_PERIODS / self._rate)
-        if not batches and self._clock.now() - cycle.last_row > limit:
+        if not batches and self._clock.now() - cycle.last_row - self._clock.stalled(cycle.last_row) > limit:
             why = self.silence("joints", limit)
             raise ConnectionLostError(
                 f"no complete row of the {self._device}s for {limit:g} s{f': {why}' if why else ''}",
@@ -229,7 +229,7 @@ class PolledArm(LifeCycle):
         heard = self._cycle.answered
         newest = max(heard.values(), default=-math.inf)
         if (idle := self._clock.now() - self._cycle.asked) > max(0.5 * limit, ASKING_PERIODS / self._rate):
-            return f"no {self._device} was asked for {idle:.2f} s: this computer was late"
+            return f"no {self._device} was asked for {idle:.2f} s"
         if self._clock.now() - newest > limit:
             return f"no {self._device} answers: check the power and the cable"
         silent = [name for motor, name in self._names.items() if newest - heard.get(motor, -math.inf) > limit / 2]

@@ -17,6 +17,8 @@ from drivers.streams import Batch
 
 BUFFERED = 100_000
 """Rows that wait for `take` before the oldest is dropped."""
+UNSURE = 2.0
+"""Periods that a reading may last; when the devices measured is not known well enough after more."""
 NOTED_AGAIN = 10.0
 """[s] between two notices on answers that are missing."""
 
@@ -82,7 +84,9 @@ class PolledRows(ABC):
             DynidError: what ended the thread, once its rows are taken.
         """
         with self._changed:
+            due = self._clock.now() + timeout
             self._changed.wait_for(lambda: self._rows or self.failure is not None, timeout)
+            self._clock.late(due)
             rows = [self._rows.popleft() for _ in range(len(self._rows))]
             lost, self._lost = (self._lost, 0) if rows else (0, self._lost)
         if not rows and self.failure is not None:
@@ -114,12 +118,13 @@ class PolledRows(ABC):
             while not self._ending.is_set():
                 begun = self.asked = self._clock.now()
                 self._read()
+                lasted = self._clock.now() - due
                 due += self._period
                 if (behind := self._clock.now() - due) > 0.0:
                     skipped = int(behind / self._period)  # what would have been read meanwhile is lost
                     due += skipped * self._period
                     if skipped:
-                        theirs = self._answering > 0.5 * (self._clock.now() - begun)
+                        theirs = self._answering - self._clock.stalled(begun) > 0.5 * lasted
                         with self._changed:
                             self._lost += skipped
                             self._awaited += skipped if theirs else 0
@@ -132,7 +137,9 @@ class PolledRows(ABC):
 
     def _pause(self, due: float) -> float:
         """Wait until the next reading is due [s]; when that is."""
-        self._ending.wait(due - self._clock.now())
+        now = self._clock.now()
+        self._ending.wait(due - now)  # also where it is due already: others want the bus
+        self._clock.late(max(due, now))
         return due
 
     def _add(self, time: float, received: float, row: Mapping[str, Sequence[float]]) -> None:
@@ -140,6 +147,12 @@ class PolledRows(ABC):
         self.latest = np.array(row["position"])
         self.last_row = received
         with self._changed:
+            if self._answering > UNSURE * self._period:
+                self._lost += 1
+                ours = self._clock.stalled(received - self._answering) > 0.5 * self._answering
+                self._late += ours
+                self._awaited += not ours
+                return
             self._rows.append((time, received, row))
             self._changed.notify_all()
 

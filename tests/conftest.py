@@ -289,5 +289,5 @@ def no_real_time(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
     def refuse(*_: object) -> None:
         raise AssertionError("this test waits in real time: give a simulated clock to all that takes one")
 
-    for name in ("sleep", "thread", "select"):
+    for name in ("sleep_until", "thread", "_select"):
         monkeypatch.setattr(Clock, name, refuse)

@@ -20,8 +20,9 @@ from drivers.streams import Batch
 
 REST_TIME = 0.5
 """How long [s] an arm, and what its controller aims at, must have been at rest before control of it is taken."""
-RESUMED_LATELY = 1.0
-"""How long [s] after the arm went on from a stall what happens is taken for a consequence."""
+RECENT = 1.0
+"""How long [s] after a stall of this computer, or the end of a hold by one, what happens may be its consequence."""
+END_OTHERS = "end other programs, or use --realtime"
 GAP = 0.1
 """Samples [s] apart in which an arm may have moved and come back."""
 
@@ -104,11 +105,12 @@ class Course:
 
     def cure(self, breach: Breach) -> str:
         """Return what to do about a limit that was passed; soon after the arm went on from a stall, about the stall."""
-        ago = self.clock.now() - self.resumed
-        if ago > RESUMED_LATELY:
+        now = self.clock.now()
+        if breach.what == "stale data" and self.clock.stalled(now - RECENT) > 0.5 * breach.value:
+            return END_OTHERS
+        if now - self.resumed > RECENT:
             return breach.cure
-        stalled = f"{ago:.2g} s before, the arm was resumed after a stall of this computer"
-        return f"{stalled}: end other programs, or use --realtime"
+        return f"{now - self.resumed:.2g} s before, the arm was resumed after a stall of this computer: {END_OTHERS}"
 
     def joints_time(self, when: float, stream: str) -> float:
         """A time of a stream's clock, in the clock of the joints' stream [s]."""

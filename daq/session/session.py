@@ -20,7 +20,7 @@ from daq.recording.quality.clocks import ClockLog
 from daq.recording.recording import STOPPED
 from daq.robot.schema import Robot
 from daq.session.connections import connection_keys, connection_names, driver_settings, errors_of_connection
-from daq.session.course import Course, View
+from daq.session.course import RECENT, Course, View
 from daq.session.guiding import Guiding, lead_by_hand
 from daq.session.play import (
     Play,
@@ -248,7 +248,10 @@ def _losses(driver: Driver, course: Course, *, heavy: bool) -> str:
     return "; ".join(said)
 
 
-def _silence(driver: Driver, stream: str, limit: float) -> str:
+def _silence(driver: Driver, clock: Clock, stream: str, limit: float) -> str:
+    now = clock.now()
+    if clock.stalled(now - limit) > 0.5 * limit:
+        return f"this computer stalled for {clock.stalled(now - RECENT):.2f} s"
     return driver.silence(stream, limit) if isinstance(driver, Attributing) else ""
 
 
@@ -305,7 +308,7 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
         raise recorder.failure
     for message in course.clocks.due():
         recorder.event(course.source_time(), "info", "clocks", message)
-    if (breach := supervisor.check_ages(now, partial(_silence, driver))) is not None:
+    if (breach := supervisor.check_ages(now, partial(_silence, driver, course.clock))) is not None:
         if now - before > 2.0 * READ_TIMEOUT and not looked_twice:
             # This process may have been stalled itself: what came meanwhile is in the next read, if anything came.
             _cycle(driver, recorder, supervisor, course, looked_twice=True)

@@ -21,6 +21,8 @@ ATTEMPTS = 3
 """So often a motor is asked before it counts as silent."""
 PATIENCE = 0.1
 """[s] that an answer to a single question is waited for."""
+LOOK = 0.005
+"""[s] that one look for frames lasts at most."""
 LOOKING_AGAIN = 0.001
 """[s] that frames are waited for which have arrived at the adapter."""
 ALIKE = 1e-3
@@ -163,7 +165,8 @@ class MotorBus:
     def exchange(self, frames: Sequence[CanFrame], patience: float, of: int | None = None) -> Feedback:
         """Send frames and hear what the motors say, waiting until all have told everything, `patience` [s] at most.
 
-        Where an index is given (`of`), only that motor is waited for, also for what it tells slowly.
+        Time in which this process did not run is none of waiting. Where an index is given (`of`), only that motor is
+        waited for, also for what it tells slowly.
         """
         sender, receiver = self._opened()
         with self._lock:
@@ -180,8 +183,11 @@ class MotorBus:
             everyone = range(len(self._motors))
             wanted = [self._fast(k) if of is None else self._all(k) if of == k else set() for k in everyone]
             while any(need - got for need, got in zip(wanted, heard, strict=True)):
-                left = end - self._clock.now()
-                if not (came := receiver.take(max(left, 0.0))) and left <= 0.0:
+                now = self._clock.now()
+                left = end - now
+                came = receiver.take(max(min(left, LOOK), 0.0))
+                end += self._clock.late(now + max(min(left, LOOK), 0.0))
+                if not came and left <= 0.0:
                     # What has arrived is no motor's fault: the thread that takes it from the adapter is late.
                     if left < -patience or not receiver.pending():
                         break

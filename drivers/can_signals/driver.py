@@ -57,7 +57,6 @@ class CanFramesDriver(LifeCycle):
         self._poller: Poller | None = None
         self._commander: Commander | None = None
         self._command_lock = self._clock.lock()
-        self._looked = 0.0
         self._streams = FrameStreams(
             self._settings, self._joints, settings.gains, settings.coupling, self._notices, self._clock
         )
@@ -108,7 +107,8 @@ class CanFramesDriver(LifeCycle):
             blocks = self._streams.take(frames, self._poller)
             now = self._clock.now()
             if blocks or now >= end:
-                self._require_sound(now, timeout)
+                self._clock.late(end)
+                self._require_sound(now)
                 return blocks
 
     def notices(self) -> Sequence[Notice]:
@@ -176,9 +176,9 @@ class CanFramesDriver(LifeCycle):
         if stream != "joints" or self._state != "running" or receiver is None:
             return ""
         if self._poller is not None and self._clock.now() - self._poller.latest > max(limit, 2 * self._poller.period):
-            return "no poll was sent: this computer was late"
+            return "no poll was sent"
         if (unread := self._clock.now() - receiver.drained) > 0.5 * limit:
-            return f"the bus was not read for {unread:.2f} s: this computer was late"
+            return f"the bus was not read for {unread:.2f} s"
         since = receiver.drained - 0.5 * limit
         silent = [
             layout.label
@@ -210,7 +210,7 @@ class CanFramesDriver(LifeCycle):
             raise DriverStateError("cannot receive while closed", hint="open the driver first")
         return self._receiver
 
-    def _require_sound(self, now: float, timeout: float) -> None:
+    def _require_sound(self, now: float) -> None:
         sent = self._sender.unconfirmed if self._sender is not None else None
         if sent is not None and self._opened_receiver().drained - sent > STALL_LIMIT:
             raise ConnectionLostError(
@@ -218,13 +218,8 @@ class CanFramesDriver(LifeCycle):
                 where=f"{self._settings.interface} {self._settings.channel}",
                 hint="is the bus terminated, and another device on it, at this bit rate?",
             )
-        if (
-            now - self._looked > timeout + STALL_LIMIT
-        ):  # this process stalled itself: what came meanwhile is still to be read
-            self._streams.last_row = now
-        self._looked = now
         limit = max(SILENCE_LIMIT, SILENT_PERIODS / self._settings.rate)
-        if now - self._streams.last_row <= limit:
+        if now - self._streams.last_row - self._clock.stalled(self._streams.last_row) <= limit:
             return
         missing = self._streams.missing
         what = f": {missing} is missing" if missing else ""

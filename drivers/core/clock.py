@@ -19,6 +19,8 @@ from typing import Protocol
 
 STALL_LIMIT = 0.05
 """Longest stall of this computer [s] in a motion; one that is longer ends it."""
+LATE = 0.01
+"""Lateness of a wait [s] from which on it shows that this process did not run."""
 _PR_SET_TIMERSLACK = 29
 
 
@@ -45,6 +47,7 @@ class Clock:
 
     def __init__(self) -> None:
         self._breakdowns: deque[Breakdown] = deque()
+        self._pauses: deque[tuple[float, float]] = deque(maxlen=100)
 
     def now(self) -> float:
         """Monotonic time [s]."""
@@ -56,13 +59,29 @@ class Clock:
 
     def sleep(self, seconds: float) -> None:
         """Let `seconds` [s] pass; nothing where they are not positive."""
-        if seconds > 0.0:
-            time.sleep(seconds)
+        self.sleep_until(self.now() + seconds)
 
     def sleep_until(self, moment: float) -> float:
         """Sleep until a monotonic time [s]; how late it became [s]."""
-        self.sleep(moment - self.now())
-        return max(0.0, self.now() - moment)
+        if (seconds := moment - self.now()) <= 0.0:
+            return -seconds
+        time.sleep(seconds)
+        return self.late(moment)
+
+    def late(self, due: float) -> float:
+        """How late [s] a thread goes on that was to go on at `due` [s] at the latest; `stalled` counts it."""
+        now = self.now()
+        if now - due > LATE:
+            self._pauses.append((due, now))
+        return max(0.0, now - due)
+
+    def stalled(self, since: float) -> float:
+        """How long [s] this process did not run from a time [s] on, as far as its threads' waits ended late."""
+        total = 0.0
+        for begun, ended in sorted(self._pauses.copy()):
+            total += max(0.0, ended - max(begun, since))
+            since = max(since, ended)
+        return total
 
     def event(self) -> threading.Event:
         """An event to wait for."""
@@ -99,7 +118,15 @@ class Clock:
         self, readers: Sequence[HasFileno], writers: Sequence[HasFileno], seconds: float
     ) -> tuple[list[HasFileno], list[HasFileno]]:
         """Return which of some sockets can be read and written, waiting at most `seconds` [s] for the first."""
-        readable, writable, _ = select.select(readers, writers, (), max(0.0, seconds))
+        due = self.now() + max(0.0, seconds)
+        readable, writable = self._select(readers, writers, max(0.0, seconds))
+        self.late(due)
+        return readable, writable
+
+    def _select(
+        self, readers: Sequence[HasFileno], writers: Sequence[HasFileno], seconds: float
+    ) -> tuple[list[HasFileno], list[HasFileno]]:
+        readable, writable, _ = select.select(readers, writers, (), seconds)
         return readable, writable
 
 

@@ -33,6 +33,8 @@ CHUNK_BYTES = 1 << 18
 TOGETHER, UNMOVED = 0.006, 0.008
 """Samples are handed out so long [s] at a time, or one by one where they come slower; `UNMOVED` where dynid does not
 move the arm, so that nothing is to be stopped."""
+LOOK = 0.05
+"""[s] that one wait for data lasts at most."""
 TIMESTAMP = "timestamp"
 _TIMESTAMP_AT = struct.Struct(">d")
 _TIMESTAMP_OFFSET = wire.HEADER_SIZE + 1
@@ -319,6 +321,16 @@ class RtdeReceiver:
             raise TimeoutError
         return connection.recv(CHUNK_BYTES)
 
+    def _next_bytes(self, connection: socket.socket, fresh: float) -> bytes:
+        """As `_wait_for_bytes`, until this process has run for `SILENCE_LIMIT` since the newest sample."""
+        while True:
+            left = fresh + SILENCE_LIMIT - self._clock.now()
+            if left <= 0.0 and (left := left + self._clock.stalled(fresh)) <= 0.0:
+                raise TimeoutError
+            readable, _ = self._clock.select([connection], [], min(left, LOOK))
+            if readable:
+                return connection.recv(CHUNK_BYTES)
+
     def _receive(self) -> None:
         failure: tuple[str, str] | None
         try:
@@ -345,7 +357,7 @@ class RtdeReceiver:
         for _ in self._splitter.feed(b""):  # raises where the fault came together with the answer
             pass
         while True:
-            chunk = self._wait_for_bytes(connection, fresh + SILENCE_LIMIT)
+            chunk = self._next_bytes(connection, fresh)
             arrived = self._clock.now()
             if not chunk:
                 return ("the controller closed the connection", "")
@@ -359,8 +371,6 @@ class RtdeReceiver:
                         fresh = arrived
                 if len(self._ring) >= self._together:
                     self._arrival.notify_all()
-            if arrived - fresh >= SILENCE_LIMIT:  # something comes, but nothing new
-                raise TimeoutError
 
     def _keep(self, package: wire.Package, arrived: float) -> bool | None:
         """Whether the package brought a new sample; None where it ends the flow. To be called with `_arrival` held."""

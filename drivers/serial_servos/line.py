@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.clock import LATE, SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionLostError
 from drivers.serial_port import BITS_A_BYTE, open_port, reason
 from drivers.serial_servos.packets import Packet, ServoProtocol
@@ -27,6 +27,8 @@ QUIET = 0.003
 """[s] without a byte after which nothing more is on its way, …"""
 LONGEST_DRAIN = 0.02
 """… or so long [s] after an answer that did not come."""
+HICCUP = 0.001
+"""[s] that a look at the port may be late, and what it finds counts as come just then."""
 LATENCY_TIMER = Path("/sys/bus/usb-serial/devices")
 """Where Linux shows the latency timers of USB adapters."""
 
@@ -57,6 +59,7 @@ class ServoLine:
         self.echo = False
         self.patience = PATIENCE
         self._clock = clock
+        self._answering = 0.0
         self._port: Any = None
 
     def open(self) -> None:
@@ -88,20 +91,26 @@ class ServoLine:
 
         Where one is missing, what may still be on its way is thrown away: it would be taken for the next answer. The
         bytes are those of all answers together; where `motor` is given, only this servo is waited for, without hurry.
+        Time in which this process did not run is none of waiting; what came meanwhile is stamped as if it had come in
+        the usual time.
         """
-        self._write(request)
-        sent = received = self._clock.now()
+        sent = received = looked = self._send_promptly(request)
         skipped = len(request) if self.echo else 0
-        end = sent + self._wire_time(len(request) + skipped + answer_bytes)
-        end += self.patience if motor is None else UNHURRIED
+        on_wire = self._wire_time(len(request) + skipped + answer_bytes)
+        end = sent + on_wire + (self.patience if motor is None else UNHURRIED)
         buffer, answers, strange = bytearray(), list[Packet](), 0
         missing = skipped + answer_bytes
-        while sum(motor in (None, answer.motor) for answer in answers) < packets and self._clock.now() < end:
+        over = False
+        while (waiting := sum(motor in (None, answer.motor) for answer in answers) < packets) and not over:
             data = self._read_some(max(missing, 1))
             missing -= len(data)
+            before, looked = looked, self._clock.now()
+            late = self._clock.late(before + READ_SLICE)
+            end += late
+            over = looked >= end
             if not data:
                 continue
-            received = self._clock.now()
+            received = looked if late < HICCUP else min(max(before, sent + on_wire + self._answering), looked)
             buffer += data
             if skipped:
                 cut = min(skipped, len(buffer))
@@ -110,8 +119,10 @@ class ServoLine:
             found, more = self.protocol.answers(buffer)
             answers += found
             strange += more
-        if self._clock.now() >= end:
+        if waiting:
             self._drain()
+        elif motor is None:
+            self._answering = received - sent - on_wire
         return Heard(answers, strange + len(buffer), sent, received)
 
     def notice_echo(self, request: bytes, answer_bytes: int) -> Heard:
@@ -144,6 +155,15 @@ class ServoLine:
 
     def _wire_time(self, count: int) -> float:
         return count * BITS_A_BYTE / self.baudrate
+
+    def _send_promptly(self, request: bytes) -> float:
+        """Send a request; when [s]. Where this process stalled meanwhile, that is unknown: it is sent again."""
+        begun = self._clock.now()
+        self._write(request)
+        if self._clock.now() - begun > LATE:
+            self._drain()
+            self._write(request)
+        return self._clock.now()
 
     def _write(self, data: bytes) -> None:
         port = self._opened()

@@ -236,7 +236,7 @@ def clock(bench: Bench) -> None:
 
     start_thread = threading.Thread.start
     with ExitStack() as patched:
-        for owner, name in ((time, "sleep"), *((Clock, name) for name in ("now", "sleep", "select", "thread"))):
+        for owner, name in ((time, "sleep"), *((Clock, name) for name in ("now", "sleep_until", "_select", "thread"))):
             patched.enter_context(patch.object(owner, name, real))
         patched.enter_context(patch.object(threading.Thread, "start", watch))
         driver, device = patched.enter_context(_running(bench))

@@ -79,13 +79,16 @@ class SimulatedClock(Clock):
     def sleep(self, seconds: float) -> None:
         """As `Clock.sleep`."""
         if seconds > 0.0:
-            self._wait_until(None, self._after(seconds))
+            moment = self._after(seconds)
+            self._wait_until(None, moment)
+            self.late(moment)
 
     def sleep_until(self, moment: float) -> float:
         """As `Clock.sleep_until`."""
-        if moment > self._now:
-            self._wait_until(None, moment)
-        return self._now - moment
+        if moment <= self._now:
+            return self._now - moment
+        self._wait_until(None, moment)
+        return self.late(moment)
 
     def stall(self, seconds: float) -> None:
         """Let time pass while no other thread runs, as on a computer that is busy with another program."""
@@ -135,10 +138,9 @@ class SimulatedClock(Clock):
         thread.start()
         return thread
 
-    def select(
+    def _select(
         self, readers: Sequence[HasFileno], writers: Sequence[HasFileno], seconds: float
     ) -> tuple[list[HasFileno], list[HasFileno]]:
-        """As `Clock.select`."""
         ready: tuple[list[HasFileno], list[HasFileno], list[HasFileno]] = ([], [], [])
 
         def look() -> bool:

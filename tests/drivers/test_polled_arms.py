@@ -114,15 +114,45 @@ def test_without_an_answer_the_connection_is_lost(clock: SimulatedClock, tmp_pat
     assert not isinstance(report.error, SafetyStopError)
 
 
+@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("wire", ["damiao", "feetech"])
+def test_a_stall_of_the_computer_costs_what_it_did_not_ask_for(clock: SimulatedClock, wire, whole):
+    with served(clock, wire) as bench, bench.opened() as driver:
+        driver.start()
+        driver.read(0.1)
+        clock.sleep_until(driver._cycle.asked + 0.01 + 1e-4)  # the motors have been asked, and not all have answered
+        driver.read(0.0)
+        begun = clock.now()
+        if whole:  # with the simulated motors: when they measured is not known
+            clock.stall(0.6)
+        else:
+            clock.suspend(0.6, [thread.name for thread in bench.server._threads])
+        batches = []
+        while clock.now() < begun + 0.8:
+            batches += driver.read(0.01)
+        assert clock.stalled(begun) == pytest.approx(0.6, abs=0.01)
+        assert driver.losses("joints") == f"{59 + whole} while this computer was late to ask, or to look"
+    stamps = np.concatenate([batch.time for batch in batches]) - begun
+    assert np.sum(stamps < 0.002) == (not whole)  # what had been asked, with its time
+    assert not np.any((stamps > 0.002) & (stamps < 0.598))
+
+
+def test_a_stall_ends_a_motion_and_not_a_recording(clock: SimulatedClock, tmp_path):
+    for moves in (True, False):
+        with served(clock, "damiao") as bench:
+            clock.call_at(clock.now() + 1.1, lambda: clock.stall(0.6))
+            to, duration = (goal(bench), None) if moves else (None, 1.9)
+            report = bench.session(tmp_path / f"{moves}.h5", to, duration)
+        assert ("this computer stalled for 0." in str(report.stopped_by)) == moves, report.stopped_by
+        assert moves or (report.stopped_by is None and "this computer was late" in report.heavy_loss)
+
+
 def test_silence_says_who_was_late(clock: SimulatedClock):
     for wire in ("damiao", "feetech"):
         with served(clock, wire) as bench, bench.opened() as driver:
             driver.start()
             clock.sleep(0.3)
             assert driver.silence("joints", 0.05) == "", wire
-            clock.stall(0.1)
-            assert driver.silence("joints", 0.05).endswith(" was asked for 0.10 s: this computer was late"), wire
-            clock.sleep(0.3)
             bench.server.cause(parse_fault("freeze 2", "CAN motors", JOINTS))
             clock.sleep(0.3)
             assert driver.silence("joints", 0.05).endswith(" answers: check the power and the cable"), wire

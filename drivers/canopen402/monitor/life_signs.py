@@ -130,8 +130,8 @@ class Silence:
         """
         recent = 0.5 * limit  # a row is handed out one SYNC after its frames came, and the session looks later still
         if now - last_sync > recent:
-            return f"no SYNC sent for {now - last_sync:.2f} s: this computer was late"
+            return f"no SYNC sent for {now - last_sync:.2f} s"
         if now - drained > recent:
-            return f"the bus was not read for {now - drained:.2f} s: this computer was late"
+            return f"the bus was not read for {now - drained:.2f} s"
         who, heard = self.who(drained - recent)
         return f"no answer to SYNC of {who} for {drained - heard:.2f} s" if who else ""

@@ -99,7 +99,7 @@ def test_a_carried_arm_stays_and_is_held_by_its_brakes_afterwards(tmp_path: Path
     ("action", "reason"),
     [
         ("push", "by hand"),  # an arm that runs: harder than a hand
-        ("stall", "computer was late"),
+        ("stall", "computer stalled for 0.07 s"),
         ("over-temperature 2", "temperature too high"),
     ],
 )
