@@ -9,7 +9,7 @@ from true_results import true_result
 import dynid
 from daq.robot.loader import load_robot
 
-pytestmark = pytest.mark.usefixtures("mistakes_not_sought")
+pytestmark = pytest.mark.usefixtures("mistakes_not_sought", "not_simulated", "stated_friction")
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from drivers.core.errors import SafetyStopError, UsageError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from ident.commands.printing.result import print_result
 
-pytestmark = pytest.mark.usefixtures("stated_friction")
+pytestmark = pytest.mark.usefixtures("stated_friction", "mistakes_not_sought")
 
 ARM = """
 name: {name}

@@ -131,7 +131,7 @@ def test_torques_without_sign(data_dir: Path, name: str) -> None:
     assert check == "unsigned-torque"
 
 
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("name", ["panda", "tx40"])  # the UR10's are named in test_mistakes_real
 def test_opposite_torques_come_with_the_refit(data_dir: Path, name: str) -> None:
     sound = found(name, data_dir)
     segments = sound.runs[0].prepared.segments

@@ -20,7 +20,7 @@ from daq.robot.loader import load_robot
 from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("stated_friction")
+pytestmark = pytest.mark.usefixtures("stated_friction", "mistakes_not_sought")
 
 RATE = 125.0
 

@@ -11,6 +11,8 @@ from html_page import Page
 
 from daq.recording.writer import write_recording
 
+pytestmark = pytest.mark.usefixtures("estimates_alone")
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):

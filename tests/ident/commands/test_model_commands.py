@@ -10,7 +10,7 @@ import pytest
 
 import dynid
 
-pytestmark = pytest.mark.usefixtures("stated_friction")
+pytestmark = pytest.mark.usefixtures("stated_friction", "mistakes_not_sought")
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import functools
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -35,7 +36,7 @@ from ident.report import ReportData, TruthTable, write_result_folder
 from ident.report import monitor_page as watched_page
 from ident.result.tables import table_of_rows
 from ident.tasks.history import History
-from ident.tasks.identification import identify
+from ident.tasks.identification import IdentificationResult, identify
 from ident.tasks.loads import drive_gains, payload
 from ident.tasks.prediction import predict
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
@@ -62,10 +63,16 @@ def recorded(seed: int, samples: slice | FloatArray = slice(None), rate: float =
     )
 
 
+@functools.cache
+def identified() -> IdentificationResult:
+    """What the pages of an identification and of a prediction are of."""
+    return identify(recorded(1), validation=recorded(2))
+
+
 def identification_page(folder: Path) -> Path:
     robot_file = load_robot(ARM)
     base = base_parameters(build_model(robot_file))
-    found = identify(recorded(1), validation=recorded(2))
+    found = identified()
     truth = TruthTable(base.names, base.projection @ truth_vector(robot_file))
     write_result_folder(
         folder, ReportData(found.result, found.fit_series, found.validation_series, truth, found.recorded)
@@ -92,7 +99,7 @@ def recording_page(folder: Path) -> Path:
 
 def prediction_page(folder: Path) -> Path:
     path = folder / "prediction.html"
-    predict(identify(recorded(1)), recorded(2)).page(path)
+    predict(identified(), recorded(3)).page(path)
     return path
 
 

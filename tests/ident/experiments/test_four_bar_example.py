@@ -17,7 +17,7 @@ def test_the_truth_is_found_from_thirty_seconds(capsys: pytest.CaptureFixture[st
     assert four_bar.closing_error(robot_file) < 1e-10
     model = build_model(robot_file)
     motions = [random_fourier_motion(model, 10.0, seed=seed, candidates=5) for seed in (0, 1)]
-    runs = [simulate_recording(robot_file, motion, 30.0, seed=seed) for seed, motion in enumerate(motions)]
+    runs = [simulate_recording(robot_file, motion, 30.0, seed=seed, rate=125.0) for seed, motion in enumerate(motions)]
     found, inside = four_bar.compare(robot_file, "random", *runs)
     assert inside >= 0.85 * found.base.count
     assert found.validation.relative_error < 0.02

@@ -17,7 +17,7 @@ from ident.tasks.identification import identify
 from ident.tasks.validation import validate
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 DURATION = 12.0
 

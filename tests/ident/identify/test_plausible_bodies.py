@@ -30,7 +30,7 @@ from ident.signals.pipeline import PreprocessChoices
 from ident.tasks.new_robot import new_robot_file
 from sim_drivers.synthetic.measurement import simulate
 
-pytestmark = pytest.mark.usefixtures("mistakes_not_sought")
+pytestmark = pytest.mark.usefixtures("mistakes_not_sought", "stated_friction")
 
 OF_BODIES = {
     "implausible-mass",

@@ -39,7 +39,7 @@ from ident.signals.filters import no_filter
 from ident.signals.pipeline import Segment
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 
 def corrected_covariance(

@@ -17,7 +17,7 @@ from ident.regression.options import ExperimentChoices
 from ident.signals.segments import MOTION_BEGINS, MOTION_ENDS, played_window
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("estimates_alone")
+pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
 
 APPROACH = 4.0
 
