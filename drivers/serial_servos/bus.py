@@ -12,7 +12,7 @@ from drivers.core.errors import ConnectionFailedError, DriverStateError
 from drivers.serial_servos.dynamixel import DynamixelProtocol
 from drivers.serial_servos.feetech import FeetechProtocol
 from drivers.serial_servos.line import Heard, ServoLine
-from drivers.serial_servos.packets import Packet, ServoProtocol
+from drivers.serial_servos.packets import BROADCAST, Packet, ServoProtocol
 from drivers.serial_servos.registers import Register
 from drivers.serial_servos.settings import ServoMotor, ServoSettings
 
@@ -99,7 +99,7 @@ class ServoBus:
                     continue
                 with self._lock:
                     written = protocol.write(motor.id, indirect.address, words)
-                    self.line.exchange(written, protocol.answer_size(0), 1, motor.id)
+                    self.line.exchange(written, protocol.answer_size(0), [motor.id], hurried=False)
                 if self.read_bytes(motor, indirect.address, len(words)) != words:
                     return
             except ConnectionFailedError:  # older firmware; who is silent shows when each is asked who it is
@@ -148,7 +148,8 @@ class ServoBus:
             raise DriverStateError(f"{name} of {called(motor)} is in EEPROM", hint="only --configure writes there")
         protocol, data = self.line.protocol, entry.encoded(counts)
         with self._lock:
-            self.line.exchange(protocol.write(motor.id, entry.address, data), protocol.answer_size(0), 1, motor.id)
+            written = protocol.write(motor.id, entry.address, data)
+            self.line.exchange(written, protocol.answer_size(0), [motor.id], hurried=False)
         # Servos may be set not to answer writings: what counts is what they hold then.
         held = self.read(motor, name)
         if held != counts:
@@ -177,14 +178,14 @@ class ServoBus:
         protocol, count = self.line.protocol, len(self._ids)
         with self._lock:
             if self.fast:
-                heard = self.line.exchange(self._request(), protocol.fast_answer_size(size, count), 1)
+                heard = self.line.exchange(self._request(), protocol.fast_answer_size(size, count), [BROADCAST])
                 packets = [answer for packet in heard.answers for answer in protocol.fast_answers(packet, size)]
                 return _feedback(packets, [heard], self._ids, size)
             if self._sync:
-                heard = self.line.exchange(self._request(), count * protocol.answer_size(size), count)
+                heard = self.line.exchange(self._request(), count * protocol.answer_size(size), self._ids)
                 return _feedback(heard.answers, [heard], self._ids, size)
             each = [
-                self.line.exchange(protocol.read(motor, address, size), protocol.answer_size(size), 1)
+                self.line.exchange(protocol.read(motor, address, size), protocol.answer_size(size), [motor])
                 for motor in self._ids
             ]
         return _feedback([answer for heard in each for answer in heard.answers], each, self._ids, size)
@@ -203,8 +204,7 @@ class ServoBus:
         strange = others = 0
         for _ in range(1 if hurried else ATTEMPTS):
             with self._lock:
-                waited = None if hurried else motor.id
-                heard = self.line.exchange(request, self.line.protocol.answer_size(size), 1, waited)
+                heard = self.line.exchange(request, self.line.protocol.answer_size(size), [motor.id], hurried=hurried)
             for answer in heard.answers:
                 if answer.motor == motor.id:
                     return answer
@@ -217,8 +217,7 @@ class ServoBus:
         else:
             said, hint = (
                 "does not answer",
-                "check power, cable, id and baud rate; a servo keeps its id when it is moved to another joint "
-                "to another joint",
+                "check power, cable, id and baud rate; a servo keeps its id when it is moved to another joint",
             )
         raise ConnectionFailedError(f"{called(motor)} {said}", where=self.line.url, hint=hint)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -86,22 +86,21 @@ class ServoLine:
         if self.echo:
             self._read(len(request), self._clock.now() + self._wire_time(len(request)) + self.patience)
 
-    def exchange(self, request: bytes, answer_bytes: int, packets: int, motor: int | None = None) -> Heard:
-        """Send a request, and wait until so many answers have come, or nothing more can come.
+    def exchange(self, request: bytes, answer_bytes: int, motors: Collection[int], *, hurried: bool = True) -> Heard:
+        """Send a request, and wait until all servos of these ids have answered, or nothing more can come.
 
         Where one is missing, what may still be on its way is thrown away: it would be taken for the next answer. The
-        bytes are those of all answers together; where `motor` is given, only this servo is waited for, without hurry.
-        Time in which this process did not run is none of waiting; what came meanwhile is stamped as if it had come in
-        the usual time.
+        bytes are those of all answers together. One servo may be waited for without hurry. Time in which this process
+        did not run is none of waiting; what came meanwhile is stamped as if it had come in the usual time.
         """
         sent = received = looked = self._send_promptly(request)
         skipped = len(request) if self.echo else 0
         on_wire = self._wire_time(len(request) + skipped + answer_bytes)
-        end = sent + on_wire + (self.patience if motor is None else UNHURRIED)
+        end = sent + on_wire + (self.patience if hurried else UNHURRIED)
         buffer, answers, strange = bytearray(), list[Packet](), 0
         missing = skipped + answer_bytes
         over = False
-        while (waiting := sum(motor in (None, answer.motor) for answer in answers) < packets) and not over:
+        while (waiting := not {answer.motor for answer in answers}.issuperset(motors)) and not over:
             data = self._read_some(max(missing, 1))
             missing -= len(data)
             before, looked = looked, self._clock.now()
@@ -121,7 +120,7 @@ class ServoLine:
             strange += more
         if waiting:
             self._drain()
-        elif motor is None:
+        elif hurried:
             self._answering = received - sent - on_wire
         return Heard(answers, strange + len(buffer), sent, received)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drivers.core.clock import Clock
-from drivers.core.errors import ConnectionFailedError
+from drivers.core.errors import ConnectionFailedError, UsageError
 from drivers.serial_servos.bus import ServoBus, called
 from drivers.serial_servos.control import POSITION_MODE
 from drivers.serial_servos.settings import ServoMotor, ServoSettings
@@ -114,8 +114,9 @@ def configure(bus: ServoBus, settings: ServoSettings) -> list[str]:
     Raises:
         ConnectionFailedError: a servo does not answer, or does not keep what is written.
         ConnectionLostError: the port is gone.
+        UsageError: it cannot hold what the calibration says.
     """
-    said = []
+    said, changes = [], []
     for motor in settings.motors:
         wanted = {"return_delay": 0, "operating_mode": POSITION_MODE[motor.table.protocol]}
         if (calibration := motor.calibration) is not None:
@@ -126,15 +127,25 @@ def configure(bus: ServoBus, settings: ServoSettings) -> list[str]:
             }
         wanted = {name: value for name, value in wanted.items() if name in motor.table.registers}
         changed = {name: held for name, value in wanted.items() if (held := bus.read(motor, name)) != value}
-        if not changed:
-            continue
+        for name in changed:  # before anything is written
+            least, most = motor.table.registers[name].bounds
+            if not least <= wanted[name] <= most:
+                raise UsageError(
+                    f"{called(motor)} cannot hold {wanted[name]} as {name}: from {least} to {most}",
+                    where=bus.line.url,
+                    hint="use the calibration of this arm",
+                )
+        changes += [(motor, wanted, changed)] if changed else []
+    for motor, wanted, changed in changes:
         bus.write(motor, "torque_enable", 0)
         locked = "lock" in motor.table.registers
         if locked:
             bus.write(motor, "lock", 0)
-        for name, held in changed.items():
-            bus.write(motor, name, wanted[name], configure=True)
-            said.append(f"{called(motor)}: {name} was {held}, is {wanted[name]}")
-        if locked:
-            bus.write(motor, "lock", 1)
+        try:
+            for name, held in changed.items():
+                bus.write(motor, name, wanted[name], configure=True)
+                said.append(f"{called(motor)}: {name} was {held}, is {wanted[name]}")
+        finally:
+            if locked:
+                bus.write(motor, "lock", 1)
     return said

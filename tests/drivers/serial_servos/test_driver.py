@@ -184,7 +184,9 @@ def test_servos_that_are_refused(clock: SimulatedClock, tmp_path):
             driver.take_control()
 
 
-def test_another_arms_calibration_is_refused_and_written_only_with_configure(clock: SimulatedClock, tmp_path):
+def test_another_arms_calibration_is_refused_and_written_only_with_configure(
+    clock: SimulatedClock, tmp_path, monkeypatch
+):
     entry = {"drive_mode": 0, "homing_offset": 12, "range_min": 500, "range_max": 3500}
     content = {"swing": {"id": 1, **entry}, "bend": {"id": 7, **entry}}
     (tmp_path / "arm.json").write_text(json.dumps(content))
@@ -192,7 +194,18 @@ def test_another_arms_calibration_is_refused_and_written_only_with_configure(clo
         keys = {"calibration": str(tmp_path / "arm.json")}
         with pytest.raises(UsageError, match=r"swing \(id 1\) has homing offset 0, and 12"):
             bench.driver(**keys).open()
+        (tmp_path / "wild.json").write_text(json.dumps({**content, "bend": content["bend"] | {"homing_offset": 5000}}))
+        with pytest.raises(UsageError, match=r"bend \(id 7\) cannot hold 5000 as homing_offset"):
+            bench.driver(calibration=str(tmp_path / "wild.json"), configure=True).open()
         assert bench.server.servos[0].get("homing_offset") == 0
+        with monkeypatch.context() as patched:
+            bend, write = bench.server.servos[1], bench.server.servos[1].write
+            offset = bend.table.registers["homing_offset"].address
+            patched.setattr(bend, "write", lambda place, data: 1 if place == offset else write(place, data))
+            with pytest.raises(ConnectionFailedError, match=r"bend \(id 7\) holds 0 as homing_offset after 12"):
+                bench.driver(**keys, configure=True).open()
+            assert bend.get("lock") == 1
+        bench.server.servos[0].put("homing_offset", 0)
         with bench.opened(**keys, configure=True) as driver:
             assert any("homing_offset was 0, is 12" in notice.message for notice in driver.notices())
             told = driver.identify()
@@ -200,6 +213,19 @@ def test_another_arms_calibration_is_refused_and_written_only_with_configure(clo
         assert bench.server.servos[0].get("lock") == 1
         with bench.opened(**keys) as driver:
             assert driver.device_limits().highest == pytest.approx(np.full(2, 1500 * STEP))
+
+
+def test_a_servo_that_answers_twice_takes_no_other_ones_turn(clock: SimulatedClock, monkeypatch):
+    with servos(clock) as bench:
+        answer = bench.server._answer
+        monkeypatch.setattr(
+            bench.server, "_answer", lambda servo, *rest: answer(servo, *rest) * (1 + (servo.motor.id == 1))
+        )
+        with bench.opened() as driver:
+            driver.start()
+            clock.sleep(0.3)
+            assert sum(len(batch.time) for batch in driver.read(0.0)) > 25
+            assert "bend" not in driver.losses("joints")
 
 
 def test_eeprom_is_not_written_by_the_way(clock: SimulatedClock):
