@@ -42,14 +42,14 @@ def refused(message: str, hint: str = "") -> PydanticCustomError:
     return PydanticCustomError("refused", "{message}", {"message": message, "hint": hint})
 
 
-class Identified(Protocol):
+class BusDevice(Protocol):
     """The keys of a device that has an id on its bus."""
 
     @property
     def id(self) -> int: ...  # noqa: D102
 
 
-def require_motor_per_joint(motors: Mapping[str, Identified], joints: Sequence[str], device: str) -> None:
+def require_motor_per_joint(motors: Mapping[str, BusDevice], joints: Sequence[str], device: str) -> None:
     """Refuse a mapping of joint → keys of its motor that leaves a joint out, or has others or an id twice."""
     if strange := [name for name in motors if name not in joints]:
         raise refused(f"{strange[0]!r} is not a joint", f"joints: {', '.join(joints)}")

@@ -61,7 +61,7 @@ PRESSING = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
+class Surface:
     """A surface and the point that touches it."""
 
     link: int  # index of the link in the tree
@@ -91,8 +91,8 @@ def tool_point(robot_file: RobotFile, links: ServoLinks) -> tuple[int, FloatArra
 
 
 def find_contact(
-    lanes: Lanes, values: FloatArray, link: int, point: FloatArray, least: float, known: Contact | None = None
-) -> Contact | None:
+    lanes: Lanes, values: FloatArray, link: int, point: FloatArray, least: float, known: Surface | None = None
+) -> Surface | None:
     """Return what the arm touches, where it lowers the error of pieces that it was not fitted to.
 
     Args:
@@ -122,7 +122,7 @@ def find_contact(
     if not _helps(judged, values, point, best, least):
         return None
     refined = _search(lanes.of_pieces(near), values, point, best, least)[0]
-    return Contact(link, point, float(refined[0]), float(np.exp(refined[1])))
+    return Surface(link, point, float(refined[0]), float(np.exp(refined[1])))
 
 
 def away(lanes: Lanes, point: FloatArray) -> Lanes:
@@ -132,7 +132,7 @@ def away(lanes: Lanes, point: FloatArray) -> Lanes:
     return lanes.of_pieces(far) if 2 * len(far) >= len(lowest) else lanes
 
 
-def in_contact(lanes: Lanes, values: FloatArray, contact: Contact) -> BoolArray:
+def in_contact(lanes: Lanes, values: FloatArray, contact: Surface) -> BoolArray:
     """(S, L) samples that a contact bends: from shortly before it until the joints have settled again."""
     pieces = len(np.unique(lanes.piece))
     force = roll_out(lanes, values[lanes.joint].T, surface=contact.surface(pieces))[2]

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
-from ident.servo.contact import Contact, away, find_contact, in_contact
+from ident.servo.contact import Surface, away, find_contact, in_contact
 from ident.servo.first_fit import (
     FIRST_GROUPS,
     LIKE,
@@ -83,7 +83,7 @@ class ServoFit:
     # per joint, the share of the held-out cost that each optional term saved; kept ones only
     gains: tuple[Mapping[str, float], ...]
     pieces: int  # number of pieces of motion in the fit
-    contact: Contact | None  # what the arm touches; None without a sign of it
+    contact: Surface | None  # what the arm touches; None without a sign of it
 
 
 def fit_servo(
@@ -199,7 +199,7 @@ class _State:
     free: BoolArray
     held: BoolArray
     assumed: frozenset[tuple[int, int]]
-    contact: Contact | None
+    contact: Surface | None
     gains: list[dict[str, float]]
 
 

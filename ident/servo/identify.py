@@ -25,7 +25,7 @@ from ident.identify.summary import provenance
 from ident.model.another_arm import check_arm
 from ident.result.graded import Grade
 from ident.servo.arm_rollout import command_paths, delay_and_lag, delayed_paths, rollout_errors, touched_paths
-from ident.servo.contact import PRESSING, Contact, tool_point
+from ident.servo.contact import PRESSING, Surface, tool_point
 from ident.servo.fit import ServoFit, fit_servo
 from ident.servo.links import ServoLinks, servo_links
 from ident.servo.motion import ServoMotion, servo_motions
@@ -243,12 +243,12 @@ def _doubts(recordings: Sequence[Recording]) -> list[str]:
     return doubts
 
 
-def contact_of(result: ServoResult, links: ServoLinks) -> Contact | None:
+def contact_of(result: ServoResult, links: ServoLinks) -> Surface | None:
     """Return what a stored model's arm touches."""
     stored = result.contact
     if stored is None:
         return None
-    return Contact(links.model.link_names.index(stored.link), np.array(stored.point), stored.height, stored.stiffness)
+    return Surface(links.model.link_names.index(stored.link), np.array(stored.point), stored.height, stored.stiffness)
 
 
 def judge(
@@ -256,7 +256,7 @@ def judge(
     links: ServoLinks,
     values: FloatArray,
     lag: tuple[float, float],
-    contact: Contact | None,
+    contact: Surface | None,
     reference: Any | None,
     *,
     held_out: bool,
@@ -323,7 +323,7 @@ def verdict(
     joints: Sequence[ServoJoint],
     judged: RolloutFit,
     steps: FloatArray,
-    contact: Contact | None = None,
+    contact: Surface | None = None,
     doubts: Sequence[str] = (),
 ) -> Grade:
     """A grade for rolling out motions, by held-out errors against encoder steps and references."""
@@ -375,7 +375,7 @@ def verdict(
     return Grade(grade=grade, headline=f"{grade.capitalize()} for simulation: {reach}.", checks=checks)
 
 
-def _contact_words(contact: Contact, stretches: Sequence[ContactStretch]) -> str:
+def _contact_words(contact: Surface, stretches: Sequence[ContactStretch]) -> str:
     """Return what the arm touches, and when."""
     text = f"the arm touches something at a height of {contact.height:.3f} m"
     if not stretches:

@@ -20,7 +20,7 @@ from ident.estimators.swarm.minimisation import SearchBox, SearchBudget
 from ident.estimators.swarm.physical import (
     BODY_SIZE,
     FeasibilityPenalty,
-    Identified,
+    ParameterIdentifiability,
     PhysicalCost,
     PhysicalParameters,
     QuadraticCost,
@@ -148,7 +148,7 @@ def _scaled(
     return least, most
 
 
-def identified_step(parameters: tuple[Identified, ...], point: FloatArray) -> Step:
+def identified_step(parameters: tuple[ParameterIdentifiability, ...], point: FloatArray) -> Step:
     """Physical parameters of a best point (d,) with what the torque shows of each."""
     settings: dict[str, float | int | str] = {}
     for parameter, value in zip(parameters, point, strict=True):

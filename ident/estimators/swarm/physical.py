@@ -64,7 +64,7 @@ INVOLVED = 0.01
 
 
 @dataclass(frozen=True)
-class Identified:
+class ParameterIdentifiability:
     """One estimated parameter."""
 
     name: str  # of the parameter
@@ -78,7 +78,7 @@ class Identified:
         return self.determined >= DETERMINED
 
 
-def identifiability(derivative: FloatArray, noise: float, names: Sequence[str]) -> tuple[Identified, ...]:
+def identifiability(derivative: FloatArray, noise: float, names: Sequence[str]) -> tuple[ParameterIdentifiability, ...]:
     """Identifiability of d parameters, to first order about the estimate; it does not depend on their units.
 
     Args:
@@ -93,11 +93,11 @@ def identifiability(derivative: FloatArray, noise: float, names: Sequence[str]) 
     result = []
     for index, (name, share) in enumerate(zip(names, space.shares.tolist(), strict=True)):
         if not hidden[index]:
-            result.append(Identified(name, share, float(spread[index] / space.lengths[index]), ()))
+            result.append(ParameterIdentifiability(name, share, float(spread[index] / space.lengths[index]), ()))
             continue
         involved = hidden & (invisible[index] > INVOLVED)
         partners = tuple(names[other] for other in np.flatnonzero(involved).tolist() if other != index)
-        result.append(Identified(name, share, np.inf, partners))
+        result.append(ParameterIdentifiability(name, share, np.inf, partners))
     return tuple(result)
 
 

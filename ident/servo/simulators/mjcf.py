@@ -20,7 +20,7 @@ from ident.export.xml_text import comment_text, number, numbers
 from ident.friction.terms import NO_TERMS
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
-from ident.servo.contact import Contact
+from ident.servo.contact import Surface
 from ident.servo.links import ServoLinks
 from ident.servo.motion import ServoMotion
 from ident.servo.simulators.actuator_law import FileFormat, actuator_law
@@ -40,7 +40,7 @@ def servo_mjcf(
     links: ServoLinks,
     values: FloatArray,
     missing: Sequence[str] = (),
-    contact: Contact | None = None,
+    contact: Surface | None = None,
 ) -> str:
     """The text of an MJCF: bodies of the robot file, joints, position actuators, and what the arm touches.
 
@@ -121,7 +121,7 @@ def _actuator(name: str, values: FloatArray, limits: tuple[float, float]) -> dic
     return attributes
 
 
-def _add_surface(root: ElementTree.Element, links: ServoLinks, contact: Contact) -> None:
+def _add_surface(root: ElementTree.Element, links: ServoLinks, contact: Surface) -> None:
     """A plane, and a small ball at the point that touches it; they collide with nothing else."""
     world = root.find("worldbody")
     joint = links.model.joints[contact.link].name

@@ -16,7 +16,8 @@ from ident.excite.velocity_sweep import velocity_sweep
 def sweep():
     robot_file = load_robot("ur5e")
     joints = ("shoulder_lift_joint", "wrist_3_joint")
-    return robot_file, velocity_sweep(robot_file, ArmMotionCheck(robot_file), SweepChoices(joints=joints, speeds=3))
+    choices = SweepChoices(joints=joints, speeds=3, slowest=0.4)
+    return robot_file, velocity_sweep(robot_file, ArmMotionCheck(robot_file), choices)
 
 
 def test_one_joint_moves_at_a_time_and_both_return(sweep):

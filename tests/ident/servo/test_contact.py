@@ -10,7 +10,7 @@ import pytest
 import dynid
 from daq.robot.loader import load_robot
 from ident.servo.arm_rollout import touched_paths
-from ident.servo.contact import Contact, find_contact, in_contact, lowest_points, tool_point
+from ident.servo.contact import Surface, find_contact, in_contact, lowest_points, tool_point
 from ident.servo.identify import read_motions
 from ident.servo.links import servo_links
 from ident.servo.motion import lanes_with_touch, measured_load
@@ -46,7 +46,7 @@ def test_a_surface_is_found_where_it_is_and_only_then(raised, motions):
         assert find_contact(free, values, *tool, STEP) is None
         return
     height = float(lowest_points(free, tool[1]).min()) + raised
-    true = Contact(tool[0], tool[1], height, 1500.0)
+    true = Surface(tool[0], tool[1], height, 1500.0)
     lanes = pieces(true)
     found = find_contact(lanes, values, *tool, STEP)
     assert found.height == pytest.approx(height, abs=3e-3)

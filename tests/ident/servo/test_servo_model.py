@@ -13,7 +13,7 @@ import pytest
 import dynid
 from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Recording, Stream
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
-from ident.servo.contact import Contact
+from ident.servo.contact import Surface
 from ident.servo.simulators.actuator_law import shaped_commands
 from ident.servo.simulators.mjcf import played_paths, servo_mjcf
 from ident.servo.terms import INDEX
@@ -179,7 +179,7 @@ def test_what_the_arm_touches_holds_it_up_in_mujoco_too(model):
     motion = model.identification.motions[0].between(0, 400)
     link = 4
     heights = links.heights(link, motion.position.T)[0][0]
-    touched = Contact(link, np.zeros(3), float(np.median(heights)), 2000.0)
+    touched = Surface(link, np.zeros(3), float(np.median(heights)), 2000.0)
     text = servo_mjcf(model._robot, links, values, (), touched)
     free, held = (played_paths(given, links, [motion])[0] for given in (servo_mjcf(model._robot, links, values), text))
     assert links.heights(link, free.T)[0][0].min() < touched.height - 0.01
