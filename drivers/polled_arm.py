@@ -230,10 +230,11 @@ class PolledArm(LifeCycle):
         newest = max(heard.values(), default=-math.inf)
         if (idle := self._clock.now() - self._cycle.asked) > max(0.5 * limit, ASKING_PERIODS / self._rate):
             return f"no {self._device} was asked for {idle:.2f} s"
+        besides = self._cycle.besides and f", but {self._cycle.besides}"
         if self._clock.now() - newest > limit:
-            return f"no {self._device} answers: check the power and the cable"
+            return f"no {self._device} answers{besides or ': check the power and the cable'}"
         silent = [name for motor, name in self._names.items() if newest - heard.get(motor, -math.inf) > limit / 2]
-        return f"no answer of {', '.join(silent)}" if silent else ""
+        return f"no answer of {', '.join(silent)}{besides}" if silent else ""
 
     def losses(self, stream: str) -> str:
         """Return why rows of `joints` were lost, in words (see `drivers.base`)."""

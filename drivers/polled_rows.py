@@ -34,6 +34,7 @@ class PolledRows(ABC):
         last_row: when it came [s, host's monotonic clock].
         asked: when the devices were asked last [s, host's monotonic clock].
         answered: id → when the device answered last.
+        besides: what came in the last reading beside answers, in words.
         failure: what ended the thread; None while it runs.
         notices: what the devices reported, oldest first.
     """
@@ -60,6 +61,7 @@ class PolledRows(ABC):
         self.latest: FloatArray | None = None
         self.last_row = self.asked = clock.now()
         self.answered: dict[int, float] = {}
+        self.besides = ""
         self.failure: DynidError | None = None
 
     @abstractmethod
@@ -156,15 +158,15 @@ class PolledRows(ABC):
             self._rows.append((time, received, row))
             self._changed.notify_all()
 
-    def _lose(self, missing: Sequence[str], received: float, besides: str = "") -> None:
-        """A row without the answers of some devices; `besides` is what else came, in words."""
+    def _lose(self, missing: Sequence[str], received: float) -> None:
+        """A row without the answers of some devices."""
         self._silent.update(missing)
         self._answering = np.inf
         with self._changed:
             self._lost += 1
         if received - self._noted > NOTED_AGAIN:
             self._noted = received
-            self._tell("warning", f"no answer of {', '.join(missing)}{besides}")
+            self._tell("warning", f"no answer of {', '.join(missing)}{self.besides and f', {self.besides}'}")
 
     def _report_fault(self, name: str, words: Sequence[str], *, moving: bool) -> None:
         """Tell which fault a device reports; without words, that it reports none any more."""

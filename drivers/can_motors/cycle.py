@@ -64,6 +64,7 @@ class MotorCycle(PolledRows):
         feedback = self._control.cycle(patience) if self._control.active else self._bus.cycle(patience=patience)
         self._strange += feedback.strange
         self._overdue += feedback.overdue
+        self.besides = f"{feedback.strange} frames came from no known motor" if feedback.strange else ""
         for index, state in feedback.states.items():
             self.answered[self._motors[index].id] = feedback.received
             self._note_fault(index, state.fault)
@@ -77,8 +78,7 @@ class MotorCycle(PolledRows):
                 self._note_twice(index)
         missing = [motor.name for index, motor in enumerate(self._motors) if index not in feedback.states]
         if missing:
-            strange = f", {feedback.strange} frames came from no known motor" if feedback.strange else ""
-            self._lose(missing, feedback.received, strange)
+            self._lose(missing, feedback.received)
         else:
             self._add(feedback.time, feedback.received, self._row(feedback))
 

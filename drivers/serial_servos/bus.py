@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
@@ -27,6 +27,7 @@ class ServoFeedback:
 
     answers: Mapping[int, Packet]  # id → its answer; a servo that did not answer is missing
     strange: int  # bytes that belonged to no answer
+    others: Collection[int]  # ids that no joint has, or whose answers have another length
     time: float  # in the middle between the request and the last answer [s, host's monotonic clock]
     received: float  # when the last answer was complete
 
@@ -229,7 +230,8 @@ def called(motor: ServoMotor) -> str:
 
 def _feedback(packets: Sequence[Packet], heard: Sequence[Heard], ids: Sequence[int], size: int) -> ServoFeedback:
     answers = {packet.motor: packet for packet in packets if packet.motor in ids and len(packet.data) == size}
+    others = sorted({packet.motor for packet in packets} - answers.keys())
     sent = heard[0].sent if heard else math.nan
     received = heard[-1].received if heard else math.nan
     strange = sum(answer.strange for answer in heard)
-    return ServoFeedback(answers, strange, 0.5 * (sent + received), received)
+    return ServoFeedback(answers, strange, others, 0.5 * (sent + received), received)

@@ -30,6 +30,9 @@ class ServoCycle(PolledRows):
 
     def _read(self) -> None:
         feedback = self._bus.feedback()
+        others = ", ".join(f"id {motor}" for motor in feedback.others)
+        said = f"unexpected answers of {others}" if others else ""
+        self.besides = f"{feedback.strange} bytes belonged to no answer" if feedback.strange else said
         for motor in self._motors:
             if (packet := feedback.answers.get(motor.id)) is not None:
                 self.answered[motor.id] = feedback.received
@@ -73,8 +76,7 @@ class ServoCycle(PolledRows):
         if self._bus.fast and not feedback.answers:
             self._bus.fast = False  # in one packet all wait for the servo that is silent: asked singly, it shows
             self._tell("warning", "the servos no longer answer in one packet: they are read one after the other")
-        garbled = f", {feedback.strange} bytes belonged to no answer" if feedback.strange else ""
-        self._lose([called(motor) for motor in missing], feedback.received, garbled)
+        self._lose([called(motor) for motor in missing], feedback.received)
 
     def _note_fault(self, motor: ServoMotor, code: int) -> None:
         before = self._faults.get(motor.id, 0)
