@@ -34,7 +34,14 @@ from ident.signals.resampling import (
     spread_stamps,
     uniform_grid,
 )
-from ident.signals.segments import SHORTEST_SEGMENT, UniformSegment, motion_band, moving_segments, without_ends
+from ident.signals.segments import (
+    SHORTEST_SEGMENT,
+    UniformSegment,
+    motion_band,
+    moving_segments,
+    without_ends,
+    without_holes,
+)
 
 __all__ = ["Prepared", "PreprocessChoices", "Segment", "prepare"]
 
@@ -74,6 +81,7 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
         decimated, motions, choices, common_unit("rad/s", signals.sliding)
     )
     segments, ends_step = without_ends(moving, cutoffs)
+    segments, holes_step = without_holes(segments, windowed.time, cutoffs)
     segments = _with_temperature(segments, signals)
     segments = _with_target(segments, aligned, signals, smoother, choices.position_decimate)
     parallel = parallel_filter(cutoffs, choices.filter, rate)
@@ -93,7 +101,7 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
             decimation_step,
             low_pass_step,
         ),
-        *(derivatives_step, motion_step, ends_step, parallel_step),
+        *(derivatives_step, motion_step, ends_step, holes_step, parallel_step),
     )
     return Prepared(
         segments=segments,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,11 @@ whole acceleration there, and a few such samples outweigh thousands of good ones
 FILTERED_END_PERIODS = 1.0
 """Periods of the parallel filter's cut-off at both ends that are not used. τ and W are filtered alike, but an odd
 extension pins the filter to the end's raw sample: its noise passes unfiltered, many times that of the others."""
+
+HOLES, OF_CUTOFF, ABOUT_HOLE, MOST_ABOUT_HOLES = (1.9, 2.5), 0.1, 0.1, 0.2
+"""Time between rows, over the usual one, from which on accelerations there are not known (the second where too many
+rows are missing for the first), if it is longer than that share of the positions' cut-off's period; time [s] before and
+after that is not counted; share of the samples that it may be."""
 
 SHORTEST_SEGMENT = 16
 """Samples; a shorter segment between two gaps is not worth differentiating."""
@@ -205,6 +210,33 @@ def _without_ends(segment: Segment, cut: float, uncounted: float) -> Segment | N
         rate=segment.rate,
         used=used,
     )
+
+
+def without_holes(
+    segments: Sequence[Segment], stamps: FloatArray, cutoffs: Cutoffs
+) -> tuple[tuple[Segment, ...], Step | None]:
+    """Step 'holes': what lies about missing rows is not counted, where that is little.
+
+    Positions between them are interpolated, and their second derivatives are wrong for a moment.
+    """
+    steps = np.diff(stamps)
+    before = sum(int(segment.used.sum()) for segment in segments)
+    for least in HOLES:
+        holes = np.flatnonzero(steps > max(least * np.median(steps), OF_CUTOFF / cutoffs.position))
+        edges = np.stack([stamps[holes] - ABOUT_HOLE, stamps[holes + 1] + ABOUT_HOLE])
+        left = [replace(segment, used=segment.used & ~_within(segment.time, edges)) for segment in segments]
+        lost = before - sum(int(segment.used.sum()) for segment in left)
+        if 0 < lost <= MOST_ABOUT_HOLES * before:
+            text = f"{ABOUT_HOLE:g} s before and after {len(holes)} holes of {least:g} periods and more not counted"
+            step = Step("holes", {"holes": len(holes), "not_counted_s": lost / segments[0].rate}, text)
+            return tuple(segment for segment in left if segment.used.any()), step
+    return tuple(segments), None
+
+
+def _within(time: FloatArray, edges: FloatArray) -> npt.NDArray[np.bool_]:
+    """(M,) which of some stamps lie in any of the spans between edges (2, k)."""
+    begun, ended = (np.searchsorted(edge, time, side) for edge, side in zip(edges, ("right", "left"), strict=True))
+    return np.asarray(begun > ended)
 
 
 MOTION_BEGINS, MOTION_ENDS = "motion begins", "motion ends"

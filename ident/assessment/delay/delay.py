@@ -46,6 +46,9 @@ LEVEL = 0.05
 LONGEST_DELAY = 0.1
 """Delays beyond this [s] are not a drive's: the stamps have another error."""
 
+READ_APART = 0.25
+"""Share of the sampling period by which a torque may be ahead: within a cycle it is read before the position."""
+
 LEAST_DRIFT = 1e-3
 """A drift over the recording by less than this [s] is not reported."""
 
@@ -84,7 +87,9 @@ class DelaySearch(Stored):
     interval: Number = Field(default=None, description="half of its 95 % interval [s]")
     gain: Number = Field(default=None, description="share by which `best` lowers the error on blocks held out")
     joints: list[JointDelay] = Field(default=[], description="each joint's own; empty where it was not searched")
-    leads: bool = Field(default=False, description="the torque is ahead of its motion beyond the interval")
+    leads: bool = Field(
+        default=False, description="the torque is ahead of its motion beyond the interval and a quarter period"
+    )
     drift: Number = Field(default=None, description="growth of the delay with time [s/s]")
     drift_interval: Number = Field(default=None, description="half of its 95 % interval [s/s]")
     drifts: bool = Field(default=False, description="whether the drift is significant and matters")
@@ -196,6 +201,7 @@ def _judged(data: DelayData, common: _Candidate) -> DelaySearch:
     first = int(np.flatnonzero(data.seen)[0])
     best, std = float(common.fit.delays[first]), float(common.std[first])
     interval = quantile * std
+    lead = max(interval, READ_APART / data.segments[0].rate)
     weights = recorded_weights(common.equations, data.seen)
     errors = held_out_errors(common.equations, None, weights)
     delayed = held_out_errors(common.equations, common.without, weights)
@@ -224,11 +230,11 @@ def _judged(data: DelayData, common: _Candidate) -> DelaySearch:
         gain=gain,
         used=used,
         joints=joints,
-        leads=best < -interval,
+        leads=best < -lead,
         drift=drift,
         drift_interval=drift_interval,
         drifts=abs(drift) > DRIFT_INTERVALS * drift_interval and abs(drift) * seconds > LEAST_DRIFT,
-        note=_in_words(best, interval, gain, helps, used, joints),
+        note=_in_words(best, interval, lead, gain, helps, used, joints),
     )
 
 
@@ -295,15 +301,17 @@ def _milliseconds(value: float, interval: float) -> str:
     return f"{value * 1e3:.2f} ± {interval * 1e3:.2f} ms"
 
 
-def _in_words(best: float, interval: float, gain: float, helps: bool, used: float, joints: Sequence[JointDelay]) -> str:
+def _in_words(
+    best: float, interval: float, lead: float, gain: float, helps: bool, used: float, joints: Sequence[JointDelay]
+) -> str:
     text = f"torque {'lags' if best > 0 else 'leads'} the motion by {_milliseconds(abs(best), interval)}"
     effect = f"error on held-out blocks {percent_text(abs(gain), 2)} {'smaller' if gain > 0 else 'larger'} with it"
     if helps:
         text += f" ({effect})"
-    elif best < -interval:
+    elif best < -lead:
         text += f": suspicious (clock, filter in the controller, friction; {effect}), none used"
     elif best <= interval:
-        text += ": not significant, none used"
+        text += f": {'not significant' if best >= -interval else 'less than a quarter period'}, none used"
     else:
         text += f": it does not help ({effect}), none used"
     own = [f"{joint.joint} {joint.used * 1e3:.2f} ms" for joint in joints if joint.used != used]

@@ -263,6 +263,21 @@ def test_repeated_stamps_are_left_out(recording: tuple[np.ndarray, ...]) -> None
     assert "4000 repeated stamps" in str(prepared)
 
 
+def test_samples_about_missing_rows_do_not_count(recording: tuple[np.ndarray, ...]) -> None:
+    time, position, torque, _ = recording
+    whole = prepare(time, position, torque, PreprocessChoices(position_cutoff=10.0)).segments[0]
+
+    def left_out(missing: np.ndarray) -> np.ndarray:
+        kept = np.setdiff1d(np.arange(len(time)), missing)
+        (segment,) = prepare(time[kept], position[kept], torque[kept], PreprocessChoices(position_cutoff=10.0)).segments
+        return np.asarray(segment.time[~segment.used & whole.used[: len(segment.used)]])
+
+    holes = np.array([1000, 1001, 1002, 2500, 2501, 2502])
+    assert all(np.abs(time[holes] - moment).min() < 0.11 for moment in left_out(holes))
+    assert len(left_out(holes)) == pytest.approx(2 * 0.22 * 200, rel=0.1)
+    assert len(left_out(np.flatnonzero(np.arange(len(time)) % 20 < 3)[3:-3])) == 0  # too many to leave out
+
+
 def test_window(recording: tuple[np.ndarray, ...]) -> None:
     time, position, torque, _ = recording
     prepared = prepare(time, position, torque, PreprocessChoices(start=5, stop=10))
