@@ -67,6 +67,12 @@ class ServoExcitation:
     enough: bool  # whether all are expected to be as narrow as wanted
     figures: MotionFigures | None  # of the check that every motion passes before it is played
 
+    @property
+    def counts(self) -> str:
+        """How many pieces of each kind there are."""
+        kinds = [piece.kind for piece in self.segments]
+        return ", ".join(f"{kind} ×{kinds.count(kind)}" for kind in KINDS if kind in kinds)
+
 
 def servo_excitation(
     robot_file: RobotFile, check: ArmMotionCheck, result: ServoResult | None, choices: ServoMotionChoices

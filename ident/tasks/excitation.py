@@ -13,7 +13,7 @@ from daq.motion.trajectories import Motion
 from daq.motion.trajectory_file import SamplesTrajectory, Trajectory, dump_trajectory, parse_trajectory
 from daq.motion.trajectory_file import load_trajectory as read_trajectory
 from daq.robot.assumptions import assumed_limits
-from daq.robot.loader import RobotFile, fingerprint, load_robot
+from daq.robot.loader import RobotFile, fingerprint, load_robot, parse_robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError, UsageError
 from drivers.core.files import path_of
@@ -30,8 +30,9 @@ from ident.excite.path import trajectory_of
 from ident.excite.prior import PriorKnowledge, find_prior
 from ident.excite.search.search import SearchChoices, SearchResult
 from ident.excite.servo_motion import ServoExcitation, servo_excitation
-from ident.excite.servo_segments import KINDS, PERIOD
+from ident.excite.servo_segments import PERIOD
 from ident.excite.velocity_sweep import JointSweep, velocity_sweep
+from ident.model.another_arm import another_arm
 from ident.result.models.model import result_path
 from ident.result.tables import Table, table_of_rows
 from ident.servo.result import read_servo_result
@@ -342,15 +343,16 @@ def design_servo_motion(options: ServoMotionOptions) -> tuple[ExcitationTrajecto
     """
     robot_file = load_robot(options.robot)
     result = None if options.after is None else read_servo_result(result_path(options.after))
-    if result is not None and tuple(result.joints) != robot_file.robot.joint_names:
-        raise UsageError(f"is a model of {result.robot}, whose joints are others", where=str(options.after))
+    if result is not None:
+        own = parse_robot(result.robot_file, where=result.robot, folder=None, urdf_text=result.urdf or None)
+        if difference := another_arm(robot_file, own):
+            raise UsageError(difference, where=str(options.after))
     designed = servo_excitation(robot_file, ArmMotionCheck(robot_file), result, options)
     if designed.motion is None:
         return None, designed
-    kinds = ", ".join(f"{sum(segment.kind == kind for segment in designed.segments)} {kind}" for kind in KINDS)
     content = SamplesTrajectory(
         robot=robot_file.robot.name,
-        comment=f"designed by dynid excite --for servo: {kinds}",
+        comment=f"designed by dynid excite --for servo: {designed.counts}",
         kind="samples",
         time=tuple((np.arange(len(designed.position)) * PERIOD).round(9).tolist()),
         position=tuple(map(tuple, designed.position.round(9).tolist())),

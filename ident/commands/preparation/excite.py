@@ -139,7 +139,6 @@ def design_gravity(options: ExciteCommandOptions, progress: Callable[[str], None
 
 def design_servo(options: ExciteCommandOptions, progress: Callable[[str], None]) -> DesignedMotion:
     """Design ramps, steps and chirps, for all parameters or for those that are still wide."""
-    from ident.excite.servo_segments import KINDS
     from ident.tasks.excitation import design_servo_motion
 
     progress("pieces of motion")
@@ -148,9 +147,9 @@ def design_servo(options: ExciteCommandOptions, progress: Callable[[str], None])
         [forecast.joint, forecast.parameter.replace("_", " "), forecast.now, forecast.then, forecast.wanted]
         for forecast in designed.forecast
     ]
-    lines, counts = [], [f"{sum(segment.kind == kind for segment in designed.segments)} {kind}" for kind in KINDS]
+    lines = []
     if trajectory is not None:
-        lines.append(f"{trajectory.duration:.0f} s: {', '.join(counts)}, of all joints at once")
+        lines.append(f"{trajectory.duration:.0f} s: {designed.counts}, of all joints at once")
     if designed.enough:
         after = "" if trajectory is None else " is expected after this motion: identify from all recordings together"
         lines.append(f"enough: every interval within {options.wanted:g} %{after}")
