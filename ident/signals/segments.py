@@ -235,7 +235,8 @@ def without_holes(
 
 def _within(time: FloatArray, edges: FloatArray) -> npt.NDArray[np.bool_]:
     """(M,) which of some stamps lie in any of the spans between edges (2, k)."""
-    begun, ended = (np.searchsorted(edge, time, side) for edge, side in zip(edges, ("right", "left"), strict=True))
+    begun = np.searchsorted(edges[0], time, side="right")
+    ended = np.searchsorted(edges[1], time, side="left")
     return np.asarray(begun > ended)
 
 
