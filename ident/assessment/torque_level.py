@@ -14,7 +14,6 @@ from ident.assessment.arm_mass import LENGTHS_PER_REACH, arm_length, joint_dista
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.urdf import urdf_inertias
-from ident.model.parameters import link_parameters
 from ident.model.regressor import RegressorKernel, dense_regressor
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
@@ -64,16 +63,6 @@ TOO_HEAVY = 5.0
 
 NOTHING = 1e-9
 """Gravity's column of a joint [m/s² of a mass, m²/s² of a first moment] that is rounding residue."""
-
-SCALED, IMPOSSIBLE_SCALE = 1.1, 2.0
-"""Factor between gravity's torque and that of the URDF's bodies from which on it is reported, and called impossible."""
-
-ALIKE = 0.3
-"""What is left of gravity's torque by the URDF's bodies times a factor, and the joints' factors beside the common one,
-in units of the factor's logarithm: more is another arm. The TX40 has 0.9 (factor 0.87), the UR10 a factor of 1.02."""
-
-SHOWN = 0.1
-"""Gravity's torque of a joint over the largest one from which on it is compared."""
 
 GRAVITY_INSTANTS = 500
 
@@ -163,7 +152,7 @@ def weight_checks(
         apparent: mass that the torques show [kg], where they show one.
         torque: (N, n) at the joints, as recorded [N·m or N].
     """
-    rows, weight = _gravity(model, base, parameters, _few(position))
+    rows, weight = gravity_torques(model, base, parameters, few_positions(position))
     turning = [row for row, joint in enumerate(model.active) if not model.joints[joint].prismatic]
     if not turning or not weight.size:
         return []
@@ -206,11 +195,12 @@ def weight_checks(
     return []
 
 
-def _few(position: FloatArray) -> FloatArray:
+def few_positions(position: FloatArray) -> FloatArray:
+    """At most twice `GRAVITY_INSTANTS` of the positions (n, N)."""
     return position[:, :: max(1, position.shape[1] // GRAVITY_INSTANTS)]
 
 
-def _gravity(
+def gravity_torques(
     model: DynamicModel, base: BaseParameters, parameters: FloatArray, position: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Rows (n, i, N) of the inertial base parameters at rest, and gravity's torque (n, N)."""
@@ -220,69 +210,6 @@ def _gravity(
         RegressorKernel(model, [base.columns[column] for column in inertial]), position, still, still
     )
     return rows, np.asarray(np.einsum("nbN,b->nN", rows, parameters[inertial]))
-
-
-def urdf_scale(
-    robot_file: RobotFile,
-    model: DynamicModel,
-    base: BaseParameters,
-    parameters: FloatArray,
-    position: FloatArray,
-    torques: Sequence[int],
-) -> tuple[float, float] | None:
-    """Return gravity's torques over those of the URDF's bodies, and what the worst joint differs by from that factor.
-
-    None where the URDF states no bodies, fewer than two joints carry weight, or the factor is negative.
-
-    Args:
-        robot_file: its URDF, where it has one.
-        model: of the arm.
-        base: its base parameters.
-        parameters: (b,) their values, without physical conditions.
-        position: (n, N) that the arm was in [rad or m].
-        torques: joints whose torques were used.
-    """
-    bodies = [body for body in urdf_inertias(robot_file, model.link_names) if body is not None]
-    if len(bodies) < len(model.link_names) or len({mass for mass, _, _ in bodies}) < 2:  # equal masses: placeholders
-        return None
-    few = _few(position)
-    stated = np.concatenate(
-        [link_parameters(mass, list(centre), list(inertia[np.triu_indices(3)])) for mass, centre, inertia in bodies]
-    )
-    columns = [column for column, one in enumerate(model.parameters) if one.kind == "inertial"]
-    still = np.zeros_like(few)
-    urdf = np.einsum("nbN,b->nN", dense_regressor(RegressorKernel(model, columns), few, still, still), stated)
-    found = _gravity(model, base, parameters, few)[1]
-    urdf, found = (torque - torque.mean(axis=1, keepdims=True) for torque in (urdf, found))
-    size = np.where(model.sliding, 0.0, np.linalg.norm(urdf, axis=1))
-    shown = [joint for joint in torques if size[joint] > SHOWN * size.max() > 0.0]
-    if len(shown) < 2:
-        return None
-    factors = np.array([found[joint] @ urdf[joint] for joint in shown]) / size[shown] ** 2
-    factor = float(np.median(factors))
-    if factor <= 0.0:
-        return None
-    return factor, float(np.max(np.linalg.norm(found[shown] - factor * urdf[shown], axis=1) / (factor * size[shown])))
-
-
-def of_urdf(scale: tuple[float, float] | None) -> bool:
-    """Whether gravity's torques are those of the URDF's bodies, by what `urdf_scale` returns."""
-    return scale is not None and abs(np.log(scale[0])) < np.log(SCALED) and scale[1] < ALIKE
-
-
-def urdf_scale_checks(scale: tuple[float, float] | None) -> list[Check]:
-    """Check whether gravity's torques are the URDF's bodies' times one factor, by what `urdf_scale` returns."""
-    if scale is None:
-        return []
-    factor, left = scale
-    if abs(np.log(factor)) < np.log(SCALED) or left > ALIKE * min(1.0, abs(float(np.log(factor)))):
-        return []
-    text = (
-        f"gravity's torques are {factor:.2g} times those of the URDF's bodies, at all joints alike (within "
-        f"{percent_text(left, 2)}): check the unit of torque or current and all drive gains, or the "
-        "URDF's masses"
-    )
-    return [raised("implausible-mass" if abs(np.log(factor)) > np.log(IMPOSSIBLE_SCALE) else "torques-scaled", text)]
 
 
 def _small_beside(gravity: float, expected: float, apparent: float | None, friction: float | None) -> str:

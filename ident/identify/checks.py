@@ -19,7 +19,8 @@ from ident.assessment.model_errors import INDEPENDENT_PER_PARAMETER
 from ident.assessment.plausibility import POSES, indefinite_share, inertia_matrices, opposite_gravity, sign_checks
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.residual_tests import residual_checks
-from ident.assessment.torque_level import of_urdf, torque_level_checks, urdf_scale, urdf_scale_checks, weight_checks
+from ident.assessment.torque_level import torque_level_checks, weight_checks
+from ident.assessment.urdf_bodies import of_urdf, urdf_scale, urdf_scale_checks, urdf_zero_checks
 from ident.estimators.estimator import Setup
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.estimators.torque_estimator import reduce_torques
@@ -145,6 +146,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     if not (named or levels):
         weight = [] if of_urdf(scale) else _weight_checks(identification)
         checks += weight or urdf_scale_checks(scale)
+        checks += _urdf_zero_checks(identification) if of_urdf(scale) and not mistakes else []
     checks += [] if named else _bias_checks(identification)
     if consistent is not None and (sliding := weights_in_offsets(identification.model, identification.base)):
         text = (
@@ -276,6 +278,18 @@ def _urdf_scale(identification: Identification) -> tuple[float, float] | None:
         identification.solution.parameters,
         _positions(identification),
         identification.experiment.torques,
+    )
+
+
+def _urdf_zero_checks(identification: Identification) -> list[Check]:
+    return urdf_zero_checks(
+        identification.robot_file,
+        identification.model,
+        identification.base,
+        identification.solution.parameters,
+        identification.corrected.covariance,
+        identification.solution.active,
+        _positions(identification),
     )
 
 

@@ -65,12 +65,13 @@ def exported(robot_file: RobotFile) -> ExportedArm:
     return exported_arm(robot_file, truth_vector(robot_file))
 
 
-def beside_its_urdf(bench: Bench, factor: float) -> Names:
-    """Checks of torques times a factor, the robot file having the true URDF."""
+def beside_its_urdf(bench: Bench, factor: float = 1.0, turn: float = 0.0) -> Names:
+    """Checks of torques times a factor, and of another zero [°] of the last joint, beside the true URDF."""
     content = yaml.safe_load(bench.arm.text) | {"model": {"urdf": "arm.urdf"}}
     urdf = new_urdf(exported(bench.arm))
     robot_file = parse_robot(yaml.safe_dump(content), where="arm", folder=Path(), urdf_text=urdf)
-    return bench.found(changed(bench.recorded(), lambda i: factor * i), robot_file=robot_file)
+    moved = changed(bench.recorded(), lambda q: q + np.deg2rad([0.0, 0.0, turn]), "position")
+    return bench.found(changed(moved, lambda i: factor * i), robot_file=robot_file)
 
 
 def in_simulation(arm: ExportedArm, **dynamics: str) -> Names:
@@ -123,7 +124,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "consistency-costs": (lambda b: b.opposite(), lambda b: b.clean()),
     "links-on-boundary": (lambda b: b.opposite(), lambda b: b.clean()),
     "implausible-mass": (lambda b: b.tested(changed(b.recorded(), lambda i: 0.01 * i)), lambda b: b.clean()),
-    "torques-scaled": (lambda b: beside_its_urdf(b, 1.3), lambda b: beside_its_urdf(b, 1.0)),
+    "torques-scaled": (
+        lambda b: beside_its_urdf(b, 1.3),
+        lambda b: beside_its_urdf(b, 1.0) | beside_its_urdf(b, turn=8.0),
+    ),
     "torque-biased": (
         lambda b: b.found(changed(b.recorded(), lambda i: i + [0.0, 4.0, 0.0])),
         lambda b: b.found(changed(b.recorded(), lambda i: i + [0.0, 0.1, 0.0])),
@@ -404,6 +408,14 @@ def test_each_check_is_raised_where_it_should_and_nowhere_else(bench: Bench, nam
     raising, silent = CASES[name]
     assert name in raising(bench)
     assert name not in silent(bench)
+
+
+def test_a_zero_of_the_last_joint_shows_beside_the_urdf_alone(bench: Bench) -> None:
+    assert "joint-zero" in beside_its_urdf(bench, turn=8.0)
+    assert "joint-zero" not in beside_its_urdf(bench)
+    assert "joint-zero" not in bench.found(
+        changed(bench.recorded(), lambda q: q + np.deg2rad([0.0, 0.0, 8.0]), "position")
+    )
 
 
 def test_a_sound_recording_raises_nothing(bench: Bench) -> None:
