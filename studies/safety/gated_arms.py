@@ -11,9 +11,10 @@ from daq.robot.schema import JointLimits
 from daq.session.command_gate import GateLimits
 from drivers.can_signals.driver import Commander
 from drivers.can_signals.settings import parse_settings
-from drivers.canopen402.motion.target_path import TargetPath
+from drivers.canopen402.motion.target_path import BRIDGED, TargetPath
 from drivers.canopen402.samples.sync import LATEST
 from drivers.core.arrays import FloatArray
+from drivers.core.errors import SafetyStopError
 from sim_drivers.can_signals.arm import TableArm
 from sim_drivers.canopen.motion import AxisReference, CyclicPosition, SyncClock
 from sim_drivers.plant.control import Reference
@@ -70,7 +71,8 @@ class RtdeArm:
 class CiA402Arm:
     """Targets as the driver gives them at SYNC, cyclic set-points as the simulated drives interpolate them.
 
-    A SYNC that this computer cannot send in time is sent late, or left out, as `SyncProducer` does.
+    A SYNC that this computer cannot send in time is sent late, or left out, as `SyncProducer` does. Where more are left
+    out in a row than drives bridge, or commands have ceased, the drives stop along their ramp, as by `DriveMotion`.
     """
 
     def __init__(self, start: FloatArray, rate: float, begun: float, free: Callable[[float], float]) -> None:
@@ -78,22 +80,26 @@ class CiA402Arm:
         self._clock = SyncClock(self._period)
         self._path = TargetPath(np.rint(start * COUNTS).astype(int).tolist(), self._period)
         self._syncs, self._begun, self._left_out = 0, begun, 0
+        self._stops = False
         self._next = self._path.at(begun - self._period)
         self._axes = [CyclicPosition(AxisReference(float(position)), begun) for position in start]
         self.reference = start
         self.log = [(begun, start)]
 
     def command(self, now: float, position: FloatArray) -> None:
+        if self._stops:
+            raise SafetyStopError("the drives were stopped: SYNCs were left out, or commands have ceased")
         self._path.put(now, np.rint(position * COUNTS).astype(int).tolist())
 
     def advance(self, now: float) -> None:
-        while self._time + STEP <= now + 1e-9:
+        while self._time + STEP <= now + 1e-9 and not self._stops:
             self._time += STEP
             while (sent := self._free(moment := self._begun + self._syncs * self._period)) <= self._time + 1e-9:
                 self._syncs += 1
                 if sent - moment > LATEST * self._period:
                     self._left_out += 1
                     continue
+                self._stops = self._stops or self._left_out > BRIDGED or self._path.run_out
                 if self._left_out:
                     self._next = self._path.at(moment - self._period, self._left_out)
                     self._left_out = 0

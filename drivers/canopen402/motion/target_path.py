@@ -115,6 +115,9 @@ class TargetPath:
             gone_on = latest + (left_out + 1) * (latest - earlier)
             missed = (gone_on - count - _closer(offset, speed, self._period)[0]) / (left_out + 2)
             self._astray.append((offset + missed * left_out, speed + missed * 2.0 * left_out / (left_out + 1)))
+        # Where the drives are when the next target reaches them: their velocity after it counts from there.
+        here = tuple(latest + left_out * (latest - earlier) for earlier, latest in zip(before, last, strict=True))
+        self._given.append((here, astray))
 
     def _commanded(self, moment: float) -> tuple[int, ...]:
         passed, self._asked = moment - self._asked, moment

@@ -64,23 +64,25 @@ def test_commands_with_their_due_times_may_be_50_ms_late(late: list[float], phas
     assert not path.run_out
 
 
-@given(st.integers(1, BRIDGED), st.integers(20, 40))
-def test_after_syncs_left_out_targets_return_gently_from_where_drives_went_on_to(count: int, when: int) -> None:
-    """At a steady acceleration, of 1000 counts a period squared."""
+@given(st.integers(1, BRIDGED), st.integers(20, 40), st.integers(1, 6))
+def test_after_syncs_left_out_targets_return_gently_from_where_drives_went_on_to(
+    count: int, when: int, apart: int
+) -> None:
+    """At a steady acceleration, of 1000 counts a period squared; twice, so many SYNCs apart."""
     path = TargetPath([0], PERIOD)
     applied: list[int] = []
+    begins = (when, when + count + apart)
     for tick in range(200):
         path.put(tick * PERIOD, [500 * tick**2])
-        if when <= tick < when + count:
+        if any(begin <= tick < begin + count for begin in begins):
             continue  # what was given before it is not applied
-        found = path.at(tick * PERIOD) if tick != when + count else path.at((tick - 1) * PERIOD, count)
-        if tick == when + count:
+        if tick - count in begins:
+            (found,) = path.at((tick - 1) * PERIOD, count)
             applied.pop()
             speed = applied[-1] - applied[-2]
             applied += [applied[-1] + speed * (place + 1) for place in range(count)]
-            applied.append(found[0])
-            found = path.at(tick * PERIOD)
-        applied.append(found[0])
+            applied.append(found)
+        applied.append(path.at(tick * PERIOD)[0])
     commanded = 500.0 * np.maximum(np.arange(len(applied)) - DELAY, 0) ** 2
     assert np.max(np.abs(np.diff(applied[DELAY + 2 :], 2))) <= 1000.0 * (1.0 + 2.0 * (count + 2) * PERIOD / RETURN_TIME)
     astray = np.abs(np.array(applied) - commanded)
