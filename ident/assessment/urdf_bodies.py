@@ -83,11 +83,11 @@ def urdf_zero_checks(
         inertial = [column for column, kind in enumerate(base.kinds) if kind == "inertial"]
         slopes = np.zeros((2, len(base.kinds)))
         slopes[:, inertial] = solve @ rows[row].T
-        size, angle = float(np.hypot(cosine, sine)), float(np.arctan2(sine, cosine))
-        along = np.array([-sine, cosine]) / max(size, NOTHING) ** 2 @ slopes[:, list(active)]
-        std = float(np.sqrt(max(0.0, along @ covariance @ along)))
+        size, angle = max(NOTHING, float(np.hypot(cosine, sine))), float(np.arctan2(sine, cosine))
+        along = np.array([-sine, cosine]) / size**2 @ slopes[:, list(active)]
+        std = float(np.sqrt(max(0.0, float(along @ covariance @ along))))
         rest = np.linalg.norm(found[row] - np.array([cosine, sine]) @ pair) / np.linalg.norm(found[row])
-        alike = abs(np.log(max(size, NOTHING))) < np.log(SCALED) and rest < TURNED_ALIKE
+        alike = abs(np.log(size)) < np.log(SCALED) and rest < TURNED_ALIKE
         if alike and LEAST_TURN < abs(angle) < MOST_TURN and abs(angle) > UNCERTAIN_TURN * std:
             name = model.joint_names[row]
             text = (
