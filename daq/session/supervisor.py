@@ -61,11 +61,13 @@ class Breach:
     @property
     def cure(self) -> str:
         """Return what to do about it."""
-        return CURES["stuck" if self.what.startswith("stuck") else self.what]
+        return CURES["stuck" if self.what.startswith("stuck") or np.isnan(self.value) else self.what]
 
     def __str__(self) -> str:
         if self.what == OTHER_VELOCITY:
             return f"{self.what} of {self.joint}: it says {self.value:.3g} {self.unit}, but {self.cause}"
+        if np.isnan(self.value):
+            return f"{self.what} of {self.joint} is not a number"
         said = f"{self.what} of {self.joint}: {self.value:.4g} {self.unit} passes {self.limit:.4g} {self.unit}"
         return f"{said} ({self.cause})" if self.cause else said
 

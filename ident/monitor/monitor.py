@@ -20,7 +20,7 @@ from ident.monitor.load_estimate import LoadEstimator, ToolLoad
 from ident.monitor.thresholds import REST, SETTLING, STD_EVERY, Thresholds, learn
 from ident.result.models.model import Model
 from ident.signals.joint_signals import read_joint_signals
-from ident.signals.resampling import measure_irregularity
+from ident.signals.resampling import check_stamps, measure_irregularity
 
 CREEPING = 1e-3
 """[rad/s or m/s] at which friction is dry alone."""
@@ -204,11 +204,15 @@ def joint_samples(model: Model, recording: Recording) -> JointSamples:
     """A recording's samples for a monitor of its model, torques by the drive gains of the model's robot file.
 
     Raises:
-        DataError: it lacks positions, a torque, a joint or a gain, or is of another arm.
+        DataError: it lacks positions, a torque, a joint or a gain, its time goes backwards, or it is of another arm.
     """
     if recording.robot_text and (said := another_arm(model.stored.robot_file, recording.robot())):
         raise DataError(said, where=recording.label, hint="give a recording of the arm that was identified")
     signals = read_joint_signals(recording, model.stored.robot_file.robot)
+    try:
+        check_stamps(signals.time)  # a contact at a time that comes twice could not be found again
+    except DataError as error:
+        raise DataError(error.message, where=f"{signals.label}: {error.where}", hint=error.hint) from error
     celsius = None if signals.temperature is None else signals.temperature - ZERO_CELSIUS
     return JointSamples(signals.time, signals.position, signals.torque @ model.coupling, celsius)
 

@@ -103,7 +103,7 @@ def _check(label: str, joint_names: Sequence[str], time: FloatArray, quantities:
         if len(bad):
             sample, joint = bad[0]
             raise DataError(
-                f"{len(bad)} value(s) are not numbers, the first at sample {sample}",
+                f"{np.count_nonzero(bad[:, 1] == joint)} value(s) are not numbers, the first at sample {sample}",
                 where=f"{label}: {name} of {joint_names[joint]}".removeprefix(": "),
                 hint="import the source again with the repair drop-nan (--repair, in Python repair=)",
             )

@@ -10,7 +10,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from kinematic_arm import NAMES, ROBOT_FILE
 
-from daq.session.supervisor import TRACKING_WINDOW, VELOCITY_MARGIN, Limits, Supervisor, stale_after, value_stale_after
+from daq.session.supervisor import (
+    CURES,
+    TRACKING_WINDOW,
+    VELOCITY_MARGIN,
+    Limits,
+    Supervisor,
+    stale_after,
+    value_stale_after,
+)
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
 LIMITS = Limits.of_robot(ROBOT_FILE.robot, tracking_error=0.05)
@@ -47,6 +55,9 @@ def test_a_breach_is_found_exactly_where_it_is(quantity, data):
 def test_what_is_not_a_number_is_a_breach_but_for_a_thermometer(quantity, trips):
     breach = Supervisor(LIMITS, LAYOUTS).check(block(**{quantity: np.full((5, 2), np.nan)}), 0.0)
     assert (breach is not None) == bool(trips)
+    if breach is not None:
+        assert str(breach) == f"{quantity} of shoulder is not a number"
+        assert breach.cure == CURES["stuck"]
 
 
 def test_the_first_breach_in_time_is_told():

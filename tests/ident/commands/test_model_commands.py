@@ -151,7 +151,7 @@ def test_diff_prints_tables_and_one_object(monkeypatch, capsys, folder):
     [
         (["diff", "model", "nowhere"], "nowhere: no such file"),
         (["diff", "limits.yaml", "model"], "is not JSON"),
-        (["monitor", "--model", "model", "--replay", "val.h5"], "9.92 s without contact is too short for 1 false"),
+        (["monitor", "--model", "model", "--replay", "val.h5"], "9.94 s without contact is too short for 1 false"),
         (["monitor", "--model", "model", "--replay", "run.h5", "--quiet", "val.h5", "--false-alarms", "0"], "1/h"),
         (["monitor", "--model", "model"], "give either a robot"),
         (["monitor", "--model", "model", "--replay", "val.h5", "--yes"], "--yes is for live monitoring"),

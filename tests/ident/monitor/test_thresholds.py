@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from monitored_arm import exact_samples, known_model
 
+from daq.recording.recording import Channel, Recording, Stream
 from drivers.core.errors import DataError, UsageError
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 from ident.model.dynamic_model import build_model
@@ -22,7 +23,7 @@ from ident.monitor.interval_torque import JointSamples, rows_of
 from ident.monitor.labelled_contacts import LabelledContact, found_at, operating_point, read_contacts, roc
 from ident.monitor.live import LiveMonitor
 from ident.monitor.load_estimate import LoadEstimator, changed_load
-from ident.monitor.monitor import Monitor, dry_friction, earned_thresholds
+from ident.monitor.monitor import Monitor, dry_friction, earned_thresholds, joint_samples
 from ident.monitor.thresholds import MotionWays, Thresholds
 from ident.tasks.monitoring import at_rate
 from sim_drivers.plant.altered_arm import with_load
@@ -281,6 +282,17 @@ def test_recordings_at_another_rate_are_not_learnt_from(noisy: tuple[JointSample
     assert [name for name, _ in at_rate(both, 0.0081)] == ["slow"]
     with pytest.raises(DataError, match=r"has 250 Hz, unlike those without contact \(slow: 125 Hz\)"):
         at_rate(both, 0.004)
+
+
+def test_a_recording_whose_time_goes_backwards_is_refused() -> None:
+    model, file = known_model("ur5e")
+    samples, names = exact_samples("ur5e"), model.joint_names
+    time = np.where(np.arange(len(samples.time)) < 300, samples.time, samples.time - 5.0)
+    rows = {"position": samples.position, "torque": samples.torque}
+    channels = {name: Channel(name, values, "", names) for name, values in rows.items()}
+    with pytest.raises(DataError, match="time goes backwards") as refused:
+        joint_samples(model, Recording(file.text, {"joints": Stream("joints", time, time, channels)}))
+    assert refused.value.where.endswith("sample 300")
 
 
 def test_labels_and_operating_points(tmp_path: Path) -> None:
