@@ -131,6 +131,12 @@ def identify_servo(
     fit, _ = judge(motions, links, fitted.values, lag, contact, None, held_out=False)
     own = not (held_out and _uses(judged, used))
     validation, paths = judge(judged, links, fitted.values, lag, contact, reference, held_out=own)
+    doubts = _doubts([*recordings, *held_out])
+    if len(recordings) > 1 and fit.rollout_mean > USABLE * steps.mean():
+        doubts.append(
+            f"the recordings do not follow one model ({1e3 * fit.rollout_mean:.2g} mrad in their own data): if gains, "
+            "load or mounting changed between them, identify each alone (dynid diff compares the models)"
+        )
     joints = [_joint(fitted, row, name, links.model.sliding[row]) for row, name in enumerate(robot.joint_names)]
     result = ServoResult(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -161,7 +167,7 @@ def identify_servo(
             *(_use(recording, file, "validation", []) for recording in held_out),
         ],
         versions=software_versions(),
-        verdict=verdict(robot.joint_names, joints, validation, steps, contact, _doubts([*recordings, *held_out])),
+        verdict=verdict(robot.joint_names, joints, validation, steps, contact, doubts),
     )
     return ServoIdentification(result, judged, paths)
 

@@ -14,6 +14,7 @@ import dynid
 from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Recording, Stream
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Surface
+from ident.servo.identify import _doubts
 from ident.servo.simulators.actuator_law import shaped_commands
 from ident.servo.simulators.mjcf import played_paths, servo_mjcf
 from ident.servo.terms import INDEX
@@ -262,6 +263,17 @@ def test_recordings_whose_commands_and_positions_do_not_belong_together_are_refu
         assert words in error, (name, error)
         assert error.count("\n") <= 1, (name, error)
         assert not out.exists(), name
+
+
+def test_positions_that_rest_jump_or_repeat_are_doubts_of_a_verdict(other):
+    position = other.streams[JOINTS_STREAM].channels["position"].values
+    stopped, jumped, repeated = position.copy(), position.copy(), position.copy()
+    stopped[200:260, 1] = position[200, 1]
+    jumped[400:, 3] += 0.5
+    repeated[1::2] = repeated[:-1:2][: len(repeated[1::2])]
+    assert not _doubts([other])
+    for changes, words in ((stopped, "shoulder_lift rests"), (jumped, "wrist_flex jumps"), (repeated, "repeat")):
+        assert any(words in text for text in _doubts([changed(other, position=changes)])), words
 
 
 def _first(stream: Stream, count: int) -> Stream:
