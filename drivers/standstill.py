@@ -35,7 +35,7 @@ class StandstillWatch:
         if (
             gap
             or self._reference is None
-            or not np.max(np.abs(position - self._reference)) < max(0.5 * REST_SPEED * self._window, FLICKER)
+            or not np.abs(position - self._reference).max() < max(0.5 * REST_SPEED * self._window, FLICKER)
         ):
             self._reference, self._since = position.copy(), time
         self._newest = time

@@ -65,7 +65,7 @@ class StuckChannel:
             self._slow, self._fast = np.fmin(self._slow, own), np.fmax(self._fast, own)
         stood = self._high - self._low
         if changed.any():
-            ended = np.flatnonzero(changed)
+            ended = changed.nonzero()[0]
             self._step = np.fmin(self._step, np.where(changes > 0.0, changes, np.inf).min(axis=0))
             slots = self._changes[ended] % STANDS
             self._stands[slots, ended], self._values[slots, ended] = stood[ended], values[-1, ended]
@@ -83,7 +83,7 @@ class StuckChannel:
             self._since[hangs & np.isnan(self._since)] = time
             for column in np.flatnonzero(hangs & (time - self._since >= self._patience)).tolist():
                 self._hangs[column] = self._tells(column)
-        return np.flatnonzero(self._hangs)
+        return self._hangs.nonzero()[0]
 
     def stood(self, column: int) -> tuple[float, float]:
         """Return how long a column has stood, and what is explained, both in what its stands are counted in."""

@@ -165,7 +165,7 @@ class IntervalTorque:
     def _unbroken(self, time: FloatArray) -> int:
         """Return how many samples follow the ones before without a gap; at least one where there are none before."""
         steps = self._steps(time)
-        broken = np.flatnonzero((steps > LONGEST_STEP * self._period) | (steps < 0.0))
+        broken = ((steps > LONGEST_STEP * self._period) | (steps < 0.0)).nonzero()[0]
         return int(broken[0]) if len(broken) else len(time)
 
     def _completed(self) -> Intervals | None:

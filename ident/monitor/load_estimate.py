@@ -95,7 +95,7 @@ class LoadEstimator:
         """Take over samples, with each joint's way of motion (N, n)."""
         parts = (intervals.position, intervals.velocity, intervals.acceleration, intervals.external, way)
         rows = np.concatenate(parts, axis=1, dtype=np.float64)
-        for first, end in pairwise([0, *np.flatnonzero(intervals.restarted).tolist(), len(rows)]):
+        for first, end in pairwise([0, *intervals.restarted.nonzero()[0].tolist(), len(rows)]):
             if first < end and intervals.restarted[first]:
                 self._take_over()
                 self._rows, self._waiting, self._broken = [], 0, True

@@ -145,10 +145,10 @@ class Monitor:
     def _model_std(self, intervals: Intervals) -> FloatArray:
         """(N, n) σ of the model, which changes slowly: of every `STD_EVERY`-th sample, held in between."""
         count = len(intervals)
-        due = np.flatnonzero((self._count + np.arange(count)) % STD_EVERY == 0)
+        due = np.arange(-self._count % STD_EVERY, count, STD_EVERY)
         self._count += count
         if not len(due):
-            return np.broadcast_to(self._std, (count, self.model.dof))
+            return self._std[None].repeat(count, axis=0)
         heat = None if intervals.celsius is None else intervals.celsius[due]
         rows = self.model.torque_std(intervals.position[due], intervals.velocity[due], None, heat)
         held = np.vstack([self._std, rows])

@@ -44,7 +44,7 @@ class Observer:
         from scipy.signal import lfilter  # here, since every command reads this module's options
 
         result = np.empty_like(external)
-        edges = [0, *np.flatnonzero(restarted).tolist(), len(external)]
+        edges = [0, *restarted.nonzero()[0].tolist(), len(external)]
         for start, stop in pairwise(edges):
             if start == stop:
                 continue
@@ -60,7 +60,8 @@ class Observer:
                     unit = np.eye(len(batch) + 2)
                     step = np.concatenate(lfilter(b, a, unit[:-2], axis=0, zi=unit[-2:]))
                     self._steps[len(batch)] = step
-                result[start:stop], self._state = np.split(step @ np.concatenate([batch, self._state]), [len(batch)])
+                both = step @ np.concatenate([batch, self._state])
+                result[start:stop], self._state = both[: len(batch)], both[len(batch) :]
                 continue
             for joint, (b, a) in enumerate(zip(self._numerator, self._denominator, strict=True)):
                 result[start:stop, joint], self._state[:, joint] = lfilter(
