@@ -73,7 +73,8 @@ RIVAL_LIKELIHOOD = 9.0
 """Difference of the doubled log-likelihood ratios (three σ) below which two deviations explain the data alike."""
 
 LEAST_FALL = 0.3
-"""Mean over the equations of the fall of log ε² from which on several lengths are blamed: the error falls by 14 %."""
+"""Mean over the equations of the fall of log ε² from which on several lengths, or gains, are blamed: the error falls by
+14 %."""
 
 CLEAR_FALL = 1.0
 """The same from which on a deviation is judged as if the equations were enough: the error falls by 40 %, and what a
@@ -140,7 +141,8 @@ def _disagreeing(deviation: Deviation) -> list[tuple[Unknown, float, float]]:
                 found.append((unknown, ratio - 1.0, share))
         return found
 
-    fewest = min((off(reference) for reference in gains), key=len)
+    known = [gain for gain in gains if MOST_UNCERTAIN * gain[2] < GAIN_OFF * (1.0 + gain[1])]
+    fewest = min((off(reference) for reference in known), key=len)
     if 2 * len(fewest) < len(gains):
         return fewest
     return gains if off(gains[0]) else []
@@ -169,10 +171,10 @@ def candidates(refit: Refit, independent: float, poor: bool) -> list[Deviation]:
     together = refit.lengths()
     if together is not None and together.likelihood > LEAST_FALL * total:
         finer.append(together)
+    gains = refit.gains()
+    finer += [gains] if gains is not None and gains.likelihood > LEAST_FALL * total else []
     if poor:
         finer += _far_gains(refit)
-        gains = refit.gains()
-        finer += [gains] if gains is not None and gains.likelihood > CLEAR_FALL * total else []
     return [one for one in finer if one is not None and _plausible(refit.model, one)]
 
 

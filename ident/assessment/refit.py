@@ -49,6 +49,9 @@ SETTLED_STEP = 0.05
 GAINS = (1e-3, 1e3)
 """Range of the factor on a gain."""
 
+UNCERTAIN_START = 3.0
+"""A joint's share in the smallest singular vector, over the singular value, below which its sign is noise."""
+
 UNKNOWN_DIRECTION = (0.48, 0.6, -0.64)
 """A direction of gravity (unit vector) that is special for no arm: every parameter that some gravity shows acts."""
 
@@ -265,11 +268,15 @@ class Refit:
         )
         norms = np.maximum(np.linalg.norm(stacked[:, :width], axis=0), TINY)
         rest = triangular(np.hstack([stacked[:, :width] / norms, stacked[:, width:]]))[width:, width:]
-        torques = np.linalg.svd(rest)[2][-1]
-        strongest = int(np.argmax(np.abs(torques)))
-        starts = (torques[strongest] / sizes[strongest]) * sizes / np.where(torques == 0.0, TINY, torques)
-        if np.any(starts < GAINS[0]) or np.any(starts > GAINS[1]):
+        _, spread, directions = np.linalg.svd(rest)
+        strongest = int(np.argmax(np.abs(directions[-1])))
+        torques = directions[-1] / directions[-1][strongest]
+        if np.any(torques < -UNCERTAIN_START * spread[-1]):
             return None
+        # Noise of strong joints hides what weak ones need.
+        weak = float(np.min(torques[torques > 0.0]))
+        starts = sizes / sizes[strongest] / np.maximum(torques, np.where(torques > 0.0, 0.0, weak))
+        starts = np.clip(starts, *GAINS)
         others = {n: float(starts[place]) for n, place in number.items() if place != strongest}
         solved = _settled(self._plain, self.rows, 0, others)
         if solved.unknown is None or solved.covariance is None:
