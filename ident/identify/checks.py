@@ -16,7 +16,14 @@ from ident.assessment.differing_runs import differing_run_checks
 from ident.assessment.idle_joints import idle_joint_checks, one_way_checks
 from ident.assessment.mistakes.checks import mistake_checks
 from ident.assessment.model_errors import INDEPENDENT_PER_PARAMETER
-from ident.assessment.plausibility import POSES, indefinite_share, inertia_matrices, opposite_gravity, sign_checks
+from ident.assessment.plausibility import (
+    POSES,
+    bias_checks,
+    indefinite_share,
+    inertia_matrices,
+    opposite_gravity,
+    sign_checks,
+)
 from ident.assessment.recording_checks import recording_checks
 from ident.assessment.residual_tests import residual_checks
 from ident.assessment.torque_level import torque_level_checks, weight_checks
@@ -61,12 +68,6 @@ REJECTED, REJECTED_RISE = 1e-3, 1.02
 """p-value of the F-test of consistent against unconstrained parameters below which a note says so, where the torque
 error rises by this factor: the prior's pull alone is significant in enough data. A warning follows from the errors'
 difference alone (`consistency-costs`), since any model is rejected by enough data."""
-
-BIASED, OF_COULOMB, SURE_BIAS = 0.15, 0.4, 5.0
-LARGE_BIAS, ALONE = 0.3, 3.0
-"""Offset over the peak of a joint's torque, over its Coulomb friction, and in σ, beyond which something was added: to a
-joint alone, whose share is so many times the others', or larger. On the public recordings it is 0.13 and 0.36 (UR10,
-wrist 2), 0.005 and 0.95 (Panda, joint 2)."""
 
 SEARCH_GAP = 0.01
 """Cost of a search above its optimum that gives a warning, also where no single parameter is far from its value there:
@@ -147,7 +148,10 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         weight = [] if of_urdf(scale) else _weight_checks(identification)
         checks += weight or urdf_scale_checks(scale)
         checks += _urdf_zero_checks(identification) if of_urdf(scale) and not mistakes else []
-    checks += [] if named else _bias_checks(identification)
+    if not named:
+        values, std = identification.solution.parameters, identification.std
+        torques = [run.signals.torque for run in identification.runs]
+        checks += bias_checks(identification.model, identification.base, values, std, np.concatenate(torques))
     if consistent is not None and (sliding := weights_in_offsets(identification.model, identification.base)):
         text = (
             f"the data show only the sum of weight and constant friction of {', '.join(sliding)}; the physically "
@@ -297,38 +301,6 @@ def _positions(identification: Identification) -> FloatArray:
     """(n, N) of all samples that count [rad or m]."""
     segments = [segment for run in identification.runs for segment in run.prepared.segments]
     return np.concatenate([segment.position[:, segment.used] for segment in segments], axis=1)
-
-
-def _bias_checks(identification: Identification) -> list[Check]:
-    """Offsets beyond friction and beyond what drives and sensors have: what was added to a joint's torque."""
-    base, model, values = identification.base, identification.model, identification.solution.parameters
-    peak = np.max(np.abs(np.concatenate([run.signals.torque for run in identification.runs])), axis=0)
-    joints = [model.active.index(joint) if joint in model.active else -1 for joint in base.joints]
-    coulomb = {joint: abs(values[i]) for i, joint in enumerate(joints) if base.kinds[i] == "coulomb"}
-    offsets = {
-        joint: i
-        for i, joint in enumerate(joints)
-        if base.kinds[i] == "offset" and joint >= 0 and peak[joint] > 0.0 and not model.sliding[joint]
-    }
-    shares = {joint: abs(values[i]) / peak[joint] for joint, i in offsets.items()}
-    found = {
-        joint: float(values[i])
-        for joint, i in offsets.items()
-        if shares[joint] > max(BIASED, min(LARGE_BIAS, ALONE * _largest_other(shares, joint)))
-        and abs(values[i]) > max(OF_COULOMB * coulomb.get(joint, 0.0), SURE_BIAS * identification.std[i])
-    }
-    if not found:
-        return []
-    figures = ", ".join(f"{model.joint_names[joint]} {value:+.3g} N·m" for joint, value in found.items())
-    text = (
-        f"a large constant is added to the torque: {figures}; check the zero of the torque sensor or current (the "
-        "model holds it as an offset), unless a spring does it"
-    )
-    return [raised("torque-biased", text, [model.joint_names[joint] for joint in found])]
-
-
-def _largest_other(shares: dict[int, float], joint: int) -> float:
-    return max((share for other, share in shares.items() if other != joint), default=0.0)
 
 
 def _mistake_checks(identification: Identification) -> list[Check]:
