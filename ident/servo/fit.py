@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
-from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Surface, away, find_contact, in_contact
 from ident.servo.first_fit import (
     FIRST_GROUPS,
@@ -142,8 +141,6 @@ def fit_servo(
     longer = _longer_pieces(state, pieces, motions, links, tool[0])
     _free_torques(state, pieces, moving, inertia, least)
     state.values = _of_whole_arm(longer, state, centre, least)
-    progress("rolling out whole motions")
-    _drop_sticking(state, longer, motions, links, centre, least)
     interval = intervals(pieces, state.values, state.free, least)
     if _pruned(state, interval[3]) | _tied_again(state, interval[2], (centre, moving), inertia, given):
         progress("final fit without what nothing shows")
@@ -272,35 +269,6 @@ def _drop_breakaway(state: _State, chosen: Lanes, judged: Lanes, centre: FloatAr
     state.values = search(chosen, state.values, state.free, scale, centre, 12, BLOCKED_LITTLE)
     needed = savings(judged, values, state.values, able, least, BLOCKED_LITTLE)
     _keep_trial(state, centre, (values, free, centre), [joint for joint in able if joint not in needed])
-
-
-def _drop_sticking(
-    state: _State, lanes: Lanes, motions: Sequence[ServoMotion], links: ServoLinks, centre: FloatArray, least: float
-) -> None:
-    """Take breakaway away, in place, where whole motions are followed better without it.
-
-    A piece begins at the measured position: a joint that would have stuck before does not show it there.
-    """
-    able = np.flatnonzero(state.free[:, members("breakaway")].any(axis=1)).tolist()
-    if not able:
-        return
-    trial = replace(state, values=state.values.copy(), free=state.free.copy())
-    without_group(trial.values, trial.free, able, "breakaway")
-    trial.values = _of_whole_arm(lanes, trial, centre, least)
-    errors, without = (_whole_errors(motions, links, one) for one in (state, trial))
-    dropped = [joint for joint in able if without[joint] < errors[joint]]
-    _keep_trial(state, centre, (trial.values, trial.free, centre), dropped)
-    for joint in dropped:
-        state.gains[joint].pop("breakaway", None)
-    if 0 < len(dropped) < len(able):
-        state.values = _of_whole_arm(lanes, state, centre, least)
-
-
-def _whole_errors(motions: Sequence[ServoMotion], links: ServoLinks, state: _State) -> FloatArray:
-    """(n,) mean absolute errors of whole motions [rad or m]."""
-    paths = roll_out_arm(motions, links, state.values, state.contact)
-    seconds = np.array([motion.time[-1] for motion in motions])
-    return np.asarray(np.average(rollout_errors(motions, paths), axis=0, weights=seconds))
 
 
 def _like_the_others(

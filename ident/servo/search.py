@@ -199,8 +199,15 @@ def search(
             cost += float(prior[each.free].sum()) + (float(own @ likeness @ own) if together else 0.0)
             each.judge(own, curvature + np.diag(precision) + likeness, gradient + pull, cost)
     for each in descents:
-        trial[each.free] = each.averaged() if together else each.best[0]
-    return np.where(free, from_search(trial), values)
+        trial[each.free] = each.best[0]
+    best = np.where(free, from_search(trial), values)
+    if not (together and descents):
+        return best
+    trial[free] = descents[0].averaged()
+    averaged = np.where(free, from_search(trial), values)
+    # tangents at trials far apart, or along what the data hardly show, may lead away from all of them
+    costs = [float(joint_cost(evaluate(lanes, end)[0], lanes, scale, shape).sum()) for end in (best, averaged)]
+    return averaged if costs[1] < (1.0 + NEAR) * costs[0] else best
 
 
 def _likeness(free: BoolArray) -> FloatArray:

@@ -9,7 +9,7 @@ import pytest
 
 from daq.recording.commanded_motion import CommandedMotion
 from ident.compiled.library import Kernels, kernels
-from ident.servo import rollout
+from ident.servo import rollout, search
 from ident.servo.motion import servo_motions
 from ident.servo.rollout import THINNED, Lanes, Touch, _goals, at_samples, profile_goals, roll_out, with_pull
 from ident.servo.search import evaluate
@@ -158,6 +158,18 @@ def test_derivatives_of_an_arm_are_those_by_the_terms_of_every_joint():
         found = np.moveaxis(slopes[..., column], 1, 0).reshape(difference.shape)
         wrong = np.abs(difference - found) > 1e-4 + 1e-3 * np.abs(difference).max()
         assert wrong.mean() < 0.02, (owner, TERMS[term].name)
+
+
+def test_a_search_does_not_end_where_tangents_of_its_trials_lead_astray(monkeypatch):
+    monkeypatch.setattr(search._Descent, "averaged", lambda descent: descent.best[0] + 2.0)
+    moved, (values, free) = arm_lanes(), every_term()
+    scale = np.full(3, 0.05)
+
+    def cost(point: np.ndarray) -> float:
+        return float(search.joint_cost(evaluate(moved, point)[0], moved, scale, search.EVERY_ERROR).sum())
+
+    found = search.search(moved, values, free, scale, to_search(values), 3, search.EVERY_ERROR)
+    assert cost(found) < cost(values)
 
 
 def test_a_joint_sticks_where_its_friction_holds_it():
