@@ -13,7 +13,9 @@ from drivers.core.ranges import PERIOD, PIECE, Range
 from ident.ranges import SEARCH_TIME, SEED
 
 Kind = Literal["fourier", "fourier-quintic", "sines", "points"]
-CriterionName = Literal["condition", "plain-condition", "moments", "d-optimal", "deviations", "motion-size"]
+CriterionName = Literal[
+    "condition", "plain-condition", "moments", "d-optimal", "e-optimal", "deviations", "motion-size"
+]
 Solver = Literal["slsqp", "sfla"]
 
 DEFAULT_SECONDS = 20.0
@@ -32,8 +34,8 @@ class DesignChoices(Options):
     kind: Kind = option("fourier", "fourier, fourier-quintic, sines or points.", one_of=get_args(Kind))
     criterion: CriterionName = option(
         "d-optimal",
-        "d-optimal, deviations, condition, plain-condition, moments or motion-size.",
-        meaning='what is minimised: "d-optimal", "deviations", "condition", "plain-condition", '
+        "d-optimal, e-optimal, deviations, condition, plain-condition, moments or motion-size.",
+        meaning='what is minimised: "d-optimal", "e-optimal", "deviations", "condition", "plain-condition", '
         '"moments" or "motion-size" (docs/excitation.md).',
         one_of=get_args(CriterionName),
     )

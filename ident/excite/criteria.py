@@ -48,6 +48,13 @@ def d_optimal(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
     return float(-np.mean(np.log(values))), _rotated(vectors, -1.0 / (len(values) * values))
 
 
+def e_optimal(gram: FloatArray, sharpness: float) -> tuple[float, FloatArray]:
+    """−log λ_min: the longest axis of that ellipsoid."""
+    values, vectors = _eigen(gram)
+    smallest, gradient = _log_smallest(values, sharpness)
+    return -smallest, _rotated(vectors, -gradient)
+
+
 def deviations(scale: FloatArray) -> Measure:
     """½ log of the mean of (σ_i/scale_i)², σ the standard deviations that least squares will have.
 

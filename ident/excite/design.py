@@ -25,6 +25,7 @@ from ident.excite.criteria import (
     condition,
     d_optimal,
     deviations,
+    e_optimal,
     moments_apart,
     plain_condition,
 )
@@ -51,7 +52,12 @@ DEVIATION_FLOOR = 0.02
 """Floor of a parameter's size, as a share of the largest of its kind: near 0 an RSD is meaningless."""
 _TRIALS = 5
 """Random motions that decide which columns a family can excite."""
-_MEASURES: dict[str, Measure] = {"condition": condition, "plain-condition": plain_condition, "d-optimal": d_optimal}
+_MEASURES: dict[str, Measure] = {
+    "condition": condition,
+    "plain-condition": plain_condition,
+    "d-optimal": d_optimal,
+    "e-optimal": e_optimal,
+}
 
 
 @dataclass(frozen=True)
@@ -166,7 +172,7 @@ def build_criterion(
         return MotionSize()
     weights: FloatArray | None = None
     measure: Measure
-    if choices.criterion in ("d-optimal", "deviations"):
+    if choices.criterion in ("d-optimal", "e-optimal", "deviations"):
         weights = 1.0 / prior.noise
     if choices.criterion == "deviations":
         measure = deviations(_sizes(base_parameters(model), prior, columns, choices))

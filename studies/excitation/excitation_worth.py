@@ -36,7 +36,14 @@ RESOLUTION = 1e-5
 """Of its encoders [rad]."""
 STARTS = 4
 RANDOM_MOTIONS = 5
-CRITERIA: tuple[CriterionName, ...] = ("d-optimal", "deviations", "condition", "plain-condition", "moments")
+CRITERIA: tuple[CriterionName, ...] = (
+    "d-optimal",
+    "e-optimal",
+    "deviations",
+    "condition",
+    "plain-condition",
+    "moments",
+)
 
 
 def noisy_up6() -> RobotFile:

@@ -15,6 +15,7 @@ from ident.excite.criteria import (
     condition,
     d_optimal,
     deviations,
+    e_optimal,
     moments_apart,
     plain_condition,
 )
@@ -105,6 +106,7 @@ MEASURES = {
     "plain_condition": plain_condition,
     "condition": condition,
     "d_optimal": d_optimal,
+    "e_optimal": e_optimal,
     "deviations": deviations(SCALE),
     "moments_apart": moments_apart((0, 1, 2), (3, 4, 5, 6)),
 }
@@ -143,12 +145,13 @@ def test_exact_values_are_what_they_say(seed):
     assert exact["plain_condition"] == pytest.approx(np.log(np.linalg.cond(phi)))
     assert exact["condition"] == pytest.approx(np.log(np.linalg.cond(unit(phi))))
     assert exact["d_optimal"] == pytest.approx(-np.linalg.slogdet(gram)[1] / SIZE)
+    assert exact["e_optimal"] == pytest.approx(-np.log(np.linalg.svd(phi)[1][-1] ** 2))
     assert exact["deviations"] == pytest.approx(0.5 * np.log(np.mean(np.diag(inverse) / SCALE**2)))
     apart = np.linalg.cond(unit(phi[:, :3])) + np.linalg.cond(unit(phi[:, 3:7]))
     assert exact["moments_apart"] == pytest.approx(np.log(apart))
 
 
-@pytest.mark.parametrize("name", ["plain_condition", "condition", "moments_apart"])
+@pytest.mark.parametrize("name", ["plain_condition", "condition", "e_optimal", "moments_apart"])
 def test_smooth_values_bound_the_exact_one_and_tend_to_it(name):
     gram = random_regressor(9).T @ random_regressor(9)
     values = [MEASURES[name](gram, sharpness)[0] for sharpness in (1.0, 4.0, 16.0, 256.0, np.inf)]

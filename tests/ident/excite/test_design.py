@@ -29,7 +29,7 @@ EVERY_KIND = {("sr400", kind) for kind in KINDS}
 """An arm with a closed loop; `studies/excitation/excite_robots.py` designs for all arms, and for longer."""
 FIRST = ("S", "L", "U")
 """Joints of `UP6` that a shorter design moves."""
-CRITERIA = ("condition", "plain-condition", "moments", "d-optimal", "deviations", "motion-size")
+CRITERIA = ("condition", "plain-condition", "moments", "d-optimal", "e-optimal", "deviations", "motion-size")
 
 
 def made(robot_file, search=QUICK, **choices):

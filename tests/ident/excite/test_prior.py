@@ -20,7 +20,7 @@ from ident.result.result_file import result_json
 from ident.result.schema import Result
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
-pytestmark = pytest.mark.usefixtures("estimates_alone", "stated_friction")
+pytestmark = pytest.mark.usefixtures("estimates_alone")
 
 
 @pytest.fixture(scope="module")
