@@ -130,7 +130,7 @@ def main() -> None:
     if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():
         del os.environ["SOURCE_DATE_EPOCH"]  # NumPy's f2py, which SciPy imports, reads it and breaks
     gc.set_threshold(OBJECTS_PER_COLLECTION)
-    atexit.register(gc.freeze)  # Python's last search for cycles would take 8 % of an identification
+    atexit.register(gc.freeze)  # or Python searches all that imports made for cycles once more
     try:
         status = _status("--json" in sys.argv[1:])
         sys.stdout.flush()
