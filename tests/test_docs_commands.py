@@ -65,6 +65,7 @@ EXECUTED = {line for afternoon in AFTERNOONS for line in afternoon}
 ELSEWHERE = {
     "dynid sim ": "serves until Ctrl-C: tests/wire",
     "dynid record ": "moves an arm in real time: tests/wire",
+    "dynid recover ": "the file of a recording that was killed: tests/daq/recording/test_recover.py",
     "dynid monitor ": "live, or a longer recording: tests/ident/monitor",
     "dynid demo ": "minutes: make demo, make wheel",
     " --connect": "needs an arm that is served: tests/wire, tests/drivers",

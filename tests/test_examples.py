@@ -105,7 +105,17 @@ def test_the_robot_file_of_the_docs_is_valid():
     assert base_parameters(build_model(robot)).count > 0
 
 
-OF_OTHER_PROGRAMS = {"--bin", "--device", "--network", "--no-compile", "--no-deps", "--rm", "--strict", "--write"}
+OF_OTHER_PROGRAMS = {
+    "--bin",
+    "--cases",
+    "--device",
+    "--network",
+    "--no-compile",
+    "--no-deps",
+    "--rm",
+    "--strict",
+    "--write",
+}
 """Options of pip, Docker and of studies."""
 
 

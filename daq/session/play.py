@@ -219,6 +219,7 @@ def gated_player(driver: Driver, supervisor: Supervisor, course: Course, path: M
     buffered = 0.0
     if isinstance(main, Buffering):
         send, buffered = main.command, main.buffered()
+    supervisor.lag = buffered
     course.gate = CommandGate(send, supervisor.commanded, limits, 1.0 / path.rate, course.clock)
     if course.position is not None:
         course.gate.measured(course.clock.now(), course.position)

@@ -159,6 +159,8 @@ class Supervisor:
         self._limited = {quantity: np.isfinite(bound) for quantity, bound in bounds.items()}
         self._value_stale_after = np.array([[_oldest(quantity, layouts)] for quantity in bounds])
         self._commands: deque[tuple[float, FloatArray]] = deque()
+        self.lag = 0.0
+        """How long [s] after a command the arm is to be there at the earliest, by its driver."""
         self._rates = {layout.name: layout.rate for layout in layouts}
         self._unseen: dict[str, tuple[float, list[Batch]]] = {}
         self._stuck: dict[tuple[str, str], StuckChannel] = {}
@@ -259,9 +261,10 @@ class Supervisor:
         return breaches
 
     def _aimed_at(self, batch: Batch) -> FloatArray:
-        """(n,) the position that was commanded last, else the controller's target; NaN where there is neither."""
-        if self._commands:
-            return self._commands[-1][1]
+        """(n,) the position that was commanded for now, else the controller's target; NaN where there is neither."""
+        if commands := list(self._commands):
+            due = float(batch.host_time[-1]) - self.lag
+            return next((target for sent, target in reversed(commands) if sent <= due), commands[0][1])
         target = self._part(batch, "target_position")
         aim = np.full(len(self._limits.joints), np.nan)
         if target is not None:

@@ -172,7 +172,8 @@ def candidates(refit: Refit, independent: float, poor: bool) -> list[Deviation]:
     if together is not None and together.likelihood > LEAST_FALL * total:
         finer.append(together)
     gains = refit.gains()
-    finer += [gains] if gains is not None and gains.likelihood > LEAST_FALL * total else []
+    if gains is not None and gains.likelihood > LEAST_FALL * total and len(_off(gains)) > 1:  # one is a gain by itself
+        finer.append(gains)
     if poor:
         finer += _far_gains(refit)
     return [one for one in finer if one is not None and _plausible(refit.model, one)]

@@ -209,7 +209,8 @@ def test_a_display_leaves_when_the_recording_was_killed() -> None:
         "from types import SimpleNamespace\n"
         "from daq.live.terminal_view import live_view\n"
         "if __name__ == '__main__':\n"
-        "    with live_view(shown=True, limits=None, recorder=SimpleNamespace(backlog=0, overflow=0)) as view:\n"
+        "    limits, recorder = SimpleNamespace(joints=()), SimpleNamespace(backlog=0, overflow=0)\n"
+        "    with live_view(shown=True, limits=limits, recorder=recorder) as view:\n"
         "        view.show('recording', 0.0, 1.0)\n"
         "        signal.pause()\n"
     )

@@ -28,10 +28,13 @@ def rounded(values: np.ndarray, step: float) -> np.ndarray:
     return np.rint(values / step) * step if step else values
 
 
-def told(values: Mapping[str, np.ndarray], commands: np.ndarray | None = SWING, rate: float = RATE) -> list[Breach]:
+def told(
+    values: Mapping[str, np.ndarray], commands: np.ndarray | None = SWING, rate: float = RATE, lag: float = 0.0
+) -> list[Breach]:
     """What is stuck at the end of a recording, and whatever was meanwhile."""
     layouts = (StreamLayout("joints", tuple(ChannelLayout(name, NAMES) for name in values), rate),)
     supervisor, seen = Supervisor(LIMITS, layouts), {}
+    supervisor.lag = lag
     for first in range(0, len(next(iter(values.values()))) - BATCH + 1, BATCH):
         rows = slice(first, first + BATCH)
         time = np.arange(first, first + BATCH) / rate
@@ -90,6 +93,15 @@ def test_a_current_is_supervised_where_the_torque_comes_from_it_and_nothing_wher
     batch = Batch("joints", np.zeros(1), np.zeros(1), {"current": np.zeros((1, 2))})
     assert not supervisor._depends_on(batch, "current", 0)
     assert not Supervisor(LIMITS, ())._depends_on(replace(batch, values={**batch.values, "torque": 0}), "current", 0)
+
+
+def test_an_arm_that_follows_later_may_rest_while_its_commands_set_off() -> None:
+    rate, still = 500.0, np.repeat(SWING[-1:], 100, axis=0)
+    lag = round(0.12 * rate)
+    commands = np.concatenate([SWING, still, still + np.linspace(0.0, 1.0, 100)[:, np.newaxis]])
+    later = {"position": np.concatenate([np.repeat(commands[:1], lag, axis=0), commands[:-lag]])}
+    assert {breach.what for breach in told(later, commands, rate)} == {"stuck position"}
+    assert told(later, commands, rate, lag=0.1) == []
 
 
 def test_an_arm_at_rest_or_at_a_constant_speed_may_repeat_itself() -> None:
