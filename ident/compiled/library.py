@@ -13,12 +13,15 @@ import os
 import shutil
 import stat
 from contextlib import suppress
+from ctypes import c_void_p
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from drivers.core.arrays import FloatArray, IndexArray
 
 SETTING = "DYNID_COMPILED"
 """Environment variable; 0 turns the library off."""
@@ -140,3 +143,18 @@ def _build(compiler: str, path: Path) -> None:
         with open(built, "rb") as file:
             os.fsync(file.fileno())
         built.replace(path)
+
+
+class Call:
+    """Arrays of a call of the library, which live until it has ended."""
+
+    def __init__(self) -> None:
+        """Without arrays."""
+        self._kept: list[Any] = []
+
+    def given(self, array: FloatArray | IndexArray | None, kind: Any = np.float64) -> c_void_p:
+        """The address of an array, which is copied if C could not read it; that of None is NULL."""
+        if array is None:
+            return c_void_p(None)
+        self._kept.append(np.ascontiguousarray(array, dtype=kind))
+        return c_void_p(address(self._kept[-1]))

@@ -1,4 +1,4 @@
-/* Roll-outs of servo joints (ident/servo/rollout.py, whose NumPy code computes the same): lanes are columns. */
+/* Roll-outs of servo joints (ident/servo/numpy_rollout.py and goals.py compute the same): lanes are columns. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>

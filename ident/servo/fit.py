@@ -19,9 +19,10 @@ from ident.servo.first_fit import (
     regressed_values,
     savings,
 )
+from ident.servo.lanes import Lanes
 from ident.servo.links import ServoLinks
 from ident.servo.motion import PIECE, ServoMotion, halves, lanes_with_touch, measured_load, some_pieces
-from ident.servo.rollout import Lanes, with_pull
+from ident.servo.rollout import with_pull
 from ident.servo.search import BLOCKED_LITTLE, EVERY_ERROR, evaluate, intervals, joint_cost, search
 from ident.servo.terms import GROUPS, INDEX, TERMS, members, to_search, with_group, without_group
 

@@ -9,9 +9,11 @@ import pytest
 
 from daq.recording.commanded_motion import CommandedMotion
 from ident.compiled.library import Kernels, kernels
-from ident.servo import rollout, search
+from ident.servo import goals, rollout, search
+from ident.servo.goals import goals_of, profile_goals
+from ident.servo.lanes import THINNED, Lanes, Touch, at_samples
 from ident.servo.motion import servo_motions
-from ident.servo.rollout import THINNED, Lanes, Touch, _goals, at_samples, profile_goals, roll_out, with_pull
+from ident.servo.rollout import roll_out, with_pull
 from ident.servo.search import evaluate
 from ident.servo.terms import GROUPS, INDEX, TERMS, from_search, members, start_values, to_search, with_group
 
@@ -122,7 +124,8 @@ def test_the_library_computes_what_numpy_does(monkeypatch):
         owners = None if moved.between is None else np.repeat(np.arange(3), len(free))
         found = roll_out(moved, values[moved.joint].T, terms, owners, pushed)
         with monkeypatch.context() as without:
-            without.setattr(rollout, "kernels", lambda: Kernels(None, None, "off"))
+            for module in (rollout, goals):
+                without.setattr(module, "kernels", lambda: Kernels(None, None, "off"))
             expected = roll_out(moved, values[moved.joint].T, terms, owners, pushed)
         for own, other in zip(found, expected, strict=True):
             np.testing.assert_allclose(own, other, rtol=1e-6, atol=1e-8)
@@ -209,7 +212,7 @@ def test_a_later_command_is_followed_later_and_otherwise_alike():
     late, later = values.copy(), values.copy()
     late[:, INDEX["delay"]], later[:, INDEX["delay"]] = 0.0, 2.5 * moved.step
     delay, limit = INDEX["delay"], INDEX["acceleration_limit"]
-    found = [_goals(moved, own[:, delay], own[:, limit], ()) for own in (late, later)]
+    found = [goals_of(moved, own[:, delay], own[:, limit], ()) for own in (late, later)]
     goals = [each.late * each.path[:-1] + (1.0 - each.late) * each.path[1:] for each in found]
     steps = np.arange(400.0)
     shifted = np.stack([np.interp(steps[10:] - 2.5, steps, column) for column in goals[0].T], axis=1)

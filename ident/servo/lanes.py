@@ -1,0 +1,134 @@
+"""Pieces of motion of single joints, side by side, on which servo joints are rolled out; what a roll-out gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.core.arrays import FloatArray, IndexArray
+
+THINNED = 4
+"""Inertia between joints is evaluated at every fourth step: it changes slowly."""
+
+
+@dataclass(frozen=True, eq=False)
+class Touch:
+    """Where a point of a link is along pieces of motion, linear in the point; P pieces, all n joints of each in turn.
+
+    Attributes:
+        reference: (K, L) positions along which it holds [rad or m].
+        height: (4, K, P) of the link's origin and of its axes' unit vectors [m].
+        lever: (4, K, L) derivatives of the heights by each joint's position.
+    """
+
+    reference: FloatArray
+    height: FloatArray
+    lever: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Lanes:
+    """Pieces of motion of single joints, side by side on a grid of `step` seconds.
+
+    Attributes:
+        step: [s].
+        joint: (L,) index of each lane's joint.
+        piece: (L,) index of the piece of motion that it is of.
+        command: (history + K, L) commanded positions, from `history` steps before the piece [rad or m].
+        history: number of steps.
+        start: (L,) measured positions at the beginning.
+        inertia: (K, L) of the links about the joint [kg·m²].
+        load: (K, L) gravity and coupling, as the torque that the joint must give [N·m].
+        load_slope: (K, L) derivative of gravity by the joint's own position [N·m/rad].
+        sample: (S, L) where the measured samples are on the grid, as fractions of steps.
+        measured: (S, L) positions; nan where a sample does not count.
+        touch: of the point that may touch something; None where the lanes are not those of whole arms.
+        between: (K / `THINNED`, P, n, n) inertia of each piece's joints [kg·m²], by which they move each other; None
+            where its torques are in `load`.
+    """
+
+    step: float
+    joint: IndexArray
+    piece: IndexArray
+    command: FloatArray
+    history: int
+    start: FloatArray
+    inertia: FloatArray
+    load: FloatArray
+    load_slope: FloatArray
+    sample: FloatArray
+    measured: FloatArray
+    touch: Touch | None = None
+    between: FloatArray | None = None
+
+    def of_pieces(self, pieces: IndexArray) -> Lanes:
+        """All lanes of some pieces, by number, with what they touch."""
+        chosen = np.flatnonzero(np.isin(self.piece, pieces))
+        kept, touch = np.flatnonzero(np.isin(np.unique(self.piece), pieces)), self.touch
+        if touch is not None:
+            touch = Touch(touch.reference[:, chosen], touch.height[:, :, kept], touch.lever[:, :, chosen])
+        return replace(self.of(chosen), touch=touch, between=None if self.between is None else self.between[:, kept])
+
+    def consecutive(self, pieces: slice, joints: int) -> Lanes:
+        """Pieces that lie side by side, of so many lanes each, without what they touch."""
+        between = None if self.between is None else self.between[:, pieces]
+        return replace(self.of(slice(pieces.start * joints, pieces.stop * joints)), between=between)
+
+    def of(self, chosen: IndexArray | slice) -> Lanes:
+        """Some of the lanes, on their own."""
+        return Lanes(
+            self.step,
+            self.joint[chosen],
+            self.piece[chosen],
+            self.command[:, chosen],
+            self.history,
+            self.start[chosen],
+            self.inertia[:, chosen],
+            self.load[:, chosen],
+            self.load_slope[:, chosen],
+            self.sample[:, chosen],
+            self.measured[:, chosen],
+        )
+
+
+def repeated(lanes: Lanes, times: int, joints: int) -> Lanes:
+    """The lanes several times side by side, as those of further joints: a few long steps cost less than many."""
+    wide = lanes.of(np.tile(np.arange(len(lanes.joint)), times))
+    offsets = np.repeat(np.arange(times) * joints, len(lanes.joint))
+    touch = lanes.touch
+    if touch is not None:
+        touch = Touch(
+            np.tile(touch.reference, (1, times)),
+            np.tile(touch.height, (1, 1, times)),
+            np.tile(touch.lever, (1, 1, times)),
+        )
+    between = None if lanes.between is None else np.tile(lanes.between, (1, times, 1, 1))
+    return replace(wide, joint=wide.joint + offsets, touch=touch, between=between)
+
+
+class RollOut(NamedTuple):
+    """What a roll-out gives.
+
+    Attributes:
+        path: (K, L) positions on the grid [rad or m].
+        slopes: (P, S, n, F) derivatives of the path without contact at the samples of each piece and joint, by F
+            parameters in the search's coordinates (logarithms of positive terms).
+        force: (K, P) of the contact [N], without columns where nothing is touched.
+        pull: (K, L) torque that the other joints ask for [N·m], without columns where none moves another.
+    """
+
+    path: FloatArray
+    slopes: FloatArray
+    force: FloatArray
+    pull: FloatArray
+
+
+def at_samples(lanes: Lanes, path: FloatArray) -> FloatArray:
+    """Values (…, S, L) at the measured samples, between those on the grid (…, K, L)."""
+    before = np.clip(np.floor(lanes.sample).astype(np.intp), 0, path.shape[-2] - 2)
+    part = lanes.sample - before
+    lane = np.arange(path.shape[-1])
+    sampled: FloatArray = path[..., before, lane] * (1.0 - part) + path[..., before + 1, lane] * part
+    return sampled
