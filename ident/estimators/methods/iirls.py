@@ -39,6 +39,9 @@ MOST_SHAPE_ROUNDS = 15
 MOST_DECOUPLED_ROUNDS = 40
 MOST_LOAD_ROUNDS = 10
 
+LOSS_TOLERANCE = 1e-9
+"""By which the mean loss may grow, 1 being that of a fit's own noise."""
+
 EVERY_LENGTH = 40
 """Lengths of a step that are tried: until the change of the shapes is below their tolerance."""
 
@@ -145,7 +148,9 @@ class _OuterLoops:
         return self._iterated(fit, terms, fit.solution.parameters)
 
     def no_worse(self, fit: RobustFit, before: RobustFit) -> bool:
-        return fit.spread <= before.spread * (1.0 + 1e-9)
+        # All equations at one Ω: the accepted ones' spread would also fall by rejecting more of them.
+        losses = [one.loss(before.covariance, self.inner.function) for one in (fit, before)]
+        return losses[0] <= losses[1] + LOSS_TOLERANCE
 
     def reloaded(self, fit: RobustFit) -> tuple[Callable[[], RobustFit], float]:
         gravity = gravity_of(self.estimator.setup.base, fit.solution.parameters)

@@ -49,7 +49,7 @@ class Pass:
 
     reduction: Reduction  # of the whitened and weighted equations
     weights: tuple[FloatArray, ...]  # for each segment (n, M), nan where an equation takes no part
-    normalised: tuple[FloatArray, ...]  # residuals of the parameters that the pass began with, likewise
+    residuals: tuple[FloatArray, ...]  # of the parameters that the pass began with, likewise [N·m]
     sums: CovarianceSums  # for the next Ω
 
 
@@ -73,24 +73,25 @@ def weighted_pass(
     """
     whitening, sums = Whitening(covariance), CovarianceSums(kernel.model.dof)
     accumulator = _Collected(len(kernel.columns) + 1)
-    all_weights, all_normalised = [], []
+    all_weights, all_residuals = [], []
     rows = samples = 0
     for run in runs:
         for segment in run.segments:
             count = len(segment.used[:: run.parallel_filter.factor])
-            weights, normalised = (np.full((kernel.model.dof, count), np.nan) for _ in range(2))
+            weights, residuals = (np.full((kernel.model.dof, count), np.nan) for _ in range(2))
             for sample_equation in sample_equations(kernel, segment, run.parallel_filter, torques):
                 root, unroot = whitening.roots(sample_equation.motors)
-                residual = unroot @ sample_equation.residual(parameters)
+                plain = sample_equation.residual(parameters)
+                residual = unroot @ plain
                 weight = np.ones_like(residual) if function is None else function(residual)
                 place = np.ix_(np.array(sample_equation.motors), sample_equation.samples)
-                weights[place], normalised[place] = weight, residual
+                weights[place], residuals[place] = weight, plain
                 sums.add(sample_equation.motors, root, residual, weight)
                 accumulator.add(whitened(sample_equation.regressor, sample_equation.torque, unroot, np.sqrt(weight)))
                 rows += int(np.count_nonzero(weight))
                 samples += len(sample_equation.samples)
             all_weights.append(weights)
-            all_normalised.append(normalised)
+            all_residuals.append(residuals)
     columns = tuple(range(len(kernel.columns)))
     reduction = Reduction(
         joints=(JointFactor(columns, accumulator.factor(), rows),),
@@ -99,7 +100,7 @@ def weighted_pass(
         samples=samples,
         method="QR of the whitened equations",
     )
-    return Pass(reduction, tuple(all_weights), tuple(all_normalised), sums)
+    return Pass(reduction, tuple(all_weights), tuple(all_residuals), sums)
 
 
 class _Collected:
@@ -140,6 +141,20 @@ class RobustFit:
         used = ~np.isnan(np.concatenate(self.done.weights, axis=1))
         variances = np.diag(self.covariance)[used.any(axis=1)]
         return float(np.exp(0.5 * np.mean(np.log(variances))))
+
+    def loss(self, covariance: FloatArray, function: WeightFunction) -> float:
+        """Mean loss of all equations' residuals, those of weight 0 included, whitened by Ω (n, n)."""
+        whitening = Whitening(covariance)
+        total, count = 0.0, 0
+        for residuals in self.done.residuals:
+            taking_part = ~np.isnan(residuals)
+            patterns, of_sample = np.unique(taking_part, axis=1, return_inverse=True)
+            for number, pattern in enumerate(patterns.T):
+                if pattern.any():
+                    _, unroot = whitening.roots(tuple(np.flatnonzero(pattern).tolist()))
+                    losses = function.loss(unroot @ residuals[np.ix_(pattern, of_sample.ravel() == number)])
+                    total, count = total + float(np.sum(losses)), count + losses.size
+        return total / max(1, count)
 
 
 @dataclass
@@ -182,8 +197,8 @@ class Reweighting:
         solution = weighted_least_squares(plain, self.active)
         start = np.where(solution.joint_std > 0, np.maximum(solution.joint_std, self.floor), 1.0)
         first = self._pass(kernel, solution.parameters, np.diag(start**2), None)
-        self.independent = independent_samples(first.normalised, self.torques) - len(self.active) / len(self.torques)
-        deviations = np.maximum(start * median_deviations(first.normalised), self.floor)
+        self.independent = independent_samples(first.residuals, self.torques) - len(self.active) / len(self.torques)
+        deviations = np.maximum(median_deviations(first.residuals), self.floor)
         return self.iterated(kernel, solution.parameters, np.diag(deviations**2))
 
     def iterated(self, kernel: RegressorKernel, parameters: FloatArray, covariance: FloatArray) -> RobustFit:
@@ -218,17 +233,17 @@ class Reweighting:
         return weighted_pass(kernel, self.runs, self.torques, parameters, covariance, function)
 
 
-def median_deviations(normalised: Sequence[FloatArray]) -> FloatArray:
+def median_deviations(residuals: Sequence[FloatArray]) -> FloatArray:
     """Standard deviation (n,) of each joint's residuals by their median absolute value; 1 where there are none."""
-    sizes = np.abs(np.concatenate(normalised, axis=1))
+    sizes = np.abs(np.concatenate(residuals, axis=1))
     return np.array([MAD_TO_STD * np.median(of[~np.isnan(of)]) if np.any(~np.isnan(of)) else 1.0 for of in sizes])
 
 
-def independent_samples(normalised: Sequence[FloatArray], torques: Sequence[int]) -> float:
+def independent_samples(residuals: Sequence[FloatArray], torques: Sequence[int]) -> float:
     """Number of independent samples that the residuals of a joint are worth, mean over the joints."""
-    residuals = [np.where(np.isnan(segment), 0.0, segment)[list(torques)] for segment in normalised]
-    samples = sum(int(np.sum(~np.isnan(segment[list(torques)]))) for segment in normalised) / max(1, len(torques))
-    return samples * independent_share(lag_one(residuals))
+    filled = [np.where(np.isnan(segment), 0.0, segment)[list(torques)] for segment in residuals]
+    samples = sum(int(np.sum(~np.isnan(segment[list(torques)]))) for segment in residuals) / max(1, len(torques))
+    return samples * independent_share(lag_one(filled))
 
 
 def relative_change(before: FloatArray, after: FloatArray) -> float:

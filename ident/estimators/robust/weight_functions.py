@@ -45,6 +45,17 @@ class WeightFunction:
             return np.asarray(1.0 / np.maximum(size, 1.0))
         return np.asarray(np.square(np.clip(1.0 - size**2, 0.0, None)))
 
+    def loss(self, residual: FloatArray) -> FloatArray:
+        """2·ρ of normalised residuals, ρ′ = ψ: what equations with these weights minimise, z² where small; same shape."""
+        size = np.abs(residual) / self.threshold
+        if self.name == "hard":
+            losses = np.minimum(size, 1.0) ** 2
+        elif self.name == "huber":
+            losses = np.where(size <= 1.0, size**2, 2.0 * size - 1.0)
+        else:
+            losses = (1.0 - np.clip(1.0 - size**2, 0.0, None) ** 3) / 3.0
+        return np.asarray(self.threshold**2 * losses)
+
     @property
     def variance(self) -> float:
         """E[w·z²]/E[w] of normal residuals: what their weighted variance is too small by."""

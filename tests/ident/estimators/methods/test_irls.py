@@ -7,8 +7,9 @@ import pytest
 
 from daq.recording.recording import Recording
 from ident.estimators.methods.irls import LEAST_HOLD, loosened
+from ident.estimators.robust.reweighting import Pass, RobustFit
 from ident.estimators.robust.weight_functions import weight_function
-from ident.estimators.robust.whitened_equations import Whitening, shrunk
+from ident.estimators.robust.whitened_equations import CovarianceSums, Whitening, shrunk
 from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.summary import summarise
@@ -130,6 +131,30 @@ def test_the_thresholds_lose_5_percent_on_normal_residuals(name):
     assert np.all(np.diff(function(np.abs(z[z >= 0]))) <= 0)
     assert function(np.zeros(1))[0] == 1.0
     assert np.sum(density * function.slope(z)) == pytest.approx(np.sum(density * z * psi), abs=0.015)  # by parts
+    smooth = np.abs(np.abs(z) - function.threshold) > 1e-3
+    assert np.gradient(function.loss(z), z)[smooth] == pytest.approx(2.0 * psi[smooth], abs=1e-3)
+    assert function.loss(np.array([0.0, 0.01])) == pytest.approx([0.0, 1e-4], rel=1e-4)
+
+
+def test_a_fit_that_rejects_more_equations_is_not_a_better_one(robust):
+    """The spread of the accepted residuals falls with what is rejected; the loss of all of them does not."""
+    estimation = robust["irls"].estimation
+    function = weight_function("hard", 1e6)
+    residuals = np.random.default_rng(0).standard_normal((3, 2000))
+    residuals[1, :50] = np.nan  # a motor at rest
+    worse = residuals.copy()
+    worse[:, ::10] *= 10.0
+    worse[:, 1::10] *= 0.5
+    spreads, losses = [], []
+    for of_all in (residuals, worse):
+        weights = np.where(np.isnan(of_all), np.nan, function(of_all))
+        done = Pass(estimation.reduction, (weights,), (of_all,), CovarianceSums(3))
+        covariance = np.diag(np.nansum(weights * of_all**2, axis=1) / np.nansum(weights, axis=1))
+        fit = RobustFit(estimation.kernel, done, estimation.solution, covariance, True)
+        spreads.append(fit.spread)
+        losses.append(fit.loss(np.eye(3), function))
+    assert spreads[1] < spreads[0]
+    assert losses[1] > losses[0] == pytest.approx(np.nanmean(function.loss(residuals)))
 
 
 def test_error_bars_grow_where_the_others_hold_less_up_to_twofold():
