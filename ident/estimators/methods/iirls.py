@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from typing import Annotated
 
-import numpy as np
 from pydantic import Field
 
 from drivers.core.arrays import FloatArray
@@ -22,9 +21,10 @@ from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Se
 from ident.estimators.method import Method, within
 from ident.estimators.methods.irls import IrlsOptions, RobustEstimator, estimation, reweighting
 from ident.estimators.robust.friction_bounds import FrictionBounds, friction_bounds
-from ident.estimators.robust.reweighting import PARAMETER_TOLERANCE, Reweighting, RobustFit, Solve
+from ident.estimators.robust.reweighting import Reweighting, RobustFit, Solve
 from ident.estimators.robust.sensitivities import ShapeSystem
-from ident.friction.solver import SHAPE_TOLERANCE, Value, moved_shapes, settle_nested, shape_change, shape_step
+from ident.estimators.robust.weight_functions import HUBER_THRESHOLD, WeightFunction
+from ident.friction.solver import SHAPE_TOLERANCE, Value, settle_nested, shape_step
 from ident.friction.table import FRICTION_KINDS
 from ident.friction.terms import FrictionTerms
 from ident.model.base_parameters import gravity_of
@@ -36,8 +36,10 @@ from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared, Step
 
 MOST_SHAPE_ROUNDS = 15
-MOST_DECOUPLED_ROUNDS = 40
 MOST_LOAD_ROUNDS = 10
+
+SHAPE_WEIGHTS = WeightFunction("huber", HUBER_THRESHOLD)
+"""What the shapes are estimated with: by weights that reject, a wrong shape rejects what contradicts it."""
 
 LOSS_TOLERANCE = 1e-9
 """By which the mean loss may grow, 1 being that of a fit's own noise."""
@@ -74,25 +76,22 @@ class FullFrictionEstimator(RobustEstimator):
         return replace(inner, solution=solution, loops=(*inner.loops, *outer.loops_of(fit, settled.converged)))
 
     def solver(self, active: Sequence[int]) -> Solve:
-        """The solver of IRLS within the bounds; decoupled, of all but friction, which stays as it was."""
+        """The solver of IRLS within the bounds; decoupled, friction alone and then the others, once a pass."""
         together = super().solver(active)
-        if self.bounded and not self.decoupled:
-            # The bounds follow the shapes and the load torque, which are those of the kernel.
-            bounds = lru_cache(maxsize=1)(partial(friction_bounds, self.setup, share=self.largest_friction))
-            return lambda kernel, reduction, before: bounds(kernel).solution(reduction, active)
-        if not self.decoupled:
+        if not self.bounded:
             return together
-        others = [column for column in active if column not in friction_columns(self.setup)]
+        # The bounds follow the shapes and the load torque, which are those of the kernel.
+        bounds = lru_cache(maxsize=1)(partial(friction_bounds, self.setup, share=self.largest_friction))
+        if not self.decoupled:
+            return lambda kernel, reduction, before: bounds(kernel).solution(reduction, active)
+        friction = [column for column in active if column in friction_columns(self.setup)]
+        others = [column for column in active if column not in friction]
 
         def solve(kernel: RegressorKernel, reduction: Reduction, before: FloatArray) -> LeastSquares:
-            solution = together(kernel, reduction, before)
-            factor = reduction.joints[0].factor
             parameters = before.copy()
-            parameters[others] = 0.0
-            target = factor[:, -1] - factor[:, :-1] @ parameters
-            lengths = np.linalg.norm(factor[:, others], axis=0)
-            parameters[others] = np.linalg.lstsq(factor[:, others] / lengths, target, rcond=None)[0] / lengths
-            return replace(solution, parameters=parameters)
+            for columns in (friction, others):
+                parameters[columns] = bounds(kernel).alone(reduction, columns, parameters)
+            return replace(together(kernel, reduction, before), parameters=parameters)
 
         return solve
 
@@ -101,7 +100,7 @@ class FullFrictionEstimator(RobustEstimator):
         """Return whether the parameters are estimated within bounds."""
         terms = self.setup.kernel.model.terms
         further = terms.shaped or terms.loaded
-        return self.largest_friction is not None or (further and not self.consistent and not self.decoupled)
+        return self.decoupled or self.largest_friction is not None or (further and not self.consistent)
 
     def _bounds_step(self, fit: RobustFit) -> Step:
         largest = self.largest_friction
@@ -138,7 +137,7 @@ class _OuterLoops:
         return value
 
     def linearised(self, fit: RobustFit) -> Value:
-        system, held = ShapeSystem.at(self.inner, fit), set[int]()
+        system, held = ShapeSystem.at(self.inner, fit, SHAPE_WEIGHTS), set[int]()
         if self.estimator.bounded:
             held = set(self._bounds(fit).reached(fit.solution.parameters))
         parameters = system.together([column for column in self.inner.active if column not in held])
@@ -149,7 +148,7 @@ class _OuterLoops:
 
     def no_worse(self, fit: RobustFit, before: RobustFit) -> bool:
         # All equations at one Ω: the accepted ones' spread would also fall by rejecting more of them.
-        losses = [one.loss(before.covariance, self.inner.function) for one in (fit, before)]
+        losses = [one.loss(before.covariance, SHAPE_WEIGHTS) for one in (fit, before)]
         return losses[0] <= losses[1] + LOSS_TOLERANCE
 
     def reloaded(self, fit: RobustFit) -> tuple[Callable[[], RobustFit], float]:
@@ -159,32 +158,15 @@ class _OuterLoops:
         return lambda: self.fitted(fit, terms), self.loads[-1]
 
     def settled_shapes(self, fit: RobustFit) -> RobustFit:
-        """Shapes, and decoupled all friction, until they settle."""
-        shaped, decoupled = self.terms(fit).shaped, self.estimator.decoupled
-        if not shaped and not decoupled:
-            return fit
-        for _ in range(MOST_DECOUPLED_ROUNDS if decoupled else MOST_SHAPE_ROUNDS):
-            before = fit
-            fit, change = self._decoupled_round(fit) if decoupled else shape_step(self, fit, EVERY_LENGTH)
+        """Shapes until they settle."""
+        for _ in range(MOST_SHAPE_ROUNDS if self.terms(fit).shaped else 0):
+            fit, change = shape_step(self, fit, EVERY_LENGTH)
             self.spreads.append(fit.spread)
-            if shaped:
-                self.shapes.append(self.terms(fit))
-            step = np.abs(fit.solution.parameters - before.solution.parameters)[list(self.inner.active)]
-            relative = float(np.max(step / np.sqrt(np.diag(fit.solution.covariance)), initial=0.0))
-            self.shapes_settled = change < SHAPE_TOLERANCE and (not decoupled or relative < PARAMETER_TOLERANCE)
+            self.shapes.append(self.terms(fit))
+            self.shapes_settled = change < SHAPE_TOLERANCE
             if self.shapes_settled:
                 break
         return fit
-
-    def _decoupled_round(self, fit: RobustFit) -> tuple[RobustFit, float]:
-        """All friction by the torque that the other parameters leave (eq. 15 and 16), then these."""
-        friction = [column for column in self.inner.active if column in friction_columns(self.estimator.setup)]
-        system = ShapeSystem.at(self.inner, fit)
-        bounds = None if self.estimator.largest_friction is None else self._bounds(fit)
-        parameters = system.friction_alone(friction, fit.solution.parameters, bounds)
-        moved = moved_shapes(self.terms(fit), partial(system.value, parameters), 1.0)
-        start = parameters[: len(fit.kernel.columns)]
-        return self._iterated(fit, moved, start), shape_change(self.terms(fit), moved)
 
     def _bounds(self, fit: RobustFit) -> FrictionBounds:
         return friction_bounds(self.estimator.setup, fit.kernel, self.estimator.largest_friction)

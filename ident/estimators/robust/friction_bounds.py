@@ -53,6 +53,15 @@ class FrictionBounds:
         parameters[columns] = np.clip(bounded.x / lengths, least, most)
         return replace(free, parameters=parameters)
 
+    def alone(self, reduction: Reduction, columns: Sequence[int], parameters: FloatArray) -> FloatArray:
+        """These parameters within the bounds, by the torque that the others (b,), as they are, leave (eq. 15)."""
+        held, joint = parameters.copy(), reduction.joints[0]
+        held[columns] = 0.0
+        factor = joint.factor.copy()
+        factor[:, -1] -= factor[:, :-1] @ held
+        left = replace(reduction, joints=(replace(joint, factor=factor),))
+        return self.solution(left, columns).parameters[columns]
+
     def reached(self, parameters: FloatArray) -> tuple[int, ...]:
         """Base parameters (b,) that are at a bound."""
         return tuple(np.flatnonzero((parameters == self.least) | (parameters == self.most)).tolist())

@@ -9,9 +9,9 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.estimators.estimator import Estimation
-from ident.estimators.robust.friction_bounds import FrictionBounds
 from ident.estimators.robust.reweighting import Reweighting, RobustFit, weighted_pass
-from ident.friction.table import DISSIPATIVE_KINDS, SHAPED
+from ident.estimators.robust.weight_functions import WeightFunction
+from ident.friction.table import SHAPED
 from ident.model.joint_columns import own_column
 from ident.model.regressor import RegressorKernel
 from ident.regression.least_squares import excited_columns, ordinary_least_squares
@@ -61,45 +61,27 @@ class ShapeSystem:
     reduction: Reduction  # of them
 
     @classmethod
-    def at(cls, loops: Reweighting, fit: RobustFit) -> ShapeSystem:
-        """Return where the inner loops ended, with their Ω and weights; one pass where there are free shapes."""
+    def at(cls, loops: Reweighting, fit: RobustFit, function: WeightFunction | None = None) -> ShapeSystem:
+        """Return where the inner loops ended, with their Ω and weights; one pass where there are free shapes.
+
+        Args:
+            loops: the inner ones.
+            fit: where they ended.
+            function: of other weights than theirs.
+        """
         shapes = shape_columns(fit.kernel, loops.torques)
         if not shapes.kinds:
             return cls(shapes, fit.done.reduction)
         parameters = np.concatenate([fit.solution.parameters, np.zeros(len(shapes.kinds))])
         loops.passes += 1
-        done = weighted_pass(shapes.kernel, loops.runs, loops.torques, parameters, fit.covariance, loops.function)
+        done = weighted_pass(
+            shapes.kernel, loops.runs, loops.torques, parameters, fit.covariance, function or loops.function
+        )
         return cls(shapes, done.reduction)
 
     def together(self, active: Sequence[int]) -> FloatArray:
         """Parameters (b + s,) of least squares on the active columns and the sensitivities."""
         return ordinary_least_squares(self.reduction, [*active, *self._excited]).parameters
-
-    def friction_alone(
-        self, friction: Sequence[int], parameters: FloatArray, bounds: FrictionBounds | None = None
-    ) -> FloatArray:
-        """The same for friction, all other parameters (b,) as they are (eq. 15 and 16).
-
-        Coefficients of dissipative friction do not become negative, nor pass the bounds, where there are some.
-        """
-        from scipy.optimize import lsq_linear
-
-        factor = self.reduction.joints[0].factor
-        columns = [*friction, *self._excited]
-        values = np.concatenate([parameters, np.zeros(len(self.shapes.kinds))])
-        values[columns] = 0.0
-        target = factor[:, -1] - factor[:, :-1] @ values
-        lengths = np.linalg.norm(factor[:, columns], axis=0)
-        standard = self.shapes.kernel.model.parameters
-        kinds = [standard[self.shapes.kernel.columns[column]].kind for column in columns]
-        least = np.where([kind in DISSIPATIVE_KINDS for kind in kinds], 0.0, -np.inf)
-        most = np.full(len(columns), np.inf)
-        if bounds is not None:
-            own = slice(0, len(friction))
-            least[own] = np.maximum(least[own], bounds.least[list(friction)] * lengths[own])
-            most[own] = bounds.most[list(friction)] * lengths[own]
-        values[columns] = lsq_linear(factor[:, columns] / lengths, target, (least, most), method="bvls").x / lengths
-        return values
 
     def value(self, parameters: FloatArray, kind: str, motor: int) -> float | None:
         """Value of a motor's own parameter of a kind, among parameters (b + s,); None where it was not estimated."""

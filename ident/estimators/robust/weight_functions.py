@@ -46,7 +46,7 @@ class WeightFunction:
         return np.asarray(np.square(np.clip(1.0 - size**2, 0.0, None)))
 
     def loss(self, residual: FloatArray) -> FloatArray:
-        """2·ρ of normalised residuals, ρ′ = ψ: what equations with these weights minimise, z² where small; same shape."""
+        """2·ρ of normalised residuals, ρ′ = ψ: what these weights minimise, z² where small; same shape."""
         size = np.abs(residual) / self.threshold
         if self.name == "hard":
             losses = np.minimum(size, 1.0) ** 2
