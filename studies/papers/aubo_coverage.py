@@ -1,6 +1,6 @@
 """True friction parameters of a simulated AUBO i5 within their 95 % intervals (docs/measurements/error-bars.md).
 
-    python -m studies.papers.aubo_coverage [seeds [methods, as wls,iirls [Stribeck terms, as 0,0.15]]]
+    python -m studies.papers.aubo_coverage [seeds, as 8 or 20:27 [methods, as wls,iirls [Stribeck terms, as 0,0.15]]]
 
 Another excitation and other noise for each seed, played cold, in between and warm (`aubo_session`), without the
 Stribeck term, which the model does not have, and with it; another motion validates. Then the correlation of the errors
@@ -104,15 +104,16 @@ def shares(errors: list[Errors]) -> FloatArray:
     return np.array(rows)
 
 
-def main(seeds: int = 20, methods: str = "wls,iirls", plants: str = f"0,{STRIBECK}") -> None:
+def main(seeds: str = "20", methods: str = "wls,iirls", plants: str = f"0,{STRIBECK}") -> None:
     """Print a table for each method and plant."""
+    numbers = range(*map(int, seeds.split(":")))
     for method in methods.split(","):
         for stribeck in map(float, plants.split(",")):
             errors = []
-            for seed in range(seeds):
+            for seed in numbers:
                 errors.append(identified(seed, stribeck, method))
                 print(f"# {method}, {stribeck:g}, seed {seed}", file=sys.stderr, flush=True)
-            print(f"\n{method}, Stribeck term {stribeck:g} of Coulomb friction, {seeds} seeds")
+            print(f"\n{method}, Stribeck term {stribeck:g} of Coulomb friction, {len(numbers)} seeds")
             for kind, (inside, sigma) in zip((*SHOWN, "bodies"), shares(errors), strict=True):
                 print(f"{kind:24}{inside:7.1f} %   median σ {sigma:.3g}")
             for first, second in (
@@ -127,4 +128,4 @@ def main(seeds: int = 20, methods: str = "wls,iirls", plants: str = f"0,{STRIBEC
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 20, *sys.argv[2:4])
+    main(*sys.argv[1:4])
