@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from drivers.core.arrays import FloatArray
 from ident.assessment.instants import Instants
-from ident.assessment.mistakes.competition import EXPLAINED, HALVED, Competition
+from ident.assessment.mistakes.competition import EXPLAINED, HALVED, WELL_EXPLAINED, Competition
 from ident.assessment.mistakes.equations import equations
 from ident.signals.prepared import Prepared
 
@@ -47,9 +47,13 @@ def unsigned_torques(competition: Competition, runs: Sequence[Prepared]) -> list
     folded = [joint for joint, value in least.items() if -BELOW_ZERO <= value < NEAR_ZERO]
     if not folded or competition.well_explained():
         return []
+    recorded = competition.bound(competition.recorded)
+    if recorded is not None:  # a torque that is explained as it is has its sign, whatever another joint's noise is
+        folded = [joint for joint in folded if recorded.relative[joint] >= WELL_EXPLAINED**2]
+    if not folded:
+        return []
     if len(folded) >= SEVERAL and all(value >= -BELOW_ZERO for value in least.values()):
         return folded
-    recorded = competition.bound(competition.recorded)
     instants, positions = competition.measured, competition.recorded.positions
     _, conditions = competition.system(competition.recorded)
     regressor = competition.regressor(positions)

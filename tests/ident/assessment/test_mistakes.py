@@ -205,6 +205,24 @@ def test_an_arm_whose_torques_are_never_negative_was_recorded_without_signs_even
     assert 1 not in folded(1)
 
 
+def test_a_torque_that_is_explained_as_it_is_has_its_sign_however_noisy_another_one_is(found):
+    generator = np.random.default_rng(2)
+    least = min(float(np.min(one.torque[1, one.used])) for run in found.runs for one in run.prepared.segments)
+
+    def spoilt(segment: Segment) -> Segment:
+        torque = segment.torque.copy()
+        torque[0] = np.std(torque[0]) * generator.standard_normal(torque.shape[1])
+        torque[1] -= least
+        return replace(segment, torque=torque)
+
+    runs = [
+        replace(run.prepared, segments=tuple(spoilt(segment) for segment in run.prepared.segments))
+        for run in found.runs
+    ]
+    kernel = RegressorKernel(found.model, found.base.columns)
+    assert unsigned_torques(competition(found, instants(kernel, runs)), runs) == []
+
+
 def test_blocks_cover_the_recording(found):
     few = light(found)
     assert set(few.block) == set(range(BLOCKS))
