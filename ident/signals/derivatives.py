@@ -23,6 +23,9 @@ from ident.signals.smoothing.savitzky_golay import half_width_for, savitzky_gola
 LOWEST_CUTOFF_PER_BAND = 2.0
 """A cut-off below it distorts the derivatives; at it, the gain within the motion's band is 1 − (1/2)⁸ or more."""
 
+ROUNDING = 64 * float(np.finfo(np.float64).eps)
+"""Change of a position in a period, as a share of the joint's largest one, that is a smoother's rounding at most."""
+
 LEAST_BAND_HZ = 0.1
 """Taken for the band where next to nothing moves."""
 
@@ -62,7 +65,7 @@ def smooth_motion(
 
     With `measured` the recorded velocities are taken, and accelerations from them.
     """
-    derived = [SmoothMotion(*smoother.apply(segment.position, 2)) for segment in segments]
+    derived = [_without_rounding(SmoothMotion(*smoother.apply(each.position, 2)), each.rate) for each in segments]
     if any(segment.velocity is None for segment in segments):
         return derived, Step(
             "derivatives", {"velocity": "derived"}, f"q̇ and q̈ {smoother.derivatives} of the filtered positions"
@@ -90,6 +93,13 @@ def smooth_motion(
             for motion, recorded in zip(derived, velocities, strict=True)
         ]
     return derived, Step("derivatives", settings, text)
+
+
+def _without_rounding(motion: SmoothMotion, rate: float) -> SmoothMotion:
+    """The motion at a rate [Hz], with no velocity where a joint rests: the sign of rounding is no direction."""
+    least = ROUNDING * rate * np.abs(motion.position).max(axis=1, keepdims=True)
+    velocity = np.where(np.abs(motion.velocity) > least, motion.velocity, 0.0)
+    return replace(motion, velocity=velocity)
 
 
 def _band_text(cutoffs: Cutoffs) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import get_args
 
 import numpy as np
@@ -55,6 +56,17 @@ def test_each_way_recovers_the_motion(way: Differentiation, gap: bool) -> None:
         "low-pass" if way == "butterworth" else "smoothing",
         "derivatives",
     ]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_joint_that_rests_has_no_velocity_of_rounding(way: Differentiation) -> None:
+    moving = recorded(samples=600)
+    position = np.stack([moving.position[:, 0], np.full(600, 1.5708)], axis=1)
+    (segment,) = prepare(
+        replace(moving, position=position), PreprocessChoices(differentiation=way, keep_rest=True)
+    ).segments
+    assert not segment.velocity[1].any()
+    assert segment.velocity[0].all()
 
 
 @pytest.mark.parametrize("way", WAYS)
