@@ -65,7 +65,7 @@ def smooth_motion(
 
     With `measured` the recorded velocities are taken, and accelerations from them.
     """
-    derived = [_without_rounding(SmoothMotion(*smoother.apply(each.position, 2)), each.rate) for each in segments]
+    derived = [SmoothMotion(*smoother.apply(segment.position, 2)) for segment in segments]
     if any(segment.velocity is None for segment in segments):
         return derived, Step(
             "derivatives", {"velocity": "derived"}, f"q̇ and q̈ {smoother.derivatives} of the filtered positions"
@@ -95,7 +95,7 @@ def smooth_motion(
     return derived, Step("derivatives", settings, text)
 
 
-def _without_rounding(motion: SmoothMotion, rate: float) -> SmoothMotion:
+def without_rounding(motion: SmoothMotion, rate: float) -> SmoothMotion:
     """The motion at a rate [Hz], with no velocity where a joint rests: the sign of rounding is no direction."""
     least = ROUNDING * rate * np.abs(motion.position).max(axis=1, keepdims=True)
     velocity = np.where(np.abs(motion.velocity) > least, motion.velocity, 0.0)

@@ -18,7 +18,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, DynidError, UsageError
 from drivers.core.units import common_unit
 from ident.signals.cutoffs import CHEBYSHEV_PASSBAND, choose_cutoffs, parallel_filter, resolve
-from ident.signals.derivatives import Smoother, choose_smoother, smooth_motion
+from ident.signals.derivatives import Smoother, choose_smoother, smooth_motion, without_rounding
 from ident.signals.filters import ZeroPhaseFilter, chebyshev_decimation, unit_gain
 from ident.signals.joint_signals import JointSignals
 from ident.signals.options import PreprocessChoices
@@ -77,6 +77,8 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     motions, derivatives_step = smooth_motion(
         decimated, smoother, signals.joint_names, measured=choices.measured_velocity
     )
+    if choices.keep_rest:  # elsewhere rows at rest do not count
+        motions = [without_rounding(motion, rate) for motion in motions]
     moving, rest_velocity, motion_step = moving_segments(
         decimated, motions, choices, common_unit("rad/s", signals.sliding)
     )
