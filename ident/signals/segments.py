@@ -219,24 +219,25 @@ def without_holes(
 
     Positions between them are interpolated, and their second derivatives are wrong for a moment.
     """
-    steps = np.diff(stamps)
+    usual = float(np.median(np.diff(stamps)))
     before = sum(int(segment.used.sum()) for segment in segments)
     for least in HOLES:
-        holes = np.flatnonzero(steps > max(least * np.median(steps), OF_CUTOFF / cutoffs.position))
-        edges = np.stack([stamps[holes] - ABOUT_HOLE, stamps[holes + 1] + ABOUT_HOLE])
-        left = [replace(segment, used=segment.used & ~_within(segment.time, edges)) for segment in segments]
+        longest = max(least * usual, OF_CUTOFF / cutoffs.position)
+        left = [replace(each, used=each.used & ~about_holes(each.time, stamps, longest)) for each in segments]
         lost = before - sum(int(segment.used.sum()) for segment in left)
         if 0 < lost <= MOST_ABOUT_HOLES * before:
-            text = f"{ABOUT_HOLE:g} s before and after {len(holes)} holes of {least:g} periods and more not counted"
-            step = Step("holes", {"holes": len(holes), "not_counted_s": lost / segments[0].rate}, text)
+            holes = int(np.count_nonzero(np.diff(stamps) > longest))
+            text = f"{ABOUT_HOLE:g} s before and after {holes} holes of {least:g} periods and more not counted"
+            step = Step("holes", {"holes": holes, "not_counted_s": lost / segments[0].rate}, text)
             return tuple(segment for segment in left if segment.used.any()), step
     return tuple(segments), None
 
 
-def _within(time: FloatArray, edges: FloatArray) -> npt.NDArray[np.bool_]:
-    """(M,) which of some stamps lie in any of the spans between edges (2, k)."""
-    begun = np.searchsorted(edges[0], time, side="right")
-    ended = np.searchsorted(edges[1], time, side="left")
+def about_holes(time: FloatArray, stamps: FloatArray, longest: float) -> npt.NDArray[np.bool_]:
+    """(M,) which of some times [s] lie within `ABOUT_HOLE` of rows (N,) that are more than `longest` [s] apart."""
+    holes = np.flatnonzero(np.diff(stamps) > longest)
+    begun = np.searchsorted(stamps[holes] - ABOUT_HOLE, time, side="right")
+    ended = np.searchsorted(stamps[holes + 1] + ABOUT_HOLE, time, side="left")
     return np.asarray(begun > ended)
 
 

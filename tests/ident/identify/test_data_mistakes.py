@@ -15,9 +15,8 @@ import pytest
 
 import dynid
 from daq.recording.recording import Recording
-from ident.assessment.residual_bursts import REVERSAL
 from ident.identify.identification import PreparedRun
-from ident.identify.residual_bursts import _away_from_gaps
+from ident.identify.residual_bursts import REVERSAL, _away_from_gaps
 from ident.regression.comparison import TorqueSeries
 from studies.synthetic.data_mistakes import (
     contact,
