@@ -30,7 +30,7 @@ from ident.servo.fit import ServoFit, fit_servo
 from ident.servo.links import ServoLinks, servo_links
 from ident.servo.motion import ServoMotion, servo_motions
 from ident.servo.result import (
-    ContactStretch,
+    ContactSegment,
     References,
     RolloutError,
     RolloutFit,
@@ -295,9 +295,9 @@ def judge(
                 for label, rows in own.items()
             ],
             contacts=[
-                stretch
+                segment
                 for motion, (_, force) in zip(motions, found, strict=True)
-                for stretch in _stretches(motion, force)
+                for segment in _contact_segments(motion, force)
             ],
             held_out=held_out,
             seconds=float(seconds.sum()),
@@ -306,15 +306,15 @@ def judge(
     )
 
 
-def _stretches(motion: ServoMotion, force: FloatArray) -> list[ContactStretch]:
-    """When a motion's roll-out touches something; pauses below `PAUSE` are not told apart."""
+def _contact_segments(motion: ServoMotion, force: FloatArray) -> list[ContactSegment]:
+    """When a motion's roll-out touches something; pauses below `PAUSE` do not count."""
     times = motion.time[force > PRESSING]
     if not len(times):
         return []
     ends = np.flatnonzero(np.diff(times) > PAUSE)
     begins = np.concatenate([[0], ends + 1])
     return [
-        ContactStretch(
+        ContactSegment(
             recording=motion.label,
             begin=motion.begin + float(times[first]),
             end=motion.begin + float(times[last]),
@@ -381,14 +381,14 @@ def verdict(
     return Grade(grade=grade, headline=f"{grade.capitalize()} for simulation: {reach}.", checks=checks)
 
 
-def _contact_words(contact: Surface, stretches: Sequence[ContactStretch]) -> str:
+def _contact_words(contact: Surface, segments: Sequence[ContactSegment]) -> str:
     """Return what the arm touches, and when."""
     text = f"the arm touches something at a height of {contact.height:.3f} m"
-    if not stretches:
+    if not segments:
         return f"{text} in other motions; the joints are fitted without these times"
-    longest = max(stretches, key=lambda stretch: stretch.end - stretch.begin)
-    seconds = sum(stretch.end - stretch.begin for stretch in stretches)
-    others = f" and {len(stretches) - 1} more times" if len(stretches) > 1 else ""
+    longest = max(segments, key=lambda segment: segment.end - segment.begin)
+    seconds = sum(segment.end - segment.begin for segment in segments)
+    others = f" and {len(segments) - 1} more times" if len(segments) > 1 else ""
     return (
         f"{text}: in {longest.recording} from {longest.begin:.1f} s to {longest.end:.1f} s{others}, {seconds:.0f} s in "
         "all; the joints are fitted without such times"

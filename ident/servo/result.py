@@ -68,8 +68,8 @@ class ServoContact(Stored):
     stiffness: Value = Field(description="[N/m]")
 
 
-class ContactStretch(Stored):
-    """A stretch of a roll-out in which the arm touches the surface."""
+class ContactSegment(Stored):
+    """A segment of a roll-out in which the arm touches the surface."""
 
     recording: str
     begin: Value = Field(description="in the recording's clock [s]")
@@ -84,7 +84,7 @@ class RolloutFit(Stored):
     rollout_mean: Value = Field(description="over the joints")
     references: References
     recordings: list[RolloutError]
-    contacts: list[ContactStretch] = Field(default=[])
+    contacts: list[ContactSegment] = Field(default=[])
     held_out: bool
     seconds: Value
 

@@ -196,7 +196,7 @@ RECORDING = (
         "mistake",
         "serious",
         ("simulation",),
-        "what was recorded as commands are no commanded positions",
+        "what was recorded as commands are not commanded positions",
         "Record the goal positions that are sent to the servos: --column target_position=NAME.",
     ),
     note(

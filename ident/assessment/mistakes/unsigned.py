@@ -45,12 +45,10 @@ def unsigned_torques(competition: Competition, runs: Sequence[Prepared]) -> list
     """
     least = {joint: _least(joint, runs) for joint in competition.joints}
     folded = [joint for joint, value in least.items() if -BELOW_ZERO <= value < NEAR_ZERO]
-    if not folded or competition.well_explained():
-        return []
-    recorded = competition.bound(competition.recorded)
+    recorded = competition.bound(competition.recorded) if folded else None
     if recorded is not None:  # a torque that is explained as it is has its sign, whatever another joint's noise is
         folded = [joint for joint in folded if recorded.relative[joint] >= WELL_EXPLAINED**2]
-    if not folded:
+    if not folded or competition.well_explained():
         return []
     if len(folded) >= SEVERAL and all(value >= -BELOW_ZERO for value in least.values()):
         return folded

@@ -83,6 +83,7 @@ def predict_servo_command(path: Path, run: Path, out: Path, *, as_json: bool, fo
     """Write a recording whose positions are rolled out on another's commands, or on those of a trajectory file."""
     from daq.recording.writer import write_recording
     from ident.commands.printing.result import print_tables
+    from ident.identify.data_split import labelled
     from ident.tasks.servo import load_servo_model
 
     model = load_servo_model(path)
@@ -105,8 +106,8 @@ def predict_servo_command(path: Path, run: Path, out: Path, *, as_json: bool, fo
 
         print_json({"file": str(out), "joints": judged.result.joints, "validation": validation.model_dump(mode="json")})
         return
-    used = "" if validation.held_out else " (NOT held out: these data are in the identification)"
-    print(f"Positions rolled out on the commands alone{used}: {out}")
+    source = labelled(str(run), 0.0 if validation.held_out else 1.0)
+    print(f"Positions rolled out on the commands of {source} alone: {out}")
     print_tables([judged.errors])
 
 
