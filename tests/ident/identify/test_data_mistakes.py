@@ -12,12 +12,15 @@ from typing import cast
 
 import numpy as np
 import pytest
+from random_arms import random_arm
 
 import dynid
 from daq.recording.recording import Recording
 from ident.identify.identification import PreparedRun
 from ident.identify.residual_bursts import REVERSAL, _away_from_gaps
+from ident.model.dynamic_model import build_model
 from ident.regression.comparison import TorqueSeries
+from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.synthetic.data_mistakes import (
     contact,
     filled_with_zeros,
@@ -48,7 +51,11 @@ Mistake = Callable[[Recording], Recording]
 
 @cache
 def sound(arm: str) -> Recording:
-    """A motion of 12 s at 200 Hz with its velocity."""
+    """A motion of 12 s at 200 Hz with its velocity; of the random arm 20 s at 100 Hz, one burst of no weight."""
+    if arm == "random":
+        robot_file = random_arm(9032)
+        motion = random_fourier_motion(build_model(robot_file), 10.0, 1, candidates=20)
+        return with_velocity(simulate_recording(robot_file, motion, 20.0, 1, rate=100.0))
     return with_velocity(dynid.simulate(arm, duration=12.0, seed=1, rate=200.0))
 
 
@@ -57,7 +64,7 @@ def checks(result: dynid.IdentificationResult) -> set[str]:
 
 
 @pytest.mark.usefixtures("with_friction_search")
-@pytest.mark.parametrize("arm", ["ur5e", "rocr6"])
+@pytest.mark.parametrize("arm", ["ur5e", "rocr6", "random"])
 def test_sound_data_raise_none(arm: str) -> None:
     assert not checks(dynid.identify(sound(arm))) & (DATA_CHECKS | MODEL_CHECKS)
 
