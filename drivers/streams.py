@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from drivers.core.arrays import FloatArray
+import numpy as np
+
+from drivers.core.arrays import BoolArray, FloatArray
 
 UNITS: Mapping[str, str] = {
     "position": "rad",
@@ -27,6 +29,9 @@ UNITS: Mapping[str, str] = {
 
 GOAL_AGE = "goal_age"
 """For how long [s] a goal that the motor takes in one step had been in force when its torque was measured."""
+MOTOR_ON: Mapping[str, tuple[int, int]] = {"statusword": (0x4, 0x4), "joint_mode": (~0, 253), "robot_mode": (~0, 7)}
+"""Status quantities, their bits that say whether a motor is on, and these bits where it is: "operation enabled" (CiA
+402-2, statusword), "running" (UR's RTDE guide, joint and robot modes)."""
 COMMANDS = ("target_position", "target_velocity", "target_torque", "gain_p", "gain_d")
 """Quantities that a controller was given: set points, feed-forward torque, gains of its loop."""
 
@@ -68,3 +73,9 @@ class Batch:
     host_time: FloatArray  # (N,) the host's monotonic clock at reception [s]
     values: Mapping[str, FloatArray] = field(default_factory=dict)  # quantity → (N, n)
     lost: int = 0  # samples that the source's clock or counter says are missing before or within this block
+
+
+def motors_on(quantity: str, values: FloatArray) -> BoolArray:
+    """Return which values (N, n) of a status quantity of `MOTOR_ON` say that their motor is on."""
+    mask, on = MOTOR_ON[quantity]
+    return np.asarray(np.nan_to_num(values).astype(np.int64) & mask == on)

@@ -187,6 +187,9 @@ def stale_checks(recording: Recording, of: str = "") -> list[Check]:
         left = "these samples are left out" if stale.stuck[stale.left_out].any() else "too long to be left out"
         text = f"{of}the position is stuck: {'; '.join(shown[:MOST_SHOWN])}{more}: {left}; check the encoder"
         checks.append(raised("encoder-stuck", text, sorted({encoder.joint for encoder in stale.encoders})))
+    if stale.off is not None and stale.off.any():
+        share = percent_text(float(np.mean(stale.off)), 2)
+        checks.append(raised("motors-off", f"{of}a motor is off in {share} of the rows: they are left out"))
     return checks + jump_checks(stale.jumps, first, of)
 
 

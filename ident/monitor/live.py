@@ -11,7 +11,7 @@ import numpy as np
 from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Channel, Stream
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DynidError, UsageError
-from drivers.streams import GOAL_AGE, Batch, StreamLayout
+from drivers.streams import GOAL_AGE, MOTOR_ON, Batch, StreamLayout, motors_on
 from ident.monitor.contact_forces import expected_delay
 from ident.monitor.interval_torque import JointSamples
 from ident.monitor.load_estimate import changed_load
@@ -76,6 +76,7 @@ class LiveMonitor:
         self._maps: dict[str, FloatArray] = {}
         self._order = np.arange(model.dof)
         self._waiting: list[Batch] = []
+        self._on: dict[str, bool] = {}  # quantity of status → whether every motor is on by it
         self._unheard = 0
         self._heard = np.nan
         self._shown: tuple[float, tuple[str, ...]] = (-np.inf, ())
@@ -124,11 +125,17 @@ class LiveMonitor:
             joints, columns = self._thermometers[batch.stream]
             celsius = batch.values[TEMPERATURE][-1, columns]
             self._celsius[joints] = np.where(np.isfinite(celsius), celsius, self._celsius[joints])
+        for quantity in MOTOR_ON.keys() & batch.values.keys():
+            if len(batch.time):
+                self._on[quantity] = bool(motors_on(quantity, batch.values[quantity]).all())
         if batch.stream == COMMANDS_STREAM and GOAL_AGE in self._channels and len(batch.time):
             self._goals.append(batch)
         if batch.stream != JOINTS_STREAM or not len(batch.time) or self.failure:
             return
         self._heard = float(batch.time[-1])
+        if not all(self._on.values()):
+            self._waiting = []
+            return
         if self._lacks_temperature():
             return
         self._waiting.append(batch)
@@ -218,6 +225,8 @@ class LiveMonitor:
         """Joints, load, wrench and the last contacts, a line each."""
         if self.failure:
             return (self.failure,)
+        if not all(self._on.values()):
+            return ("no external torque: a motor is off",)
         if self.newest is None or self._heard - self.newest.intervals.time[-1] > BLIND:
             lacking = "a temperature" if self._lacks_temperature() else "samples with positions and torques"
             return (f"no external torque: {lacking} of every joint must come first",)

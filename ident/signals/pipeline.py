@@ -222,6 +222,9 @@ def _stale_step(signals: JointSignals) -> Step | None:
         f"repeated rows left out: {settings['repeated']} repeat the previous one, {settings['held']} its positions, "
         f"{settings['stuck']} while an encoder was stuck"
     )
+    if signals.stale.off is not None and signals.stale.off.any():
+        settings["off"] = int(np.count_nonzero(signals.stale.off))
+        text += f", {settings['off']} while a motor was off"
     if signals.stale.jumps:
         settings["jumps"] = len(signals.stale.jumps)
         text += f", and those beside {settings['jumps']} jumps of the positions"

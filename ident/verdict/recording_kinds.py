@@ -233,6 +233,12 @@ RECORDING = (
         "repeated rows or positions of the moving arm are left out",
         "Read the controller no faster than it measures, or import with --repair drop-repeats.",
     ),
+    note(
+        "motors-off",
+        "mistake",
+        "rows in which a motor is off are left out",
+        "A brake held the joint there: nothing to do.",
+    ),
     CheckKind(
         "encoder-stuck",
         "mistake",

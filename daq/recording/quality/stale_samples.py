@@ -1,9 +1,9 @@
-"""Samples that say nothing or something wrong: rows that repeat the one before, a stuck encoder, jumps of positions.
+"""Samples that say nothing or something wrong: repeated rows, stuck encoders, jumps of positions, motors that are off.
 
 A joint that moves by several steps of its encoder per sample cannot show the same position twice: such a row was
 written again, or its positions were not read anew. An encoder that shows exactly the same position for a while has
 stopped, not its joint, where the recorded velocity or the target goes on, or where the position jumps at the end by far
-more than the joint moves from sample to sample.
+more than the joint moves from sample to sample. While a motor is off its brake holds the joint, and no torque shows it.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from daq.recording.commanded_motion import TARGET, command_stream, held
 from daq.recording.quality.outliers import PositionJump, beside_jumps, position_jumps
 from daq.recording.quality.quantisation import resolution
 from daq.recording.quality.signal_quality import white_noise
-from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Recording, Stream
 from drivers.core.arrays import BoolArray, FloatArray
+from drivers.streams import MOTOR_ON, motors_on
 
 MEASURED = ("position", "velocity", "current", "voltage", "torque")
 """Quantities that all repeat where a whole row does."""
@@ -90,13 +91,15 @@ class StaleSamples:
     encoders: tuple[StuckEncoder, ...]  # these, in words
     beside: BoolArray  # (N,) rows about a jump of the positions
     jumps: tuple[PositionJump, ...] = ()  # these
+    off: BoolArray | None = None  # (N,) rows during which a motor is off that is on in others; None where unknown
 
     @property
     def left_out(self) -> BoolArray:
         """(N,) rows that say nothing, or something wrong; those of stuck encoders only if most others stay."""
         few = np.count_nonzero(self.stuck) <= MOST_STUCK * len(self.stuck)
         stuck = self.stuck if few else np.zeros_like(self.stuck)
-        return self.repeated | self.held | stuck | self.beside
+        stale = self.repeated | self.held | stuck | self.beside
+        return stale if self.off is None else stale | self.off
 
 
 def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[str, FloatArray]) -> StaleSamples:
@@ -149,7 +152,25 @@ def stale_rows(recording: Recording) -> StaleSamples | None:
         if source is not None and channel is not None and all(joint in channel.columns for joint in joints):
             values = channel.values[:, [channel.columns.index(joint) for joint in joints]]
             measured[name] = values if source is stream else held(source.time, values, stream.time)
-    return stale_samples(stream.time, joints, measured)
+    return replace(
+        stale_samples(stream.time, joints, measured), off=_motors_off(recording, stream, measured["position"])
+    )
+
+
+def _motors_off(recording: Recording, stream: Stream, position: FloatArray) -> BoolArray:
+    """(N,) rows in which a motor is off that is on in others: by the drives' status, or all torques are 0 at rest."""
+    time, on = stream.time, np.ones(position.shape, dtype=np.bool_)
+    for source in recording.streams.values():
+        for quantity in MOTOR_ON.keys() & source.channels.keys():
+            if len(source.time):
+                on &= motors_on(quantity, held(source.time, source.channels[quantity].values, time))
+    signals = [stream.channels[name].values for name in MOTOR_SIGNALS if name in stream.channels]
+    zero = np.all(np.concatenate(signals, axis=1) == 0.0, axis=1) if signals else np.zeros(len(time), dtype=np.bool_)
+    for start, stop in _runs(zero):
+        still = float(np.ptp(position[start:stop], axis=0).max()) <= LEAST_WAY
+        if still and stop - start >= STANDSTILL_ROWS and time[stop - 1] - time[start] >= STANDSTILL:
+            on[start:stop] = False
+    return np.asarray(np.any(~on & on.any(axis=0), axis=1))
 
 
 def fresh_recording(recording: Recording) -> tuple[Recording, StaleSamples | None]:

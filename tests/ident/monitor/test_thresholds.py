@@ -247,13 +247,23 @@ def test_live_batches_give_contacts_a_reason_to_stop_and_lines(noisy: tuple[Join
     torque[1500] = np.nan
     gains = np.array([drive.gain for drive in file.robot.drives], dtype=float)
     names = model.joint_names
-    layout = StreamLayout("joints", (ChannelLayout("current", names[::-1]), ChannelLayout("position", names)), 500.0)
+    channels = (
+        *(ChannelLayout("current", names[::-1]), ChannelLayout("position", names)),
+        ChannelLayout("statusword", names, "1"),
+    )
+    layout = StreamLayout("joints", channels, 500.0)
     watch = LiveMonitor(model, thresholds, stops=True)
     watch.begin([layout])
     reasons, events = [], []
+    for start in range(0, 90, 3):  # the brakes hold the arm
+        time, off = quiet.time[start : start + 3] - 1.0, np.zeros((3, 6))
+        held = {"current": off, "position": off + quiet.position[0], "statusword": off + 0x250}
+        watch.add(Batch("joints", time, time, held))
+    assert watch.lines() == ("no external torque: a motor is off",)
     for start in range(0, 2400, 3):
         at = slice(start, start + 3)
         values = {"current": (torque[at] / gains)[:, ::-1], "position": quiet.position[at]}
+        values["statusword"] = np.full((len(quiet.time[at]), 6), 0x1237)
         watch.add(Batch("joints", quiet.time[at], quiet.time[at], values))
         events += watch.events()
         reasons.append(watch.stop_reason())

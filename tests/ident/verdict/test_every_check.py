@@ -35,7 +35,7 @@ from check_bench import (
 )
 from exported_arms import exported_arm
 
-from daq.recording.recording import HAND_GUIDED, JOINTS_STREAM, Event
+from daq.recording.recording import HAND_GUIDED, JOINTS_STREAM, MOTOR_SIGNALS, Event, Recording
 from daq.robot.loader import RobotFile, parse_robot
 from ident.export import mujoco_reading, pinocchio_reading
 from ident.export.arm import ExportedArm
@@ -86,6 +86,18 @@ def in_mujoco(arm: ExportedArm) -> Names:
     """Checks of an MJCF."""
     pytest.importorskip("mujoco")
     return mjcf_checks(arm)
+
+
+def off_at_first(run: Recording, rows: int) -> Recording:
+    """The run after a time in which the motors were off."""
+    stream = run.streams[JOINTS_STREAM]
+    at = np.maximum(np.arange(-rows, len(stream.time)), 0)
+    time = stream.time[0] + PERIOD * np.arange(len(at), dtype=np.float64)
+    channels = {name: replace(channel, values=channel.values[at]) for name, channel in stream.channels.items()}
+    for name in MOTOR_SIGNALS:
+        if name in channels:
+            channels[name].values[:rows] = 0.0
+    return replace(run, streams={JOINTS_STREAM: replace(stream, time=time, host_time=time, channels=channels)})
 
 
 def without_mujoco(arm: ExportedArm) -> Names:
@@ -208,6 +220,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.found(changed(b.recorded(), glitches(0.04), "position")),
         lambda b: b.found(changed(b.recorded(), glitches(1e-3), "position")),
     ),
+    "motors-off": (lambda b: b.names(off_at_first(b.recorded(), 100)), lambda b: b.clean_names()),
     "rows-repeated": (lambda b: b.names(repeated_rows(b.recorded(), 0.1, 1)), lambda b: b.clean_names()),
     "encoder-stuck": (
         lambda b: (

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from daq.recording.quality.stale_samples import StaleSamples, stale_samples
+from daq.recording.quality.stale_samples import StaleSamples, fresh_recording, stale_samples
+from daq.recording.recording import JOINTS_STREAM, Channel, Recording, Stream
 from drivers.core.arrays import FloatArray
 
 RATE = 200.0
@@ -102,3 +105,42 @@ def test_encoders_that_stop_and_go_on_together_are_rows_that_were_not_read_anew(
     held[:, 1] = measured["position"][:, 1]
     (encoder,) = found({**measured, "position": held}).encoders
     assert encoder.joint == "j1"
+
+
+def recorded(status: tuple[str, float, float] | None, off: slice, *, beside: bool = False) -> Recording:
+    """A run whose motors are off in some rows: torques are 0 there, and a status has its second value."""
+    measured = signals(2)
+    time = np.arange(2000) / RATE
+    channels = {name: Channel(name, values, "", JOINTS) for name, values in measured.items() if name != "velocity"}
+    channels["torque"].values[off, : 2 if status is None else 1] = 0.0
+    streams = {}
+    if status is not None:
+        name, on, other = status
+        words = np.full((2000, 2), on)
+        words[off, 0] = other
+        channel = Channel(name, words, "1", JOINTS)
+        if beside:
+            streams["status"] = Stream("status", time[::4], time[::4], {name: replace(channel, values=words[::4])})
+        else:
+            channels[name] = channel
+    return Recording("run", streams={JOINTS_STREAM: Stream(JOINTS_STREAM, time, time, channels), **streams})
+
+
+@pytest.mark.parametrize(
+    "status", [None, ("statusword", 0x1237, 0x250), ("joint_mode", 253.0, 255.0)], ids=["zero", "402", "rtde"]
+)
+@pytest.mark.parametrize("off", [slice(0, 80), slice(200, 320)])
+def test_rows_of_a_motor_that_is_off_are_left_out(status: tuple[str, float, float] | None, off: slice) -> None:
+    run = recorded(status, off, beside=status is not None and status[0] == "joint_mode")
+    fresh, stale = fresh_recording(run)
+    assert stale is not None
+    assert stale.off is not None
+    rows = np.zeros(2000, dtype=np.bool_)
+    rows[off] = True
+    assert np.array_equal(stale.off, rows)
+    assert len(fresh.streams[JOINTS_STREAM].time) == 2000 - rows.sum()
+
+
+def test_motors_that_never_are_on_leave_no_row_out() -> None:
+    for status in (None, ("statusword", 0x1237, 0x250)):
+        assert fresh_recording(recorded(status, slice(None)))[1] is None
