@@ -30,7 +30,7 @@ COMPILERS = ("cc", "gcc", "clang")
 
 SOURCES = ("arm.h", "bodies.h", "dry_friction.h", "loops.h", "vectors.h", "rows.c", "servo.c", "stepping.c")
 
-OPTIONS = ("-std=gnu11", "-O3", "-march=native", "-fPIC", "-shared", "-w")
+OPTIONS = ("-std=gnu11", "-O3", "-fno-math-errno", "-march=native", "-fPIC", "-shared", "-w")
 
 LONGEST_BUILD = 120.0
 """[s]"""

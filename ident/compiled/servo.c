@@ -1,5 +1,6 @@
 /* Roll-outs of servo joints (ident/servo/numpy_rollout.py and goals.py compute the same): lanes are columns. */
 #include <math.h>
+#include <stdint.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -7,33 +8,53 @@
 enum { STIFFNESS, DAMPING, ARMATURE, COULOMB, BIAS, DELAY, ACCELERATION_LIMIT, LOAD_FRICTION, ZERO, BREAKAWAY,
        LOAD_BREAKAWAY, STRIBECK_VELOCITY, TORQUE_LIMIT, DEAD_BAND, TERMS };
 
-static double sign(double value) { return value > 0 ? 1 : value < 0 ? -1 : 0; }
-static double larger(double a, double b) { return a > b ? a : b; }
-static double smaller(double a, double b) { return a < b ? a : b; }
-
 enum { WIDTH = 8 }; /* lanes side by side */
+
+typedef double vector __attribute__((vector_size(8 * WIDTH), aligned(8)));
+typedef int64_t mask __attribute__((vector_size(8 * WIDTH), aligned(8)));
+
+static inline vector every(double value) { return value - (vector){}; }
+static inline vector pick(mask which, vector a, vector b) { return (vector)((which & (mask)a) | (~which & (mask)b)); }
+static inline vector larger(vector a, vector b) { return pick(a > b, a, b); }
+static inline vector smaller(vector a, vector b) { return pick(a < b, a, b); }
+static inline vector size(vector a) { return (vector)((mask)a & INT64_MAX); }
+static inline vector sign(vector a) { return pick(a > 0, every(1), pick(a < 0, every(-1), every(0))); }
+
+static inline int any(mask which)
+{
+    int64_t found = 0;
+    for (int l = 0; l < WIDTH; l++)
+        found |= which[l];
+    return found != 0;
+}
+
+static inline vector root(vector a)
+{
+    for (int l = 0; l < WIDTH; l++)
+        a[l] = sqrt(a[l]);
+    return a;
+}
 
 /* goals (rows, WIDTH) of profiles at each time of `count` lanes of commands (rows, lanes), with accelerations (WIDTH). */
 static void profiles(long rows, long lanes, long count, double step, const double *command, const double *limit,
                      double *goals)
 {
-    double goal[WIDTH], pace[WIDTH], half[WIDTH], most[WIDTH], target[WIDTH];
-    for (long l = 0; l < WIDTH; l++) {
-        target[l] = goals[l] = goal[l] = l < count ? command[l] : 0;
-        pace[l] = 0, half[l] = 0.5 * step * limit[l], most[l] = step * limit[l];
-    }
+    vector goal = {0}, pace = {0}, limits = *(const vector *)limit, half = 0.5 * step * limits, most = step * limits;
+    for (long l = 0; l < count; l++)
+        goal[l] = command[l];
+    vector target = *(vector *)goals = goal;
     for (long row = 1; row < rows; row++) {
-        for (long l = 0; l < count; l++)
+        if (count == WIDTH)
+            target = *(const vector *)(command + row * lanes);
+        for (long l = 0; l < count && count < WIDTH; l++)
             target[l] = command[row * lanes + l];
-        for (long l = 0; l < WIDTH; l++) {
-            double ahead = target[l] - goal[l], distance = fabs(ahead), last = distance / step;
-            double braking = sqrt(2 * limit[l] * distance + half[l] * half[l]) - half[l];
-            braking = copysign(smaller(braking, last), ahead); /* never past the target in one step */
-            pace[l] = smaller(larger(braking, pace[l] - most[l]), pace[l] + most[l]);
-            goal[l] += step * pace[l];
-            /* a sum of velocities after their steps is half a step ahead */
-            goals[row * WIDTH + l] = goal[l] - 0.5 * step * pace[l];
-        }
+        vector ahead = target - goal, distance = size(ahead);
+        vector braking = smaller(root(2 * limits * distance + half * half) - half, distance / step);
+        braking = pick(ahead < 0, -braking, braking); /* never past the target in one step */
+        pace = smaller(larger(braking, pace - most), pace + most);
+        goal += step * pace;
+        /* a sum of velocities after their steps is half a step ahead */
+        *(vector *)(goals + row * WIDTH) = goal - 0.5 * step * pace;
     }
 }
 
@@ -93,31 +114,38 @@ void servo_goals(long history, long rows, long lanes, double step, double span, 
     free(block);
 }
 
-enum { SWEEPS = 200, PATTERNS = 6, SIDE_BY_SIDE = 8 }; /* pieces: memory is read row after row */
+enum { SWEEPS = 200, PATTERNS = 6, GROUPS = 8 }; /* groups of lanes: memory is read row after row */
 static const double SETTLED = 1e-9; /* [rad/s or N] change of a sweep at which the joints of a step agree */
 
+/* A joint in each of the pieces that are side by side. */
 struct servo {
-    double p[TERMS], position, velocity, middle, torque, toward, acting, shares[2], limited, sided, later, inertia,
-        momentum, friction, per_torque, faded, share, push, against, passed, divisor, gone, after,
-        turn[3];
-    int moving, turning;
+    vector p[TERMS], position, velocity, middle, torque, toward, acting, shares[2], limited, sided, later, inertia,
+        momentum, friction, per_torque, faded, share, push, against, passed, divisor, gone, after, turn[3];
+    mask moving, turning;
 };
 
-/* Half a step of a joint on its own, without what other joints and a contact add to its momentum. The goal is `older`
-   for the `late` share of the step, and `newer` for the rest: a limit holds for each, not for their mean. */
-static void begin(struct servo *s, double h, double older, double newer, double late, double inertia, double load,
-                  double slope)
+/* Pieces side by side. */
+struct group {
+    struct servo *servos;
+    vector *old_place, *place, pressed, hard, damping;
+    long piece[WIDTH], next[WIDTH], (*at)[WIDTH];
+    int tight;
+};
+
+/* Half a step of a joint on its own, without what other joints and a contact add to its momentum. The goal is the first
+   for the `late` share of the step, and then the other: a limit holds for each, not for their mean. */
+static void begin(struct servo *s, double h, const vector *goals, vector late, vector inertia, vector load, vector slope)
 {
-    const double *p = s->p, goals[2] = {older, newer}, parts[2] = {late, 1 - late};
-    double middle = s->position + h * s->velocity + p[BIAS], torques[2];
-    s->torque = s->limited = s->sided = 0;
+    const vector *p = s->p, parts[2] = {late, 1 - late}, none = {0};
+    vector middle = s->position + h * s->velocity + p[BIAS], torques[2];
+    s->torque = s->limited = s->sided = none;
     for (int k = 0; k < 2; k++) {
-        double error = goals[k] - middle, side = sign(error), outside = fabs(error) - p[DEAD_BAND];
-        double linear = outside > 0 ? p[STIFFNESS] * side * outside : 0;
+        vector error = goals[k] - middle, side = sign(error), outside = size(error) - p[DEAD_BAND];
+        vector linear = p[STIFFNESS] * side * larger(outside, none);
         torques[k] = smaller(larger(linear, -p[TORQUE_LIMIT]), p[TORQUE_LIMIT]);
-        s->shares[k] = outside > 0 && torques[k] == linear ? parts[k] * p[STIFFNESS] : 0;
+        s->shares[k] = pick((outside > 0) & (torques[k] == linear), parts[k] * p[STIFFNESS], none);
         s->torque += parts[k] * torques[k];
-        s->limited += torques[k] == linear ? 0 : parts[k] * torques[k];
+        s->limited += pick(torques[k] == linear, none, parts[k] * torques[k]);
         s->sided += s->shares[k] * side;
     }
     s->acting = s->shares[0] + s->shares[1];
@@ -127,53 +155,57 @@ static void begin(struct servo *s, double h, double older, double newer, double 
     s->inertia = p[ARMATURE] + inertia;
     s->momentum = s->inertia * s->velocity + h * (s->torque - load - p[ZERO] * slope);
     s->share = s->velocity / p[STRIBECK_VELOCITY];
-    double loaded = s->toward * s->torque, breakaway = p[BREAKAWAY] + p[LOAD_BREAKAWAY] * loaded;
-    s->faded = breakaway > 0 ? exp(-s->share * s->share) : 0;
+    vector loaded = s->toward * s->torque, breakaway = p[BREAKAWAY] + p[LOAD_BREAKAWAY] * loaded;
+    s->faded = none;
+    if (any(breakaway > 0))
+        for (int l = 0; l < WIDTH; l++)
+            s->faded[l] = breakaway[l] > 0 ? exp(-s->share[l] * s->share[l]) : 0;
     s->friction = h * (p[COULOMB] + p[LOAD_FRICTION] * loaded + breakaway * s->faded);
     s->per_torque = p[LOAD_FRICTION] + p[LOAD_BREAKAWAY] * s->faded;
-    s->push = 0;
+    s->push = none;
 }
 
-/* A joint that comes to rest within a step: friction reverses with it, or holds it there from then on. `turn` is its
+/* Where a joint comes to rest within a step, friction reverses with it, or holds it there from then on. `turn` is its
    velocity after the step if friction had not turned, half of its fall, and the share that it moves back with. */
 static void turned(struct servo *s)
 {
     s->turn[0] = 2 * s->middle - s->velocity;
     s->turn[1] = s->velocity - s->middle;
-    s->turn[2] = larger(1 - 2 * s->friction / (fabs(s->turn[1]) * s->divisor), 0);
-    s->middle = 0.5 * (s->velocity + s->turn[2] * s->turn[0]);
-    s->gone = (s->velocity * s->velocity - s->turn[2] * s->turn[0] * s->turn[0]) / (4 * s->turn[1]);
+    s->turn[2] = larger(1 - 2 * s->friction / (size(s->turn[1]) * s->divisor), every(0));
+    vector back = s->turn[2] * s->turn[0];
+    s->middle = pick(s->turning, 0.5 * (s->velocity + back), s->middle);
+    s->gone = pick(s->turning, (s->velocity * s->velocity - back * s->turn[0]) / (4 * s->turn[1]), s->gone);
 }
 
 /* The velocity in the middle of the step, with `push` in the momentum; returns by how much it changed. */
-static double move(struct servo *s, double h)
+static vector move(struct servo *s, double h)
 {
-    double momentum = s->momentum + s->push, before = s->middle;
-    s->moving = s->velocity != 0 || fabs(momentum) > s->friction;
-    s->against = sign(s->velocity != 0 ? s->velocity : momentum);
-    s->passed = larger(1 - s->against * s->toward * s->per_torque, 0);
+    vector momentum = s->momentum + s->push, before = s->middle, none = {0};
+    mask going = s->velocity != 0;
+    s->moving = going | (size(momentum) > s->friction);
+    s->against = sign(pick(going, s->velocity, momentum));
+    s->passed = larger(1 - s->against * s->toward * s->per_torque, none);
     s->divisor = s->inertia + h * s->p[DAMPING] + h * h * s->acting * s->passed;
-    s->gone = s->middle = s->moving ? (momentum - s->against * s->friction) / s->divisor : 0;
+    s->gone = s->middle = pick(s->moving, (momentum - s->against * s->friction) / s->divisor, none);
     s->turning = s->velocity * (2 * s->middle - s->velocity) < 0;
-    if (s->turning)
+    if (any(s->turning))
         turned(s);
-    return fabs(s->middle - before);
+    return size(s->middle - before);
 }
 
 /* How the momentum in the middle of a step changes with each of the joint's own terms (TERMS). */
-static void by_terms(const struct servo *s, double h, double by_delay, double old_by_limit, double by_limit, double slope,
-                     double *own)
+static void by_terms(const struct servo *s, double h, double by_delay, const vector *by_limit, vector slope, vector *own)
 {
-    const double *p = s->p;
-    double left = s->torque - h * s->acting * s->middle, loaded = s->toward * left, push = h * s->passed;
-    double drag = -s->against * h;
+    const vector *p = s->p;
+    vector left = s->torque - h * s->acting * s->middle, loaded = s->toward * left, push = h * s->passed;
+    vector drag = -s->against * h;
     own[STIFFNESS] = push * (left - s->limited);
     own[DAMPING] = -h * p[DAMPING] * s->middle;
     own[ARMATURE] = p[ARMATURE] * (s->velocity - s->middle);
     own[COULOMB] = drag * p[COULOMB];
     own[BIAS] = -push * s->acting;
     own[DELAY] = push * s->later * by_delay;
-    own[ACCELERATION_LIMIT] = push * (s->shares[0] * old_by_limit + s->shares[1] * by_limit);
+    own[ACCELERATION_LIMIT] = push * (s->shares[0] * by_limit[0] + s->shares[1] * by_limit[1]);
     own[LOAD_FRICTION] = drag * p[LOAD_FRICTION] * loaded;
     own[ZERO] = -h * slope;
     own[BREAKAWAY] = drag * p[BREAKAWAY] * s->faded;
@@ -184,27 +216,28 @@ static void by_terms(const struct servo *s, double h, double by_delay, double ol
 }
 
 /* How the momentum changes with the velocity before the step, beyond the inertia: friction that fades. */
-static double by_velocity(const struct servo *s, double h)
+static vector by_velocity(const struct servo *s, double h)
 {
-    double loaded = s->toward * (s->torque - h * s->acting * s->middle);
-    double breakaway = s->p[BREAKAWAY] + s->p[LOAD_BREAKAWAY] * loaded;
+    vector loaded = s->toward * (s->torque - h * s->acting * s->middle);
+    vector breakaway = s->p[BREAKAWAY] + s->p[LOAD_BREAKAWAY] * loaded;
     return s->against * h * breakaway * s->faded * 2 * s->share / s->p[STRIBECK_VELOCITY];
 }
 
 /* The Cholesky factor (n, n; below the diagonal, with its reciprocal) of what resists together the joints that move and
    do not turn. */
-static void factored(long n, const struct servo *servos, const double *m, double *a)
+static void factored(long n, const struct servo *servos, const vector *m, vector *a)
 {
     for (long i = 0; i < n; i++)
         for (long j = 0; j <= i; j++) {
-            double sum = servos[i].moving > servos[i].turning && servos[j].moving > servos[j].turning ? i == j ? servos[i].divisor : m[i * n + j] : i == j;
+            mask both = servos[i].moving & ~servos[i].turning & servos[j].moving & ~servos[j].turning;
+            vector sum = pick(both, i == j ? servos[i].divisor : m[i * n + j], every(i == j));
             for (long k = 0; k < j; k++)
                 sum -= a[i * n + k] * a[j * n + k];
-            a[i * n + j] = i == j ? 1 / sqrt(larger(sum, 1e-300)) : sum * a[j * n + j];
+            a[i * n + j] = i == j ? 1 / root(larger(sum, every(1e-300))) : sum * a[j * n + j];
         }
 }
 
-static void solved(long n, const double *factor, double *x)
+static void solved(long n, const vector *factor, vector *x)
 {
     for (long i = 0; i < n; i++) {
         for (long k = 0; k < i; k++)
@@ -219,18 +252,18 @@ static void solved(long n, const double *factor, double *x)
 }
 
 /* How friction's part of the momentum, and what resists the joint, change with each of its own terms. */
-static void turn_by_terms(const struct servo *s, double h, double by_delay, double old_by_limit, double by_limit,
-                          double *friction, double *resists)
+static void turn_by_terms(const struct servo *s, double h, double by_delay, const vector *by_limit, vector *friction,
+                          vector *resists)
 {
-    double back[TERMS], bent = -h * h * s->acting * s->against * s->toward;
+    vector back[TERMS], bent = -h * h * s->acting * s->against * s->toward, none = {0};
     struct servo rest = *s;
-    rest.middle = 0, rest.against = 1, rest.passed = 1 - s->toward * s->per_torque;
-    by_terms(&rest, h, by_delay, old_by_limit, by_limit, 0, friction);
-    rest.against = -1, rest.passed = 1 + s->toward * s->per_torque;
-    by_terms(&rest, h, by_delay, old_by_limit, by_limit, 0, back);
+    rest.middle = none, rest.against = every(1), rest.passed = 1 - s->toward * s->per_torque;
+    by_terms(&rest, h, by_delay, by_limit, none, friction);
+    rest.against = every(-1), rest.passed = 1 + s->toward * s->per_torque;
+    by_terms(&rest, h, by_delay, by_limit, none, back);
     for (int index = 0; index < TERMS; index++) {
         friction[index] = 0.5 * (back[index] - friction[index]);
-        resists[index] = 0;
+        resists[index] = none;
     }
     resists[STIFFNESS] = h * h * s->acting * s->passed;
     resists[DAMPING] = h * s->p[DAMPING];
@@ -239,35 +272,36 @@ static void turn_by_terms(const struct servo *s, double h, double by_delay, doub
     resists[LOAD_BREAKAWAY] = bent * s->p[LOAD_BREAKAWAY] * s->faded;
 }
 
-/* Derivatives of a turning joint's `place` and `rate` from those without the turn, and from those `before` the step of
-   position and, `apart` from it, velocity; friction and resistance change with its own terms by so much. */
-static void turn_differentiated(const struct servo *s, double h, const double *friction, const double *resists,
-                                long parameters, const int *own, const long *term, const double *before, long apart,
-                                double *place, double *rate)
+/* Derivatives of a joint's `place` and `rate` where it turns, from those without the turn, and from those before the
+   step, `old_place` and `old_rate`; friction and resistance change with its own terms by so much. */
+static void turn_differentiated(const struct servo *s, double h, mask turns, const vector *friction,
+                                const vector *resists, long joint, long parameters, const long *owner, const long *term,
+                                const vector *old_place, const vector *old_rate, vector *place, vector *rate)
 {
     struct servo still = *s;
-    still.middle = 0;
-    double by_place = -h * s->per_torque * s->toward * s->acting, by_rate = -s->against * by_velocity(&still, h);
-    double without = s->turn[0], half = s->turn[1], back = s->turn[2], fall = fabs(half) * s->divisor;
+    still.middle = every(0);
+    vector by_place = -h * s->per_torque * s->toward * s->acting, by_rate = -s->against * by_velocity(&still, h);
+    vector without = s->turn[0], half = s->turn[1], back = s->turn[2], fall = size(half) * s->divisor;
     for (long k = 0; k < parameters; k++) {
-        double x = before[k], v = before[apart + k], w = rate[k], u = 0.5 * (v - w);
-        double rubs = by_place * x + by_rate * v + (own[k] ? friction[term[k]] : 0);
-        double falls = s->against * u * s->divisor + (own[k] ? fabs(half) * resists[term[k]] : 0);
-        double backs = back > 0 ? 2 * (s->friction * falls / fall - rubs) / fall : 0;
-        rate[k] = back * w + without * backs;
-        double squares = 2 * s->velocity * v - without * without * backs - 2 * back * without * w;
-        place[k] = x + 2 * h * (squares / (4 * half) - s->gone * u / half);
+        vector v = old_rate[k], w = rate[k], u = 0.5 * (v - w);
+        vector rubs = by_place * old_place[k] + by_rate * v, falls = s->against * u * s->divisor;
+        if (owner[k] == joint)
+            rubs += friction[term[k]], falls += size(half) * resists[term[k]];
+        vector backs = pick(back > 0, 2 * (s->friction * falls / fall - rubs) / fall, every(0));
+        vector squares = 2 * s->velocity * v - without * without * backs - 2 * back * without * w;
+        rate[k] = pick(turns, back * w + without * backs, w);
+        place[k] = pick(turns, old_place[k] + 2 * h * (squares / (4 * half) - s->gone * u / half), place[k]);
     }
 }
 
 /* One round over the joints, each with the others as they are; returns the largest change of a velocity. */
-static double swept(long n, struct servo *servos, double h, const double *m, const double *lever, double pressed)
+static vector swept(long n, struct servo *servos, double h, const vector *m, const vector *lever, vector pressed)
 {
-    double change = 0;
+    vector change = {0};
     for (long i = 0; i < n; i++) {
-        double push = lever ? h * lever[i] * pressed : 0;
+        vector push = lever ? h * lever[i] * pressed : every(0);
         for (long j = 0; m && j < n; j++)
-            push += j == i ? 0 : m[i * n + j] * (servos[j].velocity - servos[j].middle);
+            push += j == i ? every(0) : m[i * n + j] * (servos[j].velocity - servos[j].middle);
         servos[i].push = push;
         change = larger(change, move(servos + i, h));
     }
@@ -275,106 +309,123 @@ static double swept(long n, struct servo *servos, double h, const double *m, con
 }
 
 /* Velocities of joints that move each other, from which of them move, and where to, until that is right. */
-static int solved_together(long n, struct servo *servos, double h, const double *m, double *factor)
+static int solved_together(long n, struct servo *servos, double h, const vector *m, vector *factor)
 {
-    double x[n];
+    vector x[n];
+    mask right = {0};
     for (int attempt = 0; attempt < PATTERNS; attempt++) {
-        int same = attempt > 0;
+        mask same = every(attempt) > 0;
         for (long i = 0; i < n; i++) {
-            int moving = servos[i].moving, turning = servos[i].turning;
-            double against = servos[i].against, push = 0;
+            mask moving = servos[i].moving, turning = servos[i].turning;
+            vector against = servos[i].against, push = {0};
             for (long j = 0; j < n; j++)
-                push += j == i ? 0 : m[i * n + j] * (servos[j].velocity - servos[j].middle);
+                push += j == i ? every(0) : m[i * n + j] * (servos[j].velocity - servos[j].middle);
             servos[i].push = push;
-            double change = move(servos + i, h);
-            same &= moving == servos[i].moving && (!moving || against == servos[i].against);
-            same &= turning == servos[i].turning && (!turning || change < SETTLED);
+            vector change = move(servos + i, h);
+            same &= (moving == servos[i].moving) & (~moving | (against == servos[i].against));
+            same &= (turning == servos[i].turning) & (~turning | (change < SETTLED));
         }
-        if (same)
+        right |= same;
+        if (!any(~right))
             return 1;
         factored(n, servos, m, factor);
         for (long i = 0; i < n; i++) {
-            x[i] = 0;
-            if (servos[i].moving <= servos[i].turning)
-                continue;
+            x[i] = every(0);
             for (long j = 0; j < n; j++)
-                x[i] += j == i ? 0 : m[i * n + j] * (servos[j].velocity - (servos[j].turning ? servos[j].middle : 0));
+                x[i] += j == i ? every(0) : m[i * n + j] * (servos[j].velocity - pick(servos[j].turning, servos[j].middle, every(0)));
             x[i] += servos[i].momentum - servos[i].against * servos[i].friction;
+            x[i] = pick(servos[i].moving & ~servos[i].turning, x[i], every(0));
         }
         solved(n, factor, x);
         for (long i = 0; i < n; i++)
-            if (!servos[i].turning)
-                servos[i].middle = servos[i].moving ? x[i] : 0;
+            servos[i].middle = pick(servos[i].turning, servos[i].middle, pick(servos[i].moving, x[i], every(0)));
     }
     return 0;
 }
 
-typedef double vector __attribute__((vector_size(8 * WIDTH), aligned(8)));
-
-/* Derivatives a step on, from how the velocities in its middle follow from `own`, `place` and `rate`. */
-static inline __attribute__((always_inline)) void stepped(long n, long wide, const struct servo *servos, double h,
-                                                          const double *inverse, const double *by_place,
-                                                          const double *by_rate, const long *owner, const double *own,
-                                                          double *place, double *rate)
+/* Derivatives a step on, from how the velocities in its middle follow from `terms`, place and rate. */
+static inline __attribute__((always_inline)) void stepped(long n, const struct servo *servos, double h,
+                                                          const vector *inverse, const vector *by_place,
+                                                          const vector *by_rate, long parameters, const long *owner,
+                                                          const long *term, const vector (*terms)[TERMS],
+                                                          const vector *old_place, const vector *old_rate,
+                                                          vector *place, vector *rate)
 {
-    for (long block = 0; block < wide; block += WIDTH) {
-        vector x[n];
+    for (long k = 0; k < parameters; k++) {
+        vector x[n], own = terms[owner[k]][term[k]];
 #pragma GCC unroll 7
         for (long i = 0; i < n; i++)
-            for (int k = 0; k < WIDTH; k++)
-                x[i][k] = inverse[i * n + owner[block + k]] * own[block + k];
+            x[i] = inverse[i * n + owner[k]] * own;
         for (long j = 0; j < n; j++) {
-            vector p = *(vector *)(place + j * wide + block), v = *(vector *)(rate + j * wide + block);
+            vector p = old_place[j * parameters + k], v = old_rate[j * parameters + k];
 #pragma GCC unroll 7
             for (long i = 0; i < n; i++)
                 x[i] += by_place[i * n + j] * p + by_rate[i * n + j] * v;
         }
 #pragma GCC unroll 7
         for (long i = 0; i < n; i++) {
-            vector *p = (vector *)(place + i * wide + block), *v = (vector *)(rate + i * wide + block);
-            *v = servos[i].moving ? 2 * x[i] - *v : 0 * x[i];
-            *p += 2 * h * x[i];
+            rate[i * parameters + k] = pick(servos[i].moving, 2 * x[i] - old_rate[i * parameters + k], every(0));
+            place[i * parameters + k] = old_place[i * parameters + k] + 2 * h * x[i];
         }
     }
 }
 
-/* Derivatives `place` and `rate` (joints, wide) of positions and velocities by the parameters, a step on: each has an
-   `owner` among the joints, and changes its momentum by `own`. */
-static void differentiated(long n, long wide, const struct servo *servos, double h, const double *m,
-                           const double *factor, const long *owner, const double *own, double *place, double *rate)
+/* Derivatives `place` and `rate` (joints, parameters) of positions and velocities a step on: each parameter has an
+   `owner` among the joints, and changes its momentum by its `term` of `terms`. */
+static void differentiated(long n, const struct servo *servos, double h, const vector *m, const vector *factor,
+                           long parameters, const long *owner, const long *term, const vector (*terms)[TERMS],
+                           const vector *old_place, const vector *old_rate, vector *place, vector *rate)
 {
-    double inverse[n * n], by_rate[n * n], by_place[n * n];
-    memset(inverse, 0, sizeof inverse);
+    vector inverse[n * n], by_rate[n * n], by_place[n * n];
     for (long j = 0; j < n; j++) {
-        double x[n];
+        vector x[n];
         for (long i = 0; i < n; i++)
-            x[i] = i == j;
-        if (!servos[j].moving)
-            continue;
+            x[i] = every(i == j);
         if (m)
             solved(n, factor, x);
         else
             x[j] = 1 / servos[j].divisor;
         for (long i = 0; i < n; i++)
-            inverse[i * n + j] = servos[i].moving ? x[i] : 0;
+            inverse[i * n + j] = pick(servos[i].moving & servos[j].moving, x[i], every(0));
     }
     for (long j = 0; j < n; j++) {
-        double along = servos[j].inertia + by_velocity(servos + j, h), pulled = -h * servos[j].passed * servos[j].acting;
+        vector along = servos[j].inertia + by_velocity(servos + j, h), pulled = -h * servos[j].passed * servos[j].acting;
         for (long i = 0; i < n; i++) {
-            double sum = inverse[i * n + j] * along;
+            vector sum = inverse[i * n + j] * along;
             for (long k = 0; m && k < n; k++)
-                sum += k == j ? 0 : inverse[i * n + k] * m[k * n + j];
+                sum += k == j ? every(0) : inverse[i * n + k] * m[k * n + j];
             by_rate[i * n + j] = sum;
             by_place[i * n + j] = inverse[i * n + j] * pulled;
         }
     }
+#define STEPPED(count) stepped(count, servos, h, inverse, by_place, by_rate, parameters, owner, term, terms, old_place, old_rate, place, rate)
     switch (n) { /* a number that the compiler knows keeps the sums of all joints in registers */
-    case 1: stepped(1, wide, servos, h, inverse, by_place, by_rate, owner, own, place, rate); break;
-    case 5: stepped(5, wide, servos, h, inverse, by_place, by_rate, owner, own, place, rate); break;
-    case 6: stepped(6, wide, servos, h, inverse, by_place, by_rate, owner, own, place, rate); break;
-    case 7: stepped(7, wide, servos, h, inverse, by_place, by_rate, owner, own, place, rate); break;
-    default: stepped(n, wide, servos, h, inverse, by_place, by_rate, owner, own, place, rate);
+    case 1: STEPPED(1); break;
+    case 5: STEPPED(5); break;
+    case 6: STEPPED(6); break;
+    case 7: STEPPED(7); break;
+    default: STEPPED(n);
     }
+#undef STEPPED
+}
+
+/* The values of a row at places `at`, which are next to each other where they are `tight`. */
+static inline vector gathered(const double *row, const long *at, int tight)
+{
+    vector found;
+    if (tight)
+        return *(const vector *)(row + at[0]);
+    for (int l = 0; l < WIDTH; l++)
+        found[l] = row[at[l]];
+    return found;
+}
+
+static inline void scattered(vector values, double *row, const long *at, int tight)
+{
+    if (tight)
+        *(vector *)(row + at[0]) = values;
+    for (int l = 0; l < WIDTH && !tight; l++)
+        row[at[l]] = values[l];
 }
 
 /* Paths (rows, lanes) with values (TERMS, lanes) on goals (rows + 1, lanes), `late` (lanes), and `slopes` (pieces, samples, joints, parameters):
@@ -393,109 +444,128 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
                     double *slopes)
 {
     double h = 0.5 * step;
-    long lanes = pieces * joints, square = joints * joints, wide = (parameters + WIDTH - 1) / WIDTH * WIDTH;
-    long owners[wide + 1];
-    double m[square], factor[square], terms[joints][TERMS], own[wide + 1], last[joints * wide + 1];
-    struct servo *all = malloc(sizeof(struct servo) * SIDE_BY_SIDE * joints);
-    double *derivatives = malloc(sizeof(double) * SIDE_BY_SIDE * 2 * (joints * wide + 1));
-    double *before = malloc(sizeof(double) * 2 * (joints * wide + 1));
-    memset(own, 0, sizeof own);
-    for (long k = 0; k < wide; k++)
-        owners[k] = k < parameters ? owner[k] : 0;
-    for (long first = 0; first < pieces; first += SIDE_BY_SIDE) {
-        long count = pieces - first < SIDE_BY_SIDE ? pieces - first : SIDE_BY_SIDE, nexts[SIDE_BY_SIDE] = {0};
-        double forces[SIDE_BY_SIDE] = {0};
-        memset(all, 0, sizeof(struct servo) * SIDE_BY_SIDE * joints);
-        memset(derivatives, 0, sizeof(double) * SIDE_BY_SIDE * 2 * (joints * wide + 1));
-        for (long i = 0; i < count * joints; i++) {
-            for (int index = 0; index < TERMS; index++)
-                all[i].p[index] = values[index * lanes + first * joints + i];
-            all[i].position = start[first * joints + i];
+    long lanes = pieces * joints, square = joints * joints, many = joints * parameters;
+    long most = between ? 1 : GROUPS;
+    vector m[square], old[square], risen[square], factor[square], terms[joints][TERMS], arms[joints];
+    struct servo *all = aligned_alloc(sizeof(vector), sizeof(struct servo) * joints * most);
+    vector *buffer = aligned_alloc(sizeof(vector), sizeof(vector) * (4 * many * most + 1));
+    long places[most][joints][WIDTH];
+    struct group groups[most];
+    for (long begun = 0; begun < pieces; begun += most * WIDTH) {
+        long count = 0;
+        memset(all, 0, sizeof(struct servo) * joints * most);
+        for (long first = begun; first < pieces && count < most; first += WIDTH, count++) {
+            vector *own = buffer + 4 * many * count, none = {0};
+            struct group g = {all + joints * count, own, own + 2 * many, none, none, none, {0}, {0}, places[count], joints == 1 && first + WIDTH <= pieces};
+            memset(own, 0, sizeof(vector) * 2 * many);
+            for (long l = 0; l < WIDTH; l++) { /* the last piece fills the last group up */
+                g.piece[l] = first + l < pieces ? first + l : pieces - 1;
+                for (long i = 0; i < joints; i++)
+                    g.at[i][l] = g.piece[l] * joints + i;
+            }
+            for (long i = 0; i < joints; i++) {
+                for (int index = 0; index < TERMS; index++)
+                    g.servos[i].p[index] = gathered(values + index * lanes, g.at[i], g.tight);
+                g.servos[i].position = gathered(start, g.at[i], g.tight);
+            }
+            if (lever)
+                g.hard = gathered(surface, g.piece, g.tight), g.damping = gathered(surface + pieces, g.piece, g.tight);
+            groups[count] = g;
         }
         for (long step_of_all = 0; step_of_all < rows * count; step_of_all++) {
-            long row = step_of_all / count, number = step_of_all % count, piece = first + number;
-            long line = row * lanes + piece * joints, next = nexts[number];
-            struct servo *servos = all + number * joints;
-            double *place = derivatives + number * 2 * joints * wide, *rate = place + joints * wide;
-            double above = lever ? clear[row * pieces + piece] : 0, pressed = forces[number];
+            struct group *g = groups + step_of_all % count;
+            struct servo *servos = g->servos;
+            long row = step_of_all / count, (*at)[WIDTH] = g->at, *piece = g->piece;
+            int tight = g->tight;
+            const long line = row * lanes;
+            vector above = lever ? gathered(clear + row * pieces, piece, tight) : every(0), *old_place = g->old_place, *place = g->place, *old_rate = old_place + many, *rate = place + many;
+            vector slope[joints];
             for (long i = 0; i < joints; i++) {
                 struct servo *s = servos + i;
-                path[line + i] = s->position;
-                begin(s, h, goals[line + i], goals[line + lanes + i], late[piece * joints + i], inertias[line + i], loads[line + i], slopes_of_loads[line + i]);
-                above += lever ? lever[line + i] * s->position : 0;
+                vector both[2] = {gathered(goals + line, at[i], tight), gathered(goals + line + lanes, at[i], tight)};
+                slope[i] = gathered(slopes_of_loads + line, at[i], tight);
+                scattered(s->position, path + line, at[i], tight);
+                begin(s, h, both, gathered(late, at[i], tight), gathered(inertias + line, at[i], tight), gathered(loads + line, at[i], tight), slope[i]);
+                if (lever)
+                    arms[i] = gathered(lever + line, at[i], tight), above += arms[i] * s->position;
             }
-            if (between) {
-                const double *old = between + ((row / thinned) * pieces + piece) * square;
-                double part = (double)(row % thinned) / thinned;
-                for (long k = 0; k < square; k++)
-                    m[k] = part > 0 ? old[k] + part * (old[k + pieces * square] - old[k]) : old[k];
+            for (long k = 0; k < square && between; k++) {
+                if (row % thinned == 0)
+                    for (int l = 0; l < WIDTH; l++) {
+                        const double *now = between + ((row / thinned) * pieces + piece[l]) * square + k;
+                        old[k][l] = now[0], risen[k][l] = now[pieces * square] - now[0];
+                    }
+                m[k] = old[k] + (double)(row % thinned) / thinned * risen[k];
             }
             int settled = between && !lever && solved_together(joints, servos, h, m, factor);
             for (int sweep = 0; sweep < SWEEPS && !settled; sweep++) {
-                double change =
-                    swept(joints, servos, h, between ? m : NULL, lever ? lever + line : NULL, lever ? pressed : 0);
+                vector change = swept(joints, servos, h, between ? m : NULL, lever ? arms : NULL, g->pressed);
                 if (lever) {
-                    double hard = surface[piece], damping = surface[pieces + piece], speed = 0, give = 0, old = pressed;
+                    vector speed = {0}, give = {0}, last = g->pressed;
                     for (long i = 0; i < joints; i++) {
-                        double arm = lever[line + i];
-                        speed += arm * servos[i].middle;
-                        give += servos[i].moving ? arm * arm * h / servos[i].divisor : 0;
+                        speed += arms[i] * servos[i].middle;
+                        give += pick(servos[i].moving, arms[i] * arms[i] * h / servos[i].divisor, every(0));
                     }
-                    double lacking = -hard * (above + h * speed) - damping * speed - pressed;
-                    pressed = larger(pressed + lacking / (1 + (h * hard + damping) * give), 0);
-                    change = larger(change, fabs(pressed - old));
+                    vector lacking = -g->hard * (above + h * speed) - g->damping * speed - last;
+                    g->pressed = larger(last + lacking / (1 + (h * g->hard + g->damping) * give), every(0));
+                    change = larger(change, size(g->pressed - last));
                 }
-                settled = change < SETTLED || !(between || lever);
+                settled = !(between || lever) || !any(~(change < SETTLED));
             }
             if (force)
-                force[row * pieces + piece] = forces[number] = pressed;
+                scattered(g->pressed, force + row * pieces, piece, tight);
             for (long i = 0; between && i < joints; i++) {
-                double sum = 0;
+                vector sum = {0};
                 for (long j = 0; j < joints; j++)
-                    sum += j == i ? 0 : m[i * joints + j] * (servos[j].middle - servos[j].velocity);
-                pull[line + i] = sum / h;
+                    sum += j == i ? every(0) : m[i * joints + j] * (servos[j].middle - servos[j].velocity);
+                scattered(sum / h, pull + line, at[i], tight);
             }
-            int turning = 0, turns[joints];
+            mask turns[joints];
             for (long i = 0; i < joints; i++) {
                 struct servo *s = servos + i;
-                s->after = s->moving ? 2 * s->middle - s->velocity : 0;
-                turning |= turns[i] = s->turning;
-                if (turns[i]) /* derivatives begin without the turn */
-                    s->middle = 0.5 * (s->velocity + s->turn[0]);
-                s->turning = 0;
+                s->after = pick(s->moving, 2 * s->middle - s->velocity, every(0));
+                turns[i] = s->turning;
+                /* derivatives begin without the turn */
+                s->middle = pick(s->turning, 0.5 * (s->velocity + s->turn[0]), s->middle);
+                s->turning = (mask){0};
             }
             if (parameters) {
                 if (between)
                     factored(joints, servos, m, factor);
-                if (turning)
-                    memcpy(before, place, sizeof(double) * 2 * joints * wide);
-                for (long i = 0; i < joints; i++)
-                    by_terms(servos + i, h, 1 / step, by_limit ? by_limit[line + i] : 0,
-                             by_limit ? by_limit[line + lanes + i] : 0, slopes_of_loads[line + i], terms[i]);
-                for (long k = 0; k < parameters; k++)
-                    own[k] = terms[owner[k]][term[k]];
-                if (next < samples && (sample[next * pieces + piece] < row + 1 || row > rows - 3))
-                    memcpy(last, place, sizeof(double) * joints * wide);
-                differentiated(joints, wide, servos, h, between ? m : NULL, factor, owners, own, place, rate);
-                for (long i = 0; turning && i < joints; i++)
-                    if (turns[i]) {
-                        double friction[TERMS], resists[TERMS];
-                        int mine[wide];
-                        for (long k = 0; k < parameters; k++)
-                            mine[k] = owner[k] == i;
-                        turn_by_terms(servos + i, h, 1 / step, by_limit ? by_limit[line + i] : 0,
-                                      by_limit ? by_limit[line + lanes + i] : 0, friction, resists);
-                        turn_differentiated(servos + i, h, friction, resists, parameters, mine, term, before + i * wide,
-                                            joints * wide, place + i * wide, rate + i * wide);
-                    }
-                for (; next < samples && (sample[next * pieces + piece] < row + 1 || row > rows - 3); next++) {
-                    double part = sample[next * pieces + piece] - row;
-                    double *to = slopes + (piece * samples + next) * joints * parameters;
-                    for (long i = 0; i < joints; i++)
-                        for (long k = 0; k < parameters; k++)
-                            to[i * parameters + k] = last[i * wide + k] + part * (place[i * wide + k] - last[i * wide + k]);
+                vector limits[joints][2];
+                for (long i = 0; i < joints; i++) {
+                    for (int k = 0; k < 2; k++)
+                        limits[i][k] = by_limit ? gathered(by_limit + line + k * lanes, at[i], tight) : every(0);
+                    by_terms(servos + i, h, 1 / step, limits[i], slope[i], terms[i]);
                 }
-                nexts[number] = next;
+                differentiated(joints, servos, h, between ? m : NULL, factor, parameters, owner, term, terms, old_place, old_rate, place, rate);
+                for (long i = 0; i < joints; i++)
+                    if (any(turns[i])) {
+                        vector friction[TERMS], resists[TERMS];
+                        turn_by_terms(servos + i, h, 1 / step, limits[i], friction, resists);
+                        turn_differentiated(servos + i, h, turns[i], friction, resists, i, parameters, owner, term, old_place + i * parameters,
+                                            old_rate + i * parameters, place + i * parameters, rate + i * parameters);
+                    }
+                for (int due = 1; due;) {
+                    vector part = {0};
+                    double *to[WIDTH] = {0};
+                    due = 0;
+                    for (int l = 0; l < WIDTH; l++) {
+                        long next = g->next[l];
+                        if (next >= samples || !(sample[next * pieces + piece[l]] < row + 1 || row > rows - 3))
+                            continue;
+                        part[l] = sample[next * pieces + piece[l]] - row;
+                        to[l] = slopes + (piece[l] * samples + next) * many;
+                        g->next[l]++, due++;
+                    }
+                    for (long k = 0; k < many && due; k++) {
+                        vector then = old_place[k] + part * (place[k] - old_place[k]);
+                        for (int l = 0; l < WIDTH; l++)
+                            if (to[l])
+                                to[l][k] = then[l];
+                    }
+                }
+                g->old_place = place, g->place = old_place;
             }
             for (long i = 0; i < joints; i++) {
                 struct servo *s = servos + i;
@@ -505,6 +575,5 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
         }
     }
     free(all);
-    free(derivatives);
-    free(before);
+    free(buffer);
 }
