@@ -26,7 +26,7 @@ def export(*, options: ExportOptions, force: bool = FORCE, as_json: bool = JSON)
     from ident.result.models.load_model import load_model
     from ident.result.models.model import result_path
     from ident.result.result_file import GRAVITY, SERVO, kind_of
-    from ident.verdict.verdict import judge, together
+    from ident.verdict.verdict import GRADES, judge
 
     model, result = options.model, result_path(options.model)
     code = source_paths(options.c) if options.c is not None else ()
@@ -59,10 +59,11 @@ def export(*, options: ExportOptions, force: bool = FORCE, as_json: bool = JSON)
                 identified.export_c(options.c, real="float" if options.c_float else "double", overwrite=force)
             )
     checks = [check for file in written for check in file.checks]
-    verdicts = [("identification", identified.result.verdict), ("export", judge(checks, None))]
-    simulation = together([verdict for verdict in verdicts if "simulation" in verdict[1].purposes]).purposes[
-        "simulation"
-    ]
+    purposes = (identified.result.verdict.purposes, judge(checks, None).purposes)
+    simulation = max(
+        (judged["simulation"] for judged in purposes if "simulation" in judged),
+        key=lambda judged: GRADES.index(judged.grade),
+    )
     if as_json:
         described = [{**asdict(file), "path": str(file.path)} for file in written]
         print_json({"model": str(model), "files": described, "simulation": asdict(simulation)})
