@@ -166,19 +166,22 @@ def identify_fleet(
         return Fleet(folder, tuple(by_name[name] for name in names if name in by_name), len(names), repeated)
 
     written = SYSTEM_CLOCK.now()
-    fleet().write(running=len(by_name) < len(jobs))
+    fleet().write(running=True)
     progress(f"{len(jobs) - len(by_name)} of {len(jobs)} results to do")
-    for stage in stages:
-        missing = [job for job in (_of_what_stands(job, by_name) for job in stage) if not _kept(job, folder, by_name)]
-        repeated += len(missing)
-        for outcome in outcomes(missing, str(folder.resolve()), count, scheduler):
-            by_name[outcome.name] = outcome
-            progress(f"{100 * len(by_name) // len(names)} %: {outcome.name} {outcome.failure or outcome.grade}")
-            if SYSTEM_CLOCK.now() - written > REFRESH:
-                written = SYSTEM_CLOCK.now()
-                fleet().write(running=True)
-    ended = fleet()
-    ended.write()
+    try:
+        for stage in stages:
+            standing = (_of_what_stands(job, by_name) for job in stage)
+            missing = [job for job in standing if not _kept(job, folder, by_name)]
+            repeated += len(missing)
+            for outcome in outcomes(missing, str(folder.resolve()), count, scheduler):
+                by_name[outcome.name] = outcome
+                progress(f"{100 * len(by_name) // len(names)} %: {outcome.name} {outcome.failure or outcome.grade}")
+                if SYSTEM_CLOCK.now() - written > REFRESH:
+                    written = SYSTEM_CLOCK.now()
+                    fleet().write(running=True)
+    finally:  # Ctrl-C, too: the overview says what stands, and no longer loads itself again
+        ended = fleet()
+        ended.write()
     if history is not None and ended.done:
         History(history).add(*(folder / outcome.name for outcome in ended.done))
     return ended

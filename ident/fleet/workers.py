@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
@@ -68,7 +68,7 @@ def _in_a_process(context: Any, job: Job, out: str) -> JobOutcome:
 
 
 def _work(sending: Connection, job: Job, out: str) -> None:
-    with sending, one_blas_thread():
+    with sending, one_blas_thread(), suppress(KeyboardInterrupt):  # Ctrl-C comes to every process of a terminal
         sending.send(run_job(job, out))
 
 

@@ -72,6 +72,7 @@ def call(folder: Path, recording: str, *, stop: int = 0, by: signal.Signals = si
 
 def main() -> None:
     """Print a row per call, then time per sample and memory."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it in what it starts in the background
     parts = round(float(sys.argv[1]) * 3600 / PART)
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)

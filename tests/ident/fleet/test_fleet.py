@@ -6,8 +6,11 @@ import json
 import multiprocessing
 import os
 import sys
+import threading
 from concurrent.futures import Future
 from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -37,7 +40,7 @@ def written(folder: Path, text: str) -> Path:
 @pytest.fixture(scope="module")
 def run(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("fleet") / "run.h5"
-    dynid.simulate("ur5e", duration=4.0, seed=1).save(path)
+    dynid.simulate("up6", duration=4.0, seed=1, rate=100.0).save(path)
     return path
 
 
@@ -108,7 +111,7 @@ def test_a_failure_costs_its_own_job_and_a_second_call_does_what_is_missing(tmp_
     assert 'href="a/run1/ols/report.html"' in page
     assert "no such file" in page
     assert 'http-equiv="refresh"' not in page
-    assert dynid.History(tmp_path / "a.db").arms == ("ur5e",)
+    assert dynid.History(tmp_path / "a.db").arms == ("up6",)
 
     (tmp_path / "gone.h5").write_bytes(run.read_bytes())
     again = identify_fleet(file, out)
@@ -117,6 +120,29 @@ def test_a_failure_costs_its_own_job_and_a_second_call_does_what_is_missing(tmp_
     (out / "a" / "gone" / "ols" / "job.json").write_text("{")  # a kill while it was written
     os.utime(tmp_path / "run1.h5", ns=(1, 1))
     assert identify_fleet(file, out).repeated == 3
+
+
+def test_an_interrupted_fleet_says_what_stands(tmp_path, monkeypatch):
+    def one_then_ctrl_c(jobs, out, *_):
+        yield run_job(jobs[0], out)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ident.fleet.fleet.outcomes", one_then_ctrl_c)
+    with pytest.raises(KeyboardInterrupt):
+        identify_fleet(written(tmp_path, "arms: [{name: a, recordings: [a.h5, b.h5]}]"), tmp_path / "out")
+    overview = json.loads((tmp_path / "out" / FLEET_RESULT).read_text())
+    assert ([job["name"] for job in overview["jobs"]], overview["total"]) == (["a/a/wls"], 2)
+    assert 'http-equiv="refresh"' not in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_an_interrupted_worker_is_silent(tmp_path, monkeypatch, capfd):
+    def ctrl_c(*_):
+        raise KeyboardInterrupt
+
+    (job,) = read_fleet(written(tmp_path, "arms: [{name: a, recordings: [a.h5]}]"))
+    monkeypatch.setattr(workers, "run_job", ctrl_c)
+    assert "process died" in workers._in_a_process(multiprocessing.get_context("fork"), job, str(tmp_path)).failure
+    assert capfd.readouterr().err == ""
 
 
 def test_a_worker_that_dies_is_an_outcome(tmp_path, monkeypatch):
@@ -165,8 +191,28 @@ def test_a_scheduler_that_is_not_there_is_named(tmp_path, monkeypatch):
         list(workers.outcomes((), str(tmp_path), 1, "tcp://127.0.0.1:9"))
 
 
+def assert_fetched(there: str, recording: Path, folder: Path) -> None:
+    """What a server of this computer holds is fetched and removed again; what it does not hold fails its own job."""
+    present, gone = read_fleet(written(folder, f"arms: [{{name: a, recordings: ['{there}', '{there}.gone']}}]"))
+    with local_copies(present.recordings) as (path,):
+        assert path.read_bytes() == recording.read_bytes()
+    assert not path.exists()
+    assert "FileNotFoundError" in run_job(gone, str(folder / "out")).failure
+
+
+@pytest.mark.realtime
+def test_a_recording_behind_a_web_address_is_fetched_by_the_worker(tmp_path, run):
+    pytest.importorskip("aiohttp", reason="needs aiohttp")
+    handler = partial(SimpleHTTPRequestHandler, directory=str(run.parent))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        assert_fetched(f"http://127.0.0.1:{server.server_port}/{run.name}", run, tmp_path)
+        server.shutdown()
+
+
+@pytest.mark.realtime
 def test_a_recording_in_an_object_store_is_fetched_by_the_worker(tmp_path, run, monkeypatch):
-    """A server of moto answers as S3 does, at an address of this computer."""
+    """A server of moto, 100 MB with its client and so not among the tests' packages, answers as S3 does."""
     server = pytest.importorskip("moto.server", reason="needs moto[server]").ThreadedMotoServer(port=0, verbose=False)
     s3fs = pytest.importorskip("s3fs", reason="needs s3fs")
     server.start()
@@ -177,12 +223,7 @@ def test_a_recording_in_an_object_store_is_fetched_by_the_worker(tmp_path, run, 
         store = s3fs.S3FileSystem()
         store.mkdir("lab")
         store.put(str(run), "lab/week.h5")
-        text = "arms: [{name: a, recordings: ['s3://lab/week.h5', 's3://lab/gone.h5']}]"
-        there, gone = read_fleet(written(tmp_path, text))
-        with local_copies(there.recordings) as (path,):
-            assert path.read_bytes() == run.read_bytes()
-        assert not path.exists()
-        assert "FileNotFoundError" in run_job(gone, str(tmp_path / "out")).failure
+        assert_fetched("s3://lab/week.h5", run, tmp_path)
     finally:
         server.stop()
 
