@@ -77,8 +77,7 @@ def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     motions, derivatives_step = smooth_motion(
         decimated, smoother, signals.joint_names, measured=choices.measured_velocity
     )
-    if choices.keep_rest:  # in predictions rounding would be friction's direction at rest
-        motions = [without_rounding(motion, rate) for motion in motions]
+    motions = [without_rounding(motion, rate) for motion in motions]
     moving, rest_velocity, motion_step = moving_segments(
         decimated, motions, choices, common_unit("rad/s", signals.sliding)
     )
