@@ -20,7 +20,7 @@ from ident.regression.comparison import TorqueSeries, compare_torques, only_pred
 from ident.regression.velocity_reversals import leave_out_rest, leave_out_reversals
 from ident.signals.cutoffs import POSITION_CUTOFF_OF_RATE, POSITION_CUTOFF_PER_TORQUE
 from ident.signals.options import PreprocessChoices
-from ident.signals.pipeline import prepare
+from ident.signals.pipeline import prepare, prepare_with_rest
 from ident.signals.prepared import Prepared, Step
 
 
@@ -137,7 +137,7 @@ def _prepare_held_out(
 ) -> PreparedRun:
     """A held-out run; an error says which part of a recording it is about."""
     try:
-        return _with_rest(_prepare_run(kernel, run, resolved, torques, held), kernel, run, held)
+        return _with_rest(_prepare_run(kernel, run, resolved, torques, held), held, played=run.played)
     except DataError as error:
         if not run.start:
             raise
@@ -148,12 +148,12 @@ def _prepare_held_out(
         ) from error
 
 
-def _with_rest(run: PreparedRun, kernel: RegressorKernel, window: RunWindow, held: HeldFriction | None) -> PreparedRun:
+def _with_rest(run: PreparedRun, held: HeldFriction | None, *, played: bool) -> PreparedRun:
     """The run with its samples at rest beside it."""
     if run.choices.keep_rest:
         return run
-    kept = _prepare_run(kernel, window, replace(run.choices, keep_rest=True), run.torques, held)
-    return replace(run, everything=kept.prepared)
+    kept = prepare_with_rest(run.signals, run.choices, played=played)
+    return replace(run, everything=kept if held is None else held.taken_off(kept))
 
 
 def _played(window: Step) -> Step:

@@ -28,7 +28,7 @@ from ident.result.delivered import DELIVERED_WORDS, HeldOutErrors, delivered_par
 from ident.result.result_file import file_sha256, stored_model
 from ident.result.schema import RecordingUse, Result
 from ident.signals.options import PreprocessChoices
-from ident.signals.pipeline import prepare
+from ident.signals.pipeline import prepare, prepare_with_rest
 from ident.signals.sample_hashes import overlap
 from ident.verdict.acceptance import ModelFigures
 from ident.verdict.evidence import known
@@ -84,8 +84,7 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
     model.require_temperature(None if motion.temperature is None else motion.temperature.T, motion.label)
     choices = replace(stored_choices(result), start=window.start, stop=window.stop)
     kernel = RegressorKernel(model, base.columns)
-    everything = prepare(motion, replace(choices, keep_rest=True))
-    prepared = everything
+    everything = prepared = prepare_with_rest(motion, choices, played=window.played)
     if not choices.keep_rest:
         prepared = leave_out_rest(kernel, prepare(motion, choices), motion.encoder_steps)
     tolerance = stored_rest_tolerance(result)

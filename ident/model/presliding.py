@@ -32,14 +32,13 @@ def dahl_states(
         velocity: (N,) on a uniform grid [rad/s or m/s].
         rate: [Hz].
         travels: (T,) δ [rad or m], positive.
-        start: the state before the first sample; that of a joint that slides at the first motion where None.
+        start: the state before the first sample. None: that of sliding where the joint moves at first, else 0, as the
+            friction that holds a joint at rest may have either sign.
     """
     scale = 1.0 / (rate * np.asarray(travels, dtype=np.float64)[:, None])
     sign, distance = np.sign(velocity), np.abs(velocity)
     states = np.empty((len(scale), len(velocity)))
-    moving = np.flatnonzero(sign)
-    first = sign[moving[0]] if len(moving) else 0.0
-    state = np.full((len(scale), 1), first if start is None else start)
+    state = np.full((len(scale), 1), sign[:1].sum() if start is None else start)
     edges = [0, *(np.flatnonzero(np.diff(sign)) + 1).tolist(), len(sign)]
     for start, stop in pairwise(edges):
         if stop > start:

@@ -60,6 +60,22 @@ def prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
         raise type(error)(error.message, where=where, hint=error.hint) from error
 
 
+def prepare_with_rest(signals: JointSignals, choices: PreprocessChoices, *, played: bool) -> Prepared:
+    """All samples of a window, those at rest, too: `used` is False for what came before a played motion.
+
+    The approach to its start decides with which friction the joints rest there.
+
+    Raises:
+        DataError: as `prepare`.
+    """
+    everything = prepare(signals, replace(choices, keep_rest=True, start=None if played else choices.start))
+    if not played or choices.start is None:
+        return everything
+    begin = signals.time[0] + choices.start
+    counted = (replace(segment, used=segment.used & (segment.time >= begin)) for segment in everything.segments)
+    return replace(everything, segments=tuple(segment for segment in counted if segment.used.any()))
+
+
 def _prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
     if choices.measured_velocity and signals.velocity is None:
         raise UsageError("the recording holds no velocity", hint="omit the measured velocity; it is then derived")

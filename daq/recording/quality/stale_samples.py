@@ -95,11 +95,16 @@ class StaleSamples:
 
     @property
     def left_out(self) -> BoolArray:
-        """(N,) rows that say nothing, or something wrong; those of stuck encoders only if most others stay."""
+        """(N,) rows that say nothing, or something wrong; those of stuck encoders only if most others stay.
+
+        The first and the last row of motors that are off stay: times count from the first stamp.
+        """
         few = np.count_nonzero(self.stuck) <= MOST_STUCK * len(self.stuck)
         stuck = self.stuck if few else np.zeros_like(self.stuck)
         stale = self.repeated | self.held | stuck | self.beside
-        return stale if self.off is None else stale | self.off
+        if self.off is not None:
+            stale[1:-1] |= self.off[1:-1]
+        return stale
 
 
 def stale_samples(time: FloatArray, joints: tuple[str, ...], measured: Mapping[str, FloatArray]) -> StaleSamples:

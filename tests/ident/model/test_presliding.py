@@ -31,6 +31,9 @@ def test_a_short_travel_is_the_sign_and_travels_do_not_mix():
     assert np.array_equal(dahl_states(velocity, RATE, [1e-3])[0], states[1])
     assert np.array_equal(dahl_states(-velocity, RATE, [0.1])[0], -states[2])
     assert not dahl_states(np.zeros(3), RATE, [1e-3]).any()
+    rested = dahl_states(np.concatenate([np.zeros(3), velocity]), RATE, [0.1])
+    assert np.array_equal(rested[:, 3:], dahl_states(velocity, RATE, [0.1], 0.0))
+    assert not rested[:, :3].any()
     assert dahl_states(np.zeros(0), RATE, [1e-3]).shape == (1, 0)
     moved, travels, state = np.array([velocity, -velocity]) / RATE, np.array([1e-3, 0.1]), np.zeros(2)
     parts = [dahl_steps(moved[:, :150], travels, state)]

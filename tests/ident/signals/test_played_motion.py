@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 
 from daq.recording.recording import JOINTS_STREAM, Event
+from drivers.core.errors import DataError
 from ident.identify.identification import IdentifyChoices
 from ident.identify.identify import identify
 from ident.identify.revalidate import revalidate
 from ident.identify.summary import summarise
 from ident.model.dynamic_model import build_model
 from ident.regression.options import ExperimentChoices
+from ident.signals.joint_signals import read_joint_signals
+from ident.signals.pipeline import PreprocessChoices, prepare_with_rest
 from ident.signals.segments import MOTION_BEGINS, MOTION_ENDS, played_window
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 
@@ -78,6 +81,17 @@ def test_joints_that_all_move_are_cut_too(approached):
     assert found.validation.relative_error == expected.validation.relative_error
 
 
+def test_friction_at_rest_knows_the_approach(approached, three_joint):
+    signals = read_joint_signals(approached, three_joint.robot)
+    for played in (True, False):
+        prepared = prepare_with_rest(signals, PreprocessChoices(start=APPROACH, stop=28.0), played=played)
+        (segment,) = prepared.segments
+        counted = segment.time[segment.used]
+        assert 100.0 + APPROACH <= counted[0] < 101.0 + APPROACH
+        assert counted[-1] < 128.0
+        assert (segment.time[0] < 101.0) == played
+
+
 def test_without_an_end_it_lasts_to_the_recording_s(approached):
     assert played_window(replace(approached, events=approached.events[:1])) == (pytest.approx(APPROACH), None)
 
@@ -91,9 +105,6 @@ def test_without_events_of_the_player_the_whole_recording_counts(approached):
 
 
 def test_a_window_of_the_user_s_goes_before(approached):
-    from drivers.core.errors import DataError
-    from ident.signals.pipeline import PreprocessChoices
-
     choices = IdentifyChoices(
         preprocess=PreprocessChoices(start=1.0), experiment=ExperimentChoices(locked=("j2",)), search_delay=False
     )
