@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,10 +15,10 @@ from daq.importers.import_file import recording_of_table
 from daq.importers.naming import Role, parse_name
 from daq.importers.roles import assign_roles
 from daq.importers.table import listed, printable
-from daq.recording.recording import Recording
-from daq.robot.loader import RobotFile, load_robot
+from daq.recording.recording import DictOptions, FrameOptions, Recording
+from daq.robot.loader import load_robot
 from drivers.core.errors import ImportFileError, UsageError
-from drivers.core.options import keywords_of
+from drivers.core.options import same_named
 
 TIME = "t"
 NANOSECONDS = "ns"
@@ -33,16 +32,6 @@ class NamedArrays:
     where: str
     arrays: Mapping[str, npt.NDArray[Any]]
     units: Mapping[str, str]
-
-
-@dataclass(frozen=True)
-class ArrayOptions(ImportChoices):
-    """Arguments of `recording_of_arrays`."""
-
-    robot: str | Path | RobotFile
-    given: NamedArrays
-    units: Mapping[str, str] = field(default_factory=dict)
-    comment: str = ""
 
 
 def arrays_of_frame(frame: Any) -> NamedArrays:
@@ -88,15 +77,14 @@ def arrays_of_dict(given: Mapping[str, npt.ArrayLike]) -> NamedArrays:
     )
 
 
-@keywords_of(ArrayOptions)
-def recording_of_arrays(options: ArrayOptions) -> Recording:
+def recording_of_arrays(given: NamedArrays, options: FrameOptions | DictOptions) -> Recording:
     """A recording of named arrays.
 
     Raises:
         ImportFileError: names that are not understood, or arrays that are wrong, incomplete or ambiguous.
         UsageError: options that do not apply.
     """
-    robot, given = load_robot(options.robot), options.given
+    robot = load_robot(options.robot)
     joints, where = robot.robot.joint_names, given.where
     roles = assign_roles(list(given.arrays), joints, options.columns, where, numbered=True)
     if not roles:
@@ -126,7 +114,9 @@ def recording_of_arrays(options: ArrayOptions) -> Recording:
         units=stated,
         unused=[name for name in given.arrays if name not in names],
     )
-    return recording_of_table(table, robot, options, where, options.comment or f"from a {given.source}")
+    return recording_of_table(
+        table, robot, same_named(options, ImportChoices), where, options.comment or f"from a {given.source}"
+    )
 
 
 def _unit(role: Role, units: Mapping[str, str], joints: Sequence[str]) -> str:

@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.importers.assembly import ImportedSamples, rows
-from daq.importers.choices import ImportChoices, TimeUnit
+from daq.importers.choices import ImportChoices
 from daq.importers.naming import REVOLUTE
 from daq.importers.table import Note, printable
+from daq.recording.array_choices import TimeUnit
 from daq.recording.counter_stamps import counter_range, unwrapped
 from daq.recording.quality.stale_samples import stale_samples
 from daq.recording.recording import MOTOR_SIGNALS

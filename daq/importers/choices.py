@@ -2,91 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, get_args
 
-from daq.recording.repairs import REPAIRS
-from drivers.core.errors import UsageError
-from drivers.core.options import Options, option
+from daq.recording.array_choices import ArrayChoices
+from drivers.core.options import option
 from drivers.core.ranges import Range
-from drivers.core.text import did_you_mean
-
-TimeUnit = Literal["s", "ms", "us", "ns"]
-Effort = Literal["torque", "current"]
-
-
-def _read_columns(pairs: list[str], flag: str) -> dict[str, str]:
-    """Our names of the file's columns, from NAME=COLUMN each."""
-    mapping: dict[str, str] = {}
-    for pair in pairs:
-        name, equals, column = (text.strip() for text in pair.partition("="))
-        if not (name and equals and column):
-            raise UsageError(f"{flag} {pair} is not NAME=COLUMN", hint=f"for example {flag} q1=JointPos1")
-        if name in mapping:
-            raise UsageError(f"{flag} gives '{name}' twice")
-        mapping[name] = column
-    return mapping
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImportChoices(Options):
+class ImportChoices(ArrayChoices):
     """The user's choices for one file."""
 
-    columns: Mapping[str, str] = option(
-        {},
-        "NAME=COLUMN: q1=JointPos1; position='q{}' for all joints; position=2-7 by number (CSV).",
-        meaning="dynid's name (`t`, `q1`, `qd1`, `torque3`, `current2`, `temperature4`, or `q` for a whole array) → "
-        "the "
-        "file's name. For a whole quantity also a pattern, `q{}` with the joints' numbers or names in place of {}, or "
-        "numbers of CSV columns, `2-7`. A quantity named here is taken from these names only.",
-        flag="--column",
-        command_type=list[str],
-        read=_read_columns,
-    )
-    degrees: bool = option(
-        False,
-        "Positions and velocities of the file are in degrees.",
-        meaning="positions and velocities of revolute joints are in degrees.",
-    )
-    effort: Effort | None = option(
-        None,
-        "What JointState.effort is: torque or current.",
-        meaning='whether an array called `effort` is "torque" [N·m] or "current" [A].',
-        one_of=get_args(Effort),
-    )
     topic: str | None = option(None, "Topic of a bag with several JointState topics.")
-    rate: float | None = option(
-        None,
-        "Rate [Hz] of a file without a time column.",
-        meaning="of uniform stamps [Hz], for a file without a time column.",
-        allowed=Range(1e-6, 1e9, "Hz"),
-    )
-    time_unit: TimeUnit | None = option(None, "Unit of the time column: s, ms, us or ns.", one_of=get_args(TimeUnit))
-    repair: Collection[str] = option(
-        (),
-        "Repair to make: drop-nan, drop-duplicates, drop-repeats, opposite-torque, sort.",
-        meaning='of "drop-nan", "drop-duplicates", "drop-repeats", "opposite-torque" and "sort"; none by default.',
-        command_type=list[str],
-    )
     episode: int | None = option(None, "Episode of a LeRobot dataset, from 0; all without it.", allowed=Range(0, 1e9))
     calibration: Path | None = option(
         None,
         "LeRobot's calibration JSON, for positions of -100 to 100.",
         meaning="LeRobot's calibration JSON of the arm, where positions are -100 to 100 of the calibrated range.",
     )
-    by_order: bool = option(
-        False,
-        "Match joints by order, whatever their names.",
-        meaning="match joints by the file's order, whatever their names.",
-    )
-
-    def __post_init__(self) -> None:
-        """Check every option, and that the repairs exist."""
-        super().__post_init__()
-        for name in sorted(self.repair):
-            if name not in REPAIRS:
-                raise UsageError(
-                    f"unknown repair '{name}'; known: {', '.join(REPAIRS)}", hint=did_you_mean(name, REPAIRS)
-                )

@@ -12,7 +12,7 @@ multiple-reader mode demands; a writer only appends and flips `complete` at the 
 from __future__ import annotations
 
 import platform
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -25,12 +25,14 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.plotting import Backend, LinePanel, line_figure
+from daq.recording.array_choices import ArrayChoices
 from daq.recording.joint_arrays import JointArrays, command_arrays, joint_arrays
 from daq.robot.loader import RobotFile, load_robot, parse_robot
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, DynidError, RecordingError, RobotFileError, UsageError
 from drivers.core.files import path_of
+from drivers.core.options import argument, keywords_of, option
 from drivers.core.software import software_versions
 from drivers.streams import UNITS
 
@@ -91,6 +93,37 @@ class Event:
     level: Level
     source: str
     message: str
+
+
+_ROBOT = argument("robot", "Built-in name, robot file, URDF, or the result of `load_robot`.")
+
+
+@dataclass(frozen=True, kw_only=True)
+class NamedArrayOptions(ArrayChoices):
+    """Arguments of what makes a recording of arrays with names."""
+
+    units: Mapping[str, str] = option(
+        {},
+        "Unit of each column or array, or of all of a quantity, such as {'position': 'deg', 'torque': 'Nm'}; "
+        "a name may state its own, `q1 [deg]`. SI where neither does.",
+    )
+    comment: str = option("", "Your own words.")
+
+
+@dataclass(frozen=True)
+class FrameOptions(NamedArrayOptions):
+    """Arguments of `from_dataframe`."""
+
+    robot: str | Path | RobotFile = field(metadata=_ROBOT)
+    frame: DataFrame = field(metadata=argument("frame", "The data: one row per sample."))
+
+
+@dataclass(frozen=True)
+class DictOptions(NamedArrayOptions):
+    """Arguments of `from_dict`."""
+
+    robot: str | Path | RobotFile = field(metadata=_ROBOT)
+    arrays: Mapping[str, npt.ArrayLike] = field(metadata=argument("arrays", "Name → array, list or tensor."))
 
 
 @dataclass(frozen=True, repr=False)
@@ -218,41 +251,13 @@ class Recording:
             comment=comment,
         )
 
-    @classmethod
-    def from_dataframe(
-        cls,
-        robot: str | Path | RobotFile,
-        frame: DataFrame,
-        *,
-        columns: Mapping[str, str] | None = None,
-        units: Mapping[str, str] | None = None,
-        degrees: bool = False,
-        effort: Literal["torque", "current"] | None = None,
-        rate: float | None = None,
-        time_unit: Literal["s", "ms", "us", "ns"] | None = None,
-        repair: Collection[str] = (),
-        by_order: bool = False,
-        comment: str = "",
-    ) -> Recording:
+    @staticmethod
+    @keywords_of(FrameOptions)
+    def from_dataframe(options: FrameOptions) -> Recording:
         """A recording from a pandas (or polars) data frame: one row per sample.
 
         Columns are recognised by their names: a time `t` (or an index of times), positions `q1`, `q2`, … or
         `position_elbow`, and likewise `qd`, `torque`, `current`, `temperature`.
-
-        Args:
-            robot: built-in name, robot file, URDF, or the result of `load_robot`.
-            frame: the data.
-            columns: our name → the frame's, where that is not recognised: {"q1": "JointPos1"}, {"q": "pos{}"} for all
-                joints, {"q": "2-7"} by number from 1. A quantity that is named here is taken from these columns only.
-            units: column, or quantity for all its columns → unit, such as {"position": "deg", "torque": "Nm"}; a column
-                may state its own, `q1 [deg]`. SI where neither does.
-            degrees: positions and velocities of revolute joints are in degrees.
-            effort: whether columns called `effort` are a torque [N·m] or a current [A].
-            rate: of a frame without times [Hz].
-            time_unit: of the time column.
-            repair: of "drop-nan", "drop-duplicates", "drop-repeats", "opposite-torque" and "sort".
-            by_order: take joints of other names in the frame's order.
-            comment: your own words.
 
         Raises:
             ImportFileError: columns that are wrong, incomplete or ambiguous; names the column and what to do.
@@ -272,50 +277,12 @@ class Recording:
         """
         from daq.importers.arrays import arrays_of_frame, recording_of_arrays
 
-        return recording_of_arrays(
-            robot,
-            arrays_of_frame(frame),
-            columns=columns or {},
-            units=units or {},
-            degrees=degrees,
-            effort=effort,
-            rate=rate,
-            time_unit=time_unit,
-            repair=repair,
-            by_order=by_order,
-            comment=comment,
-        )
+        return recording_of_arrays(arrays_of_frame(options.frame), options)
 
-    @classmethod
-    def from_dict(
-        cls,
-        robot: str | Path | RobotFile,
-        arrays: Mapping[str, npt.ArrayLike],
-        *,
-        columns: Mapping[str, str] | None = None,
-        units: Mapping[str, str] | None = None,
-        degrees: bool = False,
-        effort: Literal["torque", "current"] | None = None,
-        rate: float | None = None,
-        time_unit: Literal["s", "ms", "us", "ns"] | None = None,
-        repair: Collection[str] = (),
-        by_order: bool = False,
-        comment: str = "",
-    ) -> Recording:
+    @staticmethod
+    @keywords_of(DictOptions)
+    def from_dict(options: DictOptions) -> Recording:
         """A recording from named arrays: `t` (N,), `q`, `qd`, `torque`, `current`, … (N, n), or one (N,) per joint.
-
-        Args:
-            robot: built-in name, robot file, URDF, or the result of `load_robot`.
-            arrays: name → array, list or tensor.
-            columns: our name → the dictionary's, where that is not recognised, such as {"q": "joint_pos"}.
-            units: name of an array or of a quantity → unit, such as {"q": "deg"}; SI where it says nothing.
-            degrees: positions and velocities of revolute joints are in degrees.
-            effort: whether an array called `effort` is a torque [N·m] or a current [A].
-            rate: of arrays without times [Hz].
-            time_unit: of the times.
-            repair: of "drop-nan", "drop-duplicates", "drop-repeats", "opposite-torque" and "sort".
-            by_order: take joints of other names in the dictionary's order.
-            comment: your own words.
 
         Raises:
             ImportFileError: arrays that are wrong, incomplete or ambiguous; names the array and what to do.
@@ -331,19 +298,7 @@ class Recording:
         """
         from daq.importers.arrays import arrays_of_dict, recording_of_arrays
 
-        return recording_of_arrays(
-            robot,
-            arrays_of_dict(arrays),
-            columns=columns or {},
-            units=units or {},
-            degrees=degrees,
-            effort=effort,
-            rate=rate,
-            time_unit=time_unit,
-            repair=repair,
-            by_order=by_order,
-            comment=comment,
-        )
+        return recording_of_arrays(arrays_of_dict(options.arrays), options)
 
     @property
     def time(self) -> FloatArray:

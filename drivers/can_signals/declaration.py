@@ -31,7 +31,7 @@ def table_budget(settings: DriverSettings) -> Budget:
             for layout in bus.command.layouts
         ]
         cycle += group("commands", sizes)
-    return Budget(bus.bitrate, bus.rate, tuple(cycle), worst=WORST)
+    return Budget(bus.keys.bitrate, bus.keys.rate, tuple(cycle), worst=WORST)
 
 
 DECLARATION = DriverDeclaration(

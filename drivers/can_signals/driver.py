@@ -64,9 +64,9 @@ class CanFramesDriver(LifeCycle):
     def _connect(self) -> None:
         """Open the bus and hear every frame of the joints once, within the connection's `timeout`."""
         settings = self._settings
-        confirms = confirms_sending(settings.interface, settings.options)
-        options = {**settings.options, **(RETURNED if confirms else {})}
-        self._bus = open_bus(settings.interface, settings.channel, settings.bitrate, options)
+        confirms = confirms_sending(settings.keys.interface, settings.keys.options)
+        options = {**settings.keys.options, **(RETURNED if confirms else {})}
+        self._bus = open_bus(settings.keys.interface, settings.keys.channel, settings.keys.bitrate, options)
         self._sender = Sender(self._bus, self._clock)
         own = self._sender.confirm if confirms else None
         self._receiver = Receiver(self._bus, settings.identifiers, clock=self._clock, own=own)
@@ -76,8 +76,8 @@ class CanFramesDriver(LifeCycle):
             self._poller = Poller(self._sender, settings.poll, self._clock)
             self._poller.start()
         order = hear_all(settings, self._receiver, self._clock)
-        self._streams.joints.expect(order, 1.0 / settings.rate, self._streams.clock)
-        if order.first and settings.cycle is None:
+        self._streams.joints.expect(order, 1.0 / settings.keys.rate, self._streams.clock)
+        if order.first and settings.keys.marker is None:
             label = settings.frame_layouts("joints")[order.first].label
             self._tell("info", f"a cycle begins with {label}: the longest pause precedes it")
 
@@ -117,7 +117,7 @@ class CanFramesDriver(LifeCycle):
 
     def command_rate(self) -> float:
         """Rate of the commands [Hz], that of the joints' rows; 0 where the table has no command frames."""
-        return 0.0 if self._settings.command is None else self._settings.rate
+        return 0.0 if self._settings.command is None else self._settings.keys.rate
 
     def holds(self) -> bool:
         """No: what an arm does without commands is its controller's choice."""
@@ -125,7 +125,7 @@ class CanFramesDriver(LifeCycle):
 
     def cautions(self) -> tuple[str, ...]:
         """Return what happens to the arm where nothing commands it any more."""
-        watchdog = self._settings.watchdog
+        watchdog = self._settings.keys.watchdog
         if watchdog is None:
             said = "the arm is not known to have a watchdog (key 'watchdog')"
             return (f"{said}: if this computer dies or the bus is cut during a motion, it may not stop by itself",)
@@ -215,17 +215,17 @@ class CanFramesDriver(LifeCycle):
         if sent is not None and self._opened_receiver().drained - sent > STALL_LIMIT:
             raise ConnectionLostError(
                 f"nothing that was sent for {STALL_LIMIT:g} s came back from the adapter: the bus does not carry it",
-                where=f"{self._settings.interface} {self._settings.channel}",
+                where=f"{self._settings.keys.interface} {self._settings.keys.channel}",
                 hint="is the bus terminated, and another device on it, at this bit rate?",
             )
-        limit = max(SILENCE_LIMIT, SILENT_PERIODS / self._settings.rate)
+        limit = max(SILENCE_LIMIT, SILENT_PERIODS / self._settings.keys.rate)
         if now - self._streams.last_row - self._clock.stalled(self._streams.last_row) <= limit:
             return
         missing = self._streams.missing
         what = f": {missing} is missing" if missing else ""
         raise ConnectionLostError(
             f"no complete row of the joints for {limit:g} s{what}",
-            where=f"{self._settings.interface} {self._settings.channel}",
+            where=f"{self._settings.keys.interface} {self._settings.keys.channel}",
         )
 
     def _send(self, frames: Sequence[FixedFrame]) -> None:
@@ -234,7 +234,7 @@ class CanFramesDriver(LifeCycle):
 
     def _halt(self) -> str:
         """Send the stop frames until the arm is at rest; what is wrong, in words, or nothing."""
-        standstill = StandstillWatch(max(0.5 * REST_WINDOW, GAP_PERIODS / self._settings.rate))
+        standstill = StandstillWatch(max(0.5 * REST_WINDOW, GAP_PERIODS / self._settings.keys.rate))
         joints = self._streams.joints
         positions = [index for index, signal in enumerate(joints.signals) if signal.quantity == "position"]
         failed, due = 0, self._clock.now()
@@ -312,9 +312,9 @@ def hear_all(settings: CanFramesSettings, receiver: Receiver, clock: Clock = SYS
         ConnectionFailedError: names what did not come.
         ConnectionLostError: the adapter is gone.
     """
-    layouts, marker = settings.frame_layouts("joints"), settings.cycle
+    layouts, marker = settings.frame_layouts("joints"), settings.keys.marker
     order = CycleOrder(layouts)
-    end = clock.now() + settings.timeout
+    end = clock.now() + settings.keys.timeout
     heard: set[int] = set()
     while not order.enough or (marker is not None and marker not in heard):
         if (left := end - clock.now()) <= 0:
@@ -329,8 +329,8 @@ def hear_all(settings: CanFramesSettings, receiver: Receiver, clock: Clock = SYS
         only = ", ".join(identifier_text(identifier) for identifier in sorted(heard)) or "none of the table's frames"
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise ConnectionFailedError(
-            f"no {missing[0]}{more} within {settings.timeout:g} s; heard: {only}",
-            where=f"{settings.interface} {settings.channel}",
+            f"no {missing[0]}{more} within {settings.keys.timeout:g} s; heard: {only}",
+            where=f"{settings.keys.interface} {settings.keys.channel}",
             hint="is the arm on, and are bit rate, identifiers, lengths and 'poll' right?",
         )
     return order.result()

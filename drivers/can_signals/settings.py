@@ -171,28 +171,19 @@ class CommandTable:
 class CanFramesSettings:
     """An arm whose frames are described by a table."""
 
-    # interface, channel, bitrate, options: see `drivers.can.bus.open_bus`
-    interface: str
-    channel: str | int
-    rate: float  # of the cycles, nominal [Hz]
+    keys: CanFramesKeys  # as the file has them
     signals: tuple[Signal, ...]  # what it says
-    bitrate: int
-    options: Mapping[str, object]
-    timeout: float  # how long [s] the arm may take until all of its frames have come once
-    # identifier of a frame that begins each cycle and that no signal is in; None for the first signal's frame
-    cycle: int | None
     poll: Poll | None  # None where the arm speaks by itself
     begin: tuple[FixedFrame, ...]  # frames that make it speak, sent when the connection is opened
     end: tuple[FixedFrame, ...]  # frames that silence it, sent when the connection is closed
     start: tuple[FixedFrame, ...]  # frames that enable its drives, sent before the first command
     stop: tuple[FixedFrame, ...]  # frames that halt it
     command: CommandTable | None  # None where the table cannot move the arm
-    watchdog: float | None  # without a command for so long [s] the arm stops by itself; None where that is not known
 
     @property
     def identifiers(self) -> frozenset[int]:
         """Identifiers of the frames that are listened to."""
-        marker = () if self.cycle is None else (self.cycle,)
+        marker = () if self.keys.marker is None else (self.keys.marker,)
         return frozenset((*(signal.identifier for signal in self.signals), *marker))
 
     @property
@@ -230,21 +221,14 @@ def parse_settings(
     keys = read_settings(CanFramesKeys, connection, "can_frames", {"joints": joints, "dbc": dbc})
     poll, command = keys.poll, keys.command
     return CanFramesSettings(
-        interface=keys.interface,
-        channel=keys.channel,
-        rate=keys.rate,
-        signals=tuple(entry.signal for entry in keys.signals),
-        bitrate=keys.bitrate,
-        options=keys.options,
-        timeout=keys.timeout,
-        cycle=keys.marker,
-        poll=None if poll is None else Poll(_frames(poll.frames or (poll,)), poll.period or 1.0 / keys.rate),
-        begin=_frames(keys.begin),
-        end=_frames(keys.end),
-        start=_frames(keys.start),
-        stop=_frames(keys.stop),
-        command=None if command is None else _command(command),
-        watchdog=keys.watchdog,
+        keys,
+        tuple(entry.signal for entry in keys.signals),
+        None if poll is None else Poll(_frames(poll.frames or (poll,)), poll.period or 1.0 / keys.rate),
+        _frames(keys.begin),
+        _frames(keys.end),
+        _frames(keys.start),
+        _frames(keys.stop),
+        None if command is None else _command(command),
     )
 
 

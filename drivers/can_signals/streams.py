@@ -60,16 +60,18 @@ class FrameStreams:
         self._coupling = coupling
         self._assemblers = {
             name: Assembler(
-                settings.frame_layouts(name), settings.cycle if name == "joints" else None, 0.5 / settings.rate
+                settings.frame_layouts(name),
+                settings.keys.marker if name == "joints" else None,
+                0.5 / settings.keys.rate,
             )
             for name in settings.streams
         }
         self.joints = self._assemblers["joints"]
         self._clock_signal = next((signal for signal in settings.signals if signal.quantity in WHOLE_ARM), None)
-        self.clock = SourceClock(self._clock_signal, settings.rate) if self._clock_signal is not None else None
+        self.clock = SourceClock(self._clock_signal, settings.keys.rate) if self._clock_signal is not None else None
         self._troubles = Troubles(notices, host_clock)
         self._faults = FaultWatch(notices)
-        self._rate_watch = RateWatch(notices, settings.rate)
+        self._rate_watch = RateWatch(notices, settings.keys.rate)
         self.forget()
 
     @property
@@ -108,7 +110,7 @@ class FrameStreams:
                 channels.append(ChannelLayout(quantity, columns, unit, self._description(name, quantity)))
             if name == "joints" and self._knows_torque:
                 channels.append(torque_channel(self._joints, self._coupling))
-            layouts.append(StreamLayout(name, tuple(channels), self._settings.rate if name == "joints" else 0.0))
+            layouts.append(StreamLayout(name, tuple(channels), self._settings.keys.rate if name == "joints" else 0.0))
         return tuple(layouts)
 
     def take(self, frames: Sequence[Frame], poller: Poller | None) -> list[Batch]:

@@ -287,13 +287,14 @@ def _described(docstring: str, options: Any) -> str:
     """The docstring with a section `Args` of the fields' meanings before the first other section."""
     if not docstring:  # python -OO
         return ""
-    lines = ["    Args:"]
+    section = re.search(r"\n( +)(?:Returns|Raises|Example):\n", docstring)
+    indent, place = ("    ", len(docstring) + 1) if section is None else (section[1], section.start() + 1)
+    lines = [f"{indent}Args:"]
     by_name = {of.name: declared(of) or Option() for of in fields(options)}
     for name in inspect.signature(options).parameters:
         text = f"{name}: {by_name[name].meaning or by_name[name].help}"
-        lines += textwrap.wrap(text, _WIDTH, initial_indent=" " * 8, subsequent_indent=" " * 12, break_on_hyphens=False)
-    places = [place for name in ("Returns", "Raises", "Example") if (place := docstring.find(f"\n    {name}:\n")) >= 0]
-    place = min(places, default=len(docstring)) + 1
+        first, next_ones = indent + " " * 4, indent + " " * 8
+        lines += textwrap.wrap(text, _WIDTH, initial_indent=first, subsequent_indent=next_ones, break_on_hyphens=False)
     return docstring[:place] + "\n".join(lines) + "\n\n" + docstring[place:]
 
 

@@ -84,7 +84,7 @@ class TableArm:
         self._cycles = 0
         self._commanded: dict[int, FloatArray] = {}
         self._starting = 0
-        self._clock = SyncClock(1.0 / settings.rate)
+        self._clock = SyncClock(1.0 / settings.keys.rate)
         self._time = self._commanded_at = 0.0
         self._ahead = 0.0
         self._goal: FloatArray = np.zeros(len(joints))
@@ -109,7 +109,7 @@ class TableArm:
     def cycle(self) -> list[Frame]:
         """The frames of the next cycle, with the sensors' present values."""
         measured = self.arm.measure()
-        marker = self._settings.cycle
+        marker = self._settings.keys.marker
         frames = [] if marker is None else [_frame(marker, b"")]
         layouts = list(self._fast)
         if self._slow:
@@ -189,9 +189,9 @@ class TableArm:
         if not self.enabled:
             return
         # Commands that were left out or come late in a bunch may go their way at one stroke, no more.
-        periods = (self._time - self._commanded_at) * self._settings.rate
+        periods = (self._time - self._commanded_at) * self._settings.keys.rate
         self._periods_left = np.minimum(self._periods_left + periods, 1.0 + EXTRAPOLATED_CYCLES)
-        self._periods_left -= np.abs(goal - self._goal) / (SPEED_MARGIN * self._speed / self._settings.rate)
+        self._periods_left -= np.abs(goal - self._goal) / (SPEED_MARGIN * self._speed / self._settings.keys.rate)
         outside = ~((goal >= self._lower) & (goal <= self._upper) & (self._periods_left >= 0.0))
         if np.any(outside):
             self.fail(int(np.argmax(outside)), FAULT_COMMAND)
@@ -199,8 +199,8 @@ class TableArm:
         # Commands are late, all of them, or left out: how far the motion has gone tells, and time where it stands.
         way, arrival = goal - self._goal, self._time - late
         passed, steady = self._clock.passed(arrival), float(np.linalg.norm(self._step))
-        if passed <= 1 + EXTRAPOLATED_CYCLES and steady * self._settings.rate**2 > LEAST_STEADY:
-            most = max(round(self._clock.age(arrival) * self._settings.rate), 1)
+        if passed <= 1 + EXTRAPOLATED_CYCLES and steady * self._settings.keys.rate**2 > LEAST_STEADY:
+            most = max(round(self._clock.age(arrival) * self._settings.keys.rate), 1)
             passed = min(max(round(float(way @ self._step) / steady**2), 1), most)
         # A longer pause may have moved the motion itself: it tells no speed.
         self._step = way / passed if passed <= 1 + EXTRAPOLATED_CYCLES else np.zeros_like(way)
@@ -213,7 +213,7 @@ class TableArm:
         low, high = signal.limits
         if signal.quantity in WHOLE_ARM:
             ahead = self.clock_ahead
-            counted = float(self._cycles + round(ahead * self._settings.rate))
+            counted = float(self._cycles + round(ahead * self._settings.keys.rate))
             now = counted if signal.quantity == "counter" else self.arm.time + ahead
             if signal.field.floating:
                 return now

@@ -62,10 +62,10 @@ class ProprietaryCanServer(BusServer):
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self.settings = parse_settings(connection, robot.joint_names, folder)
-        super().__init__("signal-table arm", robot.joint_names, self.settings, clock)
+        super().__init__("signal-table arm", robot.joint_names, self.settings.keys, clock)
         self._arm = TableArm(arm, robot.joints, self.settings)
         self.messages = self._arm.messages
-        self._model = BusModel(self.settings.bitrate)
+        self._model = BusModel(self.settings.keys.bitrate)
         self._own = self.settings.identifiers
         self._muted: dict[int, float] = {}
         self._begun = self._arm_time = self._due = 0.0
@@ -77,7 +77,7 @@ class ProprietaryCanServer(BusServer):
 
     def ready(self) -> dict[str, object]:
         """Address for clients."""
-        return super().ready() | {"rate_hz": self.settings.rate}
+        return super().ready() | {"rate_hz": self.settings.keys.rate}
 
     def live_line(self) -> str:
         """Return its state in one line."""
@@ -94,7 +94,7 @@ class ProprietaryCanServer(BusServer):
         try:
             receiver.start()
             self._begun = self._arm_time = self._clock.now()
-            self._due = self._begun + 1.0 / self.settings.rate
+            self._due = self._begun + 1.0 / self.settings.keys.rate
             while not self._stopping.is_set():
                 end = self._model.peek()
                 wake = self._due if end is None else min(self._due, end)
@@ -122,7 +122,7 @@ class ProprietaryCanServer(BusServer):
         while (due := self._due) <= moment:
             self._carry_until(bus, due)
             self._period(bus, due)
-            self._due += 1.0 / self.settings.rate
+            self._due += 1.0 / self.settings.keys.rate
         self._carry_until(bus, moment)
 
     def _carry_until(self, bus: can.BusABC, moment: float) -> None:
@@ -141,7 +141,7 @@ class ProprietaryCanServer(BusServer):
             self._speak(now)
         status = self._status
         status.time, status.enabled, status.lost = self._arm.arm.time, self._arm.enabled, self._model.lost
-        status.load = self._model.bits / self.settings.bitrate / max(now - self._begun, 1e-9)
+        status.load = self._model.bits / self.settings.keys.bitrate / max(now - self._begun, 1e-9)
 
     def _take(self, sent: Sent) -> None:
         if sent.time < self._silent_until:

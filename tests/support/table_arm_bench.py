@@ -81,7 +81,7 @@ def opened(
 
 def connection_of(server: ProprietaryCanServer) -> dict[str, Any]:
     """The keys that reach it."""
-    return KEYS | {"interface": "virtual", "channel": server.settings.channel, "options": {}}
+    return KEYS | {"interface": "virtual", "channel": server.settings.keys.channel, "options": {}}
 
 
 def session(

@@ -27,30 +27,23 @@ def compare_methods(
 
     Example: dynid compare run.h5 --methods ols,wls --validate val-1.h5 --validate val-2.h5 -o comparison
     """
-    from daq.commands.console import progress_line
-    from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
-    from daq.robot.loader import load_robot
+    from daq.output_files import RESULT_FILE
     from ident.commands.printing.result import print_tables
+    from ident.commands.saving import check_result_folder, print_files, save_result
     from ident.tasks.arguments import paths_of
     from ident.tasks.comparison import COMPARISON_FILE, compare
 
     for path in paths_of(options.runs):
         if (path / RESULT_FILE).is_file():
             raise UsageError("is a model, not a recording", where=str(path), hint="two models: dynid diff FIRST SECOND")
-    if out is not None:
-        robot = options.robot
-        inputs = [*paths_of(options.runs, options.validation), *(load_robot(robot).files if robot else ())]
-        check_output_folder(out, (COMPARISON_FILE, REPORT_FILE), inputs, overwrite=force)
-    with progress_line(quiet=as_json) as progress:
-        comparison = compare(**{**vars(options), "progress": progress})
-        if out is not None:
-            progress("report")
-            comparison.save(out, overwrite=force)
+    check_result_folder(out, COMPARISON_FILE, [options.runs, options.validation], options.robot, overwrite=force)
+    comparison = save_result(
+        lambda progress: compare(**{**vars(options), "progress": progress}), out, overwrite=force, as_json=as_json
+    )
     if as_json:
         print(comparison.to_json())
         return
     print_tables((comparison.errors, comparison.maxima, comparison.differences))
     for failure in comparison.failures:
         print(failure)
-    if out is not None:
-        print(f"\n{out / COMPARISON_FILE}\n{out / REPORT_FILE}")
+    print_files(out, COMPARISON_FILE)

@@ -26,23 +26,18 @@ def find_friction(
 
     Example: dynid friction cold.h5 warm.h5 warmer.h5 -o friction
     """
-    from daq.commands.console import progress_line
-    from daq.output_files import REPORT_FILE, check_output_folder
-    from daq.robot.loader import load_robot
     from ident.commands.printing.result import print_tables
+    from ident.commands.saving import check_result_folder, print_files, save_result
     from ident.result.friction_experiment import FRICTION_FILE
     from ident.tasks.arguments import paths_of
     from ident.tasks.experiments import friction
     from ident.views.friction_tables import COEFFICIENTS
 
-    recordings, robot = paths_of(options.runs), options.robot
-    folder = out if out is not None else Path(f"{recordings[0].stem}-friction")
-    inputs = [*recordings, *(load_robot(robot).files if robot else ())]
-    check_output_folder(folder, (FRICTION_FILE, REPORT_FILE), inputs, overwrite=force)
-    with progress_line(quiet=as_json) as progress:
-        identified = friction(**{**vars(options), "progress": progress})
-        progress("report")
-        identified.save(folder, overwrite=force)
+    folder = out if out is not None else Path(f"{paths_of(options.runs)[0].stem}-friction")
+    check_result_folder(folder, FRICTION_FILE, [options.runs], options.robot, overwrite=force)
+    identified = save_result(
+        lambda progress: friction(**{**vars(options), "progress": progress}), folder, overwrite=force, as_json=as_json
+    )
     if as_json:
         print(identified.to_json())
         return
@@ -51,4 +46,4 @@ def find_friction(
     print_tables([identified.table.pick(*COEFFICIENTS)])
     for warning in result.warnings:
         print(f"warning: {warning}")
-    print(f"\n{folder / FRICTION_FILE}\n{folder / REPORT_FILE}")
+    print_files(folder, FRICTION_FILE)

@@ -17,10 +17,14 @@ _TAKEN = frozenset({"runs", "validation", "robot", "progress"})
 """Options of identify that gravity has."""
 
 
+GRAVITY_USE = 'dynid export {folder} --c arm; in Python dynid.load_model("{folder}").gravity(q)'
+"""What to do next with the model in a folder."""
+
+
 def identify_gravity_command(
-    options: IdentifyOptions, folder: Path, progress: Callable[[str], None], *, limited: bool, overwrite: bool
+    options: IdentifyOptions, progress: Callable[[str], None], *, limited: bool
 ) -> IdentifiedGravity:
-    """Identify, and write the folder.
+    """Identify.
 
     Raises:
         UsageError: an option that gravity does not have.
@@ -28,18 +32,7 @@ def identify_gravity_command(
     from ident.tasks.experiments import identify_gravity
 
     refuse_options_but(_TAKEN, options, "--gravity", limited=limited)
-    identified = identify_gravity(options.runs, validation=options.validation, robot=options.robot, progress=progress)
-    progress("report")
-    identified.save(folder, overwrite=overwrite)
-    return identified
-
-
-def print_gravity(identified: IdentifiedGravity, folder: Path, *, verbose: bool, as_json: bool) -> None:
-    """The verdict and the errors; with `verbose` every parameter; or the JSON object alone."""
-    from ident.commands.printing.graded import print_identified
-
-    use = f'dynid export {folder} --c arm; in Python dynid.load_model("{folder}").gravity(q)'
-    print_identified(identified, folder, use, verbose=verbose, as_json=as_json)
+    return identify_gravity(options.runs, validation=options.validation, robot=options.robot, progress=progress)
 
 
 def validate_gravity_command(path: Path, runs: object, *, as_json: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -10,6 +11,10 @@ from daq.commands.help_text import CommandApp
 from daq.commands.options import FORCE, JSON, VERBOSE, takes
 from ident.commands.options import ACCEPT, MAX_ERROR, MAX_JOINT_ERROR, MAX_RMSE, METHOD, MODEL_FILE
 from ident.tasks.options import IdentifyOptions
+
+if TYPE_CHECKING:
+    from drivers.core.reading_process import Progress
+    from ident.tasks.identification import IdentificationResult
 
 app = CommandApp("Identify")
 
@@ -37,29 +42,21 @@ def identify_recordings(
 
     Example: dynid identify run.h5 --validate val.h5 -o model
     """
-    from daq.commands.console import progress_line
-    from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
-    from daq.robot.loader import load_robot
-    from ident.commands.identification.gravity import identify_gravity_command, print_gravity
-    from ident.commands.identification.servo import identify_servo_command, is_servo, print_servo, refuse_model_file
+    from daq.output_files import REPORT_FILE, RESULT_FILE
+    from ident.commands.identification.gravity import GRAVITY_USE, identify_gravity_command
+    from ident.commands.identification.servo import SERVO_USE, identify_servo_command, is_servo, refuse_model_file
     from ident.commands.options import limits_option
+    from ident.commands.printing.graded import print_identified
     from ident.commands.printing.result import print_result
+    from ident.commands.saving import check_result_folder, save_result
     from ident.result.friction_experiment import friction_path
-    from ident.tasks.arguments import paths_of
+    from ident.tasks.arguments import GradedResult, paths_of
     from ident.tasks.identification import identify
 
-    recordings, robot = paths_of(options.runs), options.robot
-    folder = out if out is not None else Path(f"{recordings[0].stem}-model")
+    folder = out if out is not None else Path(f"{paths_of(options.runs)[0].stem}-model")
     experiment = None if options.friction_from is None else friction_path(options.friction_from)
-    inputs = [
-        *recordings,
-        *paths_of(options.validation),
-        accept,
-        experiment,
-        model_file,
-        *(load_robot(robot).files if robot else ()),
-    ]
-    check_output_folder(folder, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
+    inputs = [options.runs, options.validation, accept, experiment, model_file]
+    check_result_folder(folder, RESULT_FILE, inputs, options.robot, overwrite=force)
     if not is_servo(options.method):
         refuse_model_file(model_file)
     if history is not None:
@@ -67,35 +64,25 @@ def identify_recordings(
 
         check_history(history)
     limits = limits_option(accept, max_error, max_joint_error, max_rmse)
-    with progress_line(quiet=as_json) as progress:
-        limited = any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse))
+    limited = any(limit is not None for limit in (accept, max_error, max_joint_error, max_rmse))
+
+    def run(progress: Progress) -> IdentificationResult | GradedResult:
         if gravity:
-            identified = identify_gravity_command(options, folder, progress, limited=limited, overwrite=force)
-            _add_to_history(folder, history)
-            print_gravity(identified, folder, verbose=verbose, as_json=as_json)
-            return
+            return identify_gravity_command(options, progress, limited=limited)
         if is_servo(options.method):
-            servo = identify_servo_command(
-                options, folder, progress, model_file=model_file, limited=limited, overwrite=force
-            )
-            _add_to_history(folder, history)
-            print_servo(servo, folder, verbose=verbose, as_json=as_json)
-            return
-        result = identify(**{**vars(options), "accept": limits, "progress": progress})
-        progress("report")
-        result.save(folder, overwrite=force)
-        _add_to_history(folder, history)
-    if as_json:
-        print((folder / RESULT_FILE).read_text(encoding="utf-8"), end="")
-    else:
-        print_result(result.result, folder / REPORT_FILE, verbose=verbose)
-    if result.acceptance is not None and not result.acceptance.passed:
-        raise typer.Exit(1)
+            return identify_servo_command(options, progress, model_file=model_file, limited=limited)
+        return identify(**{**vars(options), "accept": limits, "progress": progress})
 
-
-def _add_to_history(folder: Path, database: Path | None) -> None:
-    """Add the result in a folder; nothing where no history is named."""
-    if database is not None:
+    result = save_result(run, folder, overwrite=force, as_json=as_json)
+    if history is not None:
         from ident.tasks.history import History
 
-        History(database).add(folder)
+        History(history).add(folder)
+    if as_json:
+        print(result.to_json())
+    elif isinstance(result, GradedResult):
+        print_identified(result, folder, (GRAVITY_USE if gravity else SERVO_USE).format(folder=folder), verbose=verbose)
+    else:
+        print_result(result.result, folder / REPORT_FILE, verbose=verbose)
+    if not isinstance(result, GradedResult) and result.acceptance is not None and not result.acceptance.passed:
+        raise typer.Exit(1)

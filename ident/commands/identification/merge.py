@@ -27,20 +27,16 @@ def merge_models(
 
     Example: dynid merge arm-model wrist-model --validate val.h5 -o merged
     """
-    from daq.commands.console import progress_line
-    from daq.output_files import REPORT_FILE, RESULT_FILE, check_output_folder
+    from daq.output_files import REPORT_FILE, RESULT_FILE
     from ident.commands.printing.result import print_result
+    from ident.commands.saving import check_result_folder, save_result
     from ident.result.models.model import result_path
     from ident.tasks.arguments import paths_of
     from ident.tasks.validation import merge
 
-    inputs = [*map(result_path, paths_of(options.results)), *paths_of(options.validation)]
-    check_output_folder(out, (RESULT_FILE, REPORT_FILE), inputs, overwrite=force)
-    with progress_line(quiet=as_json) as progress:
-        progress("merging")
-        merged = merge(**vars(options))
-        progress("report")
-        merged.save(out, overwrite=force)
+    inputs = [*map(result_path, paths_of(options.results)), options.validation]
+    check_result_folder(out, RESULT_FILE, inputs, None, overwrite=force)
+    merged = save_result(lambda _: merge(**vars(options)), out, "merging", overwrite=force, as_json=as_json)
     if as_json:
         print(merged.to_json())
         return

@@ -20,23 +20,6 @@ app = CommandApp("Identify")
 OUT = typer.Option(None, "-o", "--out", help="Folder for the result (.json) and report.html.")
 
 
-def _folder(options: LoadOptions, out: Path | None, experiment: str, result: str, *, overwrite: bool) -> Path:
-    """The folder for the results, checked: `--out`, or the loaded recording's name and what the experiment is.
-
-    Raises:
-        UsageError: its files exist already, or cannot be written.
-    """
-    from daq.output_files import REPORT_FILE, check_output_folder
-    from daq.robot.loader import load_robot
-    from ident.tasks.arguments import paths_of
-
-    free, loaded = paths_of(options.free, options.loaded)
-    folder = out if out is not None else Path(f"{loaded.stem}-{experiment}")
-    inputs = [free, loaded, *(load_robot(options.robot).files if options.robot else ())]
-    check_output_folder(folder, (result, REPORT_FILE), inputs, overwrite=overwrite)
-    return folder
-
-
 @app.command("payload")
 @takes(LoadOptions)
 def identify_load(
@@ -46,21 +29,19 @@ def identify_load(
 
     Example: dynid payload free.h5 loaded.h5 --mass 2.8 -o load
     """
-    from daq.commands.console import progress_line
-    from daq.output_files import REPORT_FILE
+    from ident.commands.saving import check_result_folder, print_files, save_result
+    from ident.tasks.arguments import paths_of
     from ident.tasks.loads import PAYLOAD_FILE, payload
 
-    folder = _folder(options, out, "payload", PAYLOAD_FILE, overwrite=force)
-    with progress_line(quiet=as_json) as progress:
-        progress("payload")
-        load = payload(**vars(options))
-        progress("report")
-        load.save(folder, overwrite=force)
+    runs = paths_of(options.free, options.loaded)
+    folder = out if out is not None else Path(f"{runs[-1].stem}-payload")
+    check_result_folder(folder, PAYLOAD_FILE, runs, options.robot, overwrite=force)
+    load = save_result(lambda _: payload(**vars(options)), folder, "payload", overwrite=force, as_json=as_json)
     if as_json:
         print(load.to_json())
         return
     _print_load(load.result, verbose=verbose)
-    print(f"\n{folder / PAYLOAD_FILE}\n{folder / REPORT_FILE}")
+    print_files(folder, PAYLOAD_FILE)
 
 
 @app.command("gains")
@@ -72,21 +53,19 @@ def identify_drive_gains(
 
     Example: dynid gains free.h5 loaded.h5 --mass 2.8 -o gains
     """
-    from daq.commands.console import progress_line
-    from daq.output_files import REPORT_FILE
+    from ident.commands.saving import check_result_folder, print_files, save_result
+    from ident.tasks.arguments import paths_of
     from ident.tasks.loads import GAINS_FILE, drive_gains
 
-    folder = _folder(options, out, "gains", GAINS_FILE, overwrite=force)
-    with progress_line(quiet=as_json) as progress:
-        progress("gains")
-        identified = drive_gains(**vars(options))
-        progress("report")
-        identified.save(folder, overwrite=force)
+    runs = paths_of(options.free, options.loaded)
+    folder = out if out is not None else Path(f"{runs[-1].stem}-gains")
+    check_result_folder(folder, GAINS_FILE, runs, options.robot, overwrite=force)
+    identified = save_result(lambda _: drive_gains(**vars(options)), folder, "gains", overwrite=force, as_json=as_json)
     if as_json:
         print(identified.to_json())
         return
     _print_gains(identified.result, verbose=verbose)
-    print(f"\n{folder / GAINS_FILE}\n{folder / REPORT_FILE}")
+    print_files(folder, GAINS_FILE)
 
 
 def _print_load(result: PayloadResult, *, verbose: bool) -> None:

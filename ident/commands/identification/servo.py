@@ -21,6 +21,9 @@ SERVO = "servo"
 TRAJECTORY_SUFFIXES = frozenset({".yaml", ".yml"})
 """Of a motion in place of a recording."""
 
+SERVO_USE = "dynid validate {folder} OTHER.h5, dynid export {folder} --mjcf arm.xml"
+"""What to do next with the model in a folder."""
+
 _TAKEN = frozenset({"runs", "validation", "robot", "method", "progress"})
 """Options of identify that a servo model has."""
 
@@ -38,15 +41,9 @@ def is_servo(method: str) -> bool:
 
 
 def identify_servo_command(
-    options: IdentifyOptions,
-    folder: Path,
-    progress: Callable[[str], None],
-    *,
-    model_file: Path | None,
-    limited: bool,
-    overwrite: bool,
+    options: IdentifyOptions, progress: Callable[[str], None], *, model_file: Path | None, limited: bool
 ) -> ServoModel:
-    """Identify, and write the folder.
+    """Identify.
 
     Raises:
         UsageError: an option that a servo model does not have.
@@ -54,20 +51,9 @@ def identify_servo_command(
     from ident.tasks.servo import identify_servo
 
     refuse_options_but(_TAKEN, options, "--method servo", limited=limited)
-    model = identify_servo(
+    return identify_servo(
         options.runs, validation=options.validation, robot=options.robot, model_file=model_file, progress=progress
     )
-    progress("report")
-    model.save(folder, overwrite=overwrite)
-    return model
-
-
-def print_servo(model: ServoModel, folder: Path, *, verbose: bool, as_json: bool) -> None:
-    """The verdict and the errors; with `verbose` every parameter; or the JSON object alone."""
-    from ident.commands.printing.graded import print_identified
-
-    use = f"dynid validate {folder} OTHER.h5, dynid export {folder} --mjcf arm.xml"
-    print_identified(model, folder, use, verbose=verbose, as_json=as_json)
 
 
 def validate_servo_command(path: Path, runs: object, *, model_file: Path | None, as_json: bool) -> None:

@@ -11,11 +11,8 @@ from ident.result.tables import Table
 from ident.tasks.arguments import GradedResult
 
 
-def print_identified(model: GradedResult, folder: Path, use: str, *, verbose: bool, as_json: bool) -> None:
-    """The verdict and the errors; with `verbose` every parameter; or the JSON object alone."""
-    if as_json:
-        print((folder / model.FILE).read_text(encoding="utf-8"), end="")
-        return
+def print_identified(model: GradedResult, folder: Path, use: str, *, verbose: bool) -> None:
+    """The verdict and the errors; with `verbose` every parameter."""
     print(model.verdict)
     print_tables([model.errors, *([model.parameters] if verbose else [])])
     print(f"\n{'' if verbose else 'Parameters with intervals: --verbose, or the report. '}{folder / REPORT_FILE}")

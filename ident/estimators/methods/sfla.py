@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from drivers.core.arrays import FloatArray
-from drivers.core.ranges import Range
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.prior import link_priors
 from ident.estimators.method import Method, within
@@ -29,7 +28,7 @@ from ident.estimators.swarm.physical import (
     physical_values,
 )
 from ident.friction.table import TERM
-from ident.ranges import BOX_SHARE, GENERATIONS, LEARNING_FACTOR, POPULATION, SEARCH_TIME, SEED
+from ident.ranges import BOX_SHARE, GENERATIONS, SEARCH_TIME, SEED
 from ident.regression.least_squares import LeastSquares, weighted_least_squares
 from ident.signals.prepared import Step
 
@@ -168,22 +167,10 @@ def identified_step(parameters: tuple[ParameterIdentifiability, ...], point: Flo
 
 
 @dataclass(frozen=True)
-class FrogOptions:
+class FrogOptions(FrogLeaping):
     """Options of shuffled frog leaping; the defaults are UP6 Table 2's."""
 
-    frogs: Annotated[int, within(POPULATION), Field(description="N, in all")] = FrogLeaping.frogs
-    memeplexes: Annotated[int, within(POPULATION), Field(description="m, of equal size")] = FrogLeaping.memeplexes
-    leaps: Annotated[int, within(GENERATIONS), Field(description="of a memeplex per generation")] = FrogLeaping.leaps
     generations: Annotated[int, within(GENERATIONS), Field(description="G, between shuffles")] = 50
-    reach: Annotated[float, within(LEARNING_FACTOR), Field(description="c, length of a leap")] = FrogLeaping.reach
-    random: Annotated[Literal["leap", "coordinate"], Field(description="what gets its own random number")] = (
-        FrogLeaping.random
-    )
-    largest_leap: Annotated[
-        float | None,
-        within(Range(1e-6, 1e3)),
-        Field(description="D_max, longest leap in widths of the box; no limit if absent"),
-    ] = FrogLeaping.largest_leap
     box: Annotated[
         float, within(BOX_SHARE), Field(description="factor of every search range around the prior body")
     ] = 1.0
@@ -191,23 +178,11 @@ class FrogOptions:
     seconds: Annotated[float | None, within(SEARCH_TIME), Field(description="time limit [s]; none if absent")] = None
     seed: Annotated[int, within(SEED), Field(description="of the random numbers")] = 0
 
-    def __post_init__(self) -> None:
-        _ = self.optimiser  # refused before any work
-
-    @property
-    def optimiser(self) -> FrogLeaping:
-        """Build the optimiser with these settings.
-
-        Raises:
-            UsageError: they contradict each other.
-        """
-        return FrogLeaping(self.frogs, self.memeplexes, self.leaps, self.reach, self.largest_leap, self.random)
-
 
 def _estimator(options: FrogOptions, setup: Setup) -> Estimator:
     budget = SearchBudget(options.generations, options.seconds)
     space = physical_space(setup, options.feasible, options.box)
-    return SearchEstimator(setup, weighted_least_squares, space, options.optimiser, budget, options.seed)
+    return SearchEstimator(setup, weighted_least_squares, space, options, budget, options.seed)
 
 
 METHOD = Method(

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
+from drivers.core.ranges import Range
+from ident.estimators.method import within
 from ident.estimators.swarm.minimisation import Search
+from ident.ranges import GENERATIONS, LEARNING_FACTOR, POPULATION
 
 
 @dataclass(frozen=True)
@@ -22,22 +26,23 @@ class FrogLeaping:
     memeplexes are independent within a generation, so that they leap at once.
 
     Raises:
-        UsageError: no memeplex, one of fewer than two frogs, a remainder, or a number that is not positive.
+        UsageError: a memeplex of fewer than two frogs, a remainder, or a reach that is not positive.
     """
 
-    frogs: int = 50  # N, in all
-    memeplexes: int = 10  # m, of equal size
-    leaps: int = 10  # of each memeplex per generation (`iter`)
-    reach: float = 2.0  # c of eq. 6
-    # D_max of eq. 7, as a length in widths of the box (the variables have different units); None for no limit.
-    largest_leap: float | None = None
-    # r of eq. 6 is one number of each "leap", or one of each "coordinate". One number keeps a frog on the line between
-    # two others.
-    random: Literal["leap", "coordinate"] = "leap"
+    frogs: Annotated[int, within(POPULATION), Field(description="N, in all")] = 50
+    memeplexes: Annotated[int, within(POPULATION), Field(description="m, of equal size")] = 10
+    leaps: Annotated[int, within(GENERATIONS), Field(description="of a memeplex per generation")] = 10
+    reach: Annotated[float, within(LEARNING_FACTOR), Field(description="c, length of a leap")] = 2.0
+    # One number keeps a frog on the line between two others.
+    random: Annotated[Literal["leap", "coordinate"], Field(description="what gets its own random number")] = "leap"
+    # As a length in widths of the box, since the variables have different units.
+    largest_leap: Annotated[
+        float | None,
+        within(Range(1e-6, 1e3)),
+        Field(description="D_max, longest leap in widths of the box; no limit if absent"),
+    ] = None
 
     def __post_init__(self) -> None:
-        if self.memeplexes < 1:
-            raise UsageError(f"{self.memeplexes} memeplexes contain no frogs", hint="at least 1")
         if self.frogs < self.memeplexes:
             raise UsageError(f"{self.memeplexes} memeplexes are more than {self.frogs} frogs")
         if self.frogs % self.memeplexes:
@@ -47,12 +52,8 @@ class FrogLeaping:
                 f"{self.frogs} frogs in {self.memeplexes} memeplexes leave one each, without another to leap towards",
                 hint="at least 2 frogs per memeplex",
             )
-        if self.leaps < 1:
-            raise UsageError(f"{self.leaps} leaps move no frog", hint="at least 1")
-        if not 0.0 < self.reach < np.inf:
+        if not self.reach > 0.0:
             raise UsageError(f"reach {self.reach:g} is not positive", hint="between 1 and 2")
-        if self.largest_leap is not None and not self.largest_leap > 0.0:
-            raise UsageError(f"largest_leap {self.largest_leap:g} is not positive")
 
     @property
     def remarks(self) -> tuple[str, ...]:

@@ -58,8 +58,13 @@ def test_a_connection_is_read() -> None:
         {"quantity": "counter", "id": 0x181, "start": 32, "length": 8},
     ]
     read = parse_settings(given_keys, JOINTS)
-    assert (read.interface, read.channel, read.bitrate, read.rate) == ("virtual", "c", 500_000, 200.0)
-    assert read.cycle == 0x80
+    assert (read.keys.interface, read.keys.channel, read.keys.bitrate, read.keys.rate) == (
+        "virtual",
+        "c",
+        500_000,
+        200.0,
+    )
+    assert read.keys.marker == 0x80
     assert read.poll is not None
     assert read.poll.frames == (FixedFrame(0x100, b"\1\0"),)
     assert read.begin == (FixedFrame(1, b""),)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -76,7 +77,7 @@ def test_the_dbc_file_says_the_same_as_the_table() -> None:
     assert set(by_file.signals) == set(by_table.signals)
     commands = [{"joint": joint, "signal": f"command_{joint}"} for joint in JOINTS]
     by_both = parse_settings(KEYS | {"dbc": str(DBC), "command": {"signals": commands}}, JOINTS)
-    assert by_both == by_table
+    assert replace(by_both, keys=by_table.keys) == by_table
 
 
 def test_what_is_decoded_is_what_was_measured(talker: TableArm) -> None:

@@ -121,13 +121,10 @@ def test_given_points_belong_to_the_initial_population() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: FrogLeaping(memeplexes=0), "0 memeplexes contain no frogs"),
         (lambda: FrogLeaping(frogs=5, memeplexes=10), "10 memeplexes are more than 5 frogs"),
         (lambda: FrogLeaping(frogs=50, memeplexes=7), "do not divide"),
         (lambda: FrogLeaping(frogs=10, memeplexes=10), "leave one each"),
-        (lambda: FrogLeaping(leaps=0), "0 leaps"),
         (lambda: FrogLeaping(reach=float("nan")), "reach nan"),
-        (lambda: FrogLeaping(largest_leap=0.0), "largest_leap 0"),
         (lambda: ParticleSwarm(particles=1), "1 particles are too few for a swarm"),
         (lambda: ParticleSwarm(social=-1.0), "learning factors"),
         (lambda: ParticleSwarm(fastest=0.0), "velocity clamp 0"),
