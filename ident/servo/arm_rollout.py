@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 
 from drivers.core.arrays import FloatArray
 from ident.servo.contact import Surface
-from ident.servo.lanes import Lanes, at_samples
+from ident.servo.lanes import THINNED, Lanes, at_samples
 from ident.servo.links import ServoLinks
 from ident.servo.motion import SETTLING, ServoMotion, lanes_of, motion_load, motion_touch
 from ident.servo.rollout import roll_out
@@ -97,9 +97,11 @@ def _settled(
         for motion, path in zip(motions, paths, strict=True):
             # the first path is the command, which jumps: joints would be given inertia that no pose has
             velocity = np.gradient(path, motion.step, axis=0) if number else None
-            loads.append(motion_load(links, motion, motion.grid, path, zero, velocity))
+            rows = np.unique(np.append(np.arange(0, len(path), THINNED), len(path) - 1))
+            of_rows = (motion.grid[rows], path[rows])
+            loads.append(motion_load(links, motion, *of_rows, zero, None if velocity is None else velocity[rows]))
             if contact is not None:
-                touches.append(motion_touch(links, contact.link, motion, motion.grid, path))
+                touches.append(motion_touch(links, contact.link, motion, *of_rows))
         lanes = lanes_of(motions, loads, None, touches)
         rolled = roll_out(lanes, np.tile(values.T, (1, len(motions))), surface=surface)
         settling = _on_grids(motions, lanes, rolled.path)

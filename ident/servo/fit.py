@@ -21,7 +21,16 @@ from ident.servo.first_fit import (
 )
 from ident.servo.lanes import Lanes
 from ident.servo.links import ServoLinks
-from ident.servo.motion import PIECE, ServoMotion, halves, lanes_with_touch, measured_load, some_pieces
+from ident.servo.motion import (
+    PIECE,
+    MotionLoad,
+    ServoMotion,
+    halves,
+    known_load,
+    lanes_with_touch,
+    measured_load,
+    some_pieces,
+)
 from ident.servo.rollout import with_pull
 from ident.servo.search import BLOCKED_LITTLE, EVERY_ERROR, evaluate, intervals, joint_cost, search
 from ident.servo.terms import GROUPS, INDEX, TERMS, members, to_search, with_group, without_group
@@ -106,8 +115,8 @@ def fit_servo(
     """
     joints = motions[0].position.shape[1]
     progress("links along the motion")
-    loads = [measured_load(links, motion, np.zeros(joints), known=True) for motion in motions]
-    lanes = lanes_with_touch(motions, links, loads, tool[0])
+    loads = [measured_load(links, motion, np.zeros(joints)) for motion in motions]
+    lanes = lanes_with_touch(motions, links, list(map(known_load, loads, motions)), tool[0])
     values, held = regressed_values(motions, links), np.zeros((joints, len(TERMS)), dtype=np.bool_)
     for (joint, name), value in given.items():
         values[joint, INDEX[name]], held[joint, INDEX[name]] = value, True
@@ -134,7 +143,7 @@ def fit_servo(
     inertia = np.array([lanes.inertia[:, lanes.joint == joint].mean() for joint in range(joints)])
     values, free, held, assumed = _tied(values, free, held, centre, (scaled, moving), inertia, given)
     values = search(chosen, values, free, error_scale(chosen, values, least), centre, 10, BLOCKED_LITTLE)
-    state = _State(lanes, lanes, values, free, held, assumed, None, gains)
+    state = _State(lanes, lanes, 0.0, (np.zeros(joints), loads), values, free, held, assumed, None, gains)
     _settle_terms(state, (chosen, judged), motions, links, (centre, heavy, moving), tool, least, progress)
     _lanes_again(state, motions, links, tool[0])
     progress("final fit")
@@ -145,7 +154,7 @@ def fit_servo(
     interval = intervals(pieces, state.values, state.free, least)
     if _pruned(state, interval[3]) | _tied_again(state, interval[2], (centre, moving), inertia, given):
         progress("final fit without what nothing shows")
-        state.values = _of_whole_arm(longer, state, centre, least)
+        state.values = _together(longer, state, state.values, centre, least)
         interval = intervals(pieces, state.values, state.free, least)
     low, high, seen, _, covariance = interval
     count, contact = len(np.unique(pieces.piece)), state.contact
@@ -189,10 +198,12 @@ def _tied_again(
 
 @dataclass(eq=False)
 class _State:
-    """A fit under way: lanes, those without contact; the arm's values and terms as of `ServoFit`; what terms saved."""
+    """A fit under way: the arm's values and terms as of `ServoFit`, what terms saved, and the lanes."""
 
     lanes: Lanes
-    kept: Lanes
+    kept: Lanes  # without contact
+    piece: float  # [s] of the lanes; 0 while the joints' torques on each other are those of the measured motion
+    loads: tuple[FloatArray, Sequence[MotionLoad]]  # of the links, and the encoders' zeros (n,) that they are for
     values: FloatArray
     free: BoolArray
     held: BoolArray
@@ -320,8 +331,12 @@ def _lanes_again(
     state: _State, motions: Sequence[ServoMotion], links: ServoLinks, link: int, piece: float = PIECE
 ) -> tuple[Lanes, Lanes]:
     """Lanes anew, with torques between the joints as the fit moves them; pieces to fit and to judge."""
-    loads = [measured_load(links, motion, state.values[:, INDEX["zero"]]) for motion in motions]
-    state.lanes = lanes_with_touch(motions, links, loads, link, piece)
+    zero = state.values[:, INDEX["zero"]].copy()
+    same = np.array_equal(zero, state.loads[0])
+    if not same:
+        state.loads = (zero, [measured_load(links, motion, zero) for motion in motions])
+    if not same or piece != state.piece:
+        state.lanes, state.piece = lanes_with_touch(motions, links, state.loads[1], link, piece), piece
     return _without_contact(state)
 
 
@@ -373,6 +388,11 @@ def _of_whole_arm(lanes: Lanes, state: _State, centre: FloatArray, least: float)
     known = with_pull(lanes, state.values)
     scale = error_scale(known, state.values, least)
     values = search(known, state.values, state.free, scale, centre, 10, BLOCKED_LITTLE)
+    return _together(lanes, state, values, centre, least)
+
+
+def _together(lanes: Lanes, state: _State, values: FloatArray, centre: FloatArray, least: float) -> FloatArray:
+    """The same from values (n, terms) of the whole arm."""
     return search(lanes, values, state.free, error_scale(lanes, values, least), centre, 16, BLOCKED_LITTLE)
 
 

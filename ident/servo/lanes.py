@@ -10,7 +10,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray, IndexArray
 
 THINNED = 4
-"""Inertia between joints is evaluated at every fourth step: it changes slowly."""
+"""Inertia between joints, and the links along a roll-out, are evaluated at every fourth step: they change slowly."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -268,25 +268,32 @@ def lanes_with_touch(
     return lanes_of(motions, loads, piece, touches)
 
 
-def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray, known: bool = False) -> MotionLoad:
-    """The links along a measured motion, whose joints move each other.
+def measured_load(links: ServoLinks, motion: ServoMotion, zero: FloatArray) -> MotionLoad:
+    """The links along a measured motion, whose joints move each other."""
+    velocity = _smooth_derivative(motion, 1, SMOOTHED)
+    return motion_load(links, motion, motion.time, motion.position, zero, velocity)
 
-    Where their torques on each other are `known`, they are those of the accelerations of a smooth line through the
-    positions, which has too little of a step's.
+
+def known_load(load: MotionLoad, motion: ServoMotion) -> MotionLoad:
+    """A measured motion's load with the joints' torques on each other in it.
+
+    They are those of the accelerations of a smooth line through the positions, which has too little of a step's.
     """
-    from scipy.signal import savgol_filter  # here, since `dynid excite` reads this module and needs no SciPy signals
-
-    period = float(np.median(np.diff(motion.time)))
-    velocity, acceleration = (
-        savgol_filter(motion.position, max(5, round(span / period) | 1), 3, deriv=order, delta=period, axis=0)
-        for order, span in ((1, SMOOTHED), (2, SMOOTHED_MORE))
-    )
-    load = motion_load(links, motion, motion.time, motion.position, zero, velocity)
-    if not known or load.between is None:
-        return load
+    assert load.between is not None
+    acceleration = _smooth_derivative(motion, 2, SMOOTHED_MORE)
     moving = np.stack([np.interp(motion.grid, motion.time, column) for column in acceleration.T], axis=1)
     pull = np.einsum("kij,kj->ki", np.repeat(load.between, THINNED, axis=0)[: len(moving)], moving)
     return replace(load, torque=load.torque + pull - load.inertia * moving, between=None)
+
+
+def _smooth_derivative(motion: ServoMotion, order: int, span: float) -> FloatArray:
+    """(N, n) derivative of the measured positions by local polynomials over a span [s]."""
+    from scipy.signal import savgol_filter  # here, since `dynid excite` reads this module and needs no SciPy signals
+
+    period = float(np.median(np.diff(motion.time)))
+    length = max(5, round(span / period) | 1)
+    derivative: FloatArray = savgol_filter(motion.position, length, 3, deriv=order, delta=period, axis=0)
+    return derivative
 
 
 def halves(lanes: Lanes, most: int) -> tuple[Lanes, Lanes]:

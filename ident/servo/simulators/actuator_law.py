@@ -16,7 +16,7 @@ from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Surface
 from ident.servo.goals import profile_goals
 from ident.servo.links import ServoLinks
-from ident.servo.motion import ServoMotion, lanes_of, measured_load
+from ident.servo.motion import ServoMotion, known_load, lanes_of, measured_load
 from ident.servo.search import EVERY_ERROR, evaluate, robust_scale, search
 from ident.servo.terms import INDEX, TERMS, members, to_search
 
@@ -261,7 +261,8 @@ def nearest_values(form: FileFormat, plain: FloatArray, links: ServoLinks, playe
         links: of the arm.
         played: motions whose positions are the model's roll-out.
     """
-    lanes = lanes_of(played, [measured_load(links, motion, plain[:, INDEX["zero"]], known=True) for motion in played])
+    loads = [known_load(measured_load(links, motion, plain[:, INDEX["zero"]]), motion) for motion in played]
+    lanes = lanes_of(played, loads)
     fixed = [INDEX[name] for name in (*form.missing, *(("bias",) if form.shaped else ()))]
     free = np.zeros(plain.shape, dtype=np.bool_)
     free[:, members("")] = True

@@ -13,7 +13,7 @@ from ident.servo.arm_rollout import touched_paths
 from ident.servo.contact import Surface, find_contact, in_contact, lowest_points, tool_point
 from ident.servo.identify import read_motions
 from ident.servo.links import servo_links
-from ident.servo.motion import lanes_with_touch, measured_load
+from ident.servo.motion import known_load, lanes_with_touch, measured_load
 from ident.servo.terms import INDEX, start_values
 
 STEP = 1.5e-3
@@ -38,7 +38,7 @@ def test_a_surface_is_found_where_it_is_and_only_then(raised, motions):
             for motion, (path, _) in zip(motions, touched_paths(motions, links, values, surface), strict=True)
         ]
         return lanes_with_touch(
-            played, links, [measured_load(links, motion, np.zeros(6), known=True) for motion in played], tool[0]
+            played, links, [known_load(measured_load(links, motion, np.zeros(6)), motion) for motion in played], tool[0]
         )
 
     free = pieces(None)
