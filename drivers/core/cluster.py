@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -32,6 +32,13 @@ def cluster_executor(scheduler: str) -> Iterator[Executor]:
         raise ConnectionFailedError(f"no Dask scheduler answers: {error}", where=scheduler) from error
     with client:
         yield ClusterExecutor(client)
+
+
+def why_lost(error: Exception) -> str:
+    """Why a task has no result, where what it called has not said so itself."""
+    if isinstance(error, CancelledError):
+        return "the scheduler was lost before it was done"
+    return f"its worker failed: {type(error).__name__}: {error}"
 
 
 class ClusterExecutor(Executor):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from daq.recording.recording import Recording
-from drivers.core.cluster import cluster_executor
+from drivers.core.cluster import cluster_executor, why_lost
 from drivers.core.errors import DataError, DynidError
 from drivers.core.reading_process import Progress
 from drivers.core.software import software_versions
@@ -93,7 +93,7 @@ def _judge(folder: Path, scheduler: str) -> Iterator[Judge]:
     """What judges: the workers of a cluster, else one process after the other, so that none slows another down."""
     if scheduler:
         with cluster_executor(scheduler) as executor:
-            yield lambda dataset, place: executor.submit(judge_method, dataset, place, folder)
+            yield lambda dataset, place: executor.submit(judge_method, dataset, place, folder.absolute())
         return
 
     def in_a_process(dataset: Dataset, place: str) -> Future[Judged]:
@@ -109,6 +109,8 @@ def _entry(empty: Entry, judging: Future[Judged]) -> Entry | None:
         judged = judging.result()
     except DynidError as error:
         return replace(empty, failure=str(error))
+    except CancelledError as error:
+        return replace(empty, failure=why_lost(error))
     except BrokenProcessPool:
         return replace(empty, failure="its process ended: out of memory, or a crash")
     except Exception as error:  # whatever a third party's method raises is its result, not the end of the others'

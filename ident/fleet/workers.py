@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from typing import Any
 
 from drivers.core.blas import one_blas_thread
-from drivers.core.cluster import cluster_executor
+from drivers.core.cluster import cluster_executor, why_lost
 from ident.fleet.job import JobOutcome, run_job
 from ident.fleet.plan import Job
 
@@ -75,10 +75,8 @@ def _work(sending: Connection, job: Job, out: str) -> None:
 def _outcome(future: Future[JobOutcome], job: Job) -> JobOutcome:
     try:
         outcome = future.result()
-    except CancelledError:
-        return _failed(job, "the scheduler was lost before it was done")
     except Exception as error:  # Dask's KilledWorker, or what cannot be sent
-        return _failed(job, f"its worker failed: {type(error).__name__}: {error}")
+        return _failed(job, why_lost(error))
     if outcome.key != job.key():
         return _failed(job, "its worker has another version of dynid or another file, or the recording has changed")
     return outcome

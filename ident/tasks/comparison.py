@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -12,8 +13,8 @@ import numpy as np
 from daq.plotting import Backend
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from drivers.core.cluster import cluster_executor
-from drivers.core.errors import IdentificationError, UsageError
+from drivers.core.cluster import cluster_executor, why_lost
+from drivers.core.errors import DynidError, IdentificationError, UsageError
 from drivers.core.options import keywords_of
 from drivers.core.text import in_percent, json_text
 from drivers.core.units import common_unit
@@ -33,7 +34,7 @@ from ident.model.regressor import RegressorKernel
 from ident.report.comparison_page import comparison_figure, comparison_page
 from ident.result.tables import Cell, Column, Table, table_of_rows
 from ident.signals.options import PreprocessChoices
-from ident.tasks.arguments import SavedResult, held_out_of, paths_of, recordings_of
+from ident.tasks.arguments import Runs, SavedResult, held_out_of, paths_of, recordings_of
 from ident.tasks.options import CompareOptions, silent
 
 COMPARISON_FILE = "comparison.json"
@@ -264,7 +265,7 @@ def _one_by_one(options: CompareOptions, cases: Sequence[tuple[str, str]]) -> It
         try:
             identification = identify_recordings(recordings, held_out, choices, robot_file)
         except IdentificationError as error:
-            yield _Case((ComparedModel(method, model, "full", float("nan"), (), float("nan"), str(error)),))
+            yield _failed(method, model, str(error))
             continue
         seconds = time.process_time() - start
         groups = joint_groups(identification.model.joint_names)
@@ -281,19 +282,31 @@ def _on_a_cluster(options: CompareOptions, cases: Sequence[tuple[str, str]]) -> 
         UsageError: recordings that are no paths, which would go through the scheduler; no Dask.
         ConnectionFailedError: the scheduler does not answer.
     """
-    given = [
-        run
-        for runs in (options.runs, options.validation)
-        for run in (runs if isinstance(runs, list | tuple) else [runs])
-    ]
-    if len(paths_of(given)) < len(given):
-        raise UsageError("a scheduler's workers read recordings by path", hint="save them, and give their paths")
-    sent = replace(options, scheduler="", progress=silent)
+    runs, validation = _seen_from_anywhere(options.runs), _seen_from_anywhere(options.validation)
+    robot = None if options.robot is None else load_robot(options.robot)
+    sent = replace(options, runs=runs, validation=validation, robot=robot, scheduler="", progress=silent)
     with cluster_executor(options.scheduler) as executor:
         futures = [executor.submit(_on_a_worker, sent, case) for case in cases]
         for (method, model), future in zip(cases, futures, strict=True):
             options.progress(f"{method} {model}".strip())
-            yield future.result()
+            try:
+                yield future.result()
+            except DynidError:
+                raise
+            except Exception as error:  # Dask's KilledWorker, or what its lost scheduler leaves
+                yield _failed(method, model, why_lost(error))
+
+
+def _seen_from_anywhere(runs: Runs) -> list[Path]:
+    given = runs if isinstance(runs, list | tuple) else [runs]
+    paths = [path.absolute() for path in paths_of(given)]
+    if len(paths) < len(given):
+        raise UsageError("a scheduler's workers read recordings by path", hint="save them, and give their paths")
+    return paths
+
+
+def _failed(method: str, model: str, why: str) -> _Case:
+    return _Case((ComparedModel(method, model, "full", float("nan"), (), float("nan"), why),))
 
 
 def _on_a_worker(options: CompareOptions, case: tuple[str, str]) -> _Case:

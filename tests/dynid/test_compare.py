@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 
 import command_line
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import dynid
 from drivers.core.errors import UsageError
+from ident.tasks import comparison as comparison_task
 
 pytestmark = pytest.mark.usefixtures("stated_friction", "estimates_alone")
 
@@ -64,6 +66,19 @@ def test_a_cluster_compares_the_same_from_paths(comparison, runs, tmp_path):
         "ols, coulomb-viscous",
     ]
     assert all(model.runs == here[model.label].runs for model in far.models)
+
+
+def test_what_a_lost_scheduler_had_is_named(monkeypatch):
+    class Lost(ThreadPoolExecutor):
+        def submit(self, fn, options, case):
+            assert all(path.is_absolute() for path in (*options.runs, *options.validation))
+            raised: Future[None] = Future()
+            raised.set_exception(CancelledError())
+            return raised
+
+    monkeypatch.setattr(comparison_task, "cluster_executor", lambda _: Lost(1))
+    with pytest.raises(dynid.IdentificationError, match="no method has a solution; ols: the scheduler was lost"):
+        dynid.compare("run.h5", ["ols"], validation=["other.h5"], scheduler="tcp://elsewhere")
 
 
 def test_the_wrong_friction_model_is_significantly_worse(comparison):

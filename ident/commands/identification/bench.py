@@ -68,9 +68,11 @@ def bench(
             result.save(out, overwrite=force)
     if as_json:
         print(result.to_json())
-        return
-    print_tables((result.losses, *result.tables))
-    for failure in result.failures:
-        print(failure)
-    if out is not None:
-        print(f"\n{out / BENCHMARK_FILE}\n{out / REPORT_FILE}")
+    else:
+        print_tables((result.losses, *result.tables))
+        for failure in result.failures:
+            print(failure)
+        if out is not None:
+            print(f"\n{out / BENCHMARK_FILE}\n{out / REPORT_FILE}")
+    if all(entry.failure for entry in result.entries):
+        raise typer.Exit(1)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import pickle
 import re
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -163,6 +164,16 @@ def test_losses_come_first_and_failures_are_named(mirror, exact, held_out, tmp_p
     assert len(none.losses) == 0
 
 
+class Elsewhere(ThreadPoolExecutor):
+    """A worker in another folder, which finds what has a whole path; of the second task the scheduler is lost."""
+
+    def submit(self, fn, dataset, place, folder):
+        assert folder.is_absolute()
+        lost = Future()
+        lost.set_exception(CancelledError())
+        return super().submit(fn, dataset, place, folder) if place.startswith("documented") else lost
+
+
 def test_the_method_of_the_docs_runs_from_the_current_folder(mirror, exact, monkeypatch, tmp_path):
     text = (REPOSITORY / "docs" / "benchmark.md").read_text(encoding="utf-8")
     block = re.search(r"```python\n(.*?)```", text, re.DOTALL)
@@ -178,9 +189,11 @@ def test_the_method_of_the_docs_runs_from_the_current_folder(mirror, exact, monk
     assert 5.0 < entry.error < 120.0
     assert entry.memory > 10.0
     assert "cannot be imported" in lost.failure
-    monkeypatch.setattr(run, "cluster_executor", lambda _: ThreadPoolExecutor(1))
-    far = run_benchmark([exact], chosen_methods(("documented_method:fit",)), mirror, scheduler="tcp://elsewhere")
-    assert [(one.method, one.score) for one in far.entries] == [(entry.method, entry.score)]
+    monkeypatch.setattr(run, "cluster_executor", lambda _: Elsewhere(1))
+    methods, place = chosen_methods(("documented_method:fit", "other:fit")), Path(os.path.relpath(mirror))
+    far = run_benchmark([exact], methods, place, scheduler="tcp://elsewhere")
+    assert far.entries[1].failure == "the scheduler was lost before it was done"
+    assert [(one.method, one.score) for one in far.entries[:1]] == [(entry.method, entry.score)]
 
 
 def test_the_data_set_of_the_docs_is_valid():
