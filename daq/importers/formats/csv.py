@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from daq.importers.choices import ImportChoices
 from daq.importers.collecting import collect
+from daq.importers.naming import TIMES
 from daq.importers.roles import assign_roles
 from daq.importers.table import ForeignTable, Note, listed, printable
 from drivers.core.arrays import FloatArray
@@ -31,6 +33,8 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
     So are units in a line of their own under the header. Numbers have a decimal point, or a comma where semicolons or
     tabs are between the columns. Lines that begin with # are comments; `choices.columns` maps headers without a
     meaning, or column numbers where there is no header.
+
+    Times may be ISO 8601 dates.
 
     Raises:
         ImportFileError: not text, no header, no rows, a row of another length, something that is not a number; with
@@ -78,7 +82,8 @@ def read_csv(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
             where=where,
             hint=f"name the columns like {_EXAMPLE}, or map them: --column q1={printable(names[0])}",
         )
-    values = _values(lines, line_numbers, names, used, separator, where)
+    times = {names.index(role.name) for role in roles if role.quantity in TIMES}
+    values = _values(lines, line_numbers, names, used, times, separator, where)
     return collect(
         f"CSV ({_SEPARATOR_NAMES[separator]})",
         roles,
@@ -150,6 +155,15 @@ def _number(field: str) -> float | None:
         return None
 
 
+def _date(field: str) -> float | None:
+    """The seconds after 1970 of an ISO 8601 date with time, UTC where it names no zone; None for anything else."""
+    try:
+        date = datetime.fromisoformat(field)
+    except ValueError:
+        return None
+    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+
+
 def _is_numeric(fields: Sequence[str]) -> bool:
     return any(field and (_number(field) is not None or _DECIMAL_COMMA.match(field)) for field in fields) and all(
         _number(field) is not None or _DECIMAL_COMMA.match(field) for field in fields
@@ -200,9 +214,15 @@ def _check_columns(
 
 
 def _values(
-    lines: list[str], line_numbers: list[int], names: list[str], used: list[int], separator: str | None, where: str
+    lines: list[str],
+    line_numbers: list[int],
+    names: list[str],
+    used: list[int],
+    times: Container[int],
+    separator: str | None,
+    where: str,
 ) -> FloatArray:
-    """(N, used) numbers; NumPy's parser first, ours where it fails, to name the place or to read missing values."""
+    """(N, used) numbers, dates in `times` as s after 1970; NumPy first, ours where it fails, to name the place."""
     try:
         fast: FloatArray = np.loadtxt(
             lines, delimiter=separator, usecols=used, ndmin=2, comments=None, quotechar='"', dtype=np.float64
@@ -216,6 +236,8 @@ def _values(
         fields = _split(line, separator)
         for place, column in enumerate(used):
             value = _number(fields[column])
+            if value is None and column in times:
+                value = _date(fields[column])
             if value is None:
                 raise _not_a_number(
                     fields[column], f"{where}, line {line_numbers[row]}, column {printable(names[column])}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 from collections.abc import Callable
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +131,24 @@ def test_a_spreadsheets_decimal_commas_and_line_of_units_are_read(tmp_path: Path
         np.testing.assert_allclose(content(recording)[NAMED[name]], values, rtol=1e-12, atol=1e-15)
     assert "the units were taken from line 2" in messages(recording)
     assert "decimal commas were read" in messages(recording)
+
+
+@pytest.mark.parametrize("ending", ["", "Z", "+02:00"])
+def test_times_may_be_dates(tmp_path: Path, ending: str) -> None:
+    columns = columns_of(samples(20))
+    header, *rows = write_csv(tmp_path, columns, ",").read_text().splitlines()
+    begin = datetime(2026, 3, 29, 0, 59, 59, 900000)
+    dated = [
+        ",".join([f"{(begin + timedelta(seconds=stamp)).isoformat()}{ending}", row.split(",", 1)[1]])
+        for stamp, row in zip(columns["t"], rows, strict=True)
+    ]
+    path = tmp_path / "dated.csv"
+    path.write_text("\n".join([header, *dated]))
+    found = content(import_file(path, make_robot(), ImportChoices()))
+    np.testing.assert_allclose(found["time"] - found["time"][0], columns["t"] - columns["t"][0], atol=1e-6)
+    path.write_text("\n".join([header, *dated]).replace(dated[3].split(",")[0], "noon"))
+    with pytest.raises(ImportFileError, match="'noon' is not a number"):
+        import_file(path, make_robot(), ImportChoices())
 
 
 # --- joints ---------------------------------------------------------------------------------------------------------
