@@ -17,7 +17,5 @@ class ImportChoices(ArrayChoices):
     topic: str | None = option(None, "Topic of a bag with several JointState topics.")
     episode: int | None = option(None, "Episode of a LeRobot dataset, from 0; all without it.", allowed=Range(0, 1e9))
     calibration: Path | None = option(
-        None,
-        "LeRobot's calibration JSON, for positions of -100 to 100.",
-        meaning="LeRobot's calibration JSON of the arm, where positions are -100 to 100 of the calibrated range.",
+        None, "LeRobot's calibration JSON, where positions are -100 to 100 of the calibrated range."
     )

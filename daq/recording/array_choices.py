@@ -44,35 +44,16 @@ class ArrayChoices(Options):
         command_type=list[str],
         read=_read_columns,
     )
-    degrees: bool = option(
-        False,
-        "Positions and velocities of the file are in degrees.",
-        meaning="positions and velocities of revolute joints are in degrees.",
-    )
+    degrees: bool = option(False, "Positions and velocities of revolute joints are in degrees.")
     effort: Effort | None = option(
-        None,
-        "What JointState.effort is: torque or current.",
-        meaning='whether an array called `effort` is "torque" [N·m] or "current" [A].',
-        one_of=get_args(Effort),
+        None, "Whether `effort` is a torque [N·m] or a current [A].", one_of=get_args(Effort)
     )
-    rate: float | None = option(
-        None,
-        "Rate [Hz] of a file without a time column.",
-        meaning="of uniform stamps [Hz], for a file without a time column.",
-        allowed=Range(1e-6, 1e9, "Hz"),
-    )
+    rate: float | None = option(None, "Rate [Hz] of data without times.", allowed=Range(1e-06, 1000000000.0, "Hz"))
     time_unit: TimeUnit | None = option(None, "Unit of the time column: s, ms, us or ns.", one_of=get_args(TimeUnit))
     repair: Collection[str] = option(
-        (),
-        "Repair to make: drop-nan, drop-duplicates, drop-repeats, opposite-torque, sort.",
-        meaning='of "drop-nan", "drop-duplicates", "drop-repeats", "opposite-torque" and "sort"; none by default.',
-        command_type=list[str],
+        (), "Repair to make: drop-nan, drop-duplicates, drop-repeats, opposite-torque, sort.", command_type=list[str]
     )
-    by_order: bool = option(
-        False,
-        "Match joints by order, whatever their names.",
-        meaning="match joints by the file's order, whatever their names.",
-    )
+    by_order: bool = option(False, "Match joints by their order, whatever their names.")
 
     def __post_init__(self) -> None:
         """Check every option, and that the repairs exist."""

@@ -35,37 +35,26 @@ class DesignChoices(Options):
     criterion: CriterionName = option(
         "d-optimal",
         "d-optimal, e-optimal, deviations, condition, plain-condition, moments or motion-size.",
-        meaning='what is minimised: "d-optimal", "e-optimal", "deviations", "condition", "plain-condition", '
-        '"moments" or "motion-size" (docs/excitation.md).',
         one_of=get_args(CriterionName),
     )
     harmonics: int = option(5, "Harmonics of the series, or number of sines.", allowed=Range(1, 50))
     points: int = option(12, "Points of a point-to-point motion.", allowed=Range(2, 200))
     period: float = option(
         10.0,
-        "Seconds of one repetition.",
-        meaning="duration of one repetition, or of all of a sum of sines or a point-to-point motion [s].",
+        "Duration of one repetition, or of a whole sum of sines or point-to-point motion [s].",
         allowed=PERIOD,
         panel="",
     )
     periods: int = option(3, "Repetitions.", allowed=Range(1, 10_000), panel="")
     ramp: float = option(
         2.0,
-        "Seconds from rest to full speed, and back.",
-        meaning="from rest to full speed, and back [s]; at least 0.1.",
+        "Time from rest to full speed, and back [s]; at least 0.1.",
         allowed=Range(0.1, 3600.0, "s"),
         hint="at least 0.1 s from rest to full speed",
     )
-    loaded: bool = option(
-        False,
-        "Design for identifying a payload: the parameters of the last link.",
-        meaning="design for the ten parameters of the last link, which a payload changes, all others being known.",
-    )
+    loaded: bool = option(False, "Design for identifying a payload: the parameters of the last link.")
     joints: tuple[str, ...] | None = option(
-        None,
-        "Joints that move, separated by commas; the others rest.",
-        meaning="names of the joints that move; all where None. The others rest in the middle of their range.",
-        read=read_names,
+        None, "Joints that move; the others rest in the middle of their range.", metavar="A,B,…", read=read_names
     )
     margin: float = option(DEFAULT_MARGIN, "Share of every limit kept free.")
     self_collision: bool = option(True, "Check for self-collision.", flag="--self-collision/--no-self-collision")
@@ -94,29 +83,16 @@ class SearchOptions(Options):
 
     seed: int = option(0, "Seed of the random starts.", allowed=SEED)
     time: float | None = option(
-        None,
-        f"Search for SECONDS; default {DEFAULT_SECONDS:g} unless --starts is given.",
-        meaning=f"duration of the search [s]; {DEFAULT_SECONDS:g} s without `starts`.",
-        allowed=SEARCH_TIME,
+        None, f"Duration of the search [s]; default {DEFAULT_SECONDS:g} unless starts are given.", allowed=SEARCH_TIME
     )
     starts: int | None = option(
-        None,
-        "Search from this many starts, whatever the machine's speed.",
-        meaning="number of starts; the result does not depend on the machine's speed.",
-        allowed=Range(1, 100_000),
+        None, "Number of starts; the result does not depend on the machine's speed.", allowed=Range(1, 100000)
     )
     solver: Solver = option(
-        "slsqp",
-        "slsqp or sfla.",
-        meaning='"slsqp", with derivatives, or "sfla", shuffled frog leaping without any.',
-        one_of=get_args(Solver),
+        "slsqp", "slsqp, with derivatives, or sfla, shuffled frog leaping without any.", one_of=get_args(Solver)
     )
     workers: int | None = option(None, meaning="processes; one per core where None, this one alone where 1.")
-    scheduler: str = option(
-        "",
-        "Dask scheduler whose workers search, too (tcp://host:8786).",
-        meaning="of a Dask cluster (tcp://host:8786), whose workers search in place of further processes.",
-    )
+    scheduler: str = option("", "Dask scheduler whose workers search, too (tcp://host:8786).")
 
 
 SMALLEST_STROKE = 0.1
@@ -140,8 +116,7 @@ class MarginAndSeed(Options):
 
     margin: float = option(
         DEFAULT_MARGIN,
-        "Share of every limit kept free.",
-        meaning="share of every limit kept free; of position ranges at both ends together.",
+        "Share of every limit kept free; of position ranges at both ends together.",
         allowed=Range(0.0, 0.9),
     )
     seed: int = option(0, "Seed of poses and phases.", allowed=SEED)
@@ -152,29 +127,18 @@ class SweepChoices(Options):
     """Options of a motion for friction: slow strokes of one joint after the other."""
 
     joints: Sequence[str] = option(
-        (),
-        "Joints that move, separated by commas; default: all.",
-        meaning="joints that move, one after the other; all where empty.",
-        read=read_names,
+        (), "Joints that move, one after the other; default: all.", metavar="A,B,…", read=read_names
     )
     pose: str | None = option(
-        None,
-        "Pose in which the other joints rest; default: the robot file's first.",
-        meaning="of the other joints, by its name in the robot file; its first, or the middle of the ranges, if None.",
+        None, "Pose in which the other joints rest; default: the robot file's first, or mid-range."
     )
     stroke: float = option(
         1.2,
-        "Stroke of each joint [rad or m].",
-        meaning="of each joint, halved until it is free [rad or m].",
+        "Stroke of each joint, halved until it is free [rad or m].",
         allowed=Range(SMALLEST_STROKE, 12.0, "rad or m"),
     )
     slowest: float = option(0.2, "Peak of the slowest stroke [rad/s, m/s].", allowed=Range(1e-3, 20.0, "rad/s or m/s"))
-    speeds: int = option(
-        6,
-        "Number of peak speeds up to the limits.",
-        meaning="number of peak speeds up to what the limits allow, in equal ratios.",
-        allowed=Range(2, 30),
-    )
+    speeds: int = option(6, "Number of peak speeds up to the limits.", allowed=Range(2, 30))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,10 +159,7 @@ class GravityChoices(PoseCount, MarginAndSeed):
     """Options of a motion for gravity."""
 
     joints: Sequence[str] | None = option(
-        None,
-        "Joints that move, separated by commas; the others rest.",
-        meaning="names of the joints that move; all where None. The others rest in the middle of their range.",
-        read=read_names,
+        None, "Joints that move; the others rest in the middle of their range.", metavar="A,B,…", read=read_names
     )
 
 

@@ -56,20 +56,15 @@ class ExperimentChoices(Options):
 
     locked: Sequence[str] = option(
         (),
-        "Joints that must not move, separated by commas.",
-        meaning="names of joints that must not move; other joints at rest are detected from the data.",
+        "Joints that must not move; other joints at rest are detected from the data.",
+        metavar="A,B,…",
         read=read_names,
     )
     torques_of: Sequence[str] = option(
-        (),
-        "Joints whose motor torques are used; default: all moving motors.",
-        meaning="names of the joints whose motors' torques are used; all moving motors where empty.",
-        read=read_names,
+        (), "Joints whose motor torques are used; default: all moving motors.", metavar="A,B,…", read=read_names
     )
     rest_tolerance: float = option(
-        REST_TOLERANCE,
-        "A joint that stays within this range [rad or m] counts as locked; default 0.005.",
-        meaning="range of positions within which a joint counts as locked [rad or m].",
+        REST_TOLERANCE, "A joint that stays within this range [rad or m] counts as locked; default 0.005."
     )
 
 
@@ -81,15 +76,9 @@ class ReversalOptions(Options):
 
     reversals: float | None = option(
         None,
-        "Leave out velocity reversals: motors slower than this share of their RMS velocity; default 0.05.",
-        meaning="leave out velocity reversals: motors slower than this share of their RMS velocity; 0 leaves out none, "
-        "None is 0.05 for methods with an equation per joint.",
+        "Leave out velocity reversals: motors slower than this share of their RMS velocity; 0 leaves out none.",
         allowed=Range(0.0, 0.99),
     )
     presliding: bool = option(
-        True,
-        "Let dry friction change over a travel at velocity reversals.",
-        meaning="near velocity reversals, let dry friction change over a travel that is found for each joint, where "
-        "that lowers the error; `predict` and `validate` follow.",
-        flag="--presliding/--no-presliding",
+        True, "Let dry friction change over a travel at velocity reversals.", flag="--presliding/--no-presliding"
     )

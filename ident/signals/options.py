@@ -48,8 +48,7 @@ class FilterOptions(Options):
     delay: float | None = delay_option()
     position_cutoff: float | None = option(
         None,
-        "Low-pass of the positions [Hz].",
-        meaning="where the gain of the positions' low-pass or smoother is one half [Hz].",
+        "Cut-off of the positions' low-pass or smoother, where its gain is one half [Hz].",
         allowed=CUTOFF,
         hint=_CUTOFF_HINT,
     )
@@ -57,9 +56,7 @@ class FilterOptions(Options):
     decimate: int | None = option(None, "Keep every N-th filtered sample.", allowed=DECIMATION, hint=_DECIMATION_HINT)
     position_decimate: int = option(
         1,
-        "Decimate the positions first (Chebyshev).",
-        meaning="factor of a Chebyshev decimation of all signals before anything else is filtered (SR400); the "
-        "Butterworth is then left out unless `position_cutoff` is given.",
+        "Factor of a Chebyshev decimation of all signals, in place of the Butterworth unless that has a cut-off.",
         allowed=DECIMATION,
         hint=_DECIMATION_HINT,
     )
@@ -68,16 +65,12 @@ class FilterOptions(Options):
     )
     differentiation: Differentiation = option(
         "butterworth",
-        "q̇ and q̈ by butterworth, kalman, five-point or savitzky-golay.",
-        meaning='how q, q̇ and q̈ follow from the positions: "butterworth" (and central differences), "kalman", '
-        '"five-point" or "savitzky-golay".',
+        "How q̇ and q̈ follow from positions: butterworth, kalman, five-point or savitzky-golay.",
         one_of=get_args(Differentiation),
     )
     kalman_noise: tuple[float, float] | None = option(
         None,
-        "Q,R of kalman: density of the 4th derivative [rad²/s⁷], variance [rad²].",
-        meaning="Q and R of the Kalman smoother: density of the white fourth derivative of every position [rad²/s⁷] "
-        "and variance of a sample [rad²]; from the data where None.",
+        "Q,R of kalman: density of the 4th derivative [rad²/s⁷], variance of a sample [rad²]; default: from the data.",
         allowed=NOISE_LEVEL,
         read=read_numbers,
     )
@@ -124,11 +117,7 @@ class WindowOptions(Options):
     stop: float | None = option(
         None, "Leave out samples after this time [s from the first stamp].", allowed=WINDOW_TIME
     )
-    keep_rest: bool = option(
-        False,
-        "Keep samples at rest: segments in which no joint moves, and motors at rest.",
-        meaning="keep segments in which no joint moves, and torques of motors at rest.",
-    )
+    keep_rest: bool = option(False, "Keep samples at rest: segments in which no joint moves, and motors at rest.")
 
     def __post_init__(self) -> None:
         """Check every option, and that the window is not empty.

@@ -41,17 +41,11 @@ _PROGRESS = "called with the name of each step before it begins."
 
 
 def _robot_option() -> str | Path | RobotFile | None:
-    return option(
-        None, "Robot file instead of the recording's own.", meaning="in place of the recording's own robot file."
-    )
+    return option(None, "Robot file instead of the recording's own.")
 
 
 def _split_option() -> float | None:
-    return option(
-        None,
-        "Identify on the first SECONDS, validate on the rest.",
-        meaning="identify on the data before this time, validate on the rest [s].",
-    )
+    return option(None, "Identify on the data before this time, validate on the rest [s].")
 
 
 def silent(step: object) -> None:
@@ -83,8 +77,7 @@ class DataOptions(Options):
     )
     validation: Runs = option(
         (),
-        "Held-out recording, once per file; default: the last 30 %.",
-        meaning="held-out recordings; without any, the last 30 % of each of the others.",
+        "Held-out recording, repeatable; default: the last 30 % of each of the others.",
         flag="--validate",
         command_type=list[Path],
     )
@@ -115,15 +108,13 @@ class CompareOptions(Options):
     _: KW_ONLY
     friction: Sequence[str] = option(
         (),
-        "Friction models, as identify takes them; each with each method.",
-        meaning="as `identify` takes them; each method with each of them. The robot file's where none.",
+        "Friction models, as identify takes them, each with each method; default: the robot file's.",
         metavar="A,B,…",
         read=read_names,
     )
     validation: Runs = option(
         (),
-        "Held-out recordings; default: the last 30 %.",
-        meaning="held-out recordings, each judged separately; the last 30 % of the others without any.",
+        "Held-out recording, repeatable, each judged separately; default: the last 30 % of the others.",
         flag="--validate",
         command_type=list[Path],
     )
@@ -180,43 +171,22 @@ class FrictionOptions(Options):
 class LoadOptions(Options):
     """Arguments of `payload`: a run without and a run with a load, and what is known of it."""
 
-    free: Run = field(
-        metadata=argument(
-            "free",
-            "Recording (.h5) of the arm without the load.",
-            meaning="recording without the load, or its path.",
-            command_type=Path,
-        )
-    )
+    free: Run = field(metadata=argument("free", "Recording (.h5) of the arm without the load.", command_type=Path))
     loaded: Run = field(
-        metadata=argument(
-            "loaded",
-            "Recording (.h5) of the same arm with the load.",
-            meaning="recording of the same arm with it.",
-            command_type=Path,
-        )
+        metadata=argument("loaded", "Recording (.h5) of the same arm with the load.", command_type=Path)
     )
     _: KW_ONLY
-    mass: float | None = option(None, "Mass of the load [kg].", meaning="of the load, where it was weighed [kg].")
+    mass: float | None = option(None, "Mass of the load, where it was weighed [kg].")
     com: Sequence[float] | FloatArray | None = option(
-        None,
-        "Centre of mass of the load in the tool frame [m].",
-        meaning="its centre of mass x, y, z in the tool frame [m].",
-        metavar="X,Y,Z",
-        read=read_numbers,
+        None, "Centre of mass x, y, z of the load in the tool frame [m].", metavar="X,Y,Z", read=read_numbers
     )
     inertia: Sequence[float] | FloatArray | None = option(
         None,
-        "Inertia of the load about its centre of mass [kg·m²].",
-        meaning="xx, xy, xz, yy, yz, zz about the centre of mass [kg·m²].",
+        "Inertia of the load about its centre of mass: xx, xy, xz, yy, yz, zz [kg·m²].",
         metavar="XX,XY,XZ,YY,YZ,ZZ",
         read=read_numbers,
     )
-    robot: str | Path | RobotFile | None = option(
-        None,
-        "Robot file instead of the free recording's own.",
-        meaning="in place of the free recording's own robot file.",
-    )
+    robot: str | Path | RobotFile | None = option(None, "Robot file instead of the free recording's own.")
     delay: float | None = delay_option()
 
     def __post_init__(self) -> None:
@@ -235,11 +205,7 @@ class GainsOptions(LoadOptions):
     """Arguments of `drive_gains`, which needs the mass."""
 
     _: KW_ONLY
-    up_and_down: bool = option(
-        False,
-        "Identify from slow passes of one joint at a time, up and down.",
-        meaning="the runs are slow passes of one joint at a time, up and down.",
-    )
+    up_and_down: bool = option(False, "Identify from slow passes of one joint at a time, up and down.")
 
     def __post_init__(self) -> None:
         """Check every option, and that there is a mass.
@@ -278,9 +244,7 @@ class PredictOptions(Options):
     )
     _: KW_ONLY
     parameters: Parameters | None = option(
-        None,
-        "consistent, full or essential; default: consistent if available, else full.",
-        meaning='"consistent", "full" or "essential", as in `load_model`; None takes what that does.',
+        None, "consistent, full or essential; default: consistent if available, else full."
     )
 
 
@@ -291,7 +255,6 @@ class DetectionOptions(Options):
     quiet: Runs | None = option(
         None,
         "Recording without contact that thresholds are learnt from; repeatable; default: those of the model.",
-        meaning="recordings without contact that thresholds are learnt from; those of the model where None.",
         command_type=list[Path],
     )
     observer: Kind = option("direct", "momentum, direct or kalman.", one_of=get_args(Kind))
@@ -343,11 +306,7 @@ class _MergedOptions(Options):
     """Data of a merge."""
 
     validation: Run | None = option(
-        None,
-        "Held-out recording (.h5) that none of them used.",
-        meaning="a held-out recording, used by none of them.",
-        flag="--validate",
-        command_type=Path,
+        None, "Held-out recording (.h5) that none of them used.", flag="--validate", command_type=Path
     )
 
 
@@ -369,15 +328,12 @@ class MergeOptions(EssentialOptions, _MergedOptions):
 class InfoOptions(Options):
     """Arguments of `info`."""
 
-    run: Run = field(
-        metadata=argument("recording", "Recording (.h5).", meaning="the recording, or its path.", command_type=Path)
-    )
+    run: Run = field(metadata=argument("recording", "Recording (.h5).", command_type=Path))
     _: KW_ONLY
     robot: str | Path | RobotFile | None = _robot_option()
     wanted_rsd: float | None = option(
         None,
         "Estimate how long to record this motion for this relative standard deviation [%].",
-        meaning="relative standard deviation [%] for which the duration needed is estimated.",
         allowed=PERCENT,
         hint="5 is usual",
     )
@@ -396,11 +352,7 @@ class ExciteOptions(SearchOptions, DesignChoices):
     robot: str | Path | RobotFile = field(metadata=_ROBOT)
     _: KW_ONLY
     earlier: ExcitationTrajectory | str | PathLike[str] | None = option(
-        None,
-        "Trajectory file to improve.",
-        meaning="a trajectory to improve, or its file.",
-        flag="--from",
-        command_type=Path,
+        None, "Trajectory to improve, or its file.", flag="--from", command_type=Path
     )
     prior: str | Path | None = option(
         None, "Model folder or result.json with prior parameters and noise.", command_type=Path
@@ -437,8 +389,7 @@ class GravityMotionOptions(GravityChoices):
     _: KW_ONLY
     prior: str | Path | None = option(
         None,
-        "Model folder or result.json with prior parameters and noise.",
-        meaning="model folder or result.json that predicts torque and its noise; the robot file's truth where None.",
+        "Model folder or result.json that predicts torque and its noise; default: the robot file's truth.",
         command_type=Path,
     )
 
@@ -450,8 +401,5 @@ class SweepOptions(SweepChoices):
     robot: str | Path | RobotFile = field(metadata=_ROBOT)
     _: KW_ONLY
     prior: str | Path | None = option(
-        None,
-        "Model folder or result.json that predicts torque.",
-        meaning="model folder or result.json that predicts torque; the robot file's truth where None.",
-        command_type=Path,
+        None, "Model folder or result.json that predicts torque; default: the robot file's truth.", command_type=Path
     )
