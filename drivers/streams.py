@@ -29,7 +29,14 @@ UNITS: Mapping[str, str] = {
 
 GOAL_AGE = "goal_age"
 """For how long [s] a goal that the motor takes in one step had been in force when its torque was measured."""
-MOTOR_ON: Mapping[str, tuple[int, int]] = {"statusword": (0x4, 0x4), "joint_mode": (~0, 253), "robot_mode": (~0, 7)}
+ENABLED = "enabled"
+"""Whether a motor drives: 1 or 0, nan where it does not say."""
+MOTOR_ON: Mapping[str, tuple[int, int]] = {
+    "statusword": (0x4, 0x4),
+    "joint_mode": (~0, 253),
+    "robot_mode": (~0, 7),
+    ENABLED: (~0, 1),
+}
 """Status quantities, their bits that say whether a motor is on, and these bits where it is: "operation enabled" (CiA
 402-2, statusword), "running" (UR's RTDE guide, joint and robot modes)."""
 COMMANDS = ("target_position", "target_velocity", "target_torque", "gain_p", "gain_d")
@@ -76,6 +83,6 @@ class Batch:
 
 
 def motors_on(quantity: str, values: FloatArray) -> BoolArray:
-    """Return which values (N, n) of a status quantity of `MOTOR_ON` say that their motor is on."""
+    """Return which values (N, n) of a status quantity of `MOTOR_ON` do not say that their motor is off."""
     mask, on = MOTOR_ON[quantity]
-    return np.asarray(np.nan_to_num(values).astype(np.int64) & mask == on)
+    return np.asarray(np.isnan(values) | (np.nan_to_num(values).astype(np.int64) & mask == on))

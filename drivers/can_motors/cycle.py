@@ -10,7 +10,7 @@ from drivers.can_motors.control import MotorControl
 from drivers.can_motors.settings import CanMotorSettings
 from drivers.core.clock import Clock
 from drivers.polled_rows import PolledRows
-from drivers.streams import GOAL_AGE, ChannelLayout
+from drivers.streams import ENABLED, GOAL_AGE, ChannelLayout
 
 FOLLOWING = 3.0
 """Periods after a goal during which the next one is awaited, so that it is sent when it comes."""
@@ -22,12 +22,13 @@ PATIENCE = 1.9
 """Periods that answers are waited for: on a computer that is late, the next goal is, and no row is lost."""
 SOONEST = 0.5
 """Periods after a cycle before which no goal is sent."""
-UNITS = {"supply_voltage": "V", "drive_temperature": "degC", GOAL_AGE: "s"}
+UNITS = {"supply_voltage": "V", "drive_temperature": "degC", ENABLED: "1", GOAL_AGE: "s"}
 MEANINGS = {
     "torque": "torque that the motor estimates from its current",
     "temperature": "of the motor's windings",
     "drive_temperature": "of the drive's power stage",
     "supply_voltage": "of the motor's supply",
+    ENABLED: "1 while the motor drives, 0 while it does not, nan where it does not say",
     GOAL_AGE: "time for which the goal behind this torque had been in force",
 }
 
@@ -39,7 +40,7 @@ class MotorCycle(PolledRows):
         super().__init__(f"motors {settings.where}", settings.keys.rate, control.sent, clock, settings.gains())
         self._bus, self._control, self._settings = bus, control, settings
         self._motors = settings.motors
-        self._quantities = [name.quantity for name in feedback_channels(settings) if name.quantity != GOAL_AGE]
+        self._quantities = _measured(settings)
         self._strange = self._overdue = 0
         self._doubled: dict[str, Level] = {}
         self._begun = clock.now()
@@ -109,6 +110,8 @@ class MotorCycle(PolledRows):
             ]
             for quantity in self._quantities
         }
+        states = (feedback.states[index].enabled for index in range(len(self._motors)))
+        row[ENABLED] = [math.nan if enabled is None else float(enabled) for enabled in states]
         if not self._settings.keys.read_only:
             ages = feedback.ages if self._control.active else {}
             row[GOAL_AGE] = [
@@ -139,11 +142,15 @@ class MotorCycle(PolledRows):
 def feedback_channels(settings: CanMotorSettings) -> tuple[ChannelLayout, ...]:
     """The channels of the stream `joints`: what every motor tells."""
     joints = tuple(motor.joint for motor in settings.motors)
-    told = [codec.quantities(read_only=settings.keys.read_only) for codec in settings.codecs()]
-    common = [quantity for quantity in told[0] if all(quantity in others for others in told)]
-    common += [GOAL_AGE] if not settings.keys.read_only else []
+    common = [*_measured(settings), ENABLED] + ([] if settings.keys.read_only else [GOAL_AGE])
     when = "time is the middle of the reading, by this computer's clock"
     return tuple(
         ChannelLayout(quantity, joints, UNITS.get(quantity, ""), f"{MEANINGS.get(quantity, quantity)}; {when}")
         for quantity in common
     )
+
+
+def _measured(settings: CanMotorSettings) -> list[str]:
+    """The quantities that every motor measures."""
+    told = [codec.quantities(read_only=settings.keys.read_only) for codec in settings.codecs()]
+    return [quantity for quantity in told[0] if all(quantity in others for others in told)]

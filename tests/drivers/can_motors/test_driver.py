@@ -128,7 +128,12 @@ def test_answers_that_come_in_the_next_period_are_rows(clock: SimulatedClock, tm
             clock.call_at(clock.now() + begun + 0.1, lambda: monkeypatch.setattr(answering, 50e-6))
         report = bench.session(tmp_path / "run.h5", GOAL)
     assert (report.stopped_by, report.lost["joints"]) == (None, 0)
-    steps = np.diff(read_recording(tmp_path / "run.h5").streams["joints"].time)
+    stream = (run := read_recording(tmp_path / "run.h5")).streams["joints"]
+    stale, enabled = stale_rows(run), stream.channels["enabled"].values
+    assert stale is not None
+    assert np.array_equal(stale.off, np.any(enabled == 0.0, axis=1))
+    assert 0 < np.count_nonzero(stale.off) < 0.5 * len(stream.time)  # before it is enabled
+    steps = np.diff(stream.time)
     assert np.sum(steps > 0.0115) > 8  # late, and there
 
 
