@@ -10,7 +10,7 @@ from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.lanes import Lanes, repeated
 from ident.servo.links import ServoLinks
 from ident.servo.motion import ServoMotion, some_pieces
-from ident.servo.search import EVERY_ERROR, evaluate, joint_cost, lane_cost, robust_scale, search
+from ident.servo.search import BLOCKED_LITTLE, EVERY_ERROR, evaluate, joint_cost, lane_cost, robust_scale, search
 from ident.servo.terms import INDEX, members, start_values, to_search, with_group
 
 STARTING_PIECES = 24
@@ -29,8 +29,9 @@ LEAST_GAIN = 0.01
 ACCELERATIONS = (5.0, 10.0, 20.0, 40.0, 80.0, 160.0)
 """[rad/s²] Starts of a profile's limit."""
 
-SATURATIONS = (0.1, 0.2, 0.4)
-"""Starts of a drive's limit, over the torque that the largest position error would ask for."""
+SATURATIONS = (0.4, 0.2, 0.1)
+"""Starts of a drive's limit, over the torque that the largest position error would ask for: the first of equal ones is
+the highest, since a lower one that these pieces do not reach lets the joint fall in others."""
 
 OWN_START = 0.1
 """Share of its cost that a joint's own start has to save against that which is best for all joints."""
@@ -164,6 +165,15 @@ def _of_one_kind(costs: FloatArray, moving: IndexArray) -> IndexArray:
     common = np.argmin(costs[:, moving].sum(axis=1))
     clearly = costs.min(axis=0) < (1.0 - OWN_START) * costs[common]
     return np.where(clearly, np.argmin(costs, axis=0), common)
+
+
+def limited_by(lanes: Lanes, values: FloatArray, able: Sequence[int] | IndexArray, scale: FloatArray) -> None:
+    """Give some joints a drive's limit, in place, the best start: one that no sample reaches has no slope."""
+    starts, costs = np.array(SATURATIONS)[:, None] * largest_torques(lanes, values), []
+    for start in starts:
+        values[able, INDEX["torque_limit"]] = start[able]
+        costs.append(joint_cost(evaluate(lanes, values)[0], lanes, scale, BLOCKED_LITTLE))
+    values[able, INDEX["torque_limit"]] = np.choose(np.argmin(costs, axis=0), starts)[able]
 
 
 def largest_torques(lanes: Lanes, values: FloatArray) -> FloatArray:

@@ -9,16 +9,7 @@ import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray, IndexArray
 from ident.servo.contact import Surface, away, find_contact, in_contact
-from ident.servo.first_fit import (
-    FIRST_GROUPS,
-    LIKE,
-    SATURATIONS,
-    error_scale,
-    first_fit,
-    largest_torques,
-    regressed_values,
-    savings,
-)
+from ident.servo.first_fit import FIRST_GROUPS, LIKE, error_scale, first_fit, limited_by, regressed_values, savings
 from ident.servo.lanes import Lanes
 from ident.servo.links import ServoLinks
 from ident.servo.motion import (
@@ -149,6 +140,7 @@ def fit_servo(
     progress("final fit")
     pieces = some_pieces(state.kept, FINAL_PIECES)
     longer = _longer_pieces(state, pieces, motions, links, tool[0])
+    _drop_profiles(state, with_pull(pieces, state.values), centre, least)
     _free_torques(state, pieces, moving, inertia, least)
     state.values = _of_whole_arm(longer, state, centre, least)
     interval = intervals(pieces, state.values, state.free, least)
@@ -283,6 +275,30 @@ def _drop_breakaway(state: _State, chosen: Lanes, judged: Lanes, centre: FloatAr
     _keep_trial(state, centre, (values, free, centre), [joint for joint in able if joint not in needed])
 
 
+def _drop_profiles(state: _State, lanes: Lanes, centre: FloatArray, least: float) -> None:
+    """Take profiles away, in place, where for most joints a drive's limit alone explains all pieces nearly as well.
+
+    Half of the pieces may not show which of both it is, and no search leaves what other terms have made up for.
+    Servos of one arm are mostly of one kind: where most need their profiles, all have them.
+    """
+    profile, limit = INDEX["acceleration_limit"], INDEX["torque_limit"]
+    able = np.flatnonzero(state.free[:, profile] & ~state.held[:, limit])
+    if not len(able):
+        return
+    own = np.isin(np.arange(len(centre)), able)[:, None]
+    scale, free, values, prior = error_scale(lanes, state.values, least), state.free.copy(), state.values.copy(), centre
+    without_group(values, free, able.tolist(), "profile")
+    limited_by(lanes, values, able[~free[able, limit]], scale)
+    free[able, limit] = True
+    prior = np.where(free & ~state.free, to_search(values), centre)
+    for _ in range(2):
+        values = search(lanes, values, free & own, scale, prior, 12, BLOCKED_LITTLE)
+        state.values = search(lanes, state.values, state.free & own, scale, centre, 12, BLOCKED_LITTLE)
+    needed = savings(lanes, values, state.values, able.tolist(), least, BLOCKED_LITTLE, LATE_GAIN)
+    if 2 * len(needed) < len(able):
+        _keep_trial(state, centre, (values, free, prior), [joint for joint in able.tolist() if joint not in needed])
+
+
 def _like_the_others(
     state: _State, chosen: Lanes, judged: Lanes, centre: FloatArray, held: BoolArray, able: BoolArray, least: float
 ) -> None:
@@ -408,13 +424,8 @@ def _tried(
     """Values, free terms and prior (n, terms) with a group added to some joints, fitted."""
     trial, trial_free = with_group(values, free, able, group)
     scale = error_scale(chosen, values, least)
-    if group == "saturation":  # a limit that no sample reaches has no slope
-        starts = np.array(SATURATIONS)[:, None] * largest_torques(chosen, values)
-        costs = []
-        for start in starts:
-            trial[able, INDEX["torque_limit"]] = start[able]
-            costs.append(joint_cost(evaluate(chosen, trial)[0], chosen, scale, BLOCKED_LITTLE))
-        trial[able, INDEX["torque_limit"]] = np.choose(np.argmin(costs, axis=0), starts)[able]
+    if group == "saturation":
+        limited_by(chosen, trial, able, scale)
     trial_centre = np.where(trial_free & ~free, to_search(trial), centre)
     return search(chosen, trial, trial_free, scale, trial_centre, 12, BLOCKED_LITTLE), trial_free, trial_centre
 

@@ -305,12 +305,14 @@ def intervals(lanes: Lanes, values: FloatArray, free: BoolArray, least: float) -
     share = _bend(residual / scale[lanes.joint], lanes.joint, len(values))
     curvatures, gradients, _ = equations(lanes, values, free, scale, BLOCKED_LITTLE, share)
     ridge = np.diag((UNSEEN / _SPREAD[terms]) ** 2)
-    covariance, allowed = _spread(curvatures, gradients, ridge)
+    covariance, allowed, freedom = _spread(curvatures, gradients, ridge)
+    found = np.diag(covariance)
     # the cost is rough, and a search ends where no trial was better: so far is it to where the pieces' slopes point
     left = np.linalg.solve(curvatures.sum(axis=0) + ridge, gradients.sum(axis=0))
-    covariance += np.outer(left, left)
-    quantile = float(stdtrit(max(1, len(gradients) - 1), 0.5 + CONFIDENCE / 2))
-    reach, least_reach = quantile * np.sqrt(np.diag(covariance)), quantile * np.sqrt(allowed)
+    covariance = _at_least(covariance, allowed) + np.outer(left, left)
+    own, quantile = stdtrit([freedom, np.full_like(freedom, max(1, len(gradients) - 1))], 0.5 + CONFIDENCE / 2)
+    least_reach = quantile * np.sqrt(allowed)
+    reach = np.hypot(np.maximum(own * np.sqrt(found), least_reach), own * left)
     point = to_search(values)
     for joint, index, half, shown in zip(owners, terms, reach, least_reach, strict=True):
         term, ends = TERMS[index], np.tile(point[joint], (2, 1))
@@ -331,15 +333,18 @@ def _bend(error: FloatArray, joint: IndexArray, joints: int) -> FloatArray:
     return np.asarray(np.clip(sums[0] / np.maximum(sums[1], 1e-12), 0.2, 1.0), dtype=np.float64)
 
 
-def _spread(curvatures: FloatArray, gradients: FloatArray, ridge: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _spread(
+    curvatures: FloatArray, gradients: FloatArray, ridge: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Covariance (m, m) from what each piece's curvature (P, m, m) and gradient (P, m) say; `ridge` (m, m) beside them.
 
     A piece has drawn the terms towards itself, by the share of the curvature that it has: its gradient is divided by
-    the root of the rest (R. M. Bell, D. F. McCaffrey, "Bias reduction in standard errors for linear regression with
-    multi-stage samples", Survey Methodology 28, 2002). No term is known better than the curvature allows with the
-    inflation that most show: where the data show nothing, or a single piece does, the gradients vanish, too.
+    the root of the rest, and few pieces that show a term tell its spread badly, by the degrees of freedom (m,) of
+    Satterthwaite's approximation (R. M. Bell, D. F. McCaffrey, "Bias reduction in standard errors for linear regression
+    with multi-stage samples", Survey Methodology 28, 2002).
 
-    Also the variances (m,) that the curvature of all pieces together allows.
+    Also the variances (m,) that the curvature of all pieces together allows, with the inflation that most show: no term
+    is known better. Where the data show nothing, or a single piece does, the gradients vanish, too.
     """
     whole = curvatures.sum(axis=0) + ridge
     lengths = np.sqrt(np.diag(whole))
@@ -348,9 +353,23 @@ def _spread(curvatures: FloatArray, gradients: FloatArray, ridge: FloatArray) ->
     pulls = (gradients - gradients.mean(axis=0)) @ root
     shares, own = np.linalg.eigh(root.T @ curvatures @ root)
     rest = np.sqrt(np.maximum(1.0 - shares, LEAST_REST))
-    moved = np.einsum("pij,pj,pkj,pk->pi", own, 1.0 / rest, own, pulls, optimize=True) @ root.T
+    weights = (own / rest[:, None, :]) @ own.swapaxes(1, 2) @ root.T  # (P, m, m) of each piece's pull on each term
+    moved = np.einsum("pj,pji->pi", pulls, weights)
     spread, allowed = moved.T @ moved, np.sum(root**2, axis=1)
+    between = (own * shares[:, None, :]) @ own.swapaxes(1, 2)
+    freedom = np.empty(len(allowed))
+    for term in range(len(allowed)):
+        weight = weights[:, :, term]
+        drawn = np.einsum("pij,pj->pi", between, weight)
+        expected = np.diag(np.einsum("pi,pi->p", weight, drawn)) - drawn @ drawn.T
+        freedom[term] = np.trace(expected) ** 2 / max(float(np.sum(expected**2)), 1e-300)
     found = np.diag(spread)
     allowed = allowed * float(np.median(found / np.maximum(allowed, 1e-300)))
-    factor = np.sqrt(np.maximum(found, allowed) / np.maximum(found, 1e-300))
-    return np.clip(spread * np.outer(factor, factor), -1e6, 1e6), allowed
+    return spread, allowed, np.maximum(freedom, 1.0)
+
+
+def _at_least(covariance: FloatArray, variances: FloatArray) -> FloatArray:
+    """The covariance (m, m) with variances of so much at least (m,), at the same correlations."""
+    found = np.diag(covariance)
+    factor = np.sqrt(np.maximum(found, variances) / np.maximum(found, 1e-300))
+    return np.asarray(np.clip(covariance * np.outer(factor, factor), -1e6, 1e6), dtype=np.float64)
