@@ -20,6 +20,7 @@ from ident.assessment.validation import fit_errors
 from ident.estimators.estimator import Estimator, Setup
 from ident.estimators.feasible.armature import armature_vector
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
+from ident.estimators.robust.reweighting import without_rejected
 from ident.estimators.torque_estimator import reduce_torques
 from ident.friction.terms import NO_TERMS
 from ident.identify.body_checks import refuse_denied
@@ -122,19 +123,25 @@ def identify(  # noqa: PLR0915 — the steps, in their order
 
     progress("error bars")
     filtered = list(_filtered_runs(runs, fit))
+    counted = without_rejected(setup.runs, estimation.weights)
     corrected, free = with_free_shapes(
-        estimator, estimation, experiment.torques, filtered, estimator.covariance(filtered, estimation)
+        estimator,
+        estimation,
+        experiment.torques,
+        filtered,
+        setup.runs,
+        counted,
+        estimator.covariance(filtered, estimation),
     )
     if choices.estimator.equations == "torque":
-        # iirls moves the shapes of the friction, and with them the columns.
         equations = free.reduction
         if equations is None:
-            equations = reduction if kernel is setup.kernel else reduce_torques(kernel, setup.runs, experiment.torques)
+            equations = reduce_torques(kernel, counted, experiment.torques) if estimation.weights else reduction
         weights = _weights(equations, replace(solution, parameters=free.parameters))
         corrected = with_systematic_errors(
             corrected,
             free.kernel,
-            setup.runs,
+            counted,
             equations,
             weights,
             free.active,
@@ -143,7 +150,7 @@ def identify(  # noqa: PLR0915 — the steps, in their order
         )
     corrected, shape_std = free.split(corrected)
     if choices.estimator.equations == "torque":
-        corrected = with_curvature(corrected, shape_std, free, kernel, setup.runs, weights)
+        corrected = with_curvature(corrected, shape_std, free, kernel, counted, weights)
         corrected = with_repeatability(corrected, kernel, base, filtered, replace(solution, weights=weights))
     inflation = np.ones(base.count)
     random = np.sqrt(np.diag(corrected.covariance)) if corrected.random_std is None else corrected.random_std

@@ -47,7 +47,7 @@ def with_systematic_errors(
     Args:
         corrected: by the jackknife.
         kernel: of the base columns.
-        runs: the data.
+        runs: the data, without equations that the estimate rejected.
         reduction: of them.
         weights: (n,) of the motors' equations.
         active: base columns that were estimated (a).
@@ -55,7 +55,10 @@ def with_systematic_errors(
         delay: root mean square of the delay that is still in the data [s]; 0 where the delay is known.
     """
     chosen, total = list(active), corrected.covariance
-    whole = solve_weighted(reduction, active, weights, "wls", 1)
+    try:
+        whole = solve_weighted(reduction, active, weights, "wls", 1)
+    except IdentificationError:  # what a robust estimate counts little determines a parameter
+        return corrected
     parts = [without_reversals(kernel, run) for run in runs]
     away = only_torques(
         stack_reductions([reduce_segments(kernel, run.segments, run.parallel_filter) for run in parts]), torques

@@ -11,7 +11,7 @@ stays that of the accepted residuals' noise and hard weights do not narrow thems
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -38,6 +38,9 @@ PARAMETER_TOLERANCE = 1e-2
 """Largest step of a parameter, in its classical standard deviations, at which the weights have settled."""
 
 MOST_PASSES = 40
+
+LEAST_WEIGHT = 0.5
+"""Of an equation that counts for what plain equations tell of a robust estimate (`without_rejected`)."""
 
 Solve = Callable[[RegressorKernel, Reduction, FloatArray], LeastSquares]
 """The solution of a reduced system, after the parameters (b,) of the last one; what its residuals are those of."""
@@ -231,6 +234,26 @@ class Reweighting:
     ) -> Pass:
         self.passes += 1
         return weighted_pass(kernel, self.runs, self.torques, parameters, covariance, function)
+
+
+def without_rejected(runs: Sequence[Prepared], weights: Sequence[FloatArray]) -> list[Prepared]:
+    """The same data without the equations of which the estimate took less than half; as they are without weights.
+
+    Args:
+        runs: the data.
+        weights: of the filtered equations of each segment of all runs, in order (n, M); empty where all count alike.
+    """
+    if not weights:
+        return list(runs)
+    of_segment, kept = iter(weights), []
+    for run in runs:
+        segments = []
+        for segment in run.segments:
+            mask = np.zeros(segment.torque.shape, dtype=np.bool_)
+            mask[:, :: run.parallel_filter.factor] = next(of_segment) < LEAST_WEIGHT
+            segments.append(replace(segment, reversing=mask if segment.reversing is None else mask | segment.reversing))
+        kept.append(replace(run, segments=tuple(segments)))
+    return kept
 
 
 def median_deviations(residuals: Sequence[FloatArray]) -> FloatArray:

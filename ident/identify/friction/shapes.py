@@ -39,7 +39,7 @@ from ident.regression.least_squares import (
     solve_weighted,
     weighted_least_squares,
 )
-from ident.regression.observation_matrix import Reduction, only_torques, reduce_segments, stack_reductions
+from ident.regression.observation_matrix import Reduction
 from ident.signals.prepared import Prepared
 
 
@@ -83,6 +83,8 @@ def with_free_shapes(
     estimation: Estimation,
     torques: Sequence[int],
     runs: Sequence[FilteredRun],
+    everything: Sequence[Prepared],
+    counted: Sequence[Prepared],
     corrected: CorrectedCovariance,
 ) -> tuple[CorrectedCovariance, FreeShapes]:
     """The covariance of a solution together with its friction's shapes.
@@ -93,6 +95,8 @@ def with_free_shapes(
             covariance remains where no shape was estimated.
         torques: motors whose torques were used.
         runs: the data.
+        everything: the same, not filtered yet.
+        counted: the same without equations that the estimate rejected, for the plain equations.
         corrected: its covariance for shapes that are known.
     """
     kernel, solution = estimation.kernel, estimation.solution
@@ -102,19 +106,30 @@ def with_free_shapes(
     if not terms.shaped or not (whitened or solution.method in get_args(LinearMethod)):
         return corrected, known
     shapes = shape_columns(kernel, torques)
-    reduction = only_torques(
-        stack_reductions([reduce_segments(shapes.kernel, run.segments, run.parallel_filter) for run in runs]), torques
-    )
+    reduction = reduce_torques(shapes.kernel, counted, torques)
     excited = set(excited_columns(reduction))
     if whitened:
         extended, _ = with_shapes(estimation, torques)
-        return estimator.covariance(runs, extended), _free_shapes(estimation, shapes, shapes.columns, reduction)
+        found, free = estimator.covariance(runs, extended), _free_shapes(estimation, shapes, shapes.columns, reduction)
+        every = reduce_torques(shapes.kernel, everything, torques)
+        if solution.method == "irls" and set(free.active) <= set(excited_columns(every)):
+            # Its shapes are those of all equations, whatever it rejects afterwards.
+            of_all = block_jackknife(shapes.kernel, runs, weighted_least_squares(every, free.active)).covariance
+            found = replace(found, covariance=_with_shapes_of(of_all, found.covariance, len(solution.active)))
+        return found, free
     if not set(solution.active) <= excited:
         return corrected, known
     free = _free_shapes(estimation, shapes, [column for column in shapes.columns if column in excited], reduction)
     solve = ordinary_least_squares if solution.method == "ols" else weighted_least_squares
     covariance = block_jackknife(shapes.kernel, runs, solve(reduction, free.active)).covariance
     return replace(corrected, covariance=covariance), free
+
+
+def _with_shapes_of(known: FloatArray, covariance: FloatArray, count: int) -> FloatArray:
+    """The covariance of `count` parameters and of shapes (s,) that are known as by another one of the same."""
+    own = covariance[count:, count:]
+    slopes = np.vstack([covariance[:count, count:] @ np.linalg.pinv(own), np.eye(len(own))])
+    return np.asarray(covariance + slopes @ (known[count:, count:] - own) @ slopes.T)
 
 
 def _free_shapes(

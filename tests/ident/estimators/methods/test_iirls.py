@@ -65,7 +65,12 @@ def test_the_truth_lies_within_the_error_bars_in_spite_of_contacts(arm, faulty, 
     for motor, truth in enumerate(EXPONENTS):
         sigma = full.shape_std["exponent", motor]
         assert abs(full.model.terms.shape("exponent", motor) - truth) < 3.0 * sigma < 0.15
+    random = full.corrected.random_std
+    assert random is not None
+    assert np.max(full.std[list(full.solution.active)] / random) < 1.5  # a contact is no systematic error
     before = identified(faulty, "irls")  # its shapes are those of all equations
+    for motor, truth in enumerate(EXPONENTS):
+        assert abs(before.model.terms.shape("exponent", motor) - truth) < 2.0 * before.shape_std["exponent", motor]
     error = [np.abs(np.array(found.model.terms.shapes["exponent"]) - EXPONENTS).max() for found in (before, full)]
     assert error[1] < error[0]
 

@@ -106,7 +106,9 @@ def test_error_bars_hold_what_is_not_linear_in_the_shapes_and_what_a_delay_does_
     (run,) = runs
     filtered = [FilteredRun(run.segments, run.parallel_filter, found.fit_series)]
     kernel, weights = RegressorKernel(found.model, found.base.columns), found.solution.weights
-    corrected, free = with_free_shapes(found.choices.estimator, found.estimation, [0, 1], filtered, found.corrected)
+    corrected, free = with_free_shapes(
+        found.choices.estimator, found.estimation, [0, 1], filtered, runs, runs, found.corrected
+    )
     alone, shape_std = free.split(corrected)
     assert shape_std.keys() == found.shape_std.keys()
     assert all(std > 0.0 for std in shape_std.values())
