@@ -13,6 +13,7 @@ from drivers.core.text import percent_text
 from ident.assessment.arm_mass import LENGTHS_PER_REACH, arm_length, joint_distances, mass_of_length, part_of_arm
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
+from ident.model.dynamics.inverse_dynamics import weights_in_offsets
 from ident.model.kinematics.urdf import urdf_inertias
 from ident.model.regressor import RegressorKernel, dense_regressor
 from ident.verdict.catalogue import raised
@@ -170,8 +171,12 @@ def weight_checks(
         )
         return [raised("implausible-load", text, [name])]
     limits = {robot.joint_names.index(joint.name): joint.torque for joint in robot.joints if joint.torque is not None}
-    # Gravity shows at no joint of a vertical axis: a SCARA carries its weight with its slide alone.
+    # Gravity shows at no joint of a vertical axis: a SCARA carries its weight with its slide alone, and the slide's
+    # offset holds it.
     carrying = np.max(np.abs(rows), axis=(1, 2), initial=0.0) > NOTHING
+    for name, column in weights_in_offsets(model, base).items():
+        lift = model.joint_names.index(name)
+        carrying[lift], peak[lift] = True, peak[lift] + abs(float(parameters[column]))
     shares = {row: float(peak[row]) / limit for row, limit in limits.items() if carrying[row]}
     if len({limits[row] for row in turning if row in limits}) < 2:  # equal limits are placeholders
         return []

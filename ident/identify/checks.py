@@ -152,12 +152,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         values, std = identification.solution.parameters, identification.std
         torques = [run.signals.torque for run in identification.runs]
         checks += bias_checks(identification.model, identification.base, values, std, np.concatenate(torques))
-    if consistent is not None and (sliding := weights_in_offsets(identification.model, identification.base)):
-        text = (
-            f"the data show only the sum of weight and constant friction of {', '.join(sliding)}; the physically "
-            "consistent model splits it by its masses, with less constant friction than Coulomb friction"
-        )
-        checks.append(raised("weight-not-separate", text))
+    checks += _weight_split_checks(identification)
     if consistent is not None:
         whole = identification.experiment == whole_arm(identification.model)
         bodies = body_checks(
@@ -172,6 +167,25 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         follow |= {"implausible-link", "implausible-centre"} if denied else set()
         checks += [check for check in bodies if check.name not in follow]
     return checks + residual_checks(identification.residual_tests)
+
+
+def _weight_split_checks(identification: Identification) -> list[Check]:
+    """How the consistent model splits the sums of weight and constant friction that no motion separates."""
+    base = identification.base
+    sliding = weights_in_offsets(identification.model, base)
+    if identification.consistent is None or not sliding:
+        return []
+    parameters = identification.consistent.parameters
+    constant = {name: float(parameters.values[base.columns[row]]) for name, row in sliding.items()}
+    split = ", ".join(
+        f"{name} {float(parameters.base[row]) - constant[name]:.3g} N of weight and {constant[name]:.2g} N of friction"
+        for name, row in sliding.items()
+    )
+    text = (
+        f"the data show only the sum of weight and constant friction of {', '.join(sliding)}; the physically "
+        f"consistent model splits it by its masses and Coulomb friction: {split}"
+    )
+    return [raised("weight-not-separate", text)]
 
 
 def consistency_checks(

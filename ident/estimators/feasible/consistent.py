@@ -14,7 +14,7 @@ from drivers.core.errors import IdentificationError, RobotFileError
 from ident.estimators.feasible.armature import Armature, armatures
 from ident.estimators.feasible.interior_point import BoolArray, NewtonMinimum, minimise, strictly_inside
 from ident.estimators.feasible.prior import apparent_mass, link_priors
-from ident.estimators.feasible.problem import FeasibilityProblem, build_problem
+from ident.estimators.feasible.problem import FeasibilityProblem, build_problem, offset_sizes
 from ident.linear_algebra.independent_columns import DETERMINED, row_space
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -105,6 +105,11 @@ def consistent_parameters(
     estimate = bounded_precision(estimate)
     system = estimate.root @ estimate.combinations(base.projection)
     target = estimate.root @ estimate.values
+    # What a lift carries shows how heavy the links are, too.
+    offsets = offset_sizes(model, base, estimate)
+    small = np.zeros((len(offsets), system.shape[1]))
+    small[range(len(offsets)), list(offsets)] = 1.0 / np.array(list(offsets.values()))
+    system, target = np.vstack([system, small]), np.append(target, np.zeros(len(offsets)))
     priors = link_priors(model, robot_file, system, target)
     problem = build_problem(model, robot_file, base, estimate, priors)
     fit = feasible_fit(problem, estimate, base.projection, robot_file.robot.name)

@@ -332,16 +332,24 @@ def _joint_sizes(
             sign = _sign(parameters[index])
             sizes[index] = max(sign * value if sign else abs(value), float(deviations[place]))
             pulls[index] = 1.0
-    # A weight in an offset is far larger than the offset, friction that differs by direction.
+    for index, size in offset_sizes(model, base, estimate).items():
+        sizes[index] = min(sizes[index], size)
+    return sizes, pulls
+
+
+def offset_sizes(model: DynamicModel, base: BaseParameters, estimate: Estimate) -> dict[int, float]:
+    """Plausible sizes [N] of offsets that no motion separates from a weight, by the offset's index.
+
+    A weight is far larger than the offset, which is friction that differs by direction.
+    """
     dry = {
-        parameters[base.columns[column]].joint: abs(value)
+        model.parameters[base.columns[column]].joint: abs(value)
         for column, value in zip(estimate.active, estimate.values, strict=True)
         if base.kinds[column] == "coulomb"
     }
-    for column in weights_in_offsets(model, base).values():
-        index = base.columns[column]
-        sizes[index] = min(sizes[index], OFFSET_SHARE * dry.get(parameters[index].joint, np.inf))
-    return sizes, pulls
+    offsets = [base.columns[column] for column in weights_in_offsets(model, base).values()]
+    of_joint = {index: dry.get(model.parameters[index].joint, 0.0) for index in offsets}
+    return {index: OFFSET_SHARE * friction for index, friction in of_joint.items() if friction > 0.0}
 
 
 def _greatest_torques(model: DynamicModel, base: BaseParameters, estimate: Estimate) -> list[float]:

@@ -10,6 +10,7 @@ from lift import LIFT
 from random_arms import random_arm
 
 import dynid
+from daq.robot.loader import parse_robot
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
@@ -39,6 +40,14 @@ def test_the_consistent_model_has_its_weight_in_gravity(model):
     assert model.confounded == ()
 
 
+@pytest.mark.usefixtures("estimate_alone")
+def test_its_weight_needs_no_stated_masses():
+    """Without them the links are as heavy as the lift's force shows, not as the arm's light torques do."""
+    robot_file = parse_robot(LIFT.text.partition("prior:")[0], where="lift", folder=None)
+    unstated = dynid.identify(dynid.simulate(robot_file, duration=6.0, seed=1)).model
+    assert unstated.gravity(STILL)[0] == pytest.approx(WEIGHT, abs=0.06 * WEIGHT)
+
+
 def test_what_no_motion_separates_has_no_error_bar(model):
     values = {p.name: p for p in model.result.consistent.parameters}
     for name in ("Fo1", "M1", "M2", "Ia1"):
@@ -50,7 +59,8 @@ def test_what_no_motion_separates_has_no_error_bar(model):
 
 def test_the_verdict_says_that_the_data_hold_the_sum_of_weight_and_friction(model):
     (check,) = [check for check in model.result.verdict.checks if check.name == "weight-not-separate"]
-    assert "of lift;" in check.text
+    gravity, friction = model.gravity(STILL)[0], model.friction(STILL)[0]
+    assert f"lift {gravity:.3g} N of weight and {friction:.2g} N of friction" in check.text
 
 
 def test_the_full_model_refuses_what_it_does_not_know(model):
