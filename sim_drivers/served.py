@@ -10,6 +10,7 @@ from typing import Protocol, Self
 
 from drivers.core.options import Options, argument, option
 from drivers.core.ranges import Range
+from ident.ranges import SEED
 
 DEMO_TIME = Range(2.0, 3600.0, "s")
 """Duration of the demonstration's motion."""
@@ -22,7 +23,7 @@ class DemoOptions(Options):
     out: Path = option(Path("demo"), "Folder for the recordings, result.json, report.html.", short="-o")
     robot: str = option("ur5e", "UR arm: built-in, or a robot file with a truth section.")
     duration: float = option(30.0, "Length of the identification motion [s].", allowed=DEMO_TIME)
-    seed: int = option(1, "Seed of the motion and the noise.")
+    seed: int = option(1, "Seed of the motion and the noise.", allowed=SEED)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +46,7 @@ class SimOptions(Options):
         None, "Contacts, separated by ';': push LINK FX FY FZ for S after S; wall …; pick MASS after S."
     )
     position: str | None = option(None, "Initial position of each joint [rad or m]; default: mid-range.")
-    seed: int = option(1, "Of the noise.")
+    seed: int = option(1, "Of the noise.", allowed=SEED)
     play: Path | None = option(None, "Servo arms: motion to play and record instead of serving.")
     out: Path | None = option(None, "With --play: recording to write (.h5).", short="-o")
 

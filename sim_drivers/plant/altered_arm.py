@@ -13,6 +13,7 @@ import numpy as np
 from daq.robot.loader import RobotFile
 from daq.robot.schema import Truth, TruthLink
 from drivers.core.errors import RobotFileError, UsageError
+from drivers.core.ranges import LENGTH, PAYLOAD
 from ident.model.dynamic_model import build_model
 
 
@@ -66,6 +67,9 @@ def with_payload(robot_file: RobotFile, text: str) -> RobotFile:
         values = []
     if len(values) != 4 or not np.all(np.isfinite(values)) or values[0] <= 0.0:
         raise UsageError(f"'{text}' is not a payload", hint="--payload MASS@X,Y,Z in kg and m, such as 2.0@0,0,0.05")
+    for value, allowed in zip(values, (PAYLOAD, LENGTH, LENGTH, LENGTH), strict=True):
+        if not allowed.holds(value):
+            raise UsageError(f"{value:g} is not within {allowed}", where="--payload")
     com = np.array(values[1:]) - np.array(robot_file.robot.workspace.tool)
     return with_load(robot_file, values[0], com.tolist(), [0.0] * 6)
 

@@ -59,3 +59,9 @@ def test_a_payload_is_a_point_mass_in_the_flange_frame() -> None:
 def test_what_is_no_payload_is_refused(text: str) -> None:
     with pytest.raises(UsageError, match="is not a payload"):
         with_payload(load_robot("ur5e"), text)
+
+
+@pytest.mark.parametrize("text", ["1e9@0,0,0", "1e-9@0,0,0", "1@1e9,0,0"])
+def test_a_payload_beyond_all_arms_is_refused(text: str) -> None:
+    with pytest.raises(UsageError, match="is not within"):
+        with_payload(load_robot("ur5e"), text)
