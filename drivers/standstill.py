@@ -26,19 +26,30 @@ class StandstillWatch:
     def __init__(self, longest_gap: float, window: float = REST_WINDOW) -> None:
         self._longest_gap = longest_gap
         self._window = window
+        self._band = max(0.5 * REST_SPEED * window, FLICKER)
         self._reference: FloatArray | None = None
         self._since = self._newest = math.nan
 
     def add(self, time: float, position: FloatArray) -> None:
         """Take positions (n,) [rad or m] at a time [s]; times must not fall."""
-        gap = not time - self._newest <= self._longest_gap
-        if (
-            gap
-            or self._reference is None
-            or not np.abs(position - self._reference).max() < max(0.5 * REST_SPEED * self._window, FLICKER)
-        ):
+        if not self._stays(time, position):
             self._reference, self._since = position.copy(), time
         self._newest = time
+
+    def add_rows(self, time: FloatArray, position: FloatArray) -> None:
+        """Take positions (N, n) [rad or m], N ≥ 1, at times (N,) [s], as `add` takes each of them."""
+        if self._stays(float(time[-1]), position):
+            self._newest = float(time[-1])
+            return
+        for moment, row in zip(time.tolist(), position, strict=True):
+            self.add(moment, row)
+
+    def _stays(self, time: float, position: FloatArray) -> bool:
+        return (
+            time - self._newest <= self._longest_gap
+            and self._reference is not None
+            and bool(np.abs(position - self._reference).max() < self._band)
+        )
 
     @property
     def at_rest(self) -> bool:

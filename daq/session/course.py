@@ -89,8 +89,7 @@ class Course:
             differ = self.rates.looked(self.clock.now()) or self.rates.add(float(batch.time[-1]), self.heard)
             self.untrusted = differ or self.untrusted
             watched = [batch.values[name] for name in ("position", "target_position") if name in batch.values]
-            for host_time, row in zip(batch.host_time.tolist(), np.hstack(watched), strict=True):
-                self.rest.add(host_time, row)
+            self.rest.add_rows(batch.host_time, np.hstack(watched))
             if self.gate is not None:
                 self.gate.measured(self.clock.now(), self.position)
             self.source_minus_host = float(batch.time[-1] - batch.host_time[-1])

@@ -30,7 +30,7 @@ BUFFER_SECONDS = 60.0
 """How long [s] `take` may stay away before the oldest packages are dropped."""
 CHUNK_BYTES = 1 << 18
 """More than a second of samples: what came during a stall is to be handed out together."""
-TOGETHER, UNMOVED = 0.006, 0.008
+TOGETHER, UNMOVED = 0.006, 0.016
 """Samples are handed out so long [s] at a time, or one by one where they come slower; `UNMOVED` where dynid does not
 move the arm, so that nothing is to be stopped."""
 LOOK = 0.05
@@ -93,6 +93,7 @@ class RtdeReceiver:
         self.overflow = 0
         self._socket: socket.socket | None = None
         self._splitter = wire.PackageSplitter()
+        self._chunk = memoryview(bytearray(CHUNK_BYTES))
         self._early: deque[wire.Package] = deque()
         self._thread: threading.Thread | None = None
         self._arrival = clock.condition()
@@ -167,14 +168,16 @@ class RtdeReceiver:
     def take(self, timeout: float, together: float = TOGETHER) -> Samples | None:
         """Return what has arrived since the last call; None where nothing has.
 
-        It waits for the samples of `together` [s], at most `timeout` [s]: handling each by itself takes most of a core.
+        It waits at most `timeout` [s] for the first, and unless that is 0, for all of `together` [s]: handling each by
+        itself takes most of a core.
 
         Raises:
             ConnectionLostError: nothing is left and the connection broke, fell silent or spoke something else.
         """
         with self._arrival:
             self._together = max(1, round(together * self.rate))
-            self._arrival.wait_for(lambda: len(self._ring) >= self._together or self._failure, timeout)
+            if not self._arrival.wait_for(self._complete, timeout) and self._ring and 0.0 < timeout < together:
+                self._arrival.wait_for(self._complete, together - timeout)
             batch = list(self._ring)
             self._ring.clear()
             failure = self._failure
@@ -188,6 +191,9 @@ class RtdeReceiver:
         rows = wire.decode_data(self.recipe, b"".join([raw for raw, _ in batch]))
         host_time = np.array([arrived for _, arrived in batch], dtype=np.float64)
         return Samples(rows, host_time, self._count_lost(rows[TIMESTAMP]))
+
+    def _complete(self) -> bool:
+        return len(self._ring) >= self._together or self._failure is not None
 
     def notices(self) -> list[Notice]:
         """Notices since the last call."""
@@ -328,8 +334,8 @@ class RtdeReceiver:
             if left <= 0.0 and (left := left + self._clock.stalled(fresh)) <= 0.0:
                 raise TimeoutError
             readable, _ = self._clock.select([connection], [], min(left, LOOK))
-            if readable:
-                return connection.recv(CHUNK_BYTES)
+            if readable:  # `recv` would ask the system for so much memory each time
+                return bytes(self._chunk[: connection.recv_into(self._chunk)])
 
     def _receive(self) -> None:
         failure: tuple[str, str] | None

@@ -47,3 +47,22 @@ def test_an_encoder_that_flickers_between_two_steps_is_at_rest():
     for number in range(30):
         watch.add(0.01 * number, np.array([0.5, (number % 3 == 0) * 2.0 * np.pi / 4096]))
     assert watch.at_rest
+
+
+def test_rows_together_are_judged_as_one_by_one():
+    generator = np.random.default_rng(1)
+    one, together = StandstillWatch(0.05, 0.1), StandstillWatch(0.05, 0.1)
+    answers = set()
+    end, place = 0.0, np.zeros(2)
+    for _ in range(300):
+        count = generator.integers(1, 9)
+        steps = np.where(generator.random(count) < 0.02, 0.06, PERIOD)
+        moves = (generator.random((count, 1)) < 0.03) * generator.normal(0.0, 1e-3, (count, 2))
+        times, rows = end + np.cumsum(steps), place + np.cumsum(moves, axis=0)
+        end, place = times[-1], rows[-1]
+        together.add_rows(times, rows)
+        for time, row in zip(times, rows, strict=True):
+            one.add(float(time), row)
+        assert together.at_rest == one.at_rest
+        answers.add(one.at_rest)
+    assert answers == {True, False}

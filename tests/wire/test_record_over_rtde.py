@@ -34,7 +34,7 @@ from daq.session.session import READ_TIMEOUT, SessionReport, record
 from daq.session.supervisor import STALE_FLOOR, TRACKING_ERROR, TRACKING_WINDOW, VELOCITY_MARGIN, Limits, Supervisor
 from drivers.core.errors import ConnectionLostError, SafetyStopError
 from drivers.rtde.driver import RtdeDriver
-from drivers.rtde.receiver import SILENCE_LIMIT, TOGETHER
+from drivers.rtde.receiver import SILENCE_LIMIT, TOGETHER, UNMOVED
 from sim_drivers.faults import parse_fault
 from sim_drivers.plant.plant import Plant, PlantSettings
 from sim_drivers.rtde.server import RtdeServer, ServerStatus
@@ -197,7 +197,7 @@ def test_what_is_recorded_is_what_the_plant_measured(bench: Bench) -> None:
     assert report.lost == {"joints": 0, "thermal": 0, "status": 0}
     assert bench.recording.complete
     assert_no_sample_is_missing(bench.times())
-    assert len(bench.times()) in (500, 501)
+    assert 500 <= len(bench.times()) <= 500 + round(UNMOVED / PERIOD)  # whole reads
     assert len(bench.recording.streams["thermal"].time) in (20, 21)
     assert len(bench.recording.streams["status"].time) in (10, 11)
     host = bench.recording.streams["joints"].host_time
@@ -255,7 +255,8 @@ def test_a_silent_controller_is_stopped_when_its_data_are_stale(bench: Bench, tm
     assert "stale data of stream joints" in str(report.stopped_by)
     assert bench.times()[-1] == pytest.approx(NEXT_PERIOD)
     silence = bench.stop_event()[0] - bench.times()[-1]
-    assert STALE_FLOOR < silence < STALE_FLOOR + READ_TIMEOUT + 1e-9
+    # The last sample may wait for a whole read, and the limit is looked at after each.
+    assert STALE_FLOOR < silence < STALE_FLOOR + 2 * READ_TIMEOUT + 1e-9
     # The controller confirms the stop when it can: its watchdog has ended the program meanwhile.
     assert bench.ended == pytest.approx(NEXT_PERIOD + 3.0)
 
