@@ -79,7 +79,7 @@ def new_robot_of_urdf(arm: UrdfArm, urdf: str, guess: ArmGuess | None = None) ->
     note = f"; here: link {arm.tool_link} of the URDF".replace("\n", " ")
     rounded = [[round(value, 9) for value in values] for values in (arm.tool, arm.tool_rotation)]
     parts = [
-        _head(_quoted(arm.name), unknown_positions(arm), guess),
+        _head(quoted(arm.name), unknown_positions(arm), guess),
         _urdf_model(arm, urdf, free=guess.free),
         "joints:   # limits, in the order of all arrays: motions are planned and supervised within them",
         _acceleration_note(),
@@ -173,15 +173,15 @@ def _head(name: str, unknown: Sequence[str] | None, guess: ArmGuess) -> str:
 
 
 def _urdf_model(arm: UrdfArm, urdf: str, *, free: bool) -> str:
-    lines = ["model:", f"  urdf: {_quoted(urdf)}   # kinematics; its inertias are the prior of an identification"]
+    lines = ["model:", f"  urdf: {quoted(urdf)}   # kinematics; its inertias are the prior of an identification"]
     if arm.locked:
         lines.append("  locked:   # joints beside the arm, or a gripper's; to move one, name it under joints")
-        lines += [f"    {_quoted(name)}: {_number(position, 9)}" for name, position in arm.locked]
+        lines += [f"    {quoted(name)}: {_number(position, 9)}" for name, position in arm.locked]
     if arm.mimics:
         lines.append("  loops:   # joints that follow others (<mimic> of the URDF)")
     for mimic in arm.mimics:
-        equation = f"{{{_quoted(mimic.follows)}: {mimic.multiplier!r}}}"
-        lines.append(f"    - {{joint: {_quoted(mimic.name)}, equation: {equation}, offset: {mimic.offset!r}}}")
+        equation = f"{{{quoted(mimic.follows)}: {mimic.multiplier!r}}}"
+        lines.append(f"    - {{joint: {quoted(mimic.name)}, equation: {equation}, offset: {mimic.offset!r}}}")
     lines.append(_GRAVITY)
     if free:
         lines.append("  mounting: free   # parts of the arm are always below z = 0; or give workspace.floor")
@@ -228,14 +228,14 @@ def _joint(joint: UrdfJoint, truth: JointTruth | None) -> str:
             f"{TODO} (move): torque; the URDF says {torque:g} {force}, gravity alone needs {truth.gravity:.3g}"
         )
         torque = None
-    entry = f"  - {{name: {_quoted(joint.name)}, position: {limits}, velocity: {_number(velocity, 9)}"
+    entry = f"  - {{name: {quoted(joint.name)}, position: {limits}, velocity: {_number(velocity, 9)}"
     entry += "}" if torque is None else f", torque: {_number(torque, 9)}}}"
     return entry + (f"   # {'; '.join(notes)}" if notes else "")
 
 
 def _drives(joints: Iterable[UrdfJoint]) -> str:
     return "\n".join(
-        f"#   - {{joint: {_quoted(joint.name)}, gain: {TODO}, gain_std: {TODO}, signal: current}}" for joint in joints
+        f"#   - {{joint: {quoted(joint.name)}, gain: {TODO}, gain_std: {TODO}, signal: current}}" for joint in joints
     )
 
 
@@ -246,16 +246,16 @@ def _truth(guess: ArmGuess) -> str:
     ]
     for name, (link, origin) in guess.links.items():
         lines.append(
-            f"    {_quoted(name)}: {{mass: {_number(link.mass)}, com: {_list(link.com)}, "
+            f"    {quoted(name)}: {{mass: {_number(link.mass)}, com: {_list(link.com)}, "
             f"inertia: {_list(link.inertia)}}}   # {origin}"
         )
     lines.append("  joints:   # assumptions: friction and motor inertia of arms of this strength")
     for name, joint in guess.joints.items():
         lines.append(
-            f"    {_quoted(name)}: {{viscous: {_number(joint.viscous)}, coulomb: {_number(joint.coulomb)}, "
+            f"    {quoted(name)}: {{viscous: {_number(joint.viscous)}, coulomb: {_number(joint.coulomb)}, "
             f"motor_inertia: {_number(joint.motor_inertia)}}}"
         )
-    noise = ", ".join(f"{_quoted(name)}: {_number(joint.noise)}" for name, joint in guess.joints.items())
+    noise = ", ".join(f"{quoted(name)}: {_number(joint.noise)}" for name, joint in guess.joints.items())
     lines += ["  noise:   # assumptions", "    encoder_resolution: 1.2e-05", f"    torque_std: {{{noise}}}"]
     return "\n".join(lines)
 
@@ -263,7 +263,7 @@ def _truth(guess: ArmGuess) -> str:
 def _connection(joints: Sequence[UrdfJoint]) -> str:
     rate = min(MOST_SYNC, FRAMES_PER_SECOND / len(joints))
     nodes = [
-        f"      {_quoted(joint.name)}: {{id: {number}, counts_per_turn: 524288}}"
+        f"      {quoted(joint.name)}: {{id: {number}, counts_per_turn: 524288}}"
         for number, joint in enumerate(joints, start=1)
     ]
     return "\n".join(
@@ -293,7 +293,7 @@ def _list(values: Sequence[float]) -> str:
     return f"[{', '.join(_number(value) for value in values)}]"
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
     """A text as YAML reads it back; in quotes where it is no plain word."""
     if PLAIN.fullmatch(text) and text.lower() not in _WORDS:
         return text

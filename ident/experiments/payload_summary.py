@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from daq.robot.new_robot import quoted
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
@@ -203,13 +204,13 @@ def gain_unit(signal: str, robot: Robot) -> str:
 
 
 def drives_text(drives: DriveGains | SlowGains) -> str:
-    """The robot file's section `drives` with the identified gains; where none was identified, that of the file."""
+    """The robot file's section `drives` with the identified gains; that of the file where none is or it may be 0."""
     robot = drives.robot
     lines = ["drives:"]
     for gain in drives.gains:
         drive = robot.drive(gain.joint)
-        identified = bool(np.isfinite(gain.gain))
-        fields = {"joint": gain.joint}
+        identified = gain.has_a_sign
+        fields = {"joint": quoted(gain.joint)}
         for key, value in (
             ("gain", f"{gain.gain:.5g}" if identified else drive.gain),
             ("gain_std", f"{gain.std:.2g}" if identified else drive.gain_std),

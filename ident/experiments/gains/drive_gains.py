@@ -44,6 +44,7 @@ from ident.experiments.gains.gain_system import (
 )
 from ident.experiments.run_pair import BlockGrams, RunPair, pair_warnings, prepare_pair
 from ident.model.load import KnownLoad, LoadColumns
+from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import jackknife_covariance
 from ident.regression.options import SIGNIFICANT_RSD
 from ident.stored import Number, Real, Stored
@@ -73,6 +74,11 @@ class JointGain(Stored):
     def rsd_percent(self) -> float:
         """Standard deviation [%] of the gain."""
         return 100.0 * self.std / abs(self.gain) if np.isfinite(self.gain) and self.gain else float("inf")
+
+    @property
+    def has_a_sign(self) -> bool:
+        """Return whether its 95 % interval is on one side of 0; false where it is not identifiable."""
+        return abs(self.gain) > WITHIN_95_PERCENT * self.std
 
     @property
     def change(self) -> float | None:
@@ -255,6 +261,15 @@ def _alone_share(pair: RunPair) -> float:
     return alone / samples
 
 
+def left_out_gains(gains: Sequence[JointGain]) -> list[str]:
+    """Warnings of identified gains that the robot file's section leaves out."""
+    return [
+        f"the gain of {gain.joint} may be 0 or of either sign: the section for the robot file leaves it out"
+        for gain in gains
+        if np.isfinite(gain.gain) and not gain.has_a_sign
+    ]
+
+
 def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> list[str]:
     warnings = pair_warnings(drives.pair, recordings)
     if _alone_share(drives.pair) > SINGLE_JOINT_SHARE:
@@ -280,6 +295,7 @@ def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> li
             )
         if gain.file_gain is not None and gain.gain * gain.file_gain < 0:
             warnings.append(f"the gain of {gain.joint} has the opposite sign of the robot file's")
+    warnings += left_out_gains(drives.gains)
     if drives.gap < LEAST_GAP:
         warnings.append(
             f"the gains are poorly determined: singular values {drives.gap:.1f} times apart, another set of gains and "

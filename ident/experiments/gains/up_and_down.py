@@ -24,7 +24,7 @@ from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.text import percentage_text
-from ident.experiments.gains.drive_gains import LEAST_GAP, JointGain
+from ident.experiments.gains.drive_gains import LEAST_GAP, JointGain, left_out_gains
 from ident.experiments.gains.gain_system import signal_of, torques_by
 from ident.experiments.gains.slow_passes import Sweep, passes_of, sweeps_of
 from ident.linear_algebra.independent_columns import independent_columns
@@ -358,6 +358,7 @@ def _warnings(gains: Sequence[SlowGain], moments: FloatArray) -> list[str]:
             )
         if gain.file_gain is not None and gain.gain * gain.file_gain < 0:
             warnings.append(f"the gain of {gain.joint} has the opposite sign of the robot file's")
+    warnings += left_out_gains(gains)
     hidden = [INERTIAL[column] for column, value in zip(FIRST_MOMENTS, moments, strict=True) if np.isnan(value)]
     if hidden:
         warnings.append(f"the passes do not show the load's {', '.join(hidden)}")

@@ -12,7 +12,7 @@ from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import Channel
 from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import DataError
-from ident.experiments.gains.drive_gains import identify_gains
+from ident.experiments.gains.drive_gains import identify_gains, left_out_gains
 from ident.experiments.payload_summary import drives_text, gains_result
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
@@ -98,6 +98,10 @@ def test_what_cannot_be_told_is_said(found):
     assert np.max(np.abs(errors)) < 4.5
     assert each.values[:3] == pytest.approx(TRUE[:3], rel=0.1)
     assert "joint: wrist_3_joint, gain: 11.47, gain_std: 1.1" in drives_text(each)
+    unsure = replace(each, gains=tuple(gain.model_copy(update={"std": 0.6 * abs(gain.gain)}) for gain in each.gains))
+    assert f"gain: {each.gains[0].gain:.5g}" in drives_text(each)
+    assert f"gain: {each.gains[0].gain:.5g}" not in drives_text(unsure)
+    assert len(left_out_gains(unsure.gains)) == 5
 
 
 def test_slow_motions_tell_the_gains_that_gravity_acts_on():
