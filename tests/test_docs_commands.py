@@ -6,16 +6,26 @@ import re
 import shlex
 import shutil
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import click
 import numpy as np
 import pytest
+from friction_experiment_arm import TWO_BODIES
+from loaded_arm import LOAD, arm_runs
+from servo_result import true_servo_result
 from typer.main import get_command
 
 import dynid
+from daq.motion.trajectory_file import load_trajectory
+from daq.recording.recording import Recording
+from daq.robot.loader import RobotFile, load_robot, parse_robot
 from dynid import command
+from ident.excite.motion_check import ArmMotionCheck
+from ident.excite.velocity_sweep import SweepChoices, velocity_sweep
 from ident.fleet.job import run_job
+from sim_drivers.synthetic.measurement import simulate_recording
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
@@ -27,6 +37,7 @@ AFTERNOONS = (
         "dynid validate model val.h5 --max-error 0.08 --max-joint-error 0.2 --max-rmse 3",
         "dynid export model --urdf arm.urdf --mjcf arm.xml --ros2-inertial inertial.yaml --c arm",
         "dynid predict model run.h5 -o predicted.h5 --page predicted.html",
+        "dynid monitor --replay run.h5 --model model --page contacts.html",
         "dynid identify run.h5 --validate val.h5 -o model-june --history arm.db",
         "dynid history add model-may model-june --history arm.db",
         "dynid history arm.db",
@@ -35,6 +46,19 @@ AFTERNOONS = (
         "dynid diff model model-june",
         "dynid robot new arm.urdf -o my_arm.yaml",
         "dynid check my_arm.yaml",
+    ),
+    (
+        "dynid identify run.h5 -o model",
+        "dynid export model --urdf ur5e.urdf --c ur5e",
+        "dynid export model --mjcf so101.xml",
+        "dynid excite arm.yaml --for gravity -o gravity.yaml",
+        "dynid identify gravity.h5 --gravity -o gravity",
+        "dynid export gravity --c arm",
+        "dynid import run.npz --robot so101 -o run.h5",
+    ),
+    (
+        "dynid identify run.h5 --validate other.h5 -o model",
+        "dynid export model --urdf arm.urdf --c arm",
         "dynid driver new my_bus",
         "dynid check dynid_my_bus/my_bus/arm.yaml",
         "dynid bench --list",
@@ -43,22 +67,34 @@ AFTERNOONS = (
         "-o run.h5",
     ),
     (
-        "dynid identify run.h5 -o model",
-        "dynid export model --urdf ur5e.urdf --c ur5e",
-        "dynid export model --mjcf so101.xml",
-        "dynid excite arm.yaml --for gravity -o gravity.yaml",
-        "dynid import run.npz --robot so101 -o run.h5",
-    ),
-    ("dynid identify run.h5 --validate other.h5 -o model", "dynid export model --urdf arm.urdf --c arm"),
-    (
         "dynid identify run.h5 --validate val.h5 -o model --accept limits.yaml",
         "dynid export model --c arm",
         "dynid export model --mjcf arm.xml",
         "dynid validate model third.h5",
         "dynid predict model third.h5 -o rolled-out.h5",
     ),
+    (
+        "dynid compare run.h5 --methods ols,wls --friction viscous,coulomb-viscous --validate val-1.h5 "
+        "--validate val-2.h5 --validate val-3.h5 -o comparison",
+        "dynid identify run.h5 --method wls-rwpso:particles=200:seed=3 -o model",
+        "dynid identify locked.h5 --locked j5,j6 -o arm",
+        "dynid identify free.h5 --torques-of j5,j6 -o wrist",
+        "dynid merge arm wrist --validate val.h5 -o merged",
+    ),
+    (
+        "dynid gains free.h5 loaded.h5 --mass 2.8",
+        "dynid payload free.h5 loaded.h5 --mass 2.8",
+        "dynid friction 1.h5 2.h5 3.h5 4.h5 5.h5 6.h5 -o friction",
+        "dynid identify run.h5 --validate val.h5 --friction-from friction -o model",
+    ),
+    (
+        "dynid excite so101 --for servo --length 60 -o motion.yaml --csv motion.csv",
+        "dynid predict model motion.yaml -o simulated.h5",
+        "dynid export model --mjcf arm.xml --ranges ranges.json",
+        "dynid validate model third.h5 --model-file arm-as-it-came.xml",
+    ),
 )
-"""As they stand in the docs, each afternoon in a folder of its own with recordings and what `before` puts there."""
+"""As they stand in the docs, each afternoon in a folder of its own with recordings and what `BEFORE` puts there."""
 
 EXECUTED = {line for afternoon in AFTERNOONS for line in afternoon}
 
@@ -66,29 +102,29 @@ ELSEWHERE = {
     "dynid sim ": "serves until Ctrl-C: tests/wire",
     "dynid record ": "moves an arm in real time: tests/wire",
     "dynid recover ": "the file of a recording that was killed: tests/daq/recording/test_recover.py",
-    "dynid monitor ": "live, or a longer recording: tests/ident/monitor",
+    "dynid monitor ur5e": "live: tests/ident/monitor",
     "dynid demo ": "minutes: make demo, make wheel",
     " --connect": "needs an arm that is served: tests/wire, tests/drivers",
     "dynid excite ": "searches for seconds to minutes: tests/ident/excite, tests/test_readme.py",
     "dynid sweep ": "designs for many seconds: tests/ident/excite",
     "dynid bench --data": "public recordings: tests/ident/benchmark",
-    "dynid compare ": "four identifications, three recordings: tests/dynid/test_compare.py",
-    "dynid friction ": "six recordings: tests/ident/experiments",
-    "--friction-from": "the result of that: tests/ident/identify/test_held_friction.py",
-    "dynid gains ": "a loaded arm: tests/ident/experiments",
-    "dynid payload ": "a loaded arm: tests/ident/experiments",
-    "locked.h5": "an arm of which two joints rest: tests/ident/experiments/merge",
-    "--torques-of": "beside that: tests/ident/experiments/merge",
-    "dynid merge ": "of those two: tests/ident/experiments/merge",
-    "gravity": "poses held for minutes: tests/ident/experiments/gravity",
+    "--up-and-down": "joints one after the other: tests/ident/experiments/gains",
+    "--trajectory gravity.yaml": "moves an arm: tests/wire",
     "--method servo": "seconds to minutes: tests/ident/servo",
-    "--method wls-rwpso": "a swarm: tests/ident/estimators",
-    "--model-file": "a servo model: tests/ident/servo",
-    "motion.yaml -o simulated.h5": "a servo model: tests/ident/servo",
-    "--ranges": "a servo model: tests/ident/export",
+    "--isaaclab": "seconds: tests/ident/export",
 }
 """A part of each command of the docs that does not run here; why, and where it does."""
 
+
+SWEPT = (
+    TWO_BODIES
+    + """  joints:
+    j1: {viscous: 5, coulomb: 4, motor_inertia: 0.6}
+    j2: {viscous: 3, coulomb: 3, motor_inertia: 0.3}
+  noise: {rate: 100, torque_std: {j1: 0.05, j2: 0.05}}
+"""
+)
+"""Two joints with friction, for its experiments and for loads."""
 
 WRITTEN = re.compile(r"(?:-o|--page|--csv|--urdf|--mjcf|--ros2-inertial) (\S+)")
 """Options that name a file or folder to be written."""
@@ -121,24 +157,82 @@ def parsed(entry: click.Command, words: list[str]) -> None:
     entry.make_context(name, list(rest))
 
 
-def before(line: str) -> None:
-    """Put what a line presupposes into the working folder."""
-    if "model-may" in line or "model-june --history" in line:
-        shutil.copytree("model", "model-may", dirs_exist_ok=True)
-    elif "limits.yaml" in line:
-        Path("limits.yaml").write_text("relative_error: 0.5")
-    elif "fleet.yaml" in line:
-        Path("fleet.yaml").write_text("arms: [{name: cell-1, recordings: [run.h5]}]")
-    elif "arm.yaml --for" in line:
-        shutil.copy(REPOSITORY / "daq" / "robot" / "builtin" / "up6.yaml", "arm.yaml")
-    elif "import" in line:
-        Path("run.h5").unlink()
-        time, names = np.arange(0.0, 4.0, 0.01), dynid.load_robot("so101").robot.joint_names
-        position = 0.3 * np.sin(time[:, None] + np.arange(len(names)))
-        np.savez("run.npz", time=time, position=position, target_position=position)
-        heads = ["time", *(f"{quantity}_{name}" for quantity in ("position", "target") for name in names)]
-        rows = np.column_stack([time, position, position])
-        np.savetxt("run.csv", rows, delimiter=",", header=",".join(heads), comments="")
+def played(robot: str | RobotFile, trajectory: str, seed: int) -> Recording:
+    """What a simulated arm records of a trajectory file."""
+    arm = load_robot(robot) if isinstance(robot, str) else robot
+    motion = load_trajectory(Path(trajectory), arm.robot).motion
+    return simulate_recording(arm, motion, motion.duration, seed=seed, rate=50.0)
+
+
+def model_of_may() -> None:
+    shutil.copytree("model", "model-may", dirs_exist_ok=True)
+
+
+def gravity_poses() -> None:
+    played("arm.yaml", "gravity.yaml", 1).save("gravity.h5")
+
+
+def foreign_files() -> None:
+    Path("run.h5").unlink()
+    time, names = np.arange(0.0, 4.0, 0.01), dynid.load_robot("so101").robot.joint_names
+    position = 0.3 * np.sin(time[:, None] + np.arange(len(names)))
+    np.savez("run.npz", time=time, position=position, target_position=position)
+    heads = ["time", *(f"{quantity}_{name}" for quantity in ("position", "target") for name in names)]
+    rows = np.column_stack([time, position, position])
+    np.savetxt("run.csv", rows, delimiter=",", header=",".join(heads), comments="")
+
+
+def recorded(robot: str | RobotFile, *names: str) -> None:
+    for seed, name in enumerate(names, 10):
+        dynid.simulate(robot, duration=6.0, seed=seed, rate=50.0).save(f"{name}.h5", overwrite=True)
+
+
+def locked_joints() -> None:
+    three = re.sub(r"\b[SLU](?=[,:])", lambda match: f"j{4 + 'SLU'.index(match[0])}", load_robot("up6").text)
+    Path("arm.yaml").write_text(three)
+    of = "{robot: up6, kind: sines, duration: 8, ramp: 1, offset: [0, 0, 0], "
+    of += "amplitude: [[0.5, 0.3], [0, 0], [0, 0]], frequency: [[0.7, 2.1], [1, 2], [1, 2]]}"
+    Path("first.yaml").write_text(of)
+    played("arm.yaml", "first.yaml", 1).save("locked.h5")
+    recorded("arm.yaml", "free", "val")
+
+
+def loaded_runs() -> None:
+    arm = parse_robot(SWEPT, where="arm", folder=None)
+    free, loaded = arm_runs(arm, dict.fromkeys(arm.robot.joint_names, 1.0), LOAD, 1)
+    free.save("free.h5")
+    loaded.save("loaded.h5")
+
+
+def sweeps() -> None:
+    arm = parse_robot(SWEPT, where="arm", folder=None)
+    motion = velocity_sweep(arm, ArmMotionCheck(arm), SweepChoices(stroke=1.0, slowest=0.5, speeds=3)).motion
+    for seed in range(1, 7):
+        simulate_recording(arm, motion, motion.duration, seed=seed, rate=50.0).save(f"{seed}.h5")
+    recorded(arm, "run", "val")
+
+
+def servo_recordings() -> None:
+    shutil.copy("arm.xml", "arm-as-it-came.xml")
+    shutil.copy("simulated.h5", "third.h5")
+
+
+BEFORE: dict[str, Callable[[], object]] = {
+    "model-may": model_of_may,
+    "model-june --history": model_of_may,
+    "limits.yaml": lambda: Path("limits.yaml").write_text("relative_error: 0.5"),
+    "fleet.yaml": lambda: Path("fleet.yaml").write_text("arms: [{name: cell-1, recordings: [run.h5]}]"),
+    "arm.yaml --for": lambda: shutil.copy(REPOSITORY / "daq" / "robot" / "builtin" / "up6.yaml", "arm.yaml"),
+    "gravity.h5": gravity_poses,
+    "dynid import": foreign_files,
+    "dynid compare": lambda: recorded("up6", "val-1", "val-2", "val-3"),
+    "--locked": locked_joints,
+    "dynid gains": loaded_runs,
+    "dynid friction": sweeps,
+    "--for servo --length": lambda: dynid.ServoModel(true_servo_result(load_robot("so101"))).save("model"),
+    "--model-file": servo_recordings,
+}
+"""Puts into the working folder what a line with this part presupposes."""
 
 
 def test_the_docs_name_commands_that_exist(monkeypatch):
@@ -159,20 +253,20 @@ def test_the_docs_name_commands_that_exist(monkeypatch):
 
 
 @pytest.mark.usefixtures("estimates_alone", "stated_friction")
-def test_the_cheap_commands_run_as_they_stand(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("afternoon", AFTERNOONS, ids=range(len(AFTERNOONS)))
+def test_the_cheap_commands_run_as_they_stand(afternoon, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("ident.fleet.fleet.outcomes", lambda jobs, out, *_: (run_job(job, out) for job in jobs))
-    run, val = (dynid.simulate("up6", duration=6.0, seed=seed, rate=100.0) for seed in (0, 1))
-    for number, afternoon in enumerate(AFTERNOONS):
-        (tmp_path / f"{number}").mkdir()
-        monkeypatch.chdir(tmp_path / f"{number}")
-        run.save("run.h5")
-        for name in ("val", "other", "third"):
-            val.save(f"{name}.h5")
-        for line in afternoon:
-            before(line)
-            monkeypatch.setattr(sys, "argv", shlex.split(line))
-            with pytest.raises(SystemExit) as stopped:
-                command.main()
-            assert not stopped.value.code, f"{line}: {capsys.readouterr().err}"
-            for written in WRITTEN.findall(line):
-                assert Path(written).exists(), f"{line}: no {written}"
+    monkeypatch.chdir(tmp_path)
+    dynid.simulate("up6", duration=12.0, seed=0, rate=50.0).save("run.h5")
+    for name in ("val", "other", "third"):
+        dynid.simulate("up6", duration=12.0, seed=1, rate=50.0).save(f"{name}.h5")
+    for line in afternoon:
+        for part, prepare in BEFORE.items():
+            if part in line:
+                prepare()
+        monkeypatch.setattr(sys, "argv", shlex.split(line))
+        with pytest.raises(SystemExit) as stopped:
+            command.main()
+        assert not stopped.value.code, f"{line}: {capsys.readouterr().err}"
+        for written in WRITTEN.findall(line):
+            assert Path(written).exists(), f"{line}: no {written}"

@@ -24,12 +24,14 @@ def script(path: str) -> ModuleType:
     return module
 
 
+@pytest.mark.usefixtures("estimates_alone")
 def test_identify_from_arrays(capsys, tmp_path):
     model = script("examples/identify_from_arrays.py").main(duration=12.0, folder=str(tmp_path / "model"))
     assert model.result.validation.relative_error < 0.1
     assert "which load_model hands out, differs from measured torque by" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("estimates_alone")
 def test_the_notebook_runs_and_holds_no_outputs(capsys):
     import json
 
@@ -45,8 +47,8 @@ def test_the_notebook_runs_and_holds_no_outputs(capsys):
 
 
 def test_coverage_runs(capsys):
-    script("studies/coverage/coverage.py").main(robots=("ur5e",), seeds=1, methods=("wls",), plays=("periodic",))
-    assert "ur5e" in capsys.readouterr().out
+    script("studies/coverage/coverage.py").main(robots=("up6",), seeds=1, methods=("wls",), plays=("periodic",))
+    assert "up6" in capsys.readouterr().out
 
 
 PAGES = sorted([*REPOSITORY.glob("*.md"), *REPOSITORY.glob("docs/**/*.md"), *REPOSITORY.glob("studies/*.md")])
