@@ -79,11 +79,14 @@ def critical_variance_ratio(freedom: float) -> float:
 
 
 def sign_checks(base: BaseParameters, parameters: FloatArray, std: FloatArray) -> list[Check]:
-    """Checks of friction and motor inertia that are clearly negative."""
+    """Checks of friction and motor inertia that are clearly negative; regrouped with others they may well be."""
+    alone = np.count_nonzero(base.projection, axis=1) == 1
     wrong = [
         column
         for column, kind in enumerate(base.kinds)
-        if kind in (*DISSIPATIVE_KINDS, "motor_inertia") and parameters[column] < -SURE_DEVIATIONS * std[column]
+        if kind in (*DISSIPATIVE_KINDS, "motor_inertia")
+        and alone[column]
+        and parameters[column] < -SURE_DEVIATIONS * std[column]
     ]
     checks = []
     friction = [base.names[i] for i in wrong if base.kinds[i] != "motor_inertia"]

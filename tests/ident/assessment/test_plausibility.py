@@ -125,6 +125,9 @@ def test_negative_within_the_error_bar_or_where_it_may_be_is_not_warned_of(three
         if kind in ("viscous", "coulomb", "motor_inertia"):
             parameters[i] = 1.0
     assert sign_checks(base, parameters, np.full(base.count, 1e-3)) == []  # offsets and products may be negative
+    alone = np.count_nonzero(base.projection, axis=1) == 1
+    mixed = base.projection + 0.5 * np.roll(base.projection, 1, axis=0)  # such as Ia2 + YY2 - 1.8·MZ2 of a lifting arm
+    assert sign_checks(replace(base, projection=mixed), np.where(alone, -1.0, 1.0), np.full(base.count, 1e-3)) == []
 
 
 @pytest.mark.parametrize(("joint", "gain"), [("j1", "10"), ("j2", "-8"), ("j3", "4")])
