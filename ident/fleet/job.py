@@ -151,6 +151,9 @@ def local_copies(places: Sequence[str]) -> Iterator[list[Path]]:
     Raises:
         UsageError: fsspec, or what it needs for this kind of URL, is not installed; or it cannot be fetched.
     """
+    if not any(map(is_url, places)):  # no folder that a worker which is killed would leave behind
+        yield [Path(place) for place in places]
+        return
     with TemporaryDirectory(prefix="dynid-fleet-") as temporary:
         yield [
             _fetched(place, Path(temporary, f"{number}-{place.rpartition('/')[2]}")) if is_url(place) else Path(place)
