@@ -156,6 +156,7 @@ def identify_servo(
             point=contact.point.tolist(),
             height=contact.height,
             stiffness=contact.stiffness,
+            friction=contact.friction,
         ),
         covariance=[matrix.tolist() for matrix in fitted.covariance],
         searched=[[TERMS[index].name for index in np.flatnonzero(row)] for row in fitted.free],
@@ -254,7 +255,8 @@ def contact_of(result: ServoResult, links: ServoLinks) -> Surface | None:
     stored = result.contact
     if stored is None:
         return None
-    return Surface(links.model.link_names.index(stored.link), np.array(stored.point), stored.height, stored.stiffness)
+    link = links.model.link_names.index(stored.link)
+    return Surface(link, np.array(stored.point), stored.height, stored.stiffness, stored.friction)
 
 
 def judge(

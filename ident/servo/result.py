@@ -66,6 +66,7 @@ class ServoContact(Stored):
     point: list[Value] = Field(description="in the frame of the link's joint [m]")
     height: Value = Field(description="of the surface, against gravity from the base frame's origin [m]")
     stiffness: Value = Field(description="[N/m]")
+    friction: Value = Field(default=0.0, description="coefficient")
 
 
 class ContactSegment(Stored):
