@@ -76,7 +76,7 @@ class ReversalOptions(Options):
 
     reversals: float | None = option(
         None,
-        "Leave out velocity reversals: motors slower than this share of their RMS velocity; 0 leaves out none.",
+        "Leave out velocity reversals: motors slower than this share of their RMS velocity; default 0.05, 0 for none.",
         allowed=Range(0.0, 0.99),
     )
     presliding: bool = option(

@@ -27,13 +27,13 @@ from ident.result.delivered import Delivered
 from ident.result.models.model import Model, result_path
 from ident.result.result_file import read_result, result_json, stored_model
 from ident.result.schema import Result
-from ident.result.tables import Cell, Table, table_of_rows
+from ident.result.tables import Table
 from ident.signals.pipeline import PreprocessChoices
 from ident.tasks.arguments import Run, SavedResult, held_out_of, limits_of, recording_of, recordings_of
 from ident.tasks.options import IdentifyOptions
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
-from ident.views.result_tables import joint_friction_table, parameter_table
+from ident.views.result_tables import joint_friction_table, parameter_table, result_errors
 
 
 class IdentificationResult(SavedResult):
@@ -110,17 +110,7 @@ class IdentificationResult(SavedResult):
     @cached_property
     def errors(self) -> Table:
         """Errors of the delivered model's filtered torque: on the identification data, on held-out data, in motion."""
-        delivered = self.delivered
-        return error_table(
-            f"Errors of {self.result.robot}",
-            self.result.joints,
-            self.result.unit("N·m"),
-            {
-                "fit": delivered.fit if delivered else self.fit,
-                "validation": delivered.validation_all_samples if delivered else self.validation,
-                "in_motion": delivered.validation if delivered else None,
-            },
-        )
+        return result_errors(self.result)
 
     @cached_property
     def model(self) -> Model:
@@ -268,18 +258,3 @@ def load_result(path: str | PathLike[str]) -> IdentificationResult:
         True
     """
     return IdentificationResult(read_result(result_path(path)))
-
-
-def error_table(title: str, joints: Sequence[str], torque: str, fits: dict[str, Fit | None]) -> Table:
-    """Errors per joint of one or several fits, by their names; `torque` is the unit of the joints' torques."""
-    headings = [("joint", "")]
-    columns: list[list[Cell]] = [list(joints)]
-    quantities = (("rmse", torque), ("low_speed_rmse", torque), ("high_speed_rmse", torque), ("relative_error", "%"))
-    for name, fit in fits.items():
-        for quantity, unit in quantities:
-            headings.append((f"{name}_{quantity}", unit))
-            field = "joint_relative_error" if quantity == "relative_error" else quantity
-            cells = [None] * len(joints) if fit is None else getattr(fit, field)
-            factor = 100.0 if unit == "%" else 1.0
-            columns.append([None if cell is None else factor * cell for cell in cells])
-    return table_of_rows(title, headings, list(zip(*columns, strict=True)))

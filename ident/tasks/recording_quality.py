@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from os import PathLike
 
-from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot
 from drivers.core.files import path_of
 from drivers.core.options import keywords_of
 from drivers.core.text import json_text
 from ident.checks.page.page import write_page
 from ident.checks.recording_check import RecordingInfo, info_object, recording_info
-from ident.result.tables import Table, table_of_rows
+from ident.checks.recording_tables import motion_table, stream_table
+from ident.result.tables import Table
 from ident.tasks.arguments import recording_of
 from ident.tasks.options import InfoOptions
 from ident.verdict.verdict import Verdict
@@ -44,15 +44,7 @@ class RecordingQuality:
     @property
     def streams(self) -> Table:
         """A row per stream: samples, duration [s], rate [Hz], jitter [ms], samples lost, duplicate stamps."""
-        headings = [
-            ("stream", ""), ("samples", ""), ("duration", "s"), ("rate", "Hz"), ("jitter", "ms"), ("lost", ""),
-            ("duplicates", ""),
-        ]  # fmt: skip
-        rows = [
-            (name, stream.samples, stream.duration, stream.rate_hz, stream.jitter_ms, stream.lost, stream.duplicates)
-            for name, stream in self.figures.streams.items()
-        ]
-        return table_of_rows(f"Streams of {self.file}", headings, rows)
+        return stream_table(self.figures, self.file)
 
     @property
     def motion(self) -> Table:
@@ -60,14 +52,7 @@ class RecordingQuality:
 
         Without rows where there is no motion to analyse.
         """
-        travel, speed = self.figures.motion_units
-        headings = [("joint", ""), ("range", travel), ("velocity", speed), ("limit_utilisation", "%")]
-        reached = self.figures.excitation
-        if reached is None:
-            return table_of_rows("Motion", headings, [])
-        joints = self.figures.recording.streams[JOINTS_STREAM].channels["position"].columns
-        columns = (joints, reached.position_range, reached.velocity_reached, reached.velocity_share_percent)
-        return table_of_rows("Motion", headings, list(zip(*columns, strict=False)))
+        return motion_table(self.figures)
 
     def save(self, folder: str | PathLike[str], *, overwrite: bool = False) -> None:
         """Write `info.json` and `info.html` into a folder, as `dynid info --page` does.

@@ -19,10 +19,11 @@ from ident.result.result_file import read_result
 from ident.result.schema import Result
 from ident.result.tables import Table
 from ident.tasks.arguments import limits_of, recording_of, recordings_of
-from ident.tasks.identification import IdentificationResult, error_table
+from ident.tasks.identification import IdentificationResult
 from ident.tasks.options import MergeOptions, ValidateOptions
 from ident.verdict.acceptance import Acceptance, check_joints, judge_acceptance
 from ident.verdict.verdict import Verdict
+from ident.views.result_tables import error_table
 
 Identified = IdentificationResult | Model | str | PathLike[str]
 """A result, a model, or the path of either."""

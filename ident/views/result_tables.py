@@ -1,10 +1,13 @@
-"""Tables of an identified model: parameters, friction, what was merged."""
+"""Tables of an identified model: parameters, friction, errors, what was merged."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from ident.assessment.validation import Fit
 from ident.result.estimate import Merge
 from ident.result.schema import Result
-from ident.result.tables import Column, Table, table_of, table_of_rows
+from ident.result.tables import Cell, Column, Table, table_of, table_of_rows
 
 
 def parameter_table(result: Result) -> Table:
@@ -65,6 +68,48 @@ def friction_step_table(result: Result) -> Table:
         Column("accepted", label="added"),
     )
     return table_of("Friction terms tried", columns, result.friction_steps)
+
+
+ERRORS = {
+    "rmse": "RMSE",
+    "low_speed_rmse": "at low speed",
+    "high_speed_rmse": "at high speed",
+    "max_error": "largest",
+    "relative_error": "relative",
+}
+"""Errors of a joint's torque, and what they are called in a table of one fit."""
+
+
+def error_table(title: str, joints: Sequence[str], torque: str, fits: dict[str, Fit | None]) -> Table:
+    """Errors per joint of one or several fits, by their names; `torque` is the unit of the joints' torques."""
+    columns = [Column("joint", tuple(joints))]
+    for name, fit in fits.items():
+        for error, words in ERRORS.items():
+            if error == "max_error" and name:
+                continue
+            unit, factor = ("%", 100.0) if error == "relative_error" else (torque, 1.0)
+            given = None if fit is None else getattr(fit, f"joint_{error}" if unit == "%" else error)
+            cells: tuple[Cell, ...] = tuple(
+                None if value is None else factor * value for value in given or [None] * len(joints)
+            )
+            label = f"{name} {words}".strip().replace("_", " ")
+            columns.append(Column(f"{name}_{error}".lstrip("_"), cells, unit, label))
+    return Table(title, tuple(columns))
+
+
+def result_errors(result: Result) -> Table:
+    """Errors of the delivered model's filtered torque: on the identification data, on held-out data, in motion."""
+    delivered = result.delivered
+    return error_table(
+        f"Errors of {result.robot}",
+        result.joints,
+        result.unit("N·m"),
+        {
+            "fit": delivered.fit if delivered else result.fit,
+            "validation": delivered.validation_all_samples if delivered else result.validation,
+            "in_motion": delivered.validation if delivered else None,
+        },
+    )
 
 
 def merge_tables(merge: Merge) -> list[Table]:

@@ -7,8 +7,9 @@ from pathlib import Path
 from daq.output_files import save_folder
 from daq.recording.recording import JOINTS_STREAM
 from drivers.core.text import json_text
-from ident.checks.page.plots import intervals_figure, shown_unit, signals_figure, spectra_figure
+from ident.checks.page.plots import intervals_figure, signals_figure, spectra_figure
 from ident.checks.recording_check import RecordingInfo, info_object
+from ident.checks.recording_tables import column_table, gap_table, motion_table, stream_table
 from ident.regression.options import SIGNIFICANT_RSD
 from ident.report.html_file import rendered
 from ident.report.section import Tile
@@ -33,19 +34,17 @@ def write_page(folder: Path, info: RecordingInfo, file: str, *, overwrite: bool 
 def render_page(info: RecordingInfo, file: str) -> str:
     """The page as text."""
     recording = info.recording
-    joints = recording.streams[JOINTS_STREAM].channels["position"].columns if info.excitation is not None else ()
-    gaps = [(name, gap) for name, quality in info.streams.items() for gap in quality.gaps]
     return rendered(
         "recording_page",
         "ident.checks.page",
         file=file,
         info=info,
         recording=recording,
-        shown_unit=shown_unit,
         tiles=_tiles(info),
-        joints=joints,
-        gaps=gaps[:MOST_GAPS],
-        gap_count=len(gaps),
+        streams=stream_table(info, file),
+        columns=column_table(info),
+        motion=motion_table(info),
+        gaps=gap_table(info, MOST_GAPS),
         signals=signals_figure(recording),
         intervals=intervals_figure(recording, info.streams),
         spectra=None if info.motion is None else spectra_figure(info.motion),

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
 from daq.commands.console import print_table
-from daq.recording.recording import JOINTS_STREAM
 from drivers.bus_budget import TIGHT_SHARE, Budget
 from drivers.core.text import percent_text
 from ident.checks.connection_check import CheckedConnection
 from ident.checks.recording_check import RecordingInfo
+from ident.checks.recording_tables import column_table, motion_table, stream_table
 from ident.checks.tool_pose import ToolPose
+from ident.commands.printing.result import print_tables
 from ident.commands.printing.verdict import next_steps, print_next
 from ident.excite.sufficiency import Sufficiency, TimesNeeded
 from ident.regression.options import SIGNIFICANT_RSD
@@ -98,8 +100,9 @@ def print_info(info: RecordingInfo, file: str, *, verbose: bool = False) -> None
     state = "complete" if recording.complete else "stopped early" if recording.stopped_by else "NOT closed properly"
     print(f"{file}: {info.robot.name}, {state}, created {recording.created or 'at an unknown time'}")
     print(f"Judging by the recording alone: {verdict.grades}")
-    _print_streams(info)
-    _print_motion(info)
+    print_tables([replace(stream_table(info, file), title=""), replace(motion_table(info), title="")])
+    if info.excitation is not None:
+        print(f"column-normalised condition number: {info.excitation.scaled_condition:.4g}")
     if info.delay is not None and info.delay.best is not None and np.isfinite(info.delay.best):
         print(f"delay: {info.delay.note}")
     if info.sufficiency is not None:
@@ -113,60 +116,9 @@ def print_info(info: RecordingInfo, file: str, *, verbose: bool = False) -> None
         steps.append(f"dynid identify {file} --method servo -o model")
     print_next(steps, verdict, "All figures: --verbose, or --page FOLDER.")
     if verbose:
-        _print_columns(info)
+        print_tables([column_table(info)])
         for event in recording.events:
             print(f"{event.level} at {event.time:.3f} s, {event.source}: {event.message}")
-
-
-def _print_streams(info: RecordingInfo) -> None:
-    print_table(
-        "",
-        ("stream", "samples", "seconds", "rate [Hz]", "jitter [ms]", "longest [ms]", "lost", "duplicates"),
-        [
-            (
-                name,
-                quality.samples,
-                quality.duration,
-                quality.rate_hz,
-                quality.jitter_ms,
-                quality.longest_ms,
-                quality.lost,
-                quality.duplicates,
-            )
-            for name, quality in info.streams.items()
-        ],
-    )
-
-
-def _print_motion(info: RecordingInfo) -> None:
-    """Range, velocity and limit utilisation of each joint, and how well they excite the arm."""
-    if info.excitation is None:
-        return
-    travel, speed = info.motion_units
-    print_table(
-        "",
-        ("joint", f"range [{travel}]", f"velocity [{speed}]", "limit utilisation [%]"),
-        zip(
-            info.recording.streams[JOINTS_STREAM].channels["position"].columns,
-            info.excitation.position_range,
-            info.excitation.velocity_reached,
-            info.excitation.velocity_share_percent,
-            strict=False,
-        ),
-    )
-    print(f"column-normalised condition number: {info.excitation.scaled_condition:.4g}")
-
-
-def _print_columns(info: RecordingInfo) -> None:
-    """Range, noise and clipping of every column."""
-    recording = info.recording
-    for (stream, quantity), qualities in info.columns.items():
-        unit = recording.streams[stream].channels[quantity].unit
-        print_table(
-            f"\n{stream}/{quantity} [{unit}]",
-            ("column", "smallest", "largest", "noise", "step", "clipped [%]", "outliers"),
-            [(c.name, c.smallest, c.largest, c.noise, c.step, c.clipped_percent, c.outliers) for c in qualities],
-        )
 
 
 def _print_sufficiency(sufficiency: Sufficiency, times: TimesNeeded | None) -> None:

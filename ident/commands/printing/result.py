@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from daq.commands.console import print_table
-from drivers.core.text import in_percent, percent_text
+from drivers.core.text import percent_text
 from ident.assessment.validation import Fit
 from ident.commands.printing.verdict import next_steps, print_everything, print_next, print_purposes
 from ident.identify.data_split import labelled
@@ -14,7 +15,14 @@ from ident.result.delivered import DELIVERED_WORDS
 from ident.result.schema import Result
 from ident.result.tables import Table
 from ident.verdict.verdict import Verdict
-from ident.views.result_tables import friction_step_table, joint_friction_table, merge_tables, parameter_table
+from ident.views.result_tables import (
+    error_table,
+    friction_step_table,
+    joint_friction_table,
+    merge_tables,
+    parameter_table,
+    result_errors,
+)
 
 
 def print_tables(tables: Iterable[Table]) -> None:
@@ -83,24 +91,11 @@ def _print_errors(result: Result) -> None:
     delivered = result.delivered
     if delivered is None:
         return
-    fit, moving, every = delivered.fit, delivered.validation, delivered.validation_all_samples
+    moving = delivered.validation
     held_out = "" if moving is None or moving.held_out else ", NOT HELD OUT"
-    print_table(
-        f"\nErrors of the {DELIVERED_WORDS[delivered.parameters]} model [{result.unit('N·m')}]{held_out}",
-        ("joint", "RMSE fit", "RMSE validation", "at low speed", "at high speed", "relative [%]", "in motion [%]"),
-        [
-            (
-                joint,
-                fit.rmse[i] if fit else None,
-                every.rmse[i] if every else None,
-                every.low_speed_rmse[i] if every else None,
-                every.high_speed_rmse[i] if every else None,
-                in_percent(every.joint_relative_error[i]) if every else None,
-                in_percent(moving.joint_relative_error[i]) if moving else None,
-            )
-            for i, joint in enumerate(result.joints)
-        ],
-    )
+    held = (f"validation_{error}" for error in ("rmse", "low_speed_rmse", "high_speed_rmse", "relative_error"))
+    table = result_errors(result).pick("joint", "fit_rmse", *held, "in_motion_relative_error")
+    print_tables([replace(table, title=f"Errors of the {DELIVERED_WORDS[delivered.parameters]} model{held_out}")])
 
 
 def _print_simulation(result: Result) -> None:
@@ -130,16 +125,4 @@ def _print_simulation(result: Result) -> None:
 def print_fit(title: str, joints: Sequence[str], unit: str, fit: Fit) -> None:
     """Errors of each joint, in a unit."""
     print(f"{title}: relative error {percent_text(fit.relative_error)} over {fit.samples} filtered samples")
-    print_table(
-        f"Errors [{unit}]",
-        ("joint", "RMSE", "at low speed", "at high speed", "largest", "relative [%]"),
-        zip(
-            joints,
-            fit.rmse,
-            fit.low_speed_rmse,
-            fit.high_speed_rmse,
-            fit.max_error,
-            map(in_percent, fit.joint_relative_error),
-            strict=True,
-        ),
-    )
+    print_tables([error_table("", joints, unit, {"": fit})])
