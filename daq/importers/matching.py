@@ -15,7 +15,7 @@ _SEPARATORS = "_/.:-"
 
 @dataclass(frozen=True)
 class JointMatch:
-    """Where the robot's joints are in a file."""
+    """Columns of a file in the order of the robot's joints."""
 
     columns: tuple[int, ...]  # for each of the robot's joints, the index of its column in the file
     notes: tuple[Note, ...] = ()  # for the recording: a prefix, an order, joints that were left out

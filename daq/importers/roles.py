@@ -1,4 +1,4 @@
-"""Which of a file's columns or arrays are imported, and as what: the user's choices first, then recognised names."""
+"""Roles of a file's columns or arrays: the user's choices first, then recognised names."""
 
 from __future__ import annotations
 

@@ -223,7 +223,7 @@ def draw(reader: Connection) -> None:
 
 
 def _print_lines(pictures: Iterator[Status]) -> None:
-    """For a file or a pipe: a line for each state that lasts, and every few seconds."""
+    """Print to a file or a pipe: a line for each state that lasts, and every few seconds."""
     state, said = "", 0.0
     for status in pictures:
         if status.state != state:

@@ -1,4 +1,4 @@
-"""Which arm a recording is of, as its controller reported: recordings of two arms are used together by mistake only."""
+"""The serial number of a recording's arm, as its controller reported it: two arms are combined by mistake only."""
 
 from __future__ import annotations
 

@@ -224,7 +224,7 @@ def fingerprint(robot: Robot, urdf_text: str | None = None) -> dict[str, str]:
 
 
 def changed_since(designed_for: Mapping[str, str], robot: Robot, urdf_text: str | None = None) -> str:
-    """Which of the sections known differ from those that a motion was designed for, in words; empty where none does."""
+    """Say which sections differ from those that a motion was designed for; empty where none does."""
     now = fingerprint(robot, urdf_text)
     differ = [name for name, digits in designed_for.items() if now.get(name, digits) != digits]
     return f"the robot file changed since the motion was designed: {', '.join(differ)}" if differ else ""

@@ -121,7 +121,7 @@ def _check_radius(value: Any, whose: str) -> None:
 
 
 class Workspace(Section):
-    """Where the arm may be (AUBO eq. 21: r_min..r_max, h_min..h_max), and what it keeps clear of."""
+    """Space in which the arm may move (AUBO eq. 21: r_min..r_max, h_min..h_max), and what it keeps clear of."""
 
     tool: Vector3 = Field(default=(0.0, 0.0, 0.0), description="tool point [m] in the frame of the last joint")
     tool_rotation: tuple[TableAngle, TableAngle, TableAngle] = Field(

@@ -47,7 +47,7 @@ def only_mover(robot: Robot, wire: str | None = None, host: str | None = None) -
 
 
 def _places(keys: Mapping[str, object], driver: str) -> list[str]:
-    """Where a connection's keys say that an arm is, in one spelling; several for a host with several addresses."""
+    """Addresses of an arm by its connection's keys, in one spelling; several for a host with several addresses."""
     if (host := keys.get("host")) is not None and "/" in str(host):  # a serial port
         return [os.path.realpath(str(host))]
     if host is not None:

@@ -1,4 +1,4 @@
-"""After a contact: the arm, which was stopped, goes a short way back along the motion that it came by, and holds.
+"""Retracting after a contact: the stopped arm goes a short way back along its motion, and holds.
 
 It is no safety function: the arm presses on what it touched until it is at rest and controlled anew. It goes back once;
 another contact, or any stop of the supervisor, ends it, and nothing starts the motion again.
@@ -40,7 +40,7 @@ LOOKING_BACK = 0.005
 
 
 def way_back(here: FloatArray, path: MotionSequence, elapsed: float, limits: Sequence[JointLimits]) -> PointToPoint:
-    """From where the arm stands (n,) [rad or m] back to where it was safe on its path, by a point in between.
+    """Return the way from the arm's position (n,) [rad or m] back along its path, by a point in between.
 
     It is at rest, `elapsed` [s] on its path.
 

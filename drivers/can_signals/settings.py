@@ -45,7 +45,7 @@ class PollKeys(FrameKeys):
 
 
 class CommandKeys(ConnectionSettings):
-    """Where joint positions stand in frames that command the arm."""
+    """Places of joint positions in frames that command the arm."""
 
     quantity: Literal["position"] = Field("position", description="dynid commands positions only")
     signals: Entries[SignalEntry] = Field(

@@ -293,7 +293,7 @@ class Canopen402Driver(LifeCycle):
                 self._state = "open"
 
     def silence(self, stream: str, limit: float) -> str:
-        """Which drives do not answer SYNC, in words; empty where all do, or of another stream (see `drivers.base`)."""
+        """Name the drives that do not answer SYNC; empty where all do, or of another stream (see `drivers.base`)."""
         if stream != "joints" or self._state != "running":
             return ""
         return self._silence.explain(self._clock.now(), self._receiver.drained, self._sync.latest, limit)

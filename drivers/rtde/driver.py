@@ -39,7 +39,7 @@ DASHBOARD_TIMEOUT = 1.0
 
 @dataclass(frozen=True)
 class _Source:
-    """Where a quantity comes from: the variable, its RTDE type and what it is."""
+    """Source of a quantity: the variable, its RTDE type and what it is."""
 
     quantity: str
     variable: str

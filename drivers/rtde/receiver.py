@@ -328,7 +328,7 @@ class RtdeReceiver:
         return connection.recv(CHUNK_BYTES)
 
     def _next_bytes(self, connection: socket.socket, fresh: float) -> bytes:
-        """As `_wait_for_bytes`, until this process has run for `SILENCE_LIMIT` since the newest sample."""
+        """Wait like `_wait_for_bytes`, until this process has run for `SILENCE_LIMIT` since the newest sample."""
         while True:
             left = fresh + SILENCE_LIMIT - self._clock.now()
             if left <= 0.0 and (left := left + self._clock.stalled(fresh)) <= 0.0:

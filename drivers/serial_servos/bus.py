@@ -109,7 +109,7 @@ class ServoBus:
         self.block = 0, max(len(motor.table.gathered_bytes) for motor in self._motors)
 
     def _request(self) -> bytes:
-        """For the feedback of all servos at once."""
+        """Return the request for the feedback of all servos."""
         protocol, (address, size) = self.line.protocol, self.block
         if not self.gathered:
             return protocol.sync_read(address, size, self._ids, fast=self.fast)

@@ -29,7 +29,7 @@ BLOCKS = 8
 
 @dataclass(frozen=True)
 class Columns:
-    """Which recorded column is taken for each joint, and times what.
+    """Recorded column of each joint, and its factor.
 
     Attributes:
         order: (n,) index of the recorded column.

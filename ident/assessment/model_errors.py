@@ -116,7 +116,7 @@ def reported(deviation: Deviation) -> bool:
 
 
 def _off(deviation: Deviation) -> list[tuple[Unknown, float, float]]:
-    """Of several lengths or gains, those that are clearly off, with value and standard deviation.
+    """Lengths or gains of several that are clearly off, with value and standard deviation.
 
     What gains are off from is the one that most others agree with; where fewer than half do, all are off.
     """

@@ -201,7 +201,7 @@ def weight_checks(
 
 
 def few_positions(position: FloatArray) -> FloatArray:
-    """At most twice `GRAVITY_INSTANTS` of the positions (n, N)."""
+    """Thin out positions (n, N) to at most twice `GRAVITY_INSTANTS`."""
     return position[:, :: max(1, position.shape[1] // GRAVITY_INSTANTS)]
 
 

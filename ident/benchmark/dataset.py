@@ -39,7 +39,7 @@ class _Section(BaseModel):
 
 
 class Source(_Section):
-    """Where recordings come from."""
+    """Origin of recordings."""
 
     repository: Text = Field(description="of the publication, without https://")
     commit: Text = Field(description="of the repository")

@@ -1,4 +1,4 @@
-"""Where the tool is at named positions of the joints, to compare with what the teach pendant shows."""
+"""Poses of the tool at named joint positions, to compare with what the teach pendant shows."""
 
 from __future__ import annotations
 

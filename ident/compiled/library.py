@@ -149,7 +149,7 @@ class Call:
     """Arrays of a call of the library, which live until it has ended."""
 
     def __init__(self) -> None:
-        """Without arrays."""
+        """Begin without arrays."""
         self._kept: list[Any] = []
 
     def given(self, array: FloatArray | IndexArray | None, kind: Any = np.float64) -> c_void_p:

@@ -1,4 +1,4 @@
-"""Where the jobs of a fleet run: in processes of this computer, one a job, or on a Dask cluster."""
+"""Workers of a fleet's jobs: processes of this computer, one per job, or a Dask cluster."""
 
 from __future__ import annotations
 

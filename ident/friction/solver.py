@@ -73,7 +73,7 @@ class FrictionProblem(Protocol[Fit]):
 
 @dataclass(frozen=True)
 class Settled(Generic[Fit]):
-    """Where the solver ended."""
+    """End of the solver's iteration."""
 
     fit: Fit  # the last one
     rounds: int  # number of them

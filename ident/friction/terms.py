@@ -1,4 +1,4 @@
-"""Which friction terms the motors of an arm have, their shapes, and what friction depends on along a motion."""
+"""Friction terms of an arm's motors, their shapes, and what friction depends on along a motion."""
 
 from __future__ import annotations
 

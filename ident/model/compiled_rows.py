@@ -47,7 +47,7 @@ TreeTorques = Callable[[FloatArray, FloatArray, FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class LinkRows:
-    """Where the packed rows of one link's inertial parameters are."""
+    """Places of the packed rows of one link's inertial parameters."""
 
     kinds: tuple[int, ...]  # which of the ten parameters are selected, in the rows' order
     # of the tree, those that the link hangs on, the base's first, the link's own last; empty where nothing is selected

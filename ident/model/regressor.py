@@ -49,7 +49,7 @@ for _kind, (_row, _column) in enumerate(zip(*np.triu_indices(3), strict=True)):
 
 @dataclass(frozen=True)
 class JointRows:
-    """Where one motor's packed rows are."""
+    """Places of one motor's packed rows."""
 
     rows: slice  # slice of the packed array's first axis
     columns: tuple[int, ...]  # for each of these rows, the column of the kernel's selection that it belongs to

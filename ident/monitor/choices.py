@@ -1,4 +1,4 @@
-"""Which observers of the external torque there are, and their default, for commands that need no more of them."""
+"""Names of the observers of the external torque, and their default, for commands that need no more of them."""
 
 from __future__ import annotations
 

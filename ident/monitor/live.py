@@ -36,7 +36,7 @@ SHOWN_EVERY = 0.15
 
 
 class Page(Protocol):
-    """Where residuals are drawn; `daq.live.page.BrowserPage` is one."""
+    """A page that draws residuals; `daq.live.page.BrowserPage` is one."""
 
     def append(self, time: FloatArray, rows: FloatArray) -> None:
         """Show rows (N, C) of the channels at times (N,) [s]."""

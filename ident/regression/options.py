@@ -32,7 +32,7 @@ EssentialRule = Literal["rsd", "f-test"]
 
 @dataclass(frozen=True, kw_only=True)
 class EssentialOptions(Options):
-    """Which parameters leave the essential model."""
+    """Choice of the parameters that leave the essential model."""
 
     PANEL: ClassVar[str] = "Essential model"
 

@@ -207,7 +207,7 @@ class Consistency(Stored):
 
 
 class Merge(Stored):
-    """Where a merged model comes from."""
+    """Origin of a merged model."""
 
     models: list[MergedModel]
     consistency: Consistency | None = Field(description="null where the models share nothing, or too little is known")

@@ -129,7 +129,7 @@ def _check_shapes(shapes: Mapping[str, Sequence[float]]) -> None:
 
 
 class ModelOptions(Stored):
-    """Which columns the model has."""
+    """Columns that the model has."""
 
     motor_inertia: list[bool]
     viscous: list[bool]

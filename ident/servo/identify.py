@@ -458,7 +458,7 @@ def _use(recording: Recording, file: RobotFile, role: str, kept: list[int]) -> S
 
 
 def _hashes(motions: Sequence[ServoMotion]) -> HashArray:
-    """Of the measured positions and how they change: other runs of a motion share few of them."""
+    """Hashes of the measured positions and their changes: other runs of a motion share few of them."""
     each = [sample_hashes(motion.position[1:], np.diff(motion.position, axis=0)) for motion in motions]
     return np.unique(np.concatenate(each)) if each else np.zeros(0, dtype=np.uint64)
 

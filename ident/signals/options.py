@@ -107,7 +107,7 @@ class FilterOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class WindowOptions(Options):
-    """Which samples are used."""
+    """Choice of the samples that are used."""
 
     PANEL: ClassVar[str] = "Samples"
 

@@ -1,4 +1,4 @@
-"""Where a motion repeats itself, within a recording or from one to the next.
+"""Repetitions of a motion, within a recording or from one to the next.
 
 Excitation trajectories are periodic and are recorded for several periods. Noise averages out over them, but an error
 that depends on the motion (ripple, a missing friction term) repeats, too: repetitions are not new evidence

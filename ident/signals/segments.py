@@ -1,4 +1,4 @@
-"""Where and how fast the arm moves, and the segments with motion, without the ends that do not count."""
+"""Speed of the arm, and the segments with motion, without the ends that do not count."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def _step_means(time: FloatArray, segment: Segment, torque: FloatArray) -> Float
 
 
 def _starts(segment: Segment, window: float) -> Iterator[float]:
-    """Where consecutive windows of a segment start in which the arm moves [s from its first sample]."""
+    """Starts of consecutive windows of a segment in which the arm moves [s from its first sample]."""
     stamps = segment.time - segment.time[0]
     for index in range(int(_duration(segment) / window + 1e-9)):
         inside = (stamps >= index * window) & (stamps < (index + 1) * window)

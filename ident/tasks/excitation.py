@@ -267,7 +267,7 @@ def search_words(designed: Design) -> str:
 
 
 def search_state(result: SearchResult) -> str:
-    """Where a search is, in one line of words: time, and the worst error bar to expect of the best motion so far."""
+    """State of a search in one line: time, and the worst error bar to expect of the best motion so far."""
     if result.limit is None:
         begin = f"{result.seconds:.0f} s of search, {result.finished} starts finished"
     else:

@@ -304,7 +304,7 @@ def sensitivity_table(smallest: Sequence[SmallestForce]) -> Table:
 
 
 def explanation(learnt: Thresholds, delay: float) -> list[str]:
-    """Where thresholds come from, a sentence each, and the expected delay [s] of a force of twice the smallest."""
+    """Sentences on the origin of thresholds, and on the expected delay [s] of a force of twice the smallest."""
     said = [
         f"{learnt.kind} observer, {learnt.bandwidth:g} 1/s; thresholds for {learnt.per_hour:g} false alarms per "
         f"hour, from {3600.0 * max((tail.hours for tail in learnt.tails.values()), default=0.0):.0f} s without "

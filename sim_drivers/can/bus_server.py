@@ -27,7 +27,7 @@ NO_FRAME = 0.005
 
 
 class BusSettings(Protocol):
-    """Where a bus is, as python-can names it."""
+    """Address of a bus, as python-can names it."""
 
     @property
     def interface(self) -> str: ...  # noqa: D102

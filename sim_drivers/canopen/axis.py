@@ -195,7 +195,7 @@ class Axis:
         return math.inf if window == NO_WINDOW else window / abs(self.setup.counts_per_radian)
 
     def _go_on(self) -> None:
-        """After a halt."""
+        """Continue after a halt."""
         if self._setpoint is not None:
             self._begin_profile(self._setpoint)
         else:

@@ -69,22 +69,22 @@ class SimulatedClock(Clock):
         """What ended threads."""
 
     def now(self) -> float:
-        """As `Clock.now`."""
+        """See `Clock.now`."""
         return self._now
 
     def time_of_day(self) -> float:
-        """As `Clock.time_of_day`."""
+        """See `Clock.time_of_day`."""
         return DAY + self._now
 
     def sleep(self, seconds: float) -> None:
-        """As `Clock.sleep`."""
+        """See `Clock.sleep`."""
         if seconds > 0.0:
             moment = self._after(seconds)
             self._wait_until(None, moment)
             self.late(moment)
 
     def sleep_until(self, moment: float) -> float:
-        """As `Clock.sleep_until`."""
+        """See `Clock.sleep_until`."""
         if moment <= self._now:
             return self._now - moment
         self._wait_until(None, moment)
@@ -112,19 +112,19 @@ class SimulatedClock(Clock):
         return self._now if seconds <= 0.0 else max(self._now + seconds, math.nextafter(self._now, math.inf))
 
     def event(self) -> threading.Event:
-        """As `Clock.event`."""
+        """See `Clock.event`."""
         return _Event(self)
 
     def condition(self) -> threading.Condition:
-        """As `Clock.condition`."""
+        """See `Clock.condition`."""
         return _Condition(self)
 
     def lock(self) -> _Lock:
-        """As `Clock.lock`."""
+        """See `Clock.lock`."""
         return _Lock(self)
 
     def thread(self, target: Callable[..., object], name: str, args: Sequence[object] = ()) -> threading.Thread:
-        """As `Clock.thread`."""
+        """See `Clock.thread`."""
         return _Thread(self, self.watched(target, name), name, tuple(args))
 
     def call_at(self, moment: float, action: Callable[[], object]) -> threading.Thread:
@@ -353,7 +353,7 @@ class VirtualBus(virtual.VirtualBus):
     clock: SimulatedClock
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """As `can.BusABC.recv`."""
+        """See `can.BusABC.recv`."""
         self._check_if_open()
         frames = self.queue.queue  # one thread runs at a time: the queue's own locks would guard nothing
         if not frames:
@@ -362,7 +362,7 @@ class VirtualBus(virtual.VirtualBus):
         return frames.popleft() if frames else None
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """As `can.BusABC.send`."""
+        """See `can.BusABC.send`."""
         self._check_if_open()
         received = copy(msg)
         received.timestamp, received.channel, received.is_rx = self.clock.time_of_day(), self.channel_id, True

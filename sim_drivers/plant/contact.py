@@ -67,7 +67,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class Grasp:
-    """From a time [s] on, a point mass [kg] on the tool, its centre [m] from the tool point; none where it is 0."""
+    """A point mass [kg] on the tool from a time [s] on, its centre [m] from the tool point; none where it is 0."""
 
     mass: float
     centre: tuple[float, float, float]

@@ -101,7 +101,7 @@ class SerialServoServer(FaultyServer):
 
     @property
     def path(self) -> str:
-        """Of the port that a client opens."""
+        """Path of the port that a client opens."""
         return self._line.path
 
     def ready(self) -> dict[str, object]:

@@ -26,7 +26,7 @@ _FLOATS = {16: ("<e", "<f2"), 32: ("<f", "<f4"), 64: ("<d", "<f8")}
 
 @dataclass(frozen=True)
 class BitField:
-    """Where a number stands in a frame, and of what kind it is.
+    """Place and kind of a number in a frame.
 
     Raises:
         ValueError: it does not fit into 8 bytes, or no such float exists.

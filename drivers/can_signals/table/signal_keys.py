@@ -23,7 +23,7 @@ ALLOWED_IDENTIFIERS = f"0x0 to 0x{STANDARD_LIMIT:X}, not in quotes; with 'extend
 
 
 class IdentifiedKeys(ConnectionSettings):
-    """Which frame it is."""
+    """Identifier of a frame."""
 
     extended: bool = Field(False, description="whether the identifier has 29 bits")
     id: int = Field(description=ALLOWED_IDENTIFIERS)
@@ -65,7 +65,7 @@ class FrameKeys(IdentifiedKeys):
 
 
 class BitKeys(ConnectionSettings):
-    """Which bits of a frame."""
+    """Bits of a frame."""
 
     start: int = Field(ge=0, le=FRAME_BITS - 1, description="the first bit")
     length: int = Field(ge=1, le=FRAME_BITS, description="[bit]")

@@ -135,7 +135,7 @@ class DelayData:
 
     @cached_property
     def slides(self) -> tuple[npt.NDArray[np.bool_], ...]:
-        """Of each segment, the equations (n, M) that no velocity reversal affects."""
+        """Equations (n, M) of each segment that no velocity reversal affects."""
         return tuple(~_reversing(self.kernel, segment, self.parallel_filter) for segment in self.segments)
 
     def rows(self) -> Iterable[Iterable[BlockRows]]:

@@ -1,4 +1,4 @@
-"""Which mistake of sign or column explains a recording, if one does, and no other does as well.
+"""Search for the mistake of sign or column that explains a recording as no other does.
 
 Every hypothesis is fitted under the conditions that every arm satisfies (`conditions`), so that one number tells how
 well it explains the data: friction that drives and energies below zero cost error. A mistake is claimed only where it

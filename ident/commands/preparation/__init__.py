@@ -1,1 +1,1 @@
-"""Before an identification: robot files, motions, a look at recordings."""
+"""Commands before an identification: robot files, motions, a look at recordings."""

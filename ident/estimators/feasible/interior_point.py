@@ -82,7 +82,7 @@ class Conditions:
 
 @dataclass(frozen=True)
 class NewtonMinimum:
-    """Where the Newton iteration ended."""
+    """End of the Newton iteration."""
 
     y: FloatArray  # (p,)
     root: FloatArray  # (f, f) upper triangular; rootᵀ·root is the objective's Hessian over the free variables

@@ -143,7 +143,7 @@ class IvOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Source:
-    """Where the instruments come from."""
+    """Source of the instruments."""
 
     words: str  # for the list of steps
     motions: list[tuple[Segment, ...]]  # of each run, its segments with the motion of the instruments

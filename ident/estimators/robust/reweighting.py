@@ -130,7 +130,7 @@ class _Collected:
 
 @dataclass(frozen=True, eq=False)
 class RobustFit:
-    """Where the inner loops ended."""
+    """End of the inner loops."""
 
     kernel: RegressorKernel  # of the base columns
     done: Pass  # the last pass

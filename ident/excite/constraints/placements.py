@@ -126,7 +126,7 @@ _LAST: list[tuple[DynamicModel, FloatArray, Placements]] = []
 
 
 def tool_point(model: DynamicModel, placements: Placements, tool: Sequence[float]) -> FloatArray:
-    """Where the tool point, given in the last joint's frame (3,) [m], is along a path: (3, N) [m] in the base frame."""
+    """Tool point (3, N) [m] in the base frame along a path; it is given in the last joint's frame (3,) [m]."""
     return np.asarray(placements.points(np.array([model.tool_link]), np.array([tool]))[0])
 
 

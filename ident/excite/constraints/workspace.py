@@ -129,7 +129,7 @@ class Clearance:
 
 
 class WorkspaceLimits:
-    """Where the arm may be; each value uses 1 − (distance − clearance)/`DISTANCE_SCALE` of its limit."""
+    """Limits of the arm's space; each value uses 1 − (distance − clearance)/`DISTANCE_SCALE` of its limit."""
 
     def __init__(
         self, model: DynamicModel, geometry: ArmGeometry, workspace: Workspace, obstacles: Sequence[Obstacle]

@@ -31,7 +31,7 @@ _FITTINGS = 30
 
 @dataclass(frozen=True)
 class _Moves:
-    """Where each time (N,) is: in which move, how far, and the polynomial with its derivatives by u there."""
+    """Move of each time (N,), how far it is, and the polynomial with its derivatives by u there."""
 
     index: np.typing.NDArray[np.intp]
     u: FloatArray

@@ -1,1 +1,1 @@
-"""Which friction: what the user asks for, the choice of terms, the shapes and their error bars."""
+"""Friction of an identification: the user's wishes, the choice of terms, the shapes and their error bars."""

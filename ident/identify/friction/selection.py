@@ -1,4 +1,4 @@
-"""Which friction terms each joint gets (`--friction auto`), and where the search of their shapes begins.
+"""Choice of each joint's friction terms (`--friction auto`), and the start of the search for their shapes.
 
 Joint by joint, one term is added at a time: that which most lowers the error on blocks held out of the identification
 data, all columns fitted to the others, shapes included. A step counts if the held-out error falls and the partial

@@ -88,7 +88,7 @@ def placed_shape(element: ElementTree.Element, placement: Any) -> LinkShape:
 
 
 def numbers(text: str, count: int) -> FloatArray:
-    """So many finite numbers (count,) of an attribute.
+    """Read so many finite numbers (count,) of an attribute.
 
     Raises:
         UnusableShapeError: it has others.

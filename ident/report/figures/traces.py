@@ -30,7 +30,7 @@ SIDE_BY_SIDE = 0.02
 
 @dataclass(frozen=True)
 class Timeline:
-    """Where each series is shown."""
+    """Place of each series on the time axis."""
 
     offsets: tuple[float, ...]  # (S,) to be added to the series' own time [s]; the first sample is shown at 0
     borders: tuple[float, ...]  # shown times [s] at which a segment begins that does not follow the one before
