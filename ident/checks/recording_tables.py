@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from daq.recording.recording import JOINTS_STREAM
-from ident.checks.page.plots import shown_unit
+from drivers.streams import UNITS
 from ident.checks.recording_check import RecordingInfo
 from ident.result.tables import Column, Table, table_of_rows
+
+
+def shown_unit(unit: str) -> str:
+    """A recorded unit as people write it."""
+    return "°C" if unit == UNITS["temperature"] else unit.replace("^2", "²").replace("*", "·")
 
 
 def stream_table(info: RecordingInfo, file: str) -> Table:

@@ -11,8 +11,8 @@ from daq.recording.quality.stream_quality import LOST_FROM, StreamQuality
 from daq.recording.recording import Recording, Stream
 from drivers.core.arrays import FloatArray
 from drivers.core.units import common_unit
-from drivers.streams import UNITS
 from ident.assessment.excitation import RecordedMotion
+from ident.checks.recording_tables import shown_unit
 from ident.report.figures.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, plain, shortened
 from ident.report.figures.panels import TIME_AXIS, Line, Panel, panel_figure
 from ident.report.figures.traces import broken_line, curve_trace, envelope_indices, points_trace
@@ -183,11 +183,6 @@ def _density(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArr
     frequency, power = welch(detrend(values[longest].T), fs=1.0 / period, nperseg=length)
     kept = envelope_indices(power.max(axis=0)[1:], MOST_POINTS) + 1
     return np.asarray(frequency[kept]), np.asarray(np.sqrt(power[:, kept]))
-
-
-def shown_unit(unit: str) -> str:
-    """A recorded unit as people write it."""
-    return "°C" if unit == UNITS["temperature"] else unit.replace("^2", "²").replace("*", "·")
 
 
 def _colours(recording: Recording) -> dict[str, str]:
