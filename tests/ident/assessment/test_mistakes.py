@@ -25,6 +25,7 @@ from ident.identify.identification import Identification, IdentifyChoices
 from ident.identify.identify import identify
 from ident.model.base_parameters import BaseParameters, base_parameters, random_states
 from ident.model.dynamic_model import DynamicModel, build_model
+from ident.model.dynamics.inverse_dynamics import weights_in_offsets
 from ident.model.regressor import RegressorKernel
 from ident.model.true_parameters import truth_vector
 from ident.regression.observability import whole_arm
@@ -255,6 +256,25 @@ def test_gravity_is_compared_with_the_torque_limits(found):
     assert said(0.1, 10.0) == ["implausible-load"]
     assert said(1e4, 1e-3) == ["torque-far-below-limits"]
     assert said(1e4, 1e3) == []
+
+
+@pytest.mark.parametrize("seed", [16, 18, 26])
+def test_a_lift_carries_its_weight_though_it_shows_in_the_offset_alone(seed):
+    lifting = random_arm(seed, sliding=0.4, trees=False)
+    model, robot = build_model(lifting), lifting.robot
+    base = base_parameters(model)
+    parameters = base.projection @ truth_vector(lifting)
+    ((lift, column),) = weights_in_offsets(model, base).items()
+    positions = np.random.default_rng(seed).uniform(-1.0, 1.0, (model.dof, 50))
+
+    def said(share: float) -> list[str]:
+        torque = {one.name: 1e5 + n for n, one in enumerate(robot.joints)} | {lift: abs(parameters[column]) / share}
+        limits = tuple(one.model_copy(update={"torque": torque[one.name]}) for one in robot.joints)
+        rated = robot.model_copy(update={"joints": limits})
+        return [one.name for one in weight_checks(rated, model, base, parameters, positions, 1e-3)]
+
+    assert said(0.5) == []
+    assert said(1e-4) == ["torque-far-below-limits"]
 
 
 @pytest.mark.parametrize(("held", "names"), [(1.0, []), (0.02, ["torque-far-below-limits"])])
