@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Literal, get_args
 
@@ -156,18 +156,26 @@ def together(verdicts: Sequence[tuple[str, Verdict]]) -> Verdict:
         return verdicts[0][1]
     purposes = {}
     for purpose in PURPOSES:
-        label, worst = max(verdicts, key=lambda labelled: GRADES.index(labelled[1].purposes[purpose].grade))
-        judged = worst.purposes[purpose]
-        purposes[purpose] = PurposeVerdict(judged.grade, f"on {label} {judged.because}")
-    joints: dict[str, JointVerdict] = {}
+        judged = [(label, verdict.purposes[purpose]) for label, verdict in verdicts]
+        label, worst = max(judged, key=lambda labelled: GRADES.index(labelled[1].grade))
+        purposes[purpose] = replace(worst, because=_on(label, worst.because, (each.because for _, each in judged)))
+    by_joint: dict[str, list[tuple[str, JointVerdict]]] = {}
     for label, verdict in verdicts:
         for joint in verdict.joints:
-            if joint.joint not in joints or _badness(joint) > _badness(joints[joint.joint]):
-                joints[joint.joint] = JointVerdict(joint.joint, joint.grade, f"on {label} {joint.because}", joint.error)
+            by_joint.setdefault(joint.joint, []).append((label, joint))
+    joints = {}
+    for name, of_joint in by_joint.items():
+        label, joint = max(of_joint, key=lambda labelled: _badness(labelled[1]))
+        joints[name] = replace(joint, because=_on(label, joint.because, (each.because for _, each in of_joint)))
     checks = _most_serious_first(check for _, verdict in verdicts for check in verdict.checks)
     basis = " ".join(dict.fromkeys(verdict.basis for _, verdict in verdicts if verdict.basis))
     worst_first = tuple(sorted(joints.values(), key=lambda joint: _negative(_badness(joint))))
     return Verdict(_headline(purposes, worst_first), purposes, worst_first, checks, basis)
+
+
+def _on(label: str, because: str, reasons: Iterable[str]) -> str:
+    """The reason of the worst, with its label where not all have this reason."""
+    return because if all(reason == because for reason in reasons) else f"on {label} {because}"
 
 
 def _most_serious_first(checks: Iterable[Check]) -> tuple[Check, ...]:

@@ -107,6 +107,8 @@ def test_several_together_are_as_bad_as_the_worst(parts: list[tuple[list[Check],
     for purpose in PURPOSES:
         worst = max(badness(verdict.purposes[purpose].grade) for verdict in apart)
         assert badness(whole.purposes[purpose].grade) == worst
+        reasons = {verdict.purposes[purpose].because for verdict in apart}
+        assert whole.purposes[purpose].because.startswith("on file ") == (len(reasons) > 1)
     assert set(whole.checks) == {check for verdict in apart for check in verdict.checks}
 
 
