@@ -256,6 +256,8 @@ def test_the_docs_name_commands_that_exist(monkeypatch):
 @pytest.mark.parametrize("afternoon", AFTERNOONS, ids=range(len(AFTERNOONS)))
 def test_the_cheap_commands_run_as_they_stand(afternoon, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("ident.fleet.fleet.outcomes", lambda jobs, out, *_: (run_job(job, out) for job in jobs))
+    for reading in ("pinocchio_reading", "mujoco_reading"):
+        monkeypatch.setattr(f"ident.export.{reading}.DURATION", 0.5)  # 5 s of fall and of tracking: tests/ident/export
     monkeypatch.chdir(tmp_path)
     dynid.simulate("up6", duration=12.0, seed=0, rate=50.0).save("run.h5")
     for name in ("val", "other", "third"):
@@ -270,3 +272,30 @@ def test_the_cheap_commands_run_as_they_stand(afternoon, tmp_path, monkeypatch, 
         assert not stopped.value.code, f"{line}: {capsys.readouterr().err}"
         for written in WRITTEN.findall(line):
             assert Path(written).exists(), f"{line}: no {written}"
+
+
+PYTHON_PAGES = ("recordings", "python", "model", "history", "gravity")
+"""Pages whose Python blocks run here, each after those before it."""
+
+PYTHON_ELSEWHERE = {"benchmark": "tests/ident/benchmark", "drivers": "tests/sim_drivers/conformance"}
+
+
+@pytest.mark.usefixtures("estimates_alone", "stated_friction")
+def test_the_python_blocks_run_as_they_stand(tmp_path, monkeypatch, capsys):
+    block = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+    texts = {page.stem: page.read_text(encoding="utf-8") for page in REPOSITORY.glob("docs/*.md")}
+    assert {name for name, text in texts.items() if block.search(text)} == {*PYTHON_PAGES, *PYTHON_ELSEWHERE}
+    monkeypatch.chdir(tmp_path)
+    run, other = (dynid.simulate("up6", duration=6.0, seed=seed, rate=50.0) for seed in (0, 1))
+    run.save("run.h5")
+    motion = dynid.design_gravity_motion("up6", poses=6)[0]
+    simulate_recording(motion.robot_file, motion.motion, motion.duration, seed=1, rate=50.0).save("gravity.h5")
+    zero = np.zeros(3)
+    names: dict[str, object] = {"frame": run.to_frame(), "other": other, "another": other, "dq": zero, "ddq": zero}
+    names |= {"q0": zero, "dq0": zero, "goal": zero, "kp": 100.0, "kd": 20.0}
+    for page in PYTHON_PAGES:
+        if page == "history":
+            shutil.copytree("model", "model-june")
+        text = "\n".join(block.findall(texts[page])).replace('"ur5e"', '"up6"')
+        exec(compile(text, f"{page}.md", "exec"), names)  # our own text, as a user would run it
+        names["q"] = zero  # recordings.md's are samples
