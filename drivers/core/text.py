@@ -1,4 +1,4 @@
-"""Texts: suggestions for misspelt names; percentages as people write them (0.34 %, 12.5 %, 1230 %); strict JSON."""
+"""Texts: suggestions for misspelt names; counts; percentages as people write them (0.34 %, 12.5 %); strict JSON."""
 
 from __future__ import annotations
 
@@ -19,6 +19,11 @@ def did_you_mean(given: str, known: Iterable[str]) -> str:
     """'did you mean …?' with the closest known name, or an empty text."""
     matches = get_close_matches(given, list(known), n=1, cutoff=0.6)
     return f"did you mean '{matches[0]}'?" if matches else ""
+
+
+def counted(count: float, noun: str) -> str:
+    """A number of things whose plural ends in s: 1 contact, 2 contacts, 0.5 contacts."""
+    return f"{count if isinstance(count, int) else f'{count:g}'} {noun}{'' if count == 1 else 's'}"
 
 
 def in_percent(ratio: float | None) -> float | None:

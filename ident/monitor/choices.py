@@ -6,5 +6,5 @@ from typing import Literal
 
 Kind = Literal["momentum", "direct", "kalman"]
 
-BANDWIDTH = 70.0
-"""Default K [1/s]: three quarters of a torque show after 20 ms (direct, momentum)."""
+BANDWIDTH: dict[Kind, float] = {"momentum": 70.0, "direct": 70.0, "kalman": 110.0}
+"""Default K [1/s] of each observer: three quarters of a torque show after 20 ms."""

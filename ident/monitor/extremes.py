@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
+from drivers.core.text import counted
 
 PEAK_SHARE = 0.25
 """Share of the blocks whose maxima are taken for peaks."""
@@ -49,7 +50,7 @@ def require_time(seconds: float, block: float, per_hour: float) -> None:
     needed = max(FEWEST_PEAKS / PEAK_SHARE * block, 3600.0 / (per_hour * FARTHEST))
     if seconds < needed:
         raise DataError(
-            f"{seconds:.3g} s without contact is too short for {per_hour:g} false alarms per hour: at least "
+            f"{seconds:.3g} s without contact is too short for {counted(per_hour, 'false alarm')} per hour: at least "
             f"{needed:.3g} s of motion are needed",
             hint="give a longer recording without contact, or allow more false alarms per hour",
         )

@@ -11,6 +11,7 @@ import numpy as np
 from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Channel, Stream
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DynidError, UsageError
+from drivers.core.text import counted
 from drivers.streams import GOAL_AGE, MOTOR_ON, Batch, StreamLayout, motors_on
 from ident.monitor.contact_forces import expected_delay
 from ident.monitor.interval_torque import JointSamples
@@ -259,8 +260,7 @@ class LiveMonitor:
                 said.append(carried)
         intervals = newest.intervals
         said += self.monitor.thresholds.beyond(self._model.joint_names, intervals.velocity, intervals.celsius)
-        count = len(self.monitor.contacts)
-        said.append(f"{count} contact{'s' * (count != 1)}; no safety function")
+        said.append(f"{counted(len(self.monitor.contacts), 'contact')}; no safety function")
         latest = self.monitor.contacts[-SHOWN_CONTACTS:]
         return [*said, *(f"  {now_or_end(contact, newest)}: {contact_text(contact)}" for contact in latest)]
 

@@ -238,14 +238,14 @@ def earned_thresholds(
     quiet: Sequence[tuple[str, JointSamples]],
     *,
     kind: Kind = "momentum",
-    bandwidth: float = BANDWIDTH,
+    bandwidth: float | None = None,
     per_hour: float = 1.0,
     period: float | None = None,
 ) -> Thresholds:
     """Thresholds that recordings without contact give for so many false alarms per hour.
 
-    The observer's bandwidth K is in 1/s. The samples that will be watched have this period [s]; the first recording's
-    where None.
+    The observer's bandwidth K is in 1/s, its default where None. The samples that will be watched have this period [s];
+    the first recording's where None.
 
     Raises:
         DataError: the recordings are too short for this rate.
@@ -269,7 +269,7 @@ def earned_thresholds(
         stds,
         np.array([joint.velocity for joint in joints]),
         kind=kind,
-        bandwidth=bandwidth,
+        bandwidth=bandwidth or BANDWIDTH[kind],
         period=own,
         per_hour=per_hour,
         inertia=np.mean(np.diagonal(model.mass_matrix(poses), axis1=1, axis2=2), axis=0),

@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from drivers.core.arrays import BoolArray, FloatArray
-from ident.monitor.choices import BANDWIDTH, Kind
+from ident.monitor.choices import Kind
 
 SHORT = 16
 """Samples up to which a batch is filtered by one matrix product: SciPy's filter takes longer to begin with."""
@@ -76,7 +76,7 @@ def observer(
     kind: Kind,
     period: float,
     joints: int,
-    bandwidth: float = BANDWIDTH,
+    bandwidth: float,
     momentum_noise: FloatArray | None = None,
     torque_noise: FloatArray | None = None,
 ) -> Observer:

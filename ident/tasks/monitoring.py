@@ -15,6 +15,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, UsageError
 from drivers.core.files import path_of
 from drivers.core.options import keywords_of
+from drivers.core.text import counted
 from drivers.core.units import common_unit
 from ident.identify.revalidate import unchanged_files
 from ident.monitor.contact_forces import SmallestForce, expected_delay, smallest_forces
@@ -168,7 +169,8 @@ class MonitoredRun(PagedResult):
         }
 
     def __repr__(self) -> str:
-        return f"<dynid.MonitoredRun of {self.label}: {len(self.time)} samples, {len(self.contacts)} contacts>"
+        contacts = counted(len(self.contacts), "contact")
+        return f"<dynid.MonitoredRun of {self.label}: {len(self.time)} samples, {contacts}>"
 
     def __str__(self) -> str:
         return str(self.summary)
@@ -306,8 +308,8 @@ def sensitivity_table(smallest: Sequence[SmallestForce]) -> Table:
 def explanation(learnt: Thresholds, delay: float) -> list[str]:
     """Sentences on the origin of thresholds, and on the expected delay [s] of a force of twice the smallest."""
     said = [
-        f"{learnt.kind} observer, {learnt.bandwidth:g} 1/s; thresholds for {learnt.per_hour:g} false alarms per "
-        f"hour, from {3600.0 * max((tail.hours for tail in learnt.tails.values()), default=0.0):.0f} s without "
+        f"{learnt.kind} observer, {learnt.bandwidth:g} 1/s; thresholds for {counted(learnt.per_hour, 'false alarm')} "
+        f"per hour, from {3600.0 * max((tail.hours for tail in learnt.tails.values()), default=0.0):.0f} s without "
         f"contact: {', '.join(learnt.sources)}"
     ]
     for name, tail in learnt.tails.items():

@@ -258,7 +258,11 @@ class DetectionOptions(Options):
         command_type=list[Path],
     )
     observer: Kind = option("direct", "momentum, direct or kalman.", one_of=get_args(Kind))
-    bandwidth: float = option(BANDWIDTH, "Bandwidth of the observer [1/s].", allowed=OBSERVER_BANDWIDTH)
+    bandwidth: float | None = option(
+        None,
+        f"Bandwidth of the observer [1/s]; default: {BANDWIDTH['direct']:g}, of kalman {BANDWIDTH['kalman']:g}.",
+        allowed=OBSERVER_BANDWIDTH,
+    )
     false_alarms: float = option(1.0, "Allowed false alarms per hour.", allowed=ALARM_RATE)
 
 

@@ -115,6 +115,7 @@ def _live(
     from daq.session.realtime import ask_for_realtime
     from daq.session.session import INTERRUPTED
     from drivers.core.clock import SYSTEM_CLOCK
+    from drivers.core.text import counted
     from ident.model.another_arm import another_arm
     from ident.monitor.live import LiveMonitor, contact_text, page_channels
     from ident.tasks.monitoring import explanation, forces_noticed, learnt_thresholds, sensitivity_table
@@ -163,10 +164,7 @@ def _live(
     else:
         for contact in contacts[-SHOWN:]:
             print(f"{contact.time:.3f} s: {contact_text(contact)}")
-        print(
-            f"{len(contacts)} contact{'s' * (len(contacts) != 1)}"
-            + ("" if options.record is None else f"; {report.file}")
-        )
+        print(counted(len(contacts), "contact") + ("" if options.record is None else f"; {report.file}"))
     if report.error is None and report.stopped_by == INTERRUPTED and options.trajectory is None:
         return  # the ordinary end of watching
     end_session(report, options.record)
@@ -185,6 +183,7 @@ def _replay(
     """Watch a recording."""
     from daq.commands.console import print_json, progress_line
     from daq.output_files import check_outputs
+    from drivers.core.text import counted
     from ident.result.models.model import result_path
     from ident.tasks.arguments import paths_of
     from ident.tasks.monitoring import monitor
@@ -204,7 +203,7 @@ def _replay(
     if len(watched.contacts) > SHOWN:
         print(f"the strongest {SHOWN} of {len(watched.contacts)} contacts; --json has all")
     elif not watched.contacts:
-        print(f"no contact in {len(watched.time)} samples of {watched.label}")
+        print(f"no contact in {counted(len(watched.time), 'sample')} of {watched.label}")
     for table in (watched.comparison, watched.sensitivity):
         if table is not None:
             print()

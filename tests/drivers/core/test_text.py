@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.core.text import DASH, LEAST_PERCENT, MOST_PERCENT, parsed_json, percent_text, percentage_text
+from drivers.core.text import DASH, LEAST_PERCENT, MOST_PERCENT, counted, parsed_json, percent_text, percentage_text
 
 
 @pytest.mark.parametrize(
@@ -50,3 +50,9 @@ def test_digits_are_kept_and_no_power_of_ten_is_written(value: float, digits: in
 def test_what_is_no_json_is_a_value_error(text: str, reason: str) -> None:
     with pytest.raises(ValueError, match=reason):
         parsed_json(text)
+
+
+def test_one_thing_is_no_plural() -> None:
+    counts = 0, 1, 2, 1.0, 0.5, 1234567
+    said = ["0 alarms", "1 alarm", "2 alarms", "1 alarm", "0.5 alarms", "1234567 alarms"]
+    assert [counted(count, "alarm") for count in counts] == said
