@@ -35,6 +35,7 @@ from ident.identify.body_checks import body_checks, with_opposite_torques
 from ident.identify.cutoff_search import cutoff_checks
 from ident.identify.data_split import distinct
 from ident.identify.extrapolation import extrapolation_checks
+from ident.identify.friction.drift import friction_drift_checks
 from ident.identify.identification import Identification
 from ident.identify.residual_bursts import burst_checks
 from ident.model.dynamics.inverse_dynamics import weights_in_offsets
@@ -103,7 +104,7 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     clipped = {joint for check in checks if check.name == "signal-clipped" for joint in check.joints}
     explained = any(mistake.severity == "serious" or mistake.name == "position-late" for mistake in mistakes)
     named_already = unsound or bool(clipped) or explained
-    checks += [] if named_already else burst_checks(identification)
+    checks += [] if named_already else [*burst_checks(identification), *friction_drift_checks(identification)]
     checks += _size_checks(identification)
     checks += _convergence_checks(identification)
     checks += _experiment_checks(identification)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from ident.verdict.check import Check
-from ident.verdict.check_kind import ALL, PARAMETERS, CheckKind, note
+from ident.verdict.check_kind import ALL, PARAMETERS, PREDICTION, CheckKind, note
 from ident.verdict.recording_kinds import EXCITATION, RECORDING
 
 _MODEL = (
@@ -294,6 +294,14 @@ _MODEL = (
 )
 
 _RESIDUALS = (
+    CheckKind(
+        "friction-changes",
+        "model",
+        "warning",
+        PREDICTION,
+        "the friction changes during the recording",
+        "Record an arm that is warm, or its temperatures at several of them, and validate at another time.",
+    ),
     note(
         "residuals-curved",
         "model",

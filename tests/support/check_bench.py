@@ -265,6 +265,12 @@ class Bench:
         noise = np.random.default_rng(3).standard_normal(self.speed().shape)
         return changed(self.recorded(), lambda i: i + 0.5 * np.abs(self.speed()) * noise)
 
+    def warming(self) -> Recording:
+        """Friction that falls by a third."""
+        speed, gain = self.speed(), np.array([10.0, -8.0, 4.0])
+        friction = np.sign(speed) * np.array([6.0, 7.0, 2.0]) + speed * np.array([3.0, 4.0, 1.0])
+        return changed(self.recorded(), lambda i: i - np.linspace(0.0, 0.33, len(i))[:, None] * friction / gain)
+
     def speed(self) -> np.ndarray:
         """(N, n) of the recorded motion [rad/s]."""
         stream = self.recorded().streams[JOINTS_STREAM]

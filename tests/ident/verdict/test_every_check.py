@@ -362,6 +362,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.found(b.with_stribeck()),
         lambda b: b.clean() | b.found(b.with_stribeck(), **SEARCHED),
     ),
+    "friction-changes": (
+        lambda b: b.found(b.warming()),
+        lambda b: b.clean() | b.found(changed(b.recorded(), lambda i: i * np.linspace(1.0, 1.2, len(i))[:, None])),
+    ),
     "residuals-autocorrelated": (lambda b: b.drifting(), lambda b: b.clean()),
     "residuals-uneven": (lambda b: b.found(b.with_uneven_noise()), lambda b: b.clean()),
     "residuals-not-normal": (lambda b: b.found(changed(b.recorded(), bursts)), lambda b: b.clean()),
