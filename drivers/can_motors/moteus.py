@@ -9,6 +9,7 @@ from typing import ClassVar
 
 from drivers.can.bus import EXTENDED
 from drivers.can_motors.codec import Answer, CanFrame, MotorCodec
+from drivers.core.units import TURN
 
 WRITE, READ, REPLY, NOP = 0x00, 0x10, 0x20, 0x50
 """Kinds of subframes; bits 2 and 3 are the type of their values, bits 0 and 1 their number, where it is not 0."""
@@ -16,7 +17,6 @@ TYPES = ("b", "h", "i", "f")
 FLOAT, INT8, INT16 = 0x0C, 0x00, 0x04
 LENGTHS = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Bytes that a frame of CAN FD may have."""
-TURN = 2.0 * math.pi
 MODE, POSITION, TORQUE, MOTOR_TEMPERATURE, VOLTAGE, BOARD_TEMPERATURE, FAULT = 0, 1, 3, 0x0A, 0x0D, 0x0E, 0x0F
 GOAL, SPEED, MOST_TORQUE, STOP, WATCHDOG, INTEGRATOR = 0x20, 0x21, 0x25, 0x26, 0x27, 0x2B
 FEED_FORWARD, STIFFNESS_SHARE, DAMPING_SHARE = 0x22, 0x23, 0x24

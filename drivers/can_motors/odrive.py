@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import struct
 from collections.abc import Sequence
 
 from drivers.can.bus import REMOTE
 from drivers.can_motors.codec import Answer, CanFrame, MotorCodec
+from drivers.core.units import TURN
 
 HEARTBEAT, ADDRESS, SET_STATE, ESTIMATES, SET_MODE, SET_GOAL, SET_LIMITS = 0x01, 0x06, 0x07, 0x09, 0x0B, 0x0C, 0x0F
 TEMPERATURES, SUPPLY, CLEAR_ERRORS, SET_POSITION_GAIN, SET_VELOCITY_GAINS, TORQUES = 0x15, 0x17, 0x18, 0x1A, 0x1B, 0x1C
@@ -15,7 +15,6 @@ EVERYONE = 0x3F
 """Node to which all axes listen."""
 IDLE, CLOSED_LOOP = 1, 8
 POSITION_CONTROL, PASSTHROUGH = 3, 1
-TURN = 2.0 * math.pi
 MOST_SPEED, MOST_CURRENT = 1e4, 1e3
 """[turn/s] and [A] of a limit that is none."""
 

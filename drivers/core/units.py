@@ -8,8 +8,9 @@ from collections.abc import Iterable, Mapping
 ZERO_CELSIUS = 273.15
 """0 °C in kelvin."""
 
-_TURN = 2.0 * math.pi
-_DEGREE = _TURN / 360.0
+TURN = 2.0 * math.pi
+"""[rad]."""
+_DEGREE = TURN / 360.0
 _ANGLE = {
     "rad": 1.0,
     "radian": 1.0,
@@ -19,8 +20,8 @@ _ANGLE = {
     "deg": _DEGREE,
     "degree": _DEGREE,
     "degrees": _DEGREE,
-    "mdeg": _TURN / 360e3,
-    "rev": _TURN,
+    "mdeg": TURN / 360e3,
+    "rev": TURN,
 }
 _LENGTH = {"m": 1.0, "mm": 1e-3}
 _FAHRENHEIT = 5.0 / 9.0
@@ -30,7 +31,7 @@ FACTORS: Mapping[str, float] = (
     | _LENGTH
     | {f"{unit}/s": factor for unit, factor in (_ANGLE | _LENGTH).items()}
     | {f"{unit}/s^2": factor for unit, factor in _ANGLE.items()}
-    | {"rpm": _TURN / 60.0, "1/min": _TURN / 60.0, "rpm/s": _TURN / 60.0}
+    | {"rpm": TURN / 60.0, "1/min": TURN / 60.0, "rpm/s": TURN / 60.0}
     | {"a": 1.0, "ma": 1e-3, "v": 1.0, "mv": 1e-3}
     | {"nm": 1.0, "mnm": 1e-3, "cnm": 1e-2, "knm": 1e3, "n": 1.0, "kn": 1e3}
     | {"degc": 1.0, "c": 1.0, "k": 1.0, "degf": _FAHRENHEIT, "f": _FAHRENHEIT}

@@ -8,7 +8,7 @@ from pathlib import Path
 from drivers.core.errors import UsageError
 from drivers.core.files import KB, InputKind, read_text
 from drivers.core.text import parsed_json
-from drivers.serial_servos.registers import TURN
+from drivers.core.units import TURN
 
 CALIBRATION = InputKind("a calibration file of LeRobot", 256 * KB)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -10,9 +9,9 @@ from importlib.resources import files
 
 from drivers.core.errors import UsageError
 from drivers.core.text import did_you_mean
+from drivers.core.units import TURN
 from drivers.core.validation import load_yaml
 
-TURN = 2.0 * math.pi
 _MINUTE = 60.0
 
 

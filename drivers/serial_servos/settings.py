@@ -11,8 +11,9 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from drivers.connection_settings import ConnectionSettings, Text, read_settings, refused, require_motor_per_joint
 from drivers.core.errors import UsageError
+from drivers.core.units import TURN
 from drivers.serial_servos.joint_map import JointScale, MotorCalibration, read_calibration, scale_of
-from drivers.serial_servos.registers import TURN, ServoTable, known_models, servo_table
+from drivers.serial_servos.registers import ServoTable, known_models, servo_table
 
 OnStop = Literal["hold", "limp"]
 

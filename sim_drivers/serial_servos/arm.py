@@ -8,7 +8,7 @@ import numpy as np
 
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
-from drivers.serial_servos.registers import TURN
+from drivers.core.units import TURN
 from sim_drivers.plant.clocked_arm import ClockedArm
 from sim_drivers.plant.servo import true_servos
 from sim_drivers.serial_servos.motor import SimulatedServo

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from drivers.serial_servos.cycle import ALERT
 from drivers.serial_servos.registers import ServoTable
 from drivers.serial_servos.settings import ServoMotor
 from sim_drivers.plant.clocked_arm import POWER_UP
 
 MEMORY = 256
 """Bytes of a servo's memory."""
-ALERT = 0x80
-"""Bit of a Dynamixel servo's errors: its hardware error status says which."""
 ACCESS, RANGE = 7, 6
 """Errors of a Dynamixel servo: the memory is read only, the value is out of range."""
 WATCHDOG_FIRED = 0xFF

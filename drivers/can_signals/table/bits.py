@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from drivers.bus_budget import FRAME_BYTES
 from drivers.core.arrays import FloatArray
 
-FRAME_BYTES = 8
 FRAME_BITS = 8 * FRAME_BYTES
 Payloads = npt.NDArray[np.uint8]
 """(N, 8), shorter frames filled up with zeros."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.assessment.instants import instants
+from ident.assessment.mistakes.competition import EXPLAINED
 from ident.assessment.refit import Refit
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
@@ -46,9 +47,6 @@ and 2.3 of a load; a gain times 1.1 from the middle on reaches 2.7 there."""
 LEAST_GAIN = 0.08
 LEAST_ZERO = float(np.deg2rad(3.0))
 """Smallest change of a gain and of a zero [rad] that is reported."""
-
-EXPLAINED = 0.2
-"""Relative error of the whole arm above which nothing is explained."""
 
 STEADY = 2.0
 """Mean of a torque over its standard deviation; where all of an arm are steadier, their torques do not grow."""
