@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -38,8 +37,7 @@ _NUMBERS = re.compile(r"\[\n[-+.0-9eEnul,\s]+\]")
 
 def result_json(result: Stored) -> str:
     """The JSON text of any kind of result, strict: null stands for what is not a number."""
-    text = json.dumps(json.loads(result.model_dump_json()), ensure_ascii=False, indent=1, allow_nan=False)
-    return _NUMBERS.sub(lambda match: re.sub(r"\s+", " ", match[0]), text)
+    return _NUMBERS.sub(lambda match: re.sub(r"\s+", " ", match[0]), result.model_dump_json(indent=1))
 
 
 def read_result(path: Path) -> Result:
