@@ -79,7 +79,7 @@ def identify_recordings(
 
         History(history).add(folder)
     if as_json:
-        print(result.to_json())
+        print((folder / RESULT_FILE).read_text(encoding="utf-8"), end="")
     elif isinstance(result, GradedResult):
         print_identified(result, folder, (GRAVITY_USE if gravity else SERVO_USE).format(folder=folder), verbose=verbose)
     else:
