@@ -27,6 +27,7 @@ from ident.result.graded import Grade
 from ident.servo.arm_rollout import command_paths, delay_and_lag, delayed_paths, rollout_errors, touched_paths
 from ident.servo.contact import PRESSING, Surface, tool_point
 from ident.servo.fit import ServoFit, fit_servo
+from ident.servo.lapses import lapses
 from ident.servo.links import ServoLinks, servo_links
 from ident.servo.motion import ServoMotion, servo_motions
 from ident.servo.result import (
@@ -131,7 +132,7 @@ def identify_servo(
     fit, _ = judge(motions, links, fitted.values, lag, contact, None, held_out=False)
     own = not (held_out and _uses(judged, used))
     validation, paths = judge(judged, links, fitted.values, lag, contact, reference, held_out=own)
-    doubts = _doubts([*recordings, *held_out])
+    doubts = _doubts([*recordings, *held_out], file)
     if len(recordings) > 1 and fit.rollout_mean > USABLE * steps.mean():
         doubts.append(
             f"the recordings do not follow one model ({1e3 * fit.rollout_mean:.2g} mrad in their own data): if gains, "
@@ -197,11 +198,12 @@ def revalidate_servo(
     contact = contact_of(result, links)
     fit, paths = judge(motions, links, result.values, lag, contact, reference, held_out=held_out)
     steps = np.array(result.resolution)
+    doubts = _doubts(recordings, robot_file)
     changed = result.model_copy(
         update={
             "validation": fit,
             "validation_source": "recordings of their own",
-            "verdict": verdict(tuple(result.joints), result.servo, fit, steps, contact, _doubts(recordings)),
+            "verdict": verdict(tuple(result.joints), result.servo, fit, steps, contact, doubts),
         }
     )
     return ServoIdentification(changed, motions, paths)
@@ -226,7 +228,7 @@ def read_motions(recording: Recording, robot_file: RobotFile) -> list[ServoMotio
     return servo_motions(recorded, recording.label)
 
 
-def _doubts(recordings: Sequence[Recording]) -> list[str]:
+def _doubts(recordings: Sequence[Recording], robot_file: RobotFile) -> list[str]:
     """Return which samples of recordings are not what they say, in words; the fit has them all."""
     doubts = []
     for recording in recordings:
@@ -247,6 +249,10 @@ def _doubts(recordings: Sequence[Recording]) -> list[str]:
                 f"{recording.label}: the position of {jump.joint} jumps by {jump.size:.2g} at {jump.time:.2f} s: its "
                 "encoder lost its zero, or rows are missing"
             )
+        named = {encoder.joint for encoder in stale.encoders}
+        doubts += [
+            f"{recording.label}: {lapse}" for lapse in lapses(commanded_motion(recording, robot_file.robot), named)
+        ]
     return doubts
 
 

@@ -271,9 +271,9 @@ def test_positions_that_rest_jump_or_repeat_are_doubts_of_a_verdict(other):
     stopped[200:260, 1] = position[200, 1]
     jumped[400:, 3] += 0.5
     repeated[1::2] = repeated[:-1:2][: len(repeated[1::2])]
-    assert not _doubts([other])
+    assert not _doubts([other], other.robot())
     for changes, words in ((stopped, "shoulder_lift rests"), (jumped, "wrist_flex jumps"), (repeated, "repeat")):
-        assert any(words in text for text in _doubts([changed(other, position=changes)])), words
+        assert any(words in text for text in _doubts([changed(other, position=changes)], other.robot())), words
 
 
 def _first(stream: Stream, count: int) -> Stream:
