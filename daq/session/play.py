@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -219,8 +220,8 @@ def gated_player(driver: Driver, supervisor: Supervisor, course: Course, path: M
     buffered = 0.0
     if isinstance(main, Buffering):
         send, buffered = main.command, main.buffered()
-    supervisor.lag = buffered
-    course.gate = CommandGate(send, supervisor.commanded, limits, 1.0 / path.rate, course.clock)
+    noted = partial(supervisor.commanded, lag=buffered)
+    course.gate = CommandGate(send, noted, limits, 1.0 / path.rate, course.clock)
     if course.position is not None:
         course.gate.measured(course.clock.now(), course.position)
     return Player(course.gate.command, path, limits.acceleration, course.clock, held=held, buffered=buffered)

@@ -158,18 +158,16 @@ class Supervisor:
         self._last_value = dict(zip(bounds, self._newest, strict=True))
         self._limited = {quantity: np.isfinite(bound) for quantity, bound in bounds.items()}
         self._value_stale_after = np.array([[_oldest(quantity, layouts)] for quantity in bounds])
-        self._commands: deque[tuple[float, FloatArray]] = deque()
-        self.lag = 0.0
-        """How long [s] after a command the arm is to be there at the earliest, by its driver."""
+        self._commands: deque[tuple[float, FloatArray, float]] = deque()  # sent, position, due
         self._rates = {layout.name: layout.rate for layout in layouts}
         self._unseen: dict[str, tuple[float, list[Batch]]] = {}
         self._stuck: dict[tuple[str, str], StuckChannel] = {}
         self._speed = JointSpeed(len(limits.joints))
         self._velocity_units: dict[str, VelocityUnit] = {}
 
-    def commanded(self, host_time: float, position: FloatArray) -> None:
-        """Note a commanded position (n,) and when it was sent [s, host clock]."""
-        self._commands.append((host_time, position))
+    def commanded(self, host_time: float, position: FloatArray, lag: float = 0.0) -> None:
+        """Note a commanded position (n,), when it was sent [s, host clock], and how much later the arm is there [s]."""
+        self._commands.append((host_time, position, host_time + lag))
 
     def check(self, batch: Batch, now: float) -> Breach | None:
         """The first limit that a batch passes, in time; None where it passes none. `now` [s] is the host's clock."""
@@ -263,8 +261,8 @@ class Supervisor:
     def _aimed_at(self, batch: Batch) -> FloatArray:
         """(n,) the position that was commanded for now, else the controller's target; NaN where there is neither."""
         if commands := list(self._commands):
-            due = float(batch.host_time[-1]) - self.lag
-            return next((target for sent, target in reversed(commands) if sent <= due), commands[0][1])
+            now = float(batch.host_time[-1])
+            return next((target for _, target, due in reversed(commands) if due <= now), commands[0][1])
         target = self._part(batch, "target_position")
         aim = np.full(len(self._limits.joints), np.nan)
         if target is not None:
@@ -334,8 +332,8 @@ class Supervisor:
         commands = list(self._commands)
         if not commands:
             return np.zeros_like(position)
-        times = np.array([time for time, _ in commands])
-        targets = np.array([target for _, target in commands])
+        times = np.array([sent for sent, _, _ in commands])
+        targets = np.array([target for _, target, _ in commands])
         first = np.maximum(np.searchsorted(times, host_time - TRACKING_WINDOW) - 1, 0)
         last = np.searchsorted(times, host_time, side="right")
         # Most often all positions are near what was commanded before each of them.

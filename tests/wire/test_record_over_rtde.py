@@ -89,9 +89,9 @@ class Informed(Supervisor):
         super().__init__(*arguments)
         self._kept = commands
 
-    def commanded(self, host_time: float, position: np.ndarray) -> None:
+    def commanded(self, host_time: float, position: np.ndarray, lag: float = 0.0) -> None:
         self._kept.append((host_time, position))
-        super().commanded(host_time, position)
+        super().commanded(host_time, position, lag)
 
 
 class Bench:

@@ -34,12 +34,11 @@ def told(
     """What is stuck at the end of a recording, and whatever was meanwhile."""
     layouts = (StreamLayout("joints", tuple(ChannelLayout(name, NAMES) for name in values), rate),)
     supervisor, seen = Supervisor(LIMITS, layouts), {}
-    supervisor.lag = lag
     for first in range(0, len(next(iter(values.values()))) - BATCH + 1, BATCH):
         rows = slice(first, first + BATCH)
         time = np.arange(first, first + BATCH) / rate
         if commands is not None:
-            supervisor.commanded(time[-1], commands[rows][-1])
+            supervisor.commanded(time[-1], commands[rows][-1], lag)
         for breach in supervisor.stuck(Batch("joints", time, time, {name: v[rows] for name, v in values.items()})):
             seen.setdefault((breach.what, breach.joint), breach)
     return list(seen.values())
