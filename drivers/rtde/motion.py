@@ -21,6 +21,7 @@ import signal
 import struct
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.util import find_spec
 from typing import Protocol
 
@@ -287,9 +288,14 @@ def _await_first_command(pipe: Pipe, control: Control | ServoProgram) -> bytes |
 def _follow(pipe: Pipe, control: Control | ServoProgram, rate: float, clock: Clock) -> bytes | None:
     """Pass commands on, to ur_rtde every period, until asked to stop (None) or something is wrong (what)."""
     path, heard, tick = DelayedPath(rate), clock.now(), clock.now()
+    step: Callable[[], bool]
+    if isinstance(control, ServoProgram):  # it keeps the pace itself, and gets each command at once
+        paced, step = False, partial(control.follow, path)
+    else:
+        paced, step = True, partial(_servo_step, control, path, rate, clock)
     while (now := clock.now()) - heard < SILENCE_LIMIT:
         tick = min(max(tick + 1.0 / rate, now), heard + SILENCE_LIMIT)
-        until = heard + SILENCE_LIMIT if isinstance(control, ServoProgram) else tick
+        until = tick if paced else heard + SILENCE_LIMIT
         try:
             while pipe.poll(max(until - clock.now(), 0.0)):
                 heard = clock.now()
@@ -299,17 +305,17 @@ def _follow(pipe: Pipe, control: Control | ServoProgram, rate: float, clock: Clo
                 due, *position = _POSITION.unpack(message)
                 path.put(due, np.array(position))
                 _say(pipe, _TAKEN)
-                until = heard if isinstance(control, ServoProgram) else tick
+                until = tick if paced else heard
         except (EOFError, OSError):
             return b"the recording process is gone"
-        if isinstance(control, ServoProgram):
-            followed = control.follow(path)
-        else:
-            target = path.advance(clock.now()).tolist()
-            followed = control.servoJ(target, 0.0, 0.0, 1.0 / rate, LOOKAHEAD, SERVO_GAIN)
-        if not followed:
+        if not step():
             return b"the controller refused a position; its program no longer runs"
     return f"no command for {SILENCE_LIMIT:g} s".encode()
+
+
+def _servo_step(control: Control, path: DelayedPath, rate: float, clock: Clock) -> bool:
+    """Send ur_rtde the path's present target; whether the controller took it."""
+    return control.servoJ(path.advance(clock.now()).tolist(), 0.0, 0.0, 1.0 / rate, LOOKAHEAD, SERVO_GAIN)
 
 
 def _halt(control: Control | ServoProgram) -> bool:
