@@ -145,41 +145,25 @@ class Player:
         self._acceleration = acceleration
         self._period = 1.0 / path.rate
         self._halt = clock.event()
-        self._done = False
-        self._failure: DynidError | None = None
+        self.done = False
+        """Whether the last position was sent."""
+        self.failure: DynidError | None = None
+        """Why it ended before its end; None while all is well."""
         self._late: list[float] = []
         self._skipped = 0
-        self._delayed = 0.0
+        self.delayed = 0.0
+        """How much later the motion ends since it went on from rest after stalls [s]."""
         self._behind = 0.0
-        self._elapsed = 0.0
+        self.elapsed = 0.0
+        """The path's time of the position sent last [s]."""
         self._course = _Course(0, 0.0, 0.0)
         self._ahead = _NOTHING_AHEAD
         self._thread = clock.thread(self._run, "player")
 
     @property
-    def done(self) -> bool:
-        """Return whether the last position was sent."""
-        return self._done
-
-    @property
-    def elapsed(self) -> float:
-        """The path's time of the position sent last [s]."""
-        return self._elapsed
-
-    @property
-    def delayed(self) -> float:
-        """Return how much later the motion ends since it went on from rest after stalls [s]."""
-        return self._delayed
-
-    @property
     def duration(self) -> float:
         """Duration of the path [s]."""
         return self._path.duration
-
-    @property
-    def failure(self) -> DynidError | None:
-        """Return why it ended before its end; None while all is well."""
-        return self._failure
 
     def start(self) -> None:
         """Begin to send."""
@@ -194,16 +178,16 @@ class Player:
 
     def punctuality(self) -> Punctuality:
         """The figures so far."""
-        return _punctuality(self._late, self._skipped, self._delayed)
+        return _punctuality(self._late, self._skipped, self.delayed)
 
     def _run(self) -> None:
         set_timer_slack()
         try:
             self._play()
         except DynidError as error:
-            self._failure = error
+            self.failure = error
         except Exception as error:  # whatever it was, the session must know of it and stop the arm
-            self._failure = WorkError(f"the player broke: {type(error).__name__}: {error}")
+            self.failure = WorkError(f"the player broke: {type(error).__name__}: {error}")
 
     def _play(self) -> None:
         start, tick, period = self._clock.now(), 0, self._period
@@ -214,7 +198,7 @@ class Player:
             if self._halt.is_set():
                 return
             overdue = max(int((self._clock.now() - start) / period + 1e-9) - tick - 1, 0)
-            if self._done:
+            if self.done:
                 start, overdue = start + overdue * period, 0  # at rest, where time does not matter
             elif self._buffered and overdue * period <= self._buffered:
                 overdue = 0  # each is sent, one at once after the other
@@ -222,7 +206,7 @@ class Player:
                 self._go_on_from_rest(tick, overdue * period)
                 start, overdue = start + overdue * period, 0
             tick += 1 + overdue
-            if not self._done:
+            if not self.done:
                 self._skipped += overdue
                 self._late.append(late)
             position = self._position(tick)
@@ -230,7 +214,7 @@ class Player:
             self._send(position, start + tick * period)
             if not self._buffered:
                 self._require_to_keep_up(self._clock.now() - begun)
-            self._done = self._done or self._elapsed >= self._path.duration - 1e-9
+            self.done = self.done or self.elapsed >= self._path.duration - 1e-9
 
     def _require_to_keep_up(self, took: float) -> None:
         """Note how long it took to send a position [s]."""
@@ -257,10 +241,10 @@ class Player:
         for added in (GENTLE, 1.0):
             ramp = _SHORTEST_RAMP
             while ramp <= _LONGEST_RAMP:
-                course = _Course(tick, self._elapsed, ramp)
+                course = _Course(tick, self.elapsed, ramp)
                 if self._keeps_limits(course, added):
                     self._course, self._ahead = course, _NOTHING_AHEAD
-                    self._delayed += stalled + 0.5 * ramp
+                    self.delayed += stalled + 0.5 * ramp
                     return
                 ramp *= 2.0
         raise SafetyStopError(
@@ -284,7 +268,7 @@ class Player:
             ticks = np.arange(tick, tick + _AHEAD, dtype=float)
             times = np.minimum(self._course.at(ticks, self._period), self._path.duration)
             first, times, ahead = self._ahead = tick, times, self._path.positions(times)
-        self._elapsed = float(times[tick - first])
+        self.elapsed = float(times[tick - first])
         return np.asarray(ahead[tick - first])
 
 

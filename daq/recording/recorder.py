@@ -90,38 +90,30 @@ class Recorder:
         self._since = dict.fromkeys(self._pending, 0.0)
         self._queue: deque[Batch | tuple[float, Level, str, str]] = deque()
         self._memory_limit = memory_limit
-        self._waiting = 0
+        self.backlog = 0
+        """Bytes of samples that wait for the disk, up to half a second of them for a whole chunk."""
         self._clock = clock
         self._changed = clock.condition()
         self._closing = False
-        self._failure: DiskError | None = None
+        self.failure: DiskError | None = None
+        """Why nothing can be written any more; None while all is well."""
         self._broken = False
         self._thread = clock.thread(self._run, f"recorder {path.name}")
         self._thread.start()
-
-    @property
-    def backlog(self) -> int:
-        """Bytes of samples that wait for the disk, up to half a second of them for a whole chunk."""
-        return self._waiting
-
-    @property
-    def failure(self) -> DiskError | None:
-        """Return why nothing can be written any more; None while all is well."""
-        return self._failure
 
     def put(self, batch: Batch) -> None:
         """Hand over a batch; dropped and counted when the queue is full."""
         size = _size(batch)
         with self._changed:
-            if self._failure is not None:
+            if self.failure is not None:
                 return
-            if self._waiting + size > self._memory_limit:
+            if self.backlog + size > self._memory_limit:
                 if self.overflow == 0:
                     when = float(batch.time[0]) if len(batch.time) else float("nan")
                     self._queue.append((when, "error", "recorder", "the disk does not keep up: samples are dropped"))
                 self.overflow += len(batch.time)
                 return
-            self._waiting += size
+            self.backlog += size
             self._queue.append(batch)
             self._begun[batch.stream] += len(batch.time)
             if self._begun[batch.stream] >= self._chunk_rows[batch.stream]:  # to wake the thread for each costs more
@@ -145,20 +137,20 @@ class Recorder:
             self._writer.abandon()
         elif self.file != self.path:
             try:
-                if self.overflow and self._failure is None:
+                if self.overflow and self.failure is None:
                     self._writer.event(
                         float("nan"), "error", "recorder", f"{self.overflow} samples dropped: the disk did not keep up"
                     )
-                self._writer.finish(complete=complete and not self.overflow and self._failure is None)
+                self._writer.finish(complete=complete and not self.overflow and self.failure is None)
                 # An older recording is not given up for one that the disk cut short.
-                self._writer.take_place(overwrite=self._overwrite and self._failure is None)
+                self._writer.take_place(overwrite=self._overwrite and self.failure is None)
                 self.file = self.path
             except RecordingError as error:
-                self._failure = self._failure or self._disk_error(error)
+                self.failure = self.failure or self._disk_error(error)
             except DiskError as error:
-                self._failure = self._failure or error
-        if self._failure is not None:
-            raise self._failure
+                self.failure = self.failure or error
+        if self.failure is not None:
+            raise self.failure
 
     def discard(self) -> None:
         """Close the file and remove it; what had its place stays."""
@@ -196,7 +188,7 @@ class Recorder:
 
     def _fail(self, error: DiskError, *, broken: bool) -> None:
         with self._changed:
-            self._failure = error
+            self.failure = error
             self._broken = broken
             self._queue.clear()
         if broken:  # left alone until `close`, when the arm stands: what HDF5 does next is not for this moment
@@ -248,7 +240,7 @@ class Recorder:
             self._rows[stream] = len(rest.time)
             self._since[stream] = self._clock.now()
             with self._changed:
-                self._waiting -= _size(joined) - _size(rest)
+                self.backlog -= _size(joined) - _size(rest)
         self._writer.flush()
 
     def _append(self, stream: str, batch: Batch) -> None:

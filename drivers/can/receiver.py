@@ -101,22 +101,14 @@ class Receiver:
         self._ring: deque[Frame] = deque()
         self._arrival = clock.condition()
         self._wanted = 1
-        self._drained = -math.inf
-        self._failure: ConnectionLostError | None = None
+        self.drained = -math.inf
+        """Everything that arrived before this time [s, host's monotonic clock] has been stored or passed on."""
+        self.failure: ConnectionLostError | None = None
+        """Why nothing comes any more; None while all is well."""
         self._ending = clock.event()
         self._troubles: dict[str, tuple[int, float]] = {}
         self._notices: deque[Notice] = deque()
         self._thread: threading.Thread | None = None
-
-    @property
-    def drained(self) -> float:
-        """Everything that arrived before this time [s, host's monotonic clock] has been stored or passed on."""
-        return self._drained
-
-    @property
-    def failure(self) -> ConnectionLostError | None:
-        """Return why nothing comes any more; None while all is well."""
-        return self._failure
 
     def start(self) -> None:
         """Begin to receive."""
@@ -131,11 +123,11 @@ class Receiver:
         """
         with self._arrival:
             self._wanted = at_least
-            self._arrival.wait_for(lambda: len(self._ring) >= at_least or self._failure is not None, timeout)
+            self._arrival.wait_for(lambda: len(self._ring) >= at_least or self.failure is not None, timeout)
             frames = list(self._ring)
             self._ring.clear()
-        if not frames and self._failure is not None:
-            raise self._failure
+        if not frames and self.failure is not None:
+            raise self.failure
         return frames
 
     def pending(self) -> bool:
@@ -181,7 +173,7 @@ class Receiver:
                 faulty = self._skip_unreadable(faulty)
             else:
                 if message is None:
-                    self._drained = max(self._drained, asked)
+                    self.drained = max(self.drained, asked)
                     continue
                 faulty = 0
                 if not self._keep(message):
@@ -195,11 +187,11 @@ class Receiver:
         if message.is_error_frame:
             return self._note_error(message, arrived)
         if message.is_remote_frame:
-            self._drained = arrived
+            self.drained = arrived
             return True
         if not self._fd and (message.is_fd or message.dlc > CLASSICAL_BYTES):
             self._trouble("CAN FD frame(s) dropped", arrived)
-            self._drained = arrived
+            self.drained = arrived
             return True
         identifier, data = message.arbitration_id, bytes(message.data)
         if message.is_extended_id:
@@ -215,7 +207,7 @@ class Receiver:
                 self._other(identifier, data, arrived)
             except Exception as error:  # a malformed answer of one node must not end the reception of all
                 self._trouble(f"frame(s) 0x{identifier:X} not understood ({type(error).__name__})", arrived)
-        self._drained = arrived
+        self.drained = arrived
         return True
 
     def _store(self, frame: Frame) -> None:
@@ -271,5 +263,5 @@ class Receiver:
 
     def _fail(self, message: str, hint: str) -> None:
         with self._arrival:
-            self._failure = ConnectionLostError(message, where=str(self._bus.channel_info), hint=hint)
+            self.failure = ConnectionLostError(message, where=str(self._bus.channel_info), hint=hint)
             self._arrival.notify_all()

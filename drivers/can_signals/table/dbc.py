@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from drivers.bus_budget import FRAME_BYTES
 from drivers.can.bus import EXTENDED
-from drivers.can_signals.table.bits import FRAME_BYTES, BitField, ByteOrder
+from drivers.can_signals.table.bits import BitField, ByteOrder
 from drivers.can_signals.table.signals import identifier_text
 from drivers.core.errors import UsageError
 from drivers.core.files import DBC_FILE, read_bytes

@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, PrivateAttr, Tag, ValidationInfo, field_validator, model_validator
 
+from drivers.bus_budget import FRAME_BYTES
 from drivers.can.bus import EXTENDED
-from drivers.can_signals.table.bits import FRAME_BITS, FRAME_BYTES, BitField, ByteOrder
+from drivers.can_signals.table.bits import FRAME_BITS, BitField, ByteOrder
 from drivers.can_signals.table.dbc import Dbc, DbcSignal
 from drivers.can_signals.table.signals import FixedFrame, Signal, check_overlaps
 from drivers.connection_settings import ConnectionSettings, refused

@@ -9,8 +9,9 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
+from drivers.bus_budget import FRAME_BYTES
 from drivers.can.bus import EXTENDED, Frame
-from drivers.can_signals.table.bits import FRAME_BYTES, BitField, Payloads, stack
+from drivers.can_signals.table.bits import BitField, Payloads, stack
 from drivers.core.arrays import FloatArray
 
 

@@ -131,8 +131,10 @@ class DriveMotion:
         self._stood: list[tuple[float, float]] = []
         self._pushed: tuple[float, list[int]] = (-math.inf, [])
         self._led_since = -math.inf
-        self._left: str | None = None
-        self._dropped_out: int | None = None
+        self.ended_by: str | None = None
+        """Why it ended by itself: a drive that left operation enabled; None where it did not."""
+        self.dropped_out: int | None = None
+        """Which joint's drive left operation enabled by itself; None where none did."""
 
     @property
     def idle(self) -> bool:
@@ -147,22 +149,12 @@ class DriveMotion:
     @property
     def active(self) -> bool:
         """Return whether the drives follow targets, or did until one of them left the motion by itself."""
-        return self._phase in ("moving", "led") or self._left is not None
+        return self._phase in ("moving", "led") or self.ended_by is not None
 
     @property
     def mode(self) -> int:
         """Return the mode of operation, in which the drives are to be."""
         return self._mode
-
-    @property
-    def ended_by(self) -> str | None:
-        """Return why it ended by itself: a drive that left operation enabled; None where it did not."""
-        return self._left
-
-    @property
-    def dropped_out(self) -> int | None:
-        """Return which joint's drive left operation enabled by itself; None where none did."""
-        return self._dropped_out
 
     def heard(self, index: int) -> DriveReport | None:
         """Return what a drive said last; None where it said nothing yet."""
@@ -184,14 +176,14 @@ class DriveMotion:
         stalled, self._last_moment = moment - self._last_moment - (0 if left_out else self._period), moment
         if phase in ("moving", "led"):
             self._watch_for_drop_outs()
-            if stalled > self._longest_stall and self._left is None:  # the drives have had no target meanwhile
-                self._left = f"this computer stalled for {stalled:.3f} s, more than {self._longest_stall:g} s"
+            if stalled > self._longest_stall and self.ended_by is None:  # the drives have had no target meanwhile
+                self.ended_by = f"this computer stalled for {stalled:.3f} s, more than {self._longest_stall:g} s"
                 self._phase = "stopping"
         wanted = self._path.at(moment, 0 if self._mode == MODE_PROFILE_POSITION else left_out)
         if self._phase == "moving" and self._mode != MODE_PROFILE_POSITION and self._path.run_out:
             self._phase = "stopping"  # along their ramp; whoever commands them knows why
         if self._phase == "led" and self._clock.now() - self._pushed[0] > PUSH_LIMIT:
-            self._left, self._phase = f"no torque was commanded for {PUSH_LIMIT:g} s", "stopping"
+            self.ended_by, self._phase = f"no torque was commanded for {PUSH_LIMIT:g} s", "stopping"
         targets = [self._output(index, wanted[index]) for index in range(len(self._ids))]
         if self._phase != "led":
             return targets
@@ -233,7 +225,7 @@ class DriveMotion:
         """
         if self._phase != "moving":
             late = "the commands came too late, and the arm was stopped"
-            reason = self._left or (late if self._path.run_out else "the drives are not enabled")
+            reason = self.ended_by or (late if self._path.run_out else "the drives are not enabled")
             raise DriverStateError(f"the arm does not move: {reason}", hint="start again before the next motion")
         if np.any(np.abs(counts) > 2**31 - 1):
             raise ValueError("a target does not fit into 32 bits of counts")
@@ -247,7 +239,7 @@ class DriveMotion:
             ValueError: a torque that does not fit into 16 bits.
         """
         if self._phase != "moving":
-            raise DriverStateError(f"the arm is not let go: {self._left or 'the drives are not enabled'}")
+            raise DriverStateError(f"the arm is not let go: {self.ended_by or 'the drives are not enabled'}")
         self._push(torque)
         self._longest_stall = min((BRIDGED + 0.5) * self._period, STALL_LIMIT)
         self._mode, self._led_since = MODE_CYCLIC_TORQUE, self._clock.now()
@@ -256,7 +248,7 @@ class DriveMotion:
     def push(self, torque: IntArray) -> None:
         """Take torques (n,) [‰ of the rated ones] of an arm that is let go; raises as `release`."""
         if self._phase != "led":
-            raise DriverStateError(f"the arm accepts no torque commands: {self._left or 'it is not let go'}")
+            raise DriverStateError(f"the arm accepts no torque commands: {self.ended_by or 'it is not let go'}")
         self._push(torque)
 
     def _push(self, torque: IntArray) -> None:
@@ -386,11 +378,11 @@ class DriveMotion:
             heard = self.heard(index)
             if heard is None or (heard.state is DriveState.ENABLED and (changing or heard.mode == self._mode)):
                 continue
-            self._dropped_out = index
+            self.dropped_out = index
             said = f"operation enabled: {heard.state.value}"
             if heard.state is DriveState.ENABLED:
                 said = f"mode {mode_words(self._mode)}: it displays {mode_words(heard.mode)}"
-            self._left = f"{joint} left {said}"
+            self.ended_by = f"{joint} left {said}"
             self._phase = "stopping"  # the others must not go on without it
             return
 

@@ -75,14 +75,10 @@ class SyncProducer:
         self._begin = math.nan
         self._sent: deque[tuple[int, float]] = deque()
         self._ending = clock.event()
-        self._failure: ConnectionLostError | None = None
+        self.failure: ConnectionLostError | None = None
+        """Why no SYNC is sent any more; None while all is well."""
         self._refused_since: float | None = None
         self._thread: threading.Thread | None = None
-
-    @property
-    def failure(self) -> ConnectionLostError | None:
-        """Return why no SYNC is sent any more; None while all is well."""
-        return self._failure
 
     @property
     def running(self) -> bool:
@@ -99,7 +95,7 @@ class SyncProducer:
         if math.isnan(self._begin):
             self._begin = self._host_clock.now()
         self._sent.clear()
-        self._failure = self._refused_since = None
+        self.failure = self._refused_since = None
         self._ending.clear()
         self._thread = self._host_clock.thread(self._run, "SYNC")
         self._thread.start()
@@ -140,7 +136,7 @@ class SyncProducer:
                 self.count += 1
                 self._sent.append((slot, self.latest))
                 self._send_outputs(due)
-            if self._failure is not None:
+            if self.failure is not None:
                 return
             slot += 1
 
@@ -155,7 +151,7 @@ class SyncProducer:
         now = self._host_clock.now()
         self._refused_since = self._refused_since or now
         if now - self._refused_since > PATIENCE:
-            self._failure = error
+            self.failure = error
 
     def _renewed(self, slot: int, due: int) -> int:
         """Send targets for the SYNC of a slot, those from `due` on having been left out; the slot, or a later one.
@@ -250,14 +246,14 @@ class KernelSync(SyncProducer):
                 moment = self._next_sync(PATIENCE)
                 if moment is None:
                     if self._drained() - self.latest > limit:
-                        self._failure = ConnectionLostError(
+                        self.failure = ConnectionLostError(
                             f"the CAN adapter has sent no SYNC for {limit:.2g} s",
                             hint="is another device on the bus, at this bit rate, and the bus terminated?",
                         )
                         return
                 elif self._host_clock.now() - moment < (1.0 - TARGET_ROOM) / self._rate:
                     self._send_outputs(moment)
-                if self._failure is not None:
+                if self.failure is not None:
                     return
         finally:
             task.stop()
