@@ -11,6 +11,7 @@ from drivers.can.bus import EXTENDED, REMOTE
 from drivers.can_motors import mit, moteus, odrive, robstride
 from drivers.can_motors.codec import CanFrame, from_counts, to_counts
 from drivers.can_motors.settings import CanMotor
+from drivers.core.units import TURN
 from sim_drivers.can_motors.arm import Command, MotorPlant
 from sim_drivers.plant.clocked_arm import POWER_UP
 
@@ -332,7 +333,7 @@ class MoteusMotor(SimulatedMotor):
         self._registers |= {number: value for number, value in written.items() if number != moteus.GOAL}
         if moteus.GOAL in written and self.enabled:
             goal, speed, stop = (
-                written.get(number, default) * moteus.TURN
+                written.get(number, default) * TURN
                 for number, default in ((moteus.GOAL, 0.0), (moteus.SPEED, 0.0), (moteus.STOP, math.nan))
             )
             goal = self._state["position"] if math.isnan(goal) else goal
@@ -352,9 +353,9 @@ class MoteusMotor(SimulatedMotor):
     def _register(self, number: int, form: int) -> float:
         state = self._state
         if number == moteus.POSITION:
-            value = state["position"] / moteus.TURN
+            value = state["position"] / TURN
         elif number == moteus.POSITION + 1:
-            value = state["velocity"] / moteus.TURN
+            value = state["velocity"] / TURN
         elif number == moteus.TORQUE:
             value = state["torque"]
         else:
@@ -406,8 +407,8 @@ class OdriveMotor(SimulatedMotor):
         elif command == odrive.SET_LIMITS:
             self.limits = struct.unpack("<ff", data)
         elif command == odrive.SET_GOAL:
-            damping = self._velocity_gain / odrive.TURN
-            goal = struct.unpack_from("<f", data)[0] * odrive.TURN
+            damping = self._velocity_gain / TURN
+            goal = struct.unpack_from("<f", data)[0] * TURN
             self._follow(now, goal, (self._position_gain * damping, damping))
         return []
 
@@ -418,7 +419,7 @@ class OdriveMotor(SimulatedMotor):
     def _told(self, command: int) -> list[CanFrame]:
         state = self._state
         payloads = {
-            odrive.ESTIMATES: (state["position"] / odrive.TURN, state["velocity"] / odrive.TURN),
+            odrive.ESTIMATES: (state["position"] / TURN, state["velocity"] / TURN),
             odrive.TORQUES: (state["torque"], state["torque"]),
             odrive.TEMPERATURES: (state["drive_temperature"], state["temperature"]),
             odrive.SUPPLY: (state["supply_voltage"], 0.0),
