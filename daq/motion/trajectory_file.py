@@ -74,12 +74,6 @@ def _same_shape(*named: tuple[str, Rows]) -> None:
             )
 
 
-def _same_series(offset: Row, sine: Rows, cosine: Rows) -> None:
-    _same_shape(("sine", sine), ("cosine", cosine))
-    if len(offset) != len(sine):
-        raise ValueError(f"'offset' has {len(offset)} joints, but 'sine' {len(sine)} rows")
-
-
 class _Trajectory(BaseModel):
     model_config = ConfigDict(defer_build=True, extra="forbid", frozen=True)
 
@@ -89,22 +83,28 @@ class _Trajectory(BaseModel):
     files: dict[str, str] = Field(default_factory=dict, description="SHA-256 of the files written with it")
 
 
-class FourierTrajectory(_Trajectory):
-    """A Fourier series (ROCR6 eq. 21; AUBO eq. 20 with amplitudes: position)."""
-
-    kind: Literal["fourier"]
+class _SeriesTrajectory(_Trajectory):
+    kind: str
     period: Duration = Field(description="[s]")
     offset: Row
     sine: Rows
     cosine: Rows
-    amplitudes: Literal["velocity", "position"] = "velocity"
     periods: int = Field(default=1, ge=1, le=10_000)
-    ramp: Ramp = 2.0
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        _same_series(self.offset, self.sine, self.cosine)
+        _same_shape(("sine", self.sine), ("cosine", self.cosine))
+        if len(self.offset) != len(self.sine):
+            raise ValueError(f"'offset' has {len(self.offset)} joints, but 'sine' {len(self.sine)} rows")
         return self
+
+
+class FourierTrajectory(_SeriesTrajectory):
+    """A Fourier series (ROCR6 eq. 21; AUBO eq. 20 with amplitudes: position)."""
+
+    kind: Literal["fourier"]
+    amplitudes: Literal["velocity", "position"] = "velocity"
+    ramp: Ramp = 2.0
 
     def motion(self) -> Motion:
         """The motion from rest to rest."""
@@ -113,20 +113,10 @@ class FourierTrajectory(_Trajectory):
         return RestToRest(series, self.periods, self.ramp)
 
 
-class FourierQuinticTrajectory(_Trajectory):
+class FourierQuinticTrajectory(_SeriesTrajectory):
     """A Fourier series that a fifth-order polynomial brings to rest at the ends of every period."""
 
     kind: Literal["fourier-quintic"]
-    period: Duration = Field(description="[s]")
-    offset: Row
-    sine: Rows
-    cosine: Rows
-    periods: int = Field(default=1, ge=1, le=10_000)
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        _same_series(self.offset, self.sine, self.cosine)
-        return self
 
     def motion(self) -> Motion:
         """The motion from rest to rest, as every period is."""

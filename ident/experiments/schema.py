@@ -107,39 +107,34 @@ class PayloadResult(Stored):
     warnings: list[str]
 
 
-class GainsResult(Stored):
+class _GainsFigures(Stored):
+    kind: str
+    robot: str
+    runs: list[str] = Field(description="free, loaded")
+    signal: str
+    unit: str
+    known: KnownLoad
+    load: list[EstimatedValue]
+    gap: Number
+    robot_file_text: str
+    warnings: list[str]
+
+
+class GainsResult(_GainsFigures):
     """Gains of all drives from exciting motions."""
 
     kind: Literal["gains"] = "gains"
-    robot: str
-    runs: list[str] = Field(description="free, loaded")
-    signal: str
-    unit: str
-    known: KnownLoad
     gains: list[GainEstimate]
     covariance: list[list[Number]]
     base_parameters: list[EstimatedValue]
-    load: list[EstimatedValue]
     condition: Number
-    gap: Number
     delay: DelaySearch
     blocks: int
     block_length: int
-    robot_file_text: str
-    warnings: list[str]
 
 
-class SlowGainsResult(Stored):
+class SlowGainsResult(_GainsFigures):
     """Gains of the drives from slow up-and-down runs."""
 
     kind: Literal["gains-up-and-down"] = "gains-up-and-down"
-    robot: str
-    runs: list[str] = Field(description="free, loaded")
-    signal: str
-    unit: str
-    known: KnownLoad
     gains: list[SlowGain]
-    load: list[EstimatedValue]
-    gap: Number
-    robot_file_text: str
-    warnings: list[str]
