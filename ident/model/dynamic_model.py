@@ -148,7 +148,7 @@ class DynamicModel:
         kinds = [term.kind for term in TERMS if term.needs == condition]
         return tuple(any(self.terms.has(kind, motor) for kind in kinds) for motor in range(self.dof))
 
-    @property
+    @cached_property
     def needs_temperature(self) -> bool:
         """Return whether its friction depends on the temperature."""
         return any(self.needs("temperature"))
@@ -169,6 +169,8 @@ class DynamicModel:
         Raises:
             DataError: names the joints.
         """
+        if not self.needs_temperature:
+            return
         lacking = [
             name
             for index, (name, needed) in enumerate(zip(self.joint_names, self.needs("temperature"), strict=True))

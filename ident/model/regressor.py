@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -143,11 +144,15 @@ class RegressorKernel:
             )
             for link in links
         )
-        self._recursion, self._recursed = Recursion(model.joints, self._chains, model.gravity, chunk), True
+        self._recursed = True
         self._compiled = compiled_rows(model.joints, model.gravity, self.link_rows)
         self.shares = np.empty((0, 0, 0))
         loads = any(row.column.quantity in LOAD_KINDS for row in self.joint_parameter_rows)
         self._load = LoadTorqueKernel(model, chunk) if loads else None
+
+    @cached_property
+    def _recursion(self) -> Recursion:
+        return Recursion(self.model.joints, self._chains, self.model.gravity, self.chunk)
 
     @property
     def frames(self) -> list[FrameMotion]:
