@@ -83,6 +83,7 @@ class ServoFit:
     # per joint, the share of the held-out cost that each optional term saved; kept ones only
     gains: tuple[Mapping[str, float], ...]
     pieces: int  # number of pieces of motion in the fit
+    left: FloatArray  # (n,) median absolute errors of these pieces [rad or m]
     contact: Surface | None  # what the arm touches; None without a sign of it
 
 
@@ -154,7 +155,10 @@ def fit_servo(
         progress("contact")
         contact = find_contact(state.lanes, state.values, *tool, least, contact)
     values, free, held, assumed = state.values, state.free, state.held, state.assumed
-    return ServoFit(values, low, high, free, seen, held, assumed, moving, covariance, tuple(gains), count, contact)
+    errors = np.abs(evaluate(pieces, values)[0])
+    left = np.array([np.nanmedian(errors[:, pieces.joint == joint]) for joint in range(joints)])
+    known = (values, low, high, free, seen, held, assumed, moving, covariance)
+    return ServoFit(*known, tuple(gains), count, left, contact)
 
 
 def _free_torques(state: _State, lanes: Lanes, moving: BoolArray, inertia: FloatArray, least: float) -> None:

@@ -101,6 +101,12 @@ def isaaclab_configuration(
         "# Torques N·m, angles rad, times s. Joints are called as in the robot file. The environment's sim.dt must be",
         "# PHYSICS_STEP: delays are counted in it. Use ACTUATORS in ArticulationCfg(actuators=...), or",
         "# IMPLICIT_ACTUATORS, which have no delay; shape commands with CommandProfile; EVENTS are for an EventCfg.",
+        "# Its ranges, and GAUSSIANS, are of "
+        + (
+            "this arm alone, not of its type."
+            if unit_spread == 0
+            else f"its type: units differ by {unit_spread:g} (σ of logarithms)."
+        ),
         f"# Not in this file: {', '.join(missing) or 'nothing'}.",
         "",
         "from isaaclab.actuators import DelayedPDActuatorCfg, IdealPDActuatorCfg, ImplicitActuatorCfg",

@@ -14,7 +14,7 @@ import dynid
 from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Recording, Stream
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Surface
-from ident.servo.identify import _doubts
+from ident.servo.identify import _doubts, unexplained
 from ident.servo.simulators.actuator_law import shaped_commands
 from ident.servo.simulators.mjcf import played_paths, servo_mjcf
 from ident.servo.terms import INDEX
@@ -263,6 +263,13 @@ def test_recordings_whose_commands_and_positions_do_not_belong_together_are_refu
         assert words in error, (name, error)
         assert error.count("\n") <= 1, (name, error)
         assert not out.exists(), name
+
+
+def test_errors_beyond_the_encoder_s_rounding_say_what_intervals_do_not_cover(model):
+    assert not [text for text in model.result.verdict.checks if "model lacks" in text]
+    (text,) = unexplained(("pan", "lift"), np.array([0.3, 1.2]))
+    assert "lift 1.2 encoder steps" in text
+    assert "pan" not in text
 
 
 def test_positions_that_rest_jump_or_repeat_are_doubts_of_a_verdict(other):
