@@ -99,10 +99,11 @@ def identification_checks(identification: Identification, recordings: Sequence[R
         "exchanged" in mistake.name or mistake.name in ("motors-coupled", "sign-or-column") for mistake in mistakes
     )
     checks += [] if of_others else levels
-    checks += delay_checks(identification.delay)
     checks += cutoff_checks(identification.lowered)
     clipped = {joint for check in checks if check.name == "signal-clipped" for joint in check.joints}
     explained = any(mistake.severity == "serious" or mistake.name == "position-late" for mistake in mistakes)
+    # A mistake of one joint moves the delay that fits the whole arm, and leaves bursts.
+    checks += [] if explained else delay_checks(identification.delay)
     named_already = unsound or bool(clipped) or explained
     checks += [] if named_already else [*burst_checks(identification), *friction_drift_checks(identification)]
     checks += _size_checks(identification)

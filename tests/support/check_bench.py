@@ -25,6 +25,7 @@ from ident.model.dynamic_model import build_model
 from ident.regression import least_squares
 from ident.regression.options import ExperimentChoices
 from ident.result.schema import Result
+from ident.verdict.catalogue import raised
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording
 from studies.synthetic.data_mistakes import stuck_encoder, with_velocity
 
@@ -129,6 +130,12 @@ class Bench:
         """Checks of an identification that seeks no mistakes of signs, columns, gains and lengths: half of its time."""
         with patch("ident.identify.checks._mistake_checks", return_value=[]):
             return self.tested(*recordings, **options)
+
+    def late_and_ahead(self) -> Names:
+        """Checks of the recording with a late position, where the torque of the whole arm seems to lead."""
+        ahead = [raised("torque-ahead", "the torque leads")]
+        with patch("ident.identify.checks.delay_checks", return_value=ahead):
+            return self.tested(changed(self.recorded(), late, "position"))
 
     def tested(self, *recordings: Recording, **options: Any) -> Names:
         """Checks of an identification without searches and simulated motion, which take half of the rest."""

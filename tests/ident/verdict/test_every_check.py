@@ -124,7 +124,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
     "clocks-drift": (lambda b: b.names(b.drifting_clock()), lambda b: b.clean_names()),
     "torque-ahead": (
         lambda b: b.found(changed(b.recorded(), lambda i: np.roll(i, -2, axis=0)), search_delay=True),
-        lambda b: b.found(changed(b.recorded(), lambda i: np.roll(i, 2, axis=0)), search_delay=True),
+        lambda b: b.late_and_ahead(),
     ),
     "search-gap": (
         lambda b: b.found(method="wls-pso:generations=2"),
