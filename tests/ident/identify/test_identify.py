@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from check_bench import cut
 
-from daq.recording.recording import JOINTS_STREAM, Recording
+from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import DataError, IdentificationError, RecordingError, UsageError
 from ident.assessment.validation import HELD_OUT_SHARE
@@ -36,14 +37,6 @@ alone = pytest.mark.usefixtures("estimate_alone")
 def truth_of(robot_file):
     model = build_model(robot_file)
     return base_parameters(model).projection @ truth_vector(robot_file)
-
-
-def cut(recording: Recording, kept) -> Recording:
-    """The samples of a recording that a mask or a slice keeps."""
-    stream = recording.streams[JOINTS_STREAM]
-    channels = {name: replace(channel, values=channel.values[kept]) for name, channel in stream.channels.items()}
-    stream = replace(stream, time=stream.time[kept], host_time=stream.host_time[kept], channels=channels)
-    return replace(recording, streams={JOINTS_STREAM: stream})
 
 
 @alone

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 from html_page import Page
+from torque_series import series
 
 from drivers.core.errors import UsageError
 from ident.assessment.delay.delay import DelaySearch, JointDelay
 from ident.assessment.validation import Fit
-from ident.regression.comparison import TorqueSeries
 from ident.report import TruthTable, render_report, write_result_folder
 from ident.report.figures.traces import POINTS_PER_TRACE
 from ident.report.section import ReportData
@@ -54,14 +54,6 @@ ANCHORS = [
 def values(packed: dict[str, str]) -> np.ndarray[Any, np.dtype[np.float32]]:
     assert packed["dtype"] == "f4"
     return np.frombuffer(base64.b64decode(packed["bdata"]), dtype="<f4")
-
-
-def series(start: float = 0.0, samples: int = 300, *, rate: float = 100.0, seed: int = 0) -> TorqueSeries:
-    time = start + np.arange(samples) / rate
-    velocity = np.vstack([np.sin(time), np.cos(2 * time)])
-    predicted = np.vstack([20 * np.cos(time), 5 * np.sin(2 * time)])
-    noise = np.random.default_rng(seed).standard_normal(predicted.shape)
-    return TorqueSeries(time, predicted + 0.1 * noise, predicted, velocity, np.ones(samples, dtype=np.bool_))
 
 
 def fit(samples: int = 600) -> Fit:

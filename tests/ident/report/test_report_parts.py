@@ -11,21 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from torque_series import series
 
 from ident.model.parameters import JOINT_SYMBOLS
-from ident.regression.comparison import TorqueSeries
 from ident.report.figures.figures import KIND_STYLES
 from ident.report.figures.traces import LONGEST_PAUSE, envelope_indices, lay_out
 from ident.report.sections.residuals import joint_residual
 from ident.views.number_text import number, with_error
-
-
-def series(start: float = 0.0, samples: int = 300, *, rate: float = 100.0, seed: int = 0) -> TorqueSeries:
-    time = start + np.arange(samples) / rate
-    velocity = np.vstack([np.sin(time), np.cos(2 * time)])
-    predicted = np.vstack([20 * np.cos(time), 5 * np.sin(2 * time)])
-    noise = np.random.default_rng(seed).standard_normal(predicted.shape)
-    return TorqueSeries(time, predicted + 0.1 * noise, predicted, velocity, np.ones(samples, dtype=np.bool_))
 
 
 @given(st.lists(st.tuples(st.floats(-1e9, 1e9), st.integers(0, 50)), max_size=6))
