@@ -63,7 +63,7 @@ class Validation:
         >>> result = dynid.identify(dynid.simulate("ur5e", duration=10.0, seed=1))
         >>> validation = dynid.validate(result, dynid.simulate("ur5e", duration=10.0, seed=2))
         >>> validation.errors.columns[1].heading
-        'delivered rmse [N·m]'
+        'delivered RMSE [N·m]'
         >>> validation.verdict.purposes["torque_prediction"].grade in ("good", "usable", "poor")
         True
     """
