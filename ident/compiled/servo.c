@@ -114,7 +114,7 @@ void servo_goals(long history, long rows, long lanes, double step, double span, 
     free(block);
 }
 
-enum { SWEEPS = 200, PATTERNS = 6, AXES = 3, GROUPS = 8 }; /* groups of lanes: memory is read row after row */
+enum { SWEEPS = 200, PATTERNS = 6, GROUPS = 8 }; /* groups of lanes: memory is read row after row */
 static const double SETTLED = 1e-9; /* [rad/s or N] change of a sweep at which the joints of a step agree */
 
 /* A joint in each of the pieces that are side by side. */
@@ -127,7 +127,7 @@ struct servo {
 /* Pieces side by side. */
 struct group {
     struct servo *servos;
-    vector *old_place, *place, contact[AXES], hard, damping, rough;
+    vector *old_place, *place, pressed, hard, damping;
     long piece[WIDTH], next[WIDTH], (*at)[WIDTH];
     int tight;
 };
@@ -294,43 +294,18 @@ static void turn_differentiated(const struct servo *s, double h, mask turns, con
     }
 }
 
-/* One round over the joints, each with the others and the contact's force as they are; returns the largest change of a
-   velocity. */
-static vector swept(long n, struct servo *servos, double h, const vector *m, vector (*arms)[n], const vector *contact)
+/* One round over the joints, each with the others as they are; returns the largest change of a velocity. */
+static vector swept(long n, struct servo *servos, double h, const vector *m, const vector *lever, vector pressed)
 {
     vector change = {0};
     for (long i = 0; i < n; i++) {
-        vector push = {0};
-        for (int k = 0; arms && k < AXES; k++)
-            push += h * arms[k][i] * contact[k];
+        vector push = lever ? h * lever[i] * pressed : every(0);
         for (long j = 0; m && j < n; j++)
             push += j == i ? every(0) : m[i * n + j] * (servos[j].velocity - servos[j].middle);
         servos[i].push = push;
         change = larger(change, move(servos + i, h));
     }
     return change;
-}
-
-/* The force of a surface on the point that touches it: against gravity a spring and damper that only push, along it
-   what would stop the point, dry friction at most; returns its largest change. `above` is the point's height. */
-static vector touched(long n, struct group *g, double h, vector (*arms)[n], vector above)
-{
-    vector speed[AXES] = {0}, give[AXES] = {0}, last[AXES], none = {0}, *force = g->contact;
-    for (int k = 0; k < AXES; k++) {
-        last[k] = force[k];
-        for (long i = 0; i < n; i++) {
-            speed[k] += arms[k][i] * g->servos[i].middle;
-            give[k] += pick(g->servos[i].moving, arms[k][i] * arms[k][i] * h / g->servos[i].divisor, none);
-        }
-    }
-    vector lacking = -g->hard * (above + h * speed[0]) - g->damping * speed[0] - last[0];
-    vector all = larger(give[0] + give[1] + give[2], every(1e-300));
-    force[0] = larger(last[0] + lacking / (1 + (h * g->hard + g->damping) * give[0]), none);
-    force[1] -= speed[1] / all, force[2] -= speed[2] / all;
-    vector most = g->rough * force[0], held = root(force[1] * force[1] + force[2] * force[2]);
-    vector share = pick(held > most, most / larger(held, every(1e-300)), every(1));
-    force[1] *= share, force[2] *= share;
-    return larger(size(force[0] - last[0]), larger(size(force[1] - last[1]), size(force[2] - last[2])));
 }
 
 /* Velocities of joints that move each other, from which of them move, and where to, until that is right. */
@@ -459,8 +434,8 @@ static inline void scattered(vector values, double *row, const long *at, int tig
 
    Lanes are the joints of `pieces` of motion, side by side. They move each other where there is inertia `between` them
    (every `thinned` rows, pieces, joints, joints), whose torque on each is written into `pull` (rows, lanes). What they
-   touch (`lever` not NULL) has `clear` (rows, pieces) heights with all positions 0, levers (AXES, rows, lanes), hardness,
-   damping and friction `surface` (3, pieces); its forces go to `force` (rows, pieces), and are left out of the derivatives. */
+   touch (`lever` not NULL) has `clear` (rows, pieces) heights with all positions 0, levers (rows, lanes), hardness and
+   damping `surface` (2, pieces); its forces go to `force` (rows, pieces), and are left out of the derivatives. */
 void servo_roll_out(long rows, long pieces, long joints, double step, const double *values, const double *inertias,
                     const double *loads, const double *slopes_of_loads, const double *start, const double *goals,
                     const double *late, const double *between, long thinned, double *pull, const double *clear, const double *lever,
@@ -471,7 +446,7 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
     double h = 0.5 * step;
     long lanes = pieces * joints, square = joints * joints, many = joints * parameters;
     long most = between ? 1 : GROUPS;
-    vector m[square], old[square], risen[square], factor[square], terms[joints][TERMS], arms[AXES][joints];
+    vector m[square], old[square], risen[square], factor[square], terms[joints][TERMS], arms[joints];
     struct servo *all = aligned_alloc(sizeof(vector), sizeof(struct servo) * joints * most);
     vector *buffer = aligned_alloc(sizeof(vector), sizeof(vector) * (4 * many * most + 1));
     long places[most][joints][WIDTH];
@@ -481,7 +456,7 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
         memset(all, 0, sizeof(struct servo) * joints * most);
         for (long first = begun; first < pieces && count < most; first += WIDTH, count++) {
             vector *own = buffer + 4 * many * count, none = {0};
-            struct group g = {all + joints * count, own, own + 2 * many, {0}, none, none, none, {0}, {0}, places[count], joints == 1 && first + WIDTH <= pieces};
+            struct group g = {all + joints * count, own, own + 2 * many, none, none, none, {0}, {0}, places[count], joints == 1 && first + WIDTH <= pieces};
             memset(own, 0, sizeof(vector) * 2 * many);
             for (long l = 0; l < WIDTH; l++) { /* the last piece fills the last group up */
                 g.piece[l] = first + l < pieces ? first + l : pieces - 1;
@@ -494,8 +469,7 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
                 g.servos[i].position = gathered(start, g.at[i], g.tight);
             }
             if (lever)
-                g.hard = gathered(surface, g.piece, g.tight), g.damping = gathered(surface + pieces, g.piece, g.tight),
-                g.rough = gathered(surface + 2 * pieces, g.piece, g.tight);
+                g.hard = gathered(surface, g.piece, g.tight), g.damping = gathered(surface + pieces, g.piece, g.tight);
             groups[count] = g;
         }
         for (long step_of_all = 0; step_of_all < rows * count; step_of_all++) {
@@ -512,9 +486,8 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
                 slope[i] = gathered(slopes_of_loads + line, at[i], tight);
                 scattered(s->position, path + line, at[i], tight);
                 begin(s, h, both, gathered(late, at[i], tight), gathered(inertias + line, at[i], tight), gathered(loads + line, at[i], tight), slope[i]);
-                for (int k = 0; lever && k < AXES; k++)
-                    arms[k][i] = gathered(lever + k * rows * lanes + line, at[i], tight);
-                above += lever ? arms[0][i] * s->position : every(0);
+                if (lever)
+                    arms[i] = gathered(lever + line, at[i], tight), above += arms[i] * s->position;
             }
             for (long k = 0; k < square && between; k++) {
                 if (row % thinned == 0)
@@ -526,13 +499,21 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
             }
             int settled = between && !lever && solved_together(joints, servos, h, m, factor);
             for (int sweep = 0; sweep < SWEEPS && !settled; sweep++) {
-                vector change = swept(joints, servos, h, between ? m : NULL, lever ? arms : NULL, g->contact);
-                if (lever)
-                    change = larger(change, touched(joints, g, h, arms, above));
+                vector change = swept(joints, servos, h, between ? m : NULL, lever ? arms : NULL, g->pressed);
+                if (lever) {
+                    vector speed = {0}, give = {0}, last = g->pressed;
+                    for (long i = 0; i < joints; i++) {
+                        speed += arms[i] * servos[i].middle;
+                        give += pick(servos[i].moving, arms[i] * arms[i] * h / servos[i].divisor, every(0));
+                    }
+                    vector lacking = -g->hard * (above + h * speed) - g->damping * speed - last;
+                    g->pressed = larger(last + lacking / (1 + (h * g->hard + g->damping) * give), every(0));
+                    change = larger(change, size(g->pressed - last));
+                }
                 settled = !(between || lever) || !any(~(change < SETTLED));
             }
             if (force)
-                scattered(g->contact[0], force + row * pieces, piece, tight);
+                scattered(g->pressed, force + row * pieces, piece, tight);
             for (long i = 0; between && i < joints; i++) {
                 vector sum = {0};
                 for (long j = 0; j < joints; j++)

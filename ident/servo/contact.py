@@ -1,6 +1,6 @@
 """A surface that the arm's tool touches: found where roll-outs would go through it, and known to those that follow.
 
-The surface is horizontal; the contact is a spring and damper that only push, and dry friction, at one point of the arm.
+The surface is horizontal; the contact is a spring and damper that only push, at one point of the arm.
 """
 
 from __future__ import annotations
@@ -30,14 +30,11 @@ NEAR = 0.02
 PIECES = 60
 """At most, in the search; every other one judges."""
 
-FRICTION = 0.3
-"""Coefficient at the start."""
+SPREADS = np.array([0.01, 1.0])
+"""σ of the weak prior about the start: height [m], logarithm of the stiffness. The point is not searched: it would go
+where it makes up for what the joints' models lack."""
 
-SPREADS = np.array([0.01, 1.0, 1.0])
-"""σ of the weak prior about the start: height [m], logarithms of stiffness and friction. The point is not
-searched: it would go where it makes up for what the joints' models lack."""
-
-DIFFERENCES = np.array([1e-4, 0.02, 0.05])
+DIFFERENCES = np.array([1e-4, 0.02])
 """Steps of the differences that give derivatives, in the same coordinates."""
 
 EVALUATIONS = 8
@@ -72,11 +69,10 @@ class Surface:
     point: FloatArray  # (3,) [m] in the frame of the link's joint
     height: float  # of the surface, against gravity from the base frame's origin [m]
     stiffness: float  # [N/m]
-    friction: float  # coefficient
 
     def surface(self, pieces: int) -> FloatArray:
-        """(6, pieces) as a roll-out takes it."""
-        return np.tile(np.array([self.height, self.stiffness, self.friction, *self.point])[:, None], (1, pieces))
+        """(5, pieces) as a roll-out takes it."""
+        return np.tile(np.array([self.height, self.stiffness, *self.point])[:, None], (1, pieces))
 
 
 def tool_point(robot_file: RobotFile, links: ServoLinks) -> tuple[int, FloatArray]:
@@ -118,16 +114,16 @@ def find_contact(
         near = near[np.linspace(0, len(near) - 1, PIECES).astype(np.intp)]
     chosen, judged = lanes.of_pieces(near[::2]), lanes.of_pieces(near[1::2])
     starts = (
-        [np.array([floor + band, np.log(STIFFNESS), np.log(FRICTION)]) for band in BANDS]
+        [np.array([floor + band, np.log(STIFFNESS)]) for band in BANDS]
         if known is None
-        else [np.array([known.height, np.log(known.stiffness), np.log(known.friction)])]
+        else [np.array([known.height, np.log(known.stiffness)])]
     )
     fits = [_search(chosen, values, point, start, least) for start in starts]
     best = min(fits, key=lambda fit: fit[1])[0]
     if not _helps(judged, values, point, best, least):
         return None
     refined = _search(lanes.of_pieces(near), values, point, best, least)[0]
-    return Surface(link, point, float(refined[0]), *map(float, np.exp(refined[1:])))
+    return Surface(link, point, float(refined[0]), float(np.exp(refined[1])))
 
 
 def away(lanes: Lanes, point: FloatArray) -> Lanes:
@@ -159,10 +155,10 @@ def lowest_points(lanes: Lanes, point: FloatArray) -> FloatArray:
 
 
 def _residual(lanes: Lanes, values: FloatArray, point: FloatArray, surfaces: FloatArray) -> FloatArray:
-    """(v, S, L) residuals with several surfaces (v, 3), all side by side."""
+    """(v, S, L) residuals with several surfaces (v, 2), all side by side."""
     count, joints = len(surfaces), len(values)
     wide = repeated(lanes, count, joints)
-    each = np.column_stack([surfaces[:, 0], np.exp(surfaces[:, 1:]), np.tile(point, (count, 1))])
+    each = np.column_stack([surfaces[:, 0], np.exp(surfaces[:, 1]), np.tile(point, (count, 1))])
     surface = np.repeat(each.T, len(np.unique(lanes.piece)), axis=1)
     path = roll_out(wide, values[wide.joint % joints].T, surface=surface)[0]
     return np.stack(np.split(at_samples(wide, path) - wide.measured, count, axis=1))
@@ -171,7 +167,7 @@ def _residual(lanes: Lanes, values: FloatArray, point: FloatArray, surfaces: Flo
 def _search(
     lanes: Lanes, values: FloatArray, point: FloatArray, start: FloatArray, least: float
 ) -> tuple[FloatArray, float]:
-    """The surface (3,), height, logarithms of stiffness and friction, of least robust cost, and the cost."""
+    """The surface (2,), height and logarithm of the stiffness, that minimises the robust cost, and the cost."""
     residual = _residual(lanes, values, point, _varied(start))
     scale = robust_scale(residual[0], lanes, len(values), least)[lanes.joint]
     found, damping = start.copy(), 1e-2
@@ -207,7 +203,7 @@ def _cost(residual: FloatArray, scale: FloatArray, surface: FloatArray, start: F
 
 def _helps(lanes: Lanes, values: FloatArray, point: FloatArray, surface: FloatArray, least: float) -> bool:
     """Return whether a surface lowers the cost of pieces clearly."""
-    away = surface - np.array([1e3, 0.0, 0.0])
+    away = np.array([surface[0] - 1e3, surface[1]])
     without, touched = _residual(lanes, values, point, np.stack([away, surface]))
     scale = robust_scale(without, lanes, len(values), least)
     before, after = (lane_cost(each, lanes, scale, EVERY_ERROR) for each in (without, touched))

@@ -162,7 +162,6 @@ def identify_servo(
             point=contact.point.tolist(),
             height=contact.height,
             stiffness=contact.stiffness,
-            friction=contact.friction,
         ),
         covariance=[matrix.tolist() for matrix in fitted.covariance],
         searched=[[TERMS[index].name for index in np.flatnonzero(row)] for row in fitted.free],
@@ -277,8 +276,7 @@ def contact_of(result: ServoResult, links: ServoLinks) -> Surface | None:
     stored = result.contact
     if stored is None:
         return None
-    link = links.model.link_names.index(stored.link)
-    return Surface(link, np.array(stored.point), stored.height, stored.stiffness, stored.friction)
+    return Surface(links.model.link_names.index(stored.link), np.array(stored.point), stored.height, stored.stiffness)
 
 
 def judge(

@@ -20,7 +20,7 @@ class Touch:
     Attributes:
         reference: (K, L) positions along which it holds [rad or m].
         height: (4, K, P) of the link's origin and of its axes' unit vectors [m].
-        lever: (3, 4, K, L) derivatives by each joint's position of the heights, and of two coordinates on a level.
+        lever: (4, K, L) derivatives of the heights by each joint's position.
     """
 
     reference: FloatArray
@@ -68,7 +68,7 @@ class Lanes:
         chosen = np.flatnonzero(np.isin(self.piece, pieces))
         kept, touch = np.flatnonzero(np.isin(np.unique(self.piece), pieces)), self.touch
         if touch is not None:
-            touch = Touch(touch.reference[:, chosen], touch.height[:, :, kept], touch.lever[..., chosen])
+            touch = Touch(touch.reference[:, chosen], touch.height[:, :, kept], touch.lever[:, :, chosen])
         return replace(self.of(chosen), touch=touch, between=None if self.between is None else self.between[:, kept])
 
     def consecutive(self, pieces: slice, joints: int) -> Lanes:
@@ -102,7 +102,7 @@ def repeated(lanes: Lanes, times: int, joints: int) -> Lanes:
         touch = Touch(
             np.tile(touch.reference, (1, times)),
             np.tile(touch.height, (1, 1, times)),
-            np.tile(touch.lever, (1, 1, 1, times)),
+            np.tile(touch.lever, (1, 1, times)),
         )
     between = None if lanes.between is None else np.tile(lanes.between, (1, times, 1, 1))
     return replace(wide, joint=wide.joint + offsets, touch=touch, between=between)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,22 +54,17 @@ class ServoLinks:
         return gravity, slope, inertia
 
     def heights(self, link: int, position: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Heights (4, N) [m] of a link's origin and of its axes' unit vectors at positions (n, N), levers (3, 4, n, N).
+        """Heights (4, N) [m] of a link's origin and of its axes' unit vectors at positions (n, N), levers (4, n, N).
 
         A point p of the link is at `heights[0] + p @ heights[1:]`, against gravity from the base frame's origin. Levers
-        are derivatives by the joints, of the heights and of two coordinates on a level. Both are the energy and the
-        torques of a unit mass, on a level with gravity along it.
+        are derivatives by the joints. Both are the energy and the torques of a unit mass.
         """
         strength = float(np.linalg.norm(self.model.gravity))
         columns = [LINK_SIZE * link + INERTIAL.index(name) for name in ("M", "MX", "MY", "MZ")]
         still = np.zeros_like(position)
         height = EnergyKernel(self.model, columns).energy(position, still) / strength
-        axes = np.linalg.qr(np.column_stack([self.model.gravity, np.eye(3)]))[0].T  # the first along gravity
-        axes[0] = self.model.gravity / strength
-        turned = [replace(self.model, gravity=axis) for axis in axes]
-        units = np.eye(len(columns))
-        levers = [[model_torque(model, columns, unit, position, still, still) for unit in units] for model in turned]
-        return height, np.array(levers)
+        levers = [model_torque(self.model, columns, unit, position, still, still) for unit in np.eye(len(columns))]
+        return height, np.array(levers) / strength
 
     def weighted(self, position: FloatArray) -> IntArray:
         """Indices of the joints that gravity loads somewhere along positions (n, N)."""

@@ -183,7 +183,7 @@ def motion_touch(links: ServoLinks, link: int, motion: ServoMotion, times: Float
     return Touch(
         on_grid(times, position.T),
         np.stack([on_grid(times, row[None]) for row in height]),
-        np.stack([np.stack([on_grid(times, rows) for rows in of_axis]) for of_axis in lever]),
+        np.stack([on_grid(times, rows) for rows in lever]),
     )
 
 
@@ -218,7 +218,7 @@ def lanes_of(
     start, inertia = np.empty(width), np.empty((steps, width))
     torque, slope = np.empty((steps, width)), np.empty((steps, width))
     sample, measured = np.zeros((samples, width)), np.full((samples, width), np.nan)
-    reference, height, lever = np.empty((steps, width)), np.empty((4, steps, len(cuts))), np.empty((3, 4, steps, width))
+    reference, height, lever = np.empty((steps, width)), np.empty((4, steps, len(cuts))), np.empty((4, steps, width))
     coupled = all(load.between is not None for load in loads)
     between = np.empty((-(-steps // THINNED) + 1 if coupled else 0, len(cuts), joints, joints))
     for number, (source, begin, last) in enumerate(cuts):
@@ -241,7 +241,7 @@ def lanes_of(
             between[:, number] = load.between[np.clip(places, 0, len(load.between) - 1).astype(np.intp)]
         if touches:
             touch = touches[source]
-            reference[:, lanes], lever[..., lanes] = touch.reference[own], touch.lever[:, :, own]
+            reference[:, lanes], lever[:, :, lanes] = touch.reference[own], touch.lever[:, own]
             height[:, :, number] = touch.height[:, own, 0]
         start[lanes] = motion.position[inside[0]]
         sample[: len(inside), lanes] = ((motion.time[inside] - origin) / step)[:, None]

@@ -198,32 +198,32 @@ class Together:
         self.joints = len(lanes.joint) // self.pieces
         self._half, self._between = 0.5 * lanes.step, lanes.between
         self._middle = np.zeros((self.pieces, self.joints))
-        self._force = np.zeros((3, self.pieces))
-        self.lever, self.surface = np.zeros((3, *lanes.load.shape)), np.zeros((3, self.pieces))
+        self._pressed = np.zeros(self.pieces)
+        self.lever, self.surface = np.zeros(lanes.load.shape), np.zeros((2, self.pieces))
         self.clear = np.zeros((len(lanes.load), self.pieces))
         if surface is not None and lanes.touch is not None:
-            weights = np.concatenate([np.ones((1, self.pieces)), surface[3:]])
+            weights = np.concatenate([np.ones((1, self.pieces)), surface[2:]])
             touch = lanes.touch
-            self.lever = np.einsum("ackl,cl->akl", touch.lever, np.repeat(weights, self.joints, axis=1))
-            reached = (self.lever[0] * touch.reference).reshape(-1, self.pieces, self.joints).sum(axis=2)
+            self.lever = np.einsum("ckl,cl->kl", touch.lever, np.repeat(weights, self.joints, axis=1))
+            reached = (self.lever * touch.reference).reshape(len(self.lever), self.pieces, self.joints).sum(axis=2)
             self.clear = np.einsum("ckp,cp->kp", touch.height, weights) - surface[0] - reached
-            self.surface = np.stack([surface[1], TOUCH_DAMPING * surface[1], surface[2]])
+            self.surface = np.stack([surface[1], TOUCH_DAMPING * surface[1]])
 
     def settled(
         self, step: _Step, index: int, resistance: FloatArray, position: FloatArray, velocity: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Velocities (L,) in the middle of a step and their means over it, and forces (P,) of the surface."""
         h, shape = self._half, self._middle.shape
-        given = step.momentum, step.friction, step.toward, step.acting, step.share, velocity
-        momentum, friction, toward, acting, share, before = (each.reshape(shape) for each in given)
-        levers = self.lever[:, index].reshape(3, *shape)
-        above = self.clear[index] + np.sum(levers[0] * position.reshape(shape), axis=1)
+        given = step.momentum, step.friction, step.toward, step.acting, step.share, velocity, self.lever[index]
+        momentum, friction, toward, acting, share, before, lever = (each.reshape(shape) for each in given)
+        above = self.clear[index] + np.sum(lever * position.reshape(shape), axis=1)
         matrix, resisting, middle = self.matrix(index), resistance.reshape(shape), self._middle
+        hardness, damping = self.surface
         divisor, gone = np.empty(shape), np.empty(shape)
         for _ in range(SWEEPS):
-            last, forces = middle.copy(), self._force
+            last, pressed = middle.copy(), self._pressed
             for joint in range(self.joints):
-                pushed = momentum[:, joint] + h * np.einsum("ap,ap->p", levers[:, :, joint], forces)
+                pushed = momentum[:, joint] + h * lever[:, joint] * pressed
                 pushed = pushed + np.einsum("pj,pj->p", matrix[:, joint], before - middle)
                 resting = before[:, joint] == 0.0
                 direction = np.sign(np.where(resting, pushed, before[:, joint]))
@@ -235,24 +235,12 @@ class Together:
                     before[:, joint], alone, friction[:, joint], divisor[:, joint]
                 )
             if self.touched:
-                give = np.sum(levers**2 * (h / divisor) * (middle != 0.0), axis=2)
-                self._force = self._pressing(above, (levers * middle).sum(axis=2), give)
-            if max(np.max(np.abs(middle - last)), np.max(np.abs(self._force - forces))) < SETTLED:
+                rate, give = (lever * middle).sum(axis=1), np.sum(lever**2 * (h / divisor) * (middle != 0.0), axis=1)
+                lacking = -hardness * (above + h * rate) - damping * rate - pressed
+                self._pressed = np.maximum(pressed + lacking / (1.0 + (h * hardness + damping) * give), 0.0)
+            if max(np.max(np.abs(middle - last)), np.max(np.abs(self._pressed - pressed))) < SETTLED:
                 break
-        return middle.ravel().copy(), gone.ravel(), self._force[0]
-
-    def _pressing(self, above: FloatArray, rate: FloatArray, give: FloatArray) -> FloatArray:
-        """Forces (3, P) of the surface anew, from a point's height, velocity and what it gives way (3, P).
-
-        Against gravity a spring and damper that only push; along it what would stop the point, dry friction at most.
-        """
-        (hardness, damping, rough), force, h = self.surface, self._force, self._half
-        lacking = -hardness * (above + h * rate[0]) - damping * rate[0] - force[0]
-        pressed = np.maximum(force[0] + lacking / (1.0 + (h * hardness + damping) * give[0]), 0.0)
-        along = force[1:] - rate[1:] / np.maximum(give.sum(axis=0), 1e-300)
-        held = np.hypot(*along)
-        share = np.where(held > rough * pressed, rough * pressed / np.maximum(held, 1e-300), 1.0)
-        return np.vstack([pressed, share * along])
+        return middle.ravel().copy(), gone.ravel(), self._pressed
 
     def matrix(self, index: int) -> FloatArray:
         """(P, n, n) inertia between joints in a step, 0 on the diagonal."""

@@ -66,7 +66,6 @@ class ServoContact(Stored):
     point: list[Value] = Field(description="in the frame of the link's joint [m]")
     height: Value = Field(description="of the surface, against gravity from the base frame's origin [m]")
     stiffness: Value = Field(description="[N/m]")
-    friction: Value = Field(default=0.0, description="coefficient")
 
 
 class ContactSegment(Stored):

@@ -39,8 +39,8 @@ def roll_out(
         values: (terms, L) parameters of each lane.
         terms: (F,) indices of the terms to derive by; none where None.
         owners: (F,) the joint of a piece whose term it is; 0 where None.
-        surface: (6, P) height [m], stiffness [N/m] and friction of what each piece may touch, and the point (3) [m]
-            that touches; nothing is touched where None.
+        surface: (5, P) height [m] and stiffness [N/m] of what each piece may touch, and the point (3) [m] that touches;
+            nothing is touched where None.
     """
     terms = np.zeros(0, dtype=np.intp) if terms is None else terms
     owners = np.zeros_like(terms) if owners is None else owners

@@ -138,9 +138,8 @@ def _add_surface(root: ElementTree.Element, links: ServoLinks, contact: Surface)
     ball = {"name": "touching", "type": "sphere", "size": number(BALL), "pos": numbers(contact.point), "mass": "0"}
     # The ball's lowest point is the model's, so that its centre stands higher by the radius where it touches.
     plane["pos"] = numbers(up * (contact.height - BALL))
-    friction = f"{number(max(contact.friction, 0.001))} 0 0"
-    ElementTree.SubElement(world, "geom", plane | {"contype": "2", "conaffinity": "0", "friction": friction})
-    ElementTree.SubElement(body, "geom", ball | {"contype": "0", "conaffinity": "2", "friction": friction})
+    ElementTree.SubElement(world, "geom", plane | {"contype": "2", "conaffinity": "0", "friction": "0.001 0 0"})
+    ElementTree.SubElement(body, "geom", ball | {"contype": "0", "conaffinity": "2", "friction": "0.001 0 0"})
 
 
 def played_paths(text: str, links: ServoLinks, motions: Sequence[ServoMotion]) -> list[FloatArray]:

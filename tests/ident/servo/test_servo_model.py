@@ -180,7 +180,7 @@ def test_what_the_arm_touches_holds_it_up_in_mujoco_too(model):
     motion = model.identification.motions[0].between(0, 400)
     link = 4
     heights = links.heights(link, motion.position.T)[0][0]
-    touched = Surface(link, np.zeros(3), float(np.median(heights)), 2000.0, 0.2)
+    touched = Surface(link, np.zeros(3), float(np.median(heights)), 2000.0)
     text = servo_mjcf(model._robot, links, values, (), touched)
     free, held = (played_paths(given, links, [motion])[0] for given in (servo_mjcf(model._robot, links, values), text))
     assert links.heights(link, free.T)[0][0].min() < touched.height - 0.01
