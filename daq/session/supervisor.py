@@ -202,16 +202,15 @@ class Supervisor:
             self._add(breaches, batch, "temperature", "°C", measured, within, limits.temperature)
         return min(breaches, key=lambda entry: entry[0])[1] if breaches else None
 
-    def stuck(self, batch: Batch) -> list[Breach]:
+    def stuck(self, batch: Batch, together: float = TOGETHER) -> list[Breach]:
         """The channels of a stream that repeat bit for bit and should not, or are not what they are called.
 
-        To be called for every batch, in order.
-
-        It is looked at every `TOGETHER`, which costs less than looking at every sample.
+        To be called for every batch, in order. It is looked at every `together` [s], which costs less than looking at
+        every sample.
         """
         seen, batches = self._unseen.setdefault(batch.stream, (-np.inf, []))
         batches.append(batch)
-        if len(batches) < MOST_TOGETHER and batch.time[-1] - seen < TOGETHER:
+        if len(batches) < MOST_TOGETHER and batch.time[-1] - seen < together:
             return []
         self._unseen[batch.stream] = float(batch.time[-1]), []
         breaches = []

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from kinematic_arm import NAMES, ROBOT_FILE
 
-from daq.session.stuck_channels import WATCHED, StuckChannel
+from daq.session.stuck_channels import TOGETHER, UNMOVED, WATCHED, StuckChannel
 from daq.session.supervisor import Breach, Limits, Supervisor
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
@@ -29,7 +29,11 @@ def rounded(values: np.ndarray, step: float) -> np.ndarray:
 
 
 def told(
-    values: Mapping[str, np.ndarray], commands: np.ndarray | None = SWING, rate: float = RATE, lag: float = 0.0
+    values: Mapping[str, np.ndarray],
+    commands: np.ndarray | None = SWING,
+    rate: float = RATE,
+    lag: float = 0.0,
+    together: float = TOGETHER,
 ) -> list[Breach]:
     """What is stuck at the end of a recording, and whatever was meanwhile."""
     layouts = (StreamLayout("joints", tuple(ChannelLayout(name, NAMES) for name in values), rate),)
@@ -39,7 +43,8 @@ def told(
         time = np.arange(first, first + BATCH) / rate
         if commands is not None:
             supervisor.commanded(time[-1], commands[rows][-1], lag)
-        for breach in supervisor.stuck(Batch("joints", time, time, {name: v[rows] for name, v in values.items()})):
+        batch = Batch("joints", time, time, {name: v[rows] for name, v in values.items()})
+        for breach in supervisor.stuck(batch, together):
             seen.setdefault((breach.what, breach.joint), breach)
     return list(seen.values())
 
@@ -60,16 +65,17 @@ def sensors(resolution: float = 0.0, noise: float = 0.5, seed: int = 1) -> dict[
 
 
 def test_a_sound_arm_is_told_nothing_of() -> None:
-    assert told(sensors()) == []
+    assert told(sensors()) == told(sensors(), together=UNMOVED) == []
     assert told(sensors(resolution=0.05, noise=0.0)) == []
     assert told(sensors(resolution=2.0, noise=0.3)) == []
 
 
+@pytest.mark.parametrize("together", [TOGETHER, UNMOVED])
 @pytest.mark.parametrize("quantity", WATCHED)
-def test_a_channel_that_hangs_is_told_of_its_joint_alone(quantity: str) -> None:
+def test_a_channel_that_hangs_is_told_of_its_joint_alone(quantity: str, together: float) -> None:
     values = sensors()
     values[quantity][FROZEN:, 1] = values[quantity][FROZEN, 1]
-    (breach,) = told(values)
+    (breach,) = told(values, together=together)
     assert (breach.what, breach.joint, breach.supervised) == (f"stuck {quantity}", "elbow", quantity != "current")
     assert breach.value > breach.limit >= WATCHED[quantity]
     least = 0.05 if quantity != "temperature" else WATCHED[quantity]
