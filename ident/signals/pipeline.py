@@ -37,6 +37,7 @@ from ident.signals.resampling import (
 from ident.signals.segments import (
     SHORTEST_SEGMENT,
     UniformSegment,
+    end_seconds,
     motion_band,
     moving_segments,
     without_ends,
@@ -61,9 +62,9 @@ def prepare(signals: JointSignals, choices: PreprocessChoices) -> Prepared:
 
 
 def prepare_with_rest(signals: JointSignals, choices: PreprocessChoices, *, played: bool) -> Prepared:
-    """All samples of a window, those at rest, too: `used` is False for what came before a played motion.
+    """All samples of a window, those at rest, too; a played motion after its approach, which is not `used`.
 
-    The approach to its start decides with which friction the joints rest there.
+    The approach decides with which friction the joints rest at the start. The motion's own ends are left out as ever.
 
     Raises:
         DataError: as `prepare`.
@@ -71,7 +72,7 @@ def prepare_with_rest(signals: JointSignals, choices: PreprocessChoices, *, play
     everything = prepare(signals, replace(choices, keep_rest=True, start=None if played else choices.start))
     if not played or choices.start is None:
         return everything
-    begin = signals.time[0] + choices.start
+    begin = signals.time[0] + choices.start + sum(end_seconds(everything.cutoffs))
     counted = (replace(segment, used=segment.used & (segment.time >= begin)) for segment in everything.segments)
     return replace(everything, segments=tuple(segment for segment in counted if segment.used.any()))
 

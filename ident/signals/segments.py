@@ -169,13 +169,18 @@ def moving_segments(
     return moved, threshold, Step("motion windows", settings, text)
 
 
+def end_seconds(cutoffs: Cutoffs) -> tuple[float, float]:
+    """Time [s] at both ends of a segment that is cut off, and time beside it that is not counted."""
+    return END_PERIODS / cutoffs.position, FILTERED_END_PERIODS / cutoffs.torque
+
+
 def without_ends(segments: Sequence[Segment], cutoffs: Cutoffs) -> tuple[tuple[Segment, ...], Step]:
     """Step 'ends': both ends cut off where the low-pass is not valid, and not counted where the parallel filter is not.
 
     Raises:
         DataError: nothing with motion is left.
     """
-    cut, uncounted = END_PERIODS / cutoffs.position, FILTERED_END_PERIODS / cutoffs.torque
+    cut, uncounted = end_seconds(cutoffs)
     shortened = tuple(
         shorter for segment in segments if (shorter := _without_ends(segment, cut, uncounted)) is not None
     )
