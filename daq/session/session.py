@@ -34,7 +34,7 @@ from daq.session.play import (
 from daq.session.realtime import awake_processor
 from daq.session.retract import retract
 from daq.session.sources import Sources
-from daq.session.stuck_channels import TOGETHER, UNMOVED
+from daq.session.stuck_channels import LOOK_EVERY, UNMOVED_EVERY
 from daq.session.supervisor import Supervisor
 from daq.session.unrecorded import SampleKeeper
 from daq.session.watch import Watch
@@ -288,7 +288,7 @@ def _cycle(  # noqa: C901, PLR0912 — the steps, in their order
         exceeded = supervisor.check(batch, now) if len(batch.time) else None
         if exceeded is not None and breach is None:
             breach = replace(exceeded, time=course.joints_time(exceeded.time, batch.stream))
-        for stuck in supervisor.stuck(batch, TOGETHER if course.moves else UNMOVED) if len(batch.time) else ():
+        for stuck in supervisor.stuck(batch, LOOK_EVERY if course.moves else UNMOVED_EVERY) if len(batch.time) else ():
             stuck = replace(stuck, time=course.joints_time(stuck.time, batch.stream))
             if course.moves and stuck.supervised and breach is None:
                 breach = stuck

@@ -28,8 +28,8 @@ SLOWER = 3.0
 """The longest of the later half of the stands over that of the earlier half, at most; of a temperature."""
 SPEED_TIME, SPEED_CHANGE = 0.05, 0.1
 """Speed is that over so long [s]; at a constant one, to within this [rad/s or m/s], a torque may be constant."""
-TOGETHER, UNMOVED, MOST_TOGETHER = 0.0099, 0.0399, 10
-"""Samples are looked at so long [s], and so many batches, at a time; `UNMOVED` where dynid does not move the arm."""
+LOOK_EVERY, UNMOVED_EVERY, MOST_TOGETHER = 0.0099, 0.0399, 10
+"""Samples are looked at so long [s] at a time, `UNMOVED_EVERY` where dynid does not move the arm; batches, at most."""
 
 
 class StuckChannel:

@@ -11,7 +11,7 @@ import numpy as np
 
 from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
-from daq.session.stuck_channels import MOST_TOGETHER, TOGETHER, WATCHED, JointSpeed, StuckChannel
+from daq.session.stuck_channels import LOOK_EVERY, MOST_TOGETHER, WATCHED, JointSpeed, StuckChannel
 from drivers.core.arrays import FloatArray, IndexArray
 from drivers.core.units import joint_unit
 from drivers.gains import torque_at_joints
@@ -202,7 +202,7 @@ class Supervisor:
             self._add(breaches, batch, "temperature", "°C", measured, within, limits.temperature)
         return min(breaches, key=lambda entry: entry[0])[1] if breaches else None
 
-    def stuck(self, batch: Batch, together: float = TOGETHER) -> list[Breach]:
+    def stuck(self, batch: Batch, together: float = LOOK_EVERY) -> list[Breach]:
         """The channels of a stream that repeat bit for bit and should not, or are not what they are called.
 
         To be called for every batch, in order. It is looked at every `together` [s], which costs less than looking at
@@ -258,7 +258,7 @@ class Supervisor:
         return breaches
 
     def _aimed_at(self, batch: Batch) -> FloatArray:
-        """(n,) the position that was commanded for now, else the controller's target; NaN where there is neither."""
+        """(n,) the commanded position that is due, else the controller's target; NaN where there is neither."""
         if commands := list(self._commands):
             now = float(batch.host_time[-1])
             return next((target for _, target, due in reversed(commands) if due <= now), commands[0][1])

@@ -152,5 +152,5 @@ def feedback_channels(settings: CanMotorSettings) -> tuple[ChannelLayout, ...]:
 
 def _measured(settings: CanMotorSettings) -> list[str]:
     """The quantities that every motor measures."""
-    told = [codec.quantities(read_only=settings.keys.read_only) for codec in settings.codecs()]
-    return [quantity for quantity in told[0] if all(quantity in others for others in told)]
+    delivered = [codec.quantities(read_only=settings.keys.read_only) for codec in settings.codecs()]
+    return [quantity for quantity in delivered[0] if all(quantity in others for others in delivered)]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from kinematic_arm import NAMES, ROBOT_FILE
 
-from daq.session.stuck_channels import TOGETHER, UNMOVED, WATCHED, StuckChannel
+from daq.session.stuck_channels import LOOK_EVERY, UNMOVED_EVERY, WATCHED, StuckChannel
 from daq.session.supervisor import Breach, Limits, Supervisor
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
@@ -28,12 +28,12 @@ def rounded(values: np.ndarray, step: float) -> np.ndarray:
     return np.rint(values / step) * step if step else values
 
 
-def told(
+def reported(
     values: Mapping[str, np.ndarray],
     commands: np.ndarray | None = SWING,
     rate: float = RATE,
     lag: float = 0.0,
-    together: float = TOGETHER,
+    together: float = LOOK_EVERY,
 ) -> list[Breach]:
     """What is stuck at the end of a recording, and whatever was meanwhile."""
     layouts = (StreamLayout("joints", tuple(ChannelLayout(name, NAMES) for name in values), rate),)
@@ -65,17 +65,17 @@ def sensors(resolution: float = 0.0, noise: float = 0.5, seed: int = 1) -> dict[
 
 
 def test_a_sound_arm_is_told_nothing_of() -> None:
-    assert told(sensors()) == told(sensors(), together=UNMOVED) == []
-    assert told(sensors(resolution=0.05, noise=0.0)) == []
-    assert told(sensors(resolution=2.0, noise=0.3)) == []
+    assert reported(sensors()) == reported(sensors(), together=UNMOVED_EVERY) == []
+    assert reported(sensors(resolution=0.05, noise=0.0)) == []
+    assert reported(sensors(resolution=2.0, noise=0.3)) == []
 
 
-@pytest.mark.parametrize("together", [TOGETHER, UNMOVED])
+@pytest.mark.parametrize("together", [LOOK_EVERY, UNMOVED_EVERY])
 @pytest.mark.parametrize("quantity", WATCHED)
 def test_a_channel_that_hangs_is_told_of_its_joint_alone(quantity: str, together: float) -> None:
     values = sensors()
     values[quantity][FROZEN:, 1] = values[quantity][FROZEN, 1]
-    (breach,) = told(values, together=together)
+    (breach,) = reported(values, together=together)
     assert (breach.what, breach.joint, breach.supervised) == (f"stuck {quantity}", "elbow", quantity != "current")
     assert breach.value > breach.limit >= WATCHED[quantity]
     least = 0.05 if quantity != "temperature" else WATCHED[quantity]
@@ -90,9 +90,9 @@ def test_a_current_is_supervised_where_the_torque_comes_from_it_and_nothing_wher
     values = sensors()
     del values["torque"]
     values["current"][FROZEN:] = values["current"][FROZEN]
-    assert {breach.joint: breach.supervised for breach in told(values)} == dict.fromkeys(NAMES, False)
+    assert {breach.joint: breach.supervised for breach in reported(values)} == dict.fromkeys(NAMES, False)
     monkeypatch.setitem(globals(), "LIMITS", replace(LIMITS, torque_per_current=np.full(2, 10.0)))
-    assert {breach.joint: breach.supervised for breach in told(values)} == dict.fromkeys(NAMES, True)
+    assert {breach.joint: breach.supervised for breach in reported(values)} == dict.fromkeys(NAMES, True)
     unlimited = replace(LIMITS, torque=np.full(2, np.inf))
     supervisor = Supervisor(unlimited, ())
     batch = Batch("joints", np.zeros(1), np.zeros(1), {"current": np.zeros((1, 2))})
@@ -105,8 +105,8 @@ def test_an_arm_that_follows_later_may_rest_while_its_commands_set_off() -> None
     lag = round(0.12 * rate)
     commands = np.concatenate([SWING, still, still + np.linspace(0.0, 1.0, 100)[:, np.newaxis]])
     later = {"position": np.concatenate([np.repeat(commands[:1], lag, axis=0), commands[:-lag]])}
-    assert {breach.what for breach in told(later, commands, rate)} == {"stuck position"}
-    assert told(later, commands, rate, lag=0.1) == []
+    assert {breach.what for breach in reported(later, commands, rate)} == {"stuck position"}
+    assert reported(later, commands, rate, lag=0.1) == []
 
 
 def test_an_arm_at_rest_or_at_a_constant_speed_may_repeat_itself() -> None:
@@ -114,28 +114,28 @@ def test_an_arm_at_rest_or_at_a_constant_speed_may_repeat_itself() -> None:
     still = np.repeat(SWING[FROZEN : FROZEN + 1], len(SWING), axis=0)
     frozen = {name: np.concatenate([v[:FROZEN], np.repeat(v[FROZEN:][:1], 400, 0)]) for name, v in values.items()}
     del frozen["temperature"]
-    assert told(frozen, np.concatenate([SWING[:FROZEN], still[:400]])) == []
+    assert reported(frozen, np.concatenate([SWING[:FROZEN], still[:400]])) == []
     coast = SWING[FROZEN] + np.outer(np.arange(400) / RATE, SPEED[FROZEN])
     way = np.concatenate([SWING[:FROZEN], coast])
     frozen["position"] = rounded(way, 1e-5)
-    assert told(frozen, way) == []  # nothing changes the torque
+    assert reported(frozen, way) == []  # nothing changes the torque
 
 
 def test_a_servo_with_coarse_steps_may_stick_for_many_of_them() -> None:
     step = 1.5e-3
     position = rounded(SWING, step)
     position[FROZEN:] = position[FROZEN]
-    assert told({"position": position[:420]}) == []
-    (breach, _) = told({"position": position})
+    assert reported({"position": position[:420]}) == []
+    (breach, _) = reported({"position": position})
     assert breach.limit >= 99.0 * step
-    assert told({"position": position}, None) == []  # nothing says where it should be
+    assert reported({"position": position}, None) == []  # nothing says where it should be
 
 
 def test_a_joint_that_a_step_of_the_command_surprises_is_given_its_time() -> None:
     steps = np.repeat(np.array([[0.0, 0.0], [0.1, 0.1], [0.0, 0.0], [0.1, 0.1]]), 300, axis=0)
     late = np.roll(steps, 4, axis=0) + 1e-5 * np.random.default_rng(1).standard_normal(steps.shape)
     late[FROZEN - 20 : FROZEN + 3] = late[FROZEN - 20]
-    assert told({"position": late}, steps) == []
+    assert reported({"position": late}, steps) == []
 
 
 def thermometers(celsius: np.ndarray) -> list[tuple[float, int]]:
