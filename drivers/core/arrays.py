@@ -1,4 +1,4 @@
-"""Types of NumPy arrays, as annotations have them; shapes stand in the docstrings."""
+"""Types of NumPy arrays, as annotations have them, shapes standing in the docstrings; runs of true values."""
 
 from __future__ import annotations
 
@@ -11,3 +11,9 @@ BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
 IndexArray = npt.NDArray[np.intp]
 """Positions in another array, as `flatnonzero` and `argsort` give them."""
+
+
+def true_runs(mask: BoolArray) -> list[tuple[int, int]]:
+    """First index, and the one after the last, of each run of true values in `mask` (N,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))

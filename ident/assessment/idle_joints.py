@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import FloatArray, true_runs
 from drivers.core.text import percent_text
 from drivers.core.units import joint_unit
 from ident.regression.comparison import TorqueSeries
@@ -37,8 +37,7 @@ def idle_mask(torques: TorqueSeries, rest_velocity: float) -> npt.NDArray[np.boo
         return slow
     shortest = SHORTEST_REST / float(np.median(np.diff(torques.time)))
     for row in slow:
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], row, [False]]).astype(np.int8)))
-        for start, stop in edges.reshape(-1, 2):
+        for start, stop in true_runs(row):
             if stop - start < shortest:
                 row[start:stop] = False
     return slow

@@ -26,7 +26,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import FloatArray, true_runs
 from drivers.core.errors import DataError
 from ident.assessment.plausibility import critical_variance_ratio, refitted
 from ident.estimators.estimator import Estimation, Estimator, Setup
@@ -223,8 +223,7 @@ def motor_power(model: DynamicModel, segment: Segment) -> FloatArray:
 
 def moving_spans(segment: Segment) -> tuple[slice, ...]:
     """Spans of consecutive samples that count."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], segment.used, [False]]).astype(np.int8)))
-    return tuple(slice(int(start), int(stop)) for start, stop in edges.reshape(-1, 2))
+    return tuple(slice(start, stop) for start, stop in true_runs(segment.used))
 
 
 def exchange_rate(model: DynamicModel, segment: Segment) -> FloatArray:

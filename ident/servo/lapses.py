@@ -12,7 +12,7 @@ import numpy as np
 from daq.recording.commanded_motion import TARGET, CommandedMotion
 from daq.recording.quality.command_quality import HELD, LONGEST_REST
 from daq.recording.quality.quantisation import resolution
-from drivers.core.arrays import BoolArray, FloatArray
+from drivers.core.arrays import FloatArray, true_runs
 
 SHORTEST_REST = 2.0
 """[s] of a position that rests while its command moves."""
@@ -52,7 +52,7 @@ def lapses(motion: CommandedMotion, resting: Collection[str] = ()) -> list[str]:
 
 def _rests(name: str, time: FloatArray, position: FloatArray, command: FloatArray) -> Iterator[str]:
     """The longest rest of a position (N,) whose command (N,) moves far meanwhile."""
-    for first, last in _runs(np.diff(position) == 0.0):
+    for first, last in true_runs(np.diff(position) == 0.0):
         since, until = float(time[first]), float(time[last])
         if until - since < SHORTEST_REST:
             continue
@@ -125,7 +125,7 @@ def _holds(motion: CommandedMotion) -> Iterator[str]:
     time, target = motion.command_time, motion.commands[TARGET]
     still = np.all(np.diff(target, axis=0) == 0.0, axis=1)
     spans = []
-    for begin, end in _runs(still):
+    for begin, end in true_runs(still):
         before, after = slice(max(0, begin - USUAL), begin), slice(end + 1, end + 1 + USUAL)
         around = np.concatenate([still[before], still[after]])
         if time[end] - time[begin] < SHORTEST_HOLD or len(around) < 2 * USUAL or around.any():
@@ -141,9 +141,3 @@ def _holds(motion: CommandedMotion) -> Iterator[str]:
             f"the commands of all joints stand still from {first:.2f} to {last:.2f} s{others}, and jump on: they were "
             "lost on their way to the recording, or to the servos"
         )
-
-
-def _runs(same: BoolArray) -> list[tuple[int, int]]:
-    """First and last sample of each run of samples that equal those before them (N − 1,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-    return [(int(first), int(last)) for first, last in zip(edges[::2], edges[1::2], strict=True)]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.core.arrays import FloatArray, IntArray
+from drivers.core.arrays import FloatArray, IntArray, true_runs
 
 SAME_MOTION = 0.01
 """Mean square difference of two velocities, relative to the sum of their mean squares, below which they are the same
@@ -78,8 +78,7 @@ def own_period(velocity: FloatArray) -> int | None:
 
 def _minima(difference: FloatArray) -> list[int]:
     """Return where each interval of similar motion has its smallest difference."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], difference < SIMILAR, [False]]).astype(np.int8)))
-    return [start + int(np.argmin(difference[start:stop])) for start, stop in edges.reshape(-1, 2).tolist()]
+    return [start + int(np.argmin(difference[start:stop])) for start, stop in true_runs(difference < SIMILAR)]
 
 
 def _repeats(first: FloatArray, second: FloatArray) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from daq.recording.recording import JOINTS_STREAM, Recording
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import FloatArray, true_runs
 from drivers.core.errors import DataError
 from ident.signals.cutoffs import Cutoffs
 from ident.signals.options import PreprocessChoices
@@ -95,8 +95,7 @@ def moving_mask(velocity: FloatArray, rate: float, rest_velocity: float) -> npt.
     `rate` [Hz].
     """
     moving = np.any(np.abs(velocity) >= rest_velocity, axis=0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], moving, [True]]).astype(np.int8)))
-    for start, stop in edges.reshape(-1, 2):
+    for start, stop in true_runs(~moving):
         if stop - start < SHORTEST_REST * rate:
             moving[start:stop] = True
     return np.asarray(moving)

@@ -27,7 +27,7 @@ import numpy as np
 from daq.motion.trajectories import Motion, PointToPoint
 from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile, load_robot
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import FloatArray, true_runs
 from drivers.core.errors import DynidError
 from ident.experiments.gains.drive_gains import identify_gains
 from ident.experiments.gains.up_and_down import identify_slow_gains
@@ -111,8 +111,7 @@ def with_friction(arm: RobotFile, recording: Recording, motion: Motion, friction
     generator = np.random.default_rng([seed, 9])
     for joint in range(len(names)):
         rests = np.abs(velocity[joint]) < 1e-9
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], rests, [False]]).astype(np.int8))).reshape(-1, 2)
-        for start, stop in edges:
+        for start, stop in true_runs(rests):
             more[joint, start:stop] = coulomb[joint] * generator.uniform(-1.0, 1.0)
     gains = np.array([arm.robot.drive(name).gain for name in names])
     channel = stream.channels["current"]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from daq.recording.quality.outliers import without_outliers
 from daq.recording.quality.quantisation import quantisation_step, resolution
 from daq.recording.recording import Channel
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import FloatArray, true_runs
 
 FEWEST_FILLED = 10
 """Fewer runs of zeros between large values are switching on and off."""
@@ -117,9 +117,8 @@ def _clipped(values: FloatArray, *, magnitude: bool) -> npt.NDArray[np.bool_]:
         if not (magnitude and level == 0.0) and often >= CLIPPED_TO_NEXT * beside
     ]
     extreme = np.isin(values, at_ends)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], extreme, [False]]).astype(np.int8)))
     clipped = np.zeros(len(values), dtype=bool)
-    for start, stop in edges.reshape(-1, 2):
+    for start, stop in true_runs(extreme):
         if stop - start >= CLIPPED_RUN:
             clipped[start:stop] = True
     return clipped
@@ -136,7 +135,7 @@ def _zero_filled(values: FloatArray) -> npt.NDArray[np.bool_]:
     step = float(np.min(np.diff(np.unique(values))))
     typical = float(np.median(changes)) if len(changes) >= FEWEST_FILLED else 0.0
     far = max(FILLED_FAR * size, FILLED_CHANGE * typical, FILLED_STEPS * step)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], zero, [False]]).astype(np.int8))).reshape(-1, 2)
+    edges = np.array(true_runs(zero))
     inner = edges[(edges[:, 0] > 0) & (edges[:, 1] < len(values))]
     runs = inner[np.minimum(np.abs(values[inner[:, 0] - 1]), np.abs(values[inner[:, 1]])) > far]
     if len(runs) >= FEWEST_FILLED:

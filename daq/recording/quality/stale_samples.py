@@ -20,7 +20,7 @@ from daq.recording.quality.outliers import PositionJump, beside_jumps, position_
 from daq.recording.quality.quantisation import resolution
 from daq.recording.quality.signal_quality import white_noise
 from daq.recording.recording import JOINTS_STREAM, MOTOR_SIGNALS, Recording, Stream
-from drivers.core.arrays import BoolArray, FloatArray
+from drivers.core.arrays import BoolArray, FloatArray, true_runs
 from drivers.streams import MOTOR_ON, motors_on
 
 MEASURED = ("position", "velocity", "current", "voltage", "torque")
@@ -171,7 +171,7 @@ def _motors_off(recording: Recording, stream: Stream, position: FloatArray) -> B
                 on &= motors_on(quantity, held(source.time, source.channels[quantity].values, time))
     signals = [stream.channels[name].values for name in MOTOR_SIGNALS if name in stream.channels]
     zero = np.all(np.concatenate(signals, axis=1) == 0.0, axis=1) if signals else np.zeros(len(time), dtype=np.bool_)
-    for start, stop in _runs(zero):
+    for start, stop in true_runs(zero):
         still = float(np.ptp(position[start:stop], axis=0).max()) <= LEAST_WAY
         if still and stop - start >= STANDSTILL_ROWS and time[stop - 1] - time[start] >= STANDSTILL:
             on[start:stop] = False
@@ -193,7 +193,7 @@ def _repeated(position: FloatArray, steps: FloatArray) -> BoolArray:
     """(N,) rows whose positions all repeat those of the row before while a joint moves, before and after."""
     same = np.concatenate([[False], np.all(position[1:] == position[:-1], axis=1)])
     stale = np.zeros(len(same), dtype=np.bool_)
-    for start, stop in _runs(same):
+    for start, stop in true_runs(same):
         before, after = start - 1 - _WINDOW, stop - 1 + _WINDOW
         if stop - start > LONGEST_REPETITION or before < 0 or after >= len(position):
             continue
@@ -214,7 +214,7 @@ def _standstills(
     changes = np.abs(np.diff(position))
     velocity, target = others.get("velocity"), others.get("target_position")
     floor = 0.0 if velocity is None else NOISE * white_noise(velocity)
-    for first, stop in _runs(same):
+    for first, stop in true_runs(same):
         start = first - 1
         if stop - start < STANDSTILL_ROWS or time[stop - 1] - time[start] < STANDSTILL:
             continue
@@ -259,9 +259,3 @@ def _jumps(changes: FloatArray, start: int, stop: int, step: float) -> bool:
     stopped, speed = float(np.median(before[-_WINDOW:])), float(max(np.median(before), np.median(after)))
     jump = float(changes[stop - 1])
     return stopped >= STEPS_PER_SAMPLE * step and jump > max(STANDSTILL_JUMP * speed, FAR_STEPS * step)
-
-
-def _runs(mask: BoolArray) -> Iterator[tuple[int, int]]:
-    """First and last index (exclusive) of each run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)

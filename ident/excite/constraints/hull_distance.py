@@ -7,14 +7,14 @@ hulls where capsules touch.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import FloatArray, true_runs
 from ident.excite.constraints.placements import Capsule, moved_by, place_arm
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import ancestors
@@ -233,13 +233,13 @@ class HullDistances:
         way = self.ways(pair, position)
         result = np.full(position.shape[1], np.inf)
         exact = np.zeros(position.shape[1], dtype=bool)
-        for first, last in _runs(wanted):
+        for first, stop in true_runs(wanted):
             sample = first
-            while sample <= last:
+            while sample < stop:
                 distance = float(self.between(pair, position[:, sample : sample + 1])[0])
                 result[sample], exact[sample] = distance, True
                 gone, sample = way[sample], sample + 1
-                while sample <= last and distance - gone - way[sample] > max(_SHARE * distance, _EVERY_SAMPLE_DISTANCE):
+                while sample < stop and distance - gone - way[sample] > max(_SHARE * distance, _EVERY_SAMPLE_DISTANCE):
                     result[sample] = distance - gone
                     gone, sample = gone + way[sample], sample + 1
         # Until the next sample, links come nearer from both ends, together by the way between.
@@ -274,9 +274,3 @@ class HullDistances:
                 travel = float(np.abs(tree[beyond]).max()) if joints[beyond].prismatic else 0.0
                 length += float(np.linalg.norm(joints[beyond].translation)) + travel
         return length
-
-
-def _runs(wanted: npt.NDArray[np.bool_]) -> Iterable[Pair]:
-    """First and last index of every run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]]).astype(np.int8)))
-    return zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True)

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
-from drivers.core.arrays import FloatArray
+from drivers.core.arrays import FloatArray, true_runs
 from drivers.core.errors import DataError
 from drivers.core.reading_process import Progress
 from ident.friction.terms import NO_TERMS
@@ -129,7 +129,7 @@ def _of_segment(
     alone = ~resting[joint] & ~others & segment.used
     factor = prepared.parallel_filter.factor
     margin = round(FILTER_PERIODS / prepared.cutoffs.torque * segment.rate)
-    for start, stop in _spans(~others):
+    for start, stop in true_runs(np.asarray(~others)):
         inside = np.flatnonzero(alone[start:stop]) + start
         if not len(inside):
             continue
@@ -154,12 +154,6 @@ def _of_segment(
             kept,
             np.zeros(len(kept), dtype=np.int64),
         )
-
-
-def _spans(mask: npt.ArrayLike) -> Iterator[tuple[int, int]]:
-    """Begin and end of each run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
-    return zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
 
 
 def _gravity(model: DynamicModel, joint: int, position: FloatArray) -> FloatArray:
