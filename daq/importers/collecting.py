@@ -97,6 +97,9 @@ def collect(
             quantities[quantity] = _from_array(members[0][0], members[0][1], joints, array_joints, width, where, notes)
         else:
             quantities[quantity] = _from_columns(quantity, members, joints, where, notes)
+    if by_unit := [role for role in roles if role.by_unit]:
+        names = [f"{printable(role.name)} ({role.quantity})" for role in by_unit]
+        notes.append(Note("info", f"recognised by the unit alone: {listed(names, limit=MOST_UNUSED)}"))
     if unused:
         notes.append(Note("info", f"not imported: {listed(unused, limit=MOST_UNUSED)}"))
     time, time_unit = stamps.get("time", (None, ""))
@@ -155,8 +158,11 @@ def _from_array(
     if array_joints is not None:
         expected = f"the file names {width} joints, so (N, {width}) is expected"
     if values.ndim != 2 or width not in values.shape:
+        one_row = "one row per sample with a column for each joint is read; a row for each joint has to be pivoted"
         raise ImportFileError(
-            f"has shape {values.shape}, but {expected}", where=place, hint="is it another robot's file? see --robot"
+            f"has shape {values.shape}, but {expected}",
+            where=place,
+            hint=one_row if values.ndim == 1 else "is it another robot's file? see --robot",
         )
     if values.shape[1] != width:
         values = values.T

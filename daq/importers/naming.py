@@ -49,6 +49,11 @@ PRISMATIC: Mapping[str, Mapping[str, float]] = {
 SUFFIXES = frozenset({"deg", "rad", "s", "sec", "ms", "us", "ns", "nm", "a", "ma", "degc", "rpm"})
 """Units that are recognised after an underscore (`q1_deg`); `m` and `n` would be mistaken for names."""
 
+UNIT_QUANTITIES: Mapping[str, str] = {
+    unit: quantity for quantity in ("time", "position", "velocity", "torque", "current") for unit in REVOLUTE[quantity]
+}
+"""Unit (as `normalised` spells it) → the quantity that a name in another language has, `Drehmoment 3 [Nm]`."""
+
 
 def to_si(quantity: str, unit: str, *, prismatic: bool) -> tuple[float, float] | None:
     """Factor and offset so that SI = factor · value + offset; None for a unit that the quantity doesn't have."""
@@ -69,7 +74,7 @@ ALIASES: Mapping[str, tuple[str, ...]] = {
         "velocity": "qd dq qdot vel velocity velocities speed speeds joint_velocity joint_velocities actual_qd",
         "torque": "torque torques trq tau joint_torque joint_torques tau_j",
         "current": "i cur curr current currents motor_current joint_current joint_currents actual_current",
-        "effort": "effort efforts",
+        "effort": "effort efforts eff",
         "temperature": "temp temperature temperatures joint_temperature joint_temperatures motor_temperature",
         "target_time": "target_time target_times command_time command_times cmd_time",
         "target_position": (
@@ -106,6 +111,10 @@ _BETWEEN_WORDS = frozenset("_./:-# ")
 _BRACKETED_NUMBER = re.compile(r"[\[(](\d{1,3})[\])]")
 _JOINT_WORDS = frozenset({"joint", "joints", "jnt", "axis", "j", "a"})
 _MEASURED_WORDS = frozenset({"actual", "act", "measured", "meas"})
+_OWN_MEANING = frozenset(
+    word for aliases in ALIASES.values() for alias in aliases for word in alias.split("_") if len(word) > 1
+) - _JOINT_WORDS | {"motor", "error", "ref", "reference", "setpoint"}
+"""Words that mean something else together than the unit says: the degrees of `Motor position 1` are the motor's."""
 _MOTOR_QUANTITIES = frozenset({"current", "temperature"})
 """Quantities that a motor shares with its joint; with other values behind the gearbox."""
 
@@ -121,6 +130,7 @@ class Role:
     unit: str = ""  # as the name states it; empty otherwise
     exact: bool = True  # whether the whole name was understood, or only its last component (`data.q`)
     magnitude: bool = False  # whether the name says that the values have lost their sign
+    by_unit: bool = False  # whether only the unit gave the quantity
 
 
 def parse_name(name: str, joints: Sequence[str]) -> Role | None:
@@ -140,6 +150,22 @@ def parse_name(name: str, joints: Sequence[str]) -> Role | None:
             role = None
         role = None if role is None else replace(role, unit=unit)
     return None if role is None else replace(role, name=name)
+
+
+def parse_unit(name: str) -> Role | None:
+    """Meaning of a name by its unit alone: `Moment 3 [Nm]`, `Zeit [s]`; None without one or without a number."""
+    match = BRACKETED.match(name.strip())
+    if match is None:
+        return None
+    unit = (match[2] if match[2] is not None else match[3]).strip()
+    quantity = UNIT_QUANTITIES.get(normalised(unit))
+    if quantity == "time":
+        return Role(name, quantity, unit=unit, by_unit=True)
+    numbers = re.findall(r"\d+", match[1])
+    words = {word.casefold() for word in _WORD.findall(match[1])}
+    if quantity is None or len(numbers) != 1 or len(numbers[0]) > 3 or words & _OWN_MEANING:
+        return None
+    return Role(name, quantity, number=int(numbers[0]), unit=unit, by_unit=True)
 
 
 def _parse_bare(name: str, joints: Sequence[str]) -> Role | None:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
-from daq.importers.naming import BRACKETED, REVOLUTE, TIMES, Role, parse_name
+from daq.importers.naming import BRACKETED, REVOLUTE, TIMES, Role, parse_name, parse_unit
 from daq.importers.table import listed, printable
 from drivers.core.errors import ImportFileError, UsageError
 from drivers.core.text import did_you_mean
@@ -46,6 +46,7 @@ def assign_roles(
     # A column called exactly `t` beats one called `header.t`; among equals the user has to choose.
     recognised = [role for role in recognised if role.exact or role.quantity not in full]
     roles = (*chosen, *recognised)
+    roles = (*roles, *_by_unit(names, roles, len(joints)))
     meanings: dict[tuple[str, int | None, str | None], Role] = {}
     for role in roles:
         meaning = (role.quantity, role.number, role.joint)
@@ -57,6 +58,20 @@ def assign_roles(
                 hint=f"choose one, for example: --column {_our_name(role)}={printable(role.name)}",
             )
     return roles
+
+
+def _by_unit(names: Sequence[str], roles: Sequence[Role], joints: int) -> Iterator[Role]:
+    """Columns whose names are in no known words, but whose units leave one choice: a column for each joint."""
+    taken, known = {role.name for role in roles}, {role.quantity for role in roles}
+    if "effort" in known:
+        known |= {"torque", "current"}
+    members: dict[str, list[Role]] = {}
+    for name in names:
+        if name not in taken and (role := parse_unit(name)) is not None and role.quantity not in known:
+            members.setdefault(role.quantity, []).append(role)
+    for quantity, found in members.items():
+        if len(found) == (1 if quantity in TIMES else joints) == len({role.number for role in found}):
+            yield from found
 
 
 def _meant(key: str, joints: Sequence[str]) -> Role:

@@ -81,6 +81,32 @@ def test_a_pattern_stands_for_the_joints_names(tmp_path: Path) -> None:
     np.testing.assert_array_equal(found["position"], arrays["q"])
 
 
+def test_units_give_the_meaning_of_names_in_another_language(tmp_path: Path) -> None:
+    arrays = samples(20)
+    angles = {f"Winkel {k + 1} [°]": np.degrees(arrays["q"][:, k]) for k in (2, 0, 1)}
+    moments = {f"M{k + 1} (Nm)": arrays["torque"][:, k] for k in range(3)}
+    columns = {"Zeit [ms]": 1e3 * arrays["t"], **angles, **moments, "Moment (Nm)": arrays["t"]}
+    recording = import_file(write_csv(tmp_path, columns), ROBOT, ImportChoices())
+    found = content(recording)
+    for kind, name in (("t", "time"), ("q", "position"), ("torque", "torque")):
+        np.testing.assert_allclose(found[name], arrays[kind], rtol=1e-14)
+    assert "recognised by the unit alone: Zeit [ms] (time), " in messages(recording)
+    assert "not imported: Moment (Nm)" in messages(recording)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["Soll1 [°]", "Soll2 [°]", "Soll3 [°]", "Ist1 [°]", "Ist2 [°]", "Ist3 [°]"],  # two groups: which one?
+        ["Motor position 1 [deg]", "Motor position 2 [deg]", "Motor position 3 [deg]"],
+        ["error 1 [rad]", "error 2 [rad]", "error 3 [rad]"],
+        ["Winkel 1 [°]", "Winkel 2 [°]"],
+    ],
+)
+def test_units_that_leave_a_choice_give_no_meaning(names: list[str]) -> None:
+    assert assign_roles(names, NAMES, {}, "run.csv") == ()
+
+
 CSV = ["a", "b1", "b2", "b3", "b3 [deg]", "c", "c"]
 
 
