@@ -24,7 +24,8 @@ renews the line below, also where the figures agree. Settings of the comment:
 
 A command is run once, whatever the number of its blocks. WORD keeps the blocks whose page or command contains it.
 `--list` runs nothing. With `--outputs` what each command printed is kept in a folder, with the commit that printed it,
-and what is there is not measured again. Exit status 1 where a block is stale.
+and what is there is not measured again. Exit status 1 where a block is stale, or names a study or a commit that does
+not exist.
 
 All of it takes hours; a command ends after `--seconds` (3600).
 """
@@ -53,6 +54,7 @@ BELOW = re.compile(
     r"|Measured once: (?P<reason>.+))\.\* <!-- block (?P<sum>[0-9a-f]{8}) -->$"
 )
 KEPT = re.compile(r"^# (?P<command>[^|]+?) \| (?P<at>\S+, commit [0-9a-f]{7,40}, \d{4}-\d\d-\d\d)")
+COMMIT = re.compile(r"\b(?:commits?|at|and|to) ([0-9a-f]{7,40})\b")
 NUMBER = re.compile(
     r"(?<![\w.])[−+-]?\d{1,3}(?:[ ,]\d{3})+(?:\.\d+)?(?![\d])|(?<![\w.])[−+-]?\d+(?:\.\d+)?(?:[eE][−+-]?\d+)?"
 )
@@ -505,6 +507,23 @@ def show_list(tables: Sequence[Block]) -> None:
             print(f"{table.place}: measured once: {table.measurement.reason}")
 
 
+def missing(tables: Sequence[Block]) -> list[str]:
+    """Studies that are named and do not exist, and commits that are not in this repository."""
+    found = []
+    for table in tables:
+        if table.measurement is not None and table.measurement.command:
+            module = table.measurement.command.split()[2]
+            if not (ROOT / module.replace(".", "/")).with_suffix(".py").is_file():
+                found.append(f"{table.place}: there is no {module}")
+        for commit in COMMIT.findall("" if table.below is None else table.below[0]):
+            known = subprocess.run(
+                ["git", "cat-file", "-e", commit + "^{commit}"], cwd=ROOT, capture_output=True, check=False
+            )
+            if known.returncode:
+                found.append(f"{table.place}: there is no commit {commit}")
+    return found
+
+
 def output_of(command: str, seconds: float, outputs: Path | None) -> tuple[str, str, str]:
     """What a study printed, now or as kept in `outputs`; what went wrong; version, commit and date."""
     kept = None if outputs is None else outputs / (re.sub(r"\W+", "_", command) + ".txt")
@@ -578,10 +597,12 @@ def main() -> int:
         return 2
     if arguments.list:
         show_list(tables)
-        return 0
-    good = check(tables, arguments.seconds, writing=arguments.write, outputs=arguments.outputs)
-    show_list([table for table in tables if table.measurement is None])
-    return 0 if good else 1
+    good = arguments.list or check(tables, arguments.seconds, writing=arguments.write, outputs=arguments.outputs)
+    if not arguments.list:
+        show_list([table for table in tables if table.measurement is None])
+    lost = missing(chosen(all_blocks(ROOT), arguments.words))
+    print(*lost, sep="\n", end="\n" if lost else "")
+    return 0 if good and not lost else 1
 
 
 if __name__ == "__main__":

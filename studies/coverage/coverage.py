@@ -1,11 +1,11 @@
 """How often do 95 % intervals hold the truth? Simulated arms, many seeds; about a minute per method with 10 seeds.
 
 Every seed is another arm: the bodies and the friction of a built-in one, each scaled at random. It plays a periodic
-motion of 20 s, or goes through 24 random points. For each arm the shares of true values inside ±1.96 standard
-deviations, over all seeds: of the base parameters (corrected and classical deviations), of those that the essential
-model keeps (`essential_std`, and the submodel's own deviations, which know nothing of the selection), and of the torque
-along another motion (`torque_std` of the full and of the essential model). In brackets is the seed with the fewest
-inside; `wide` is the median of `essential_std` over `std`, `no.` the mean number of parameters kept.
+motion of 20 s, or goes through 24 random points. Lowest and highest of the arms' shares of true values inside ±1.96
+standard deviations, over all seeds: of the base parameters (corrected and classical deviations), of those that the
+essential model keeps (`essential_std`, and the submodel's own deviations, which know nothing of the selection), and of
+the torque along another motion (`torque_std` of the full and of the essential model); the median of `essential_std`
+over `std`.
 
 python -m studies.coverage.coverage [seeds [methods, as wls,irls:weights=huber [motions, as periodic,points]]]
 """
@@ -50,6 +50,14 @@ SPREAD = 0.5
 """Standard deviation of the logarithm of what masses and friction are scaled by; of lengths, half of it."""
 
 COLUMNS = ("full", "classical", "kept", "submodel", "torque", "torque kept")
+TABLES = (
+    (("parameters, jackknife", "parameters, classical", "torque"), (0, 1, 4)),
+    (
+        ("parameters kept", "the same, refit's own deviations", "torque", "`essential_std` / `std`, median"),
+        (2, 3, 5, 6),
+    ),
+)
+"""Headings, and which of `COLUMNS` and the ratio are below them."""
 
 
 def another_arm(name: str, seed: int) -> RobotFile:
@@ -112,19 +120,19 @@ def deviations(robot: str, method: str, play: Play, seed: int) -> tuple[list[Flo
     return [figure.ravel() for figure in figures], float(np.median(essential_std / found.std[kept]))
 
 
-def line(robot: str, seeds: int, method: str, play: Play) -> str:
-    """The figures of one arm."""
-    columns: list[list[FloatArray]] = [[] for _ in COLUMNS]
-    ratios = []
-    for figures, ratio in of_cases(deviations, [(robot, method, play, seed) for seed in range(seeds)]):
-        ratios.append(ratio)
-        for column, figure in zip(columns, figures, strict=True):
-            column.append(np.abs(figure) <= WITHIN_95_PERCENT)
-    shares = "".join(
-        f"{np.mean(np.concatenate(column)):9.1%} ({min(np.mean(part) for part in column):4.0%})" for column in columns
-    )
-    count = np.mean([len(part) for part in columns[COLUMNS.index("kept")]])
-    return f"{robot:10}{shares}{np.median(ratios):7.2f}{count:5.0f}"
+def shares(robot: str, seeds: int, method: str, play: Play) -> list[float]:
+    """Of one arm: the shares [%] of `COLUMNS` inside, and the median ratio `wide`."""
+    found = list(of_cases(deviations, [(robot, method, play, seed) for seed in range(seeds)]))
+    columns = zip(*(figures for figures, _ in found), strict=True)
+    inside = [100.0 * float(np.mean(np.abs(np.concatenate(column)) <= WITHIN_95_PERCENT)) for column in columns]
+    return [*inside, float(np.median([ratio for _, ratio in found]))]
+
+
+def spans(of_arms: Sequence[float], unit: str) -> str:
+    """Lowest and highest figure."""
+    digits = 1 if unit else 2
+    low, high = (f"{figure:.{digits}f}" for figure in (min(of_arms), max(of_arms)))
+    return (low if low == high else f"{low} to {high}") + unit
 
 
 def main(
@@ -133,13 +141,18 @@ def main(
     methods: Sequence[str] = METHODS,
     plays: Sequence[Play] = ("periodic", "points"),
 ) -> None:
-    """Print a line for each arm."""
-    heads = "".join(f"{name:>16}" for name in COLUMNS)
+    """Print a table for the base parameters, and one for the essential ones."""
+    rows: dict[str, list[list[float]]] = {}
     for play in plays:
         for method in methods:
-            print(f"\n{method}, {play}, {seeds} seeds\n{'arm':10}{heads}{'wide':>7}{'no.':>5}")
-            for robot in robots:
-                print(line(robot, seeds, method, play), flush=True)
+            of_arms = [shares(robot, seeds, method, play) for robot in robots]
+            rows[f"`{method}`, {play}"] = [list(figures) for figures in zip(*of_arms, strict=True)]
+            print(f"# {method}, {play}: {np.round(of_arms, 1).tolist()}", file=sys.stderr, flush=True)
+    for heads, columns in TABLES:
+        print(f"\n| method, motion | {' | '.join(heads)} |\n|{'---|' * (1 + len(heads))}")
+        for label, figures in rows.items():
+            cells = [spans(figures[column], " %" if column < len(COLUMNS) else "") for column in columns]
+            print(f"| {label} | {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":

@@ -3,10 +3,9 @@
 Simulated arms under their own controllers, with friction before sliding, noise and ripple, once with the friction of
 their files and once with a Stribeck term of 0.3 of Coulomb friction, play d-optimal excitations (15 s, two periods) and
 are judged on a motion of another criterion and seed. Prints, for each share of `--reversals`, the part of the
-95 % intervals that contain the true value, over all base parameters and over those without friction, the RMS of error
-over σ, the median σ, and the held-out error (root mean square over the recordings), of all samples and of those above
-0.1 rad/s. Then the held-out errors of the public recordings in the folder `DYNID_DATA`: first 70 % identified, last
-30 % compared. `python -m studies.coverage.reversals 12`: 12 recordings per arm and friction, some minutes.
+95 % intervals that contain the true value, and the held-out error (root mean square over the recordings). Then the
+held-out errors of the public recordings in the folder `DYNID_DATA`, of all samples and of those above 0.1 rad/s: first
+70 % identified, last 30 % compared. `python -m studies.coverage.reversals 12`: 12 recordings per arm and friction.
 """
 
 from __future__ import annotations
@@ -48,7 +47,6 @@ RATE = 500.0
 SHARES = (0.0, 0.02, 0.05, 0.1, 0.2)
 STRIBECK = 0.3
 STRIBECK_VELOCITY = 0.1
-FRICTION = ("viscous", "coulomb", "offset", "coupling")
 
 PUBLIC = {
     "ur10": ("ur10_unisa1.npz", "shoulder_pan shoulder_lift elbow wrist_1 wrist_2 wrist_3", "{}_joint", True),
@@ -88,29 +86,16 @@ def motions(robot_file: RobotFile) -> tuple[list[Motion], Motion]:
 PLAIN = IdentifyChoices(model=ModelChoices(friction="coulomb-viscous"), presliding=False)
 
 
-def line(robot_file: RobotFile, pairs: Sequence[tuple[Recording, Recording]], share: float) -> str:
-    """Identify each recording and validate it with its partner; the figures over all of them."""
+def cells(robot_file: RobotFile, pairs: Sequence[tuple[Recording, Recording]], share: float) -> list[str]:
+    """Identify each recording and validate it with its partner: share of intervals that hold, and held-out error."""
     base = base_parameters(build_model(robot_file))
     truth = base.projection @ truth_vector(robot_file)
-    off, deviations, errors = [], [], []
+    inside, errors = [], []
     for recording, other in pairs:
-        identification = identify([recording], [other], replace(PLAIN, reversals=share))
-        off.append((identification.solution.parameters - truth) / identification.std)
-        deviations.append(identification.std)
-        errors.append(held_out_errors(identification))
-    ratio, mean = np.array(off), np.mean(off, axis=0)
-    inside = np.abs(ratio) <= WITHIN_95_PERCENT
-    rigid = [i for i in range(base.count) if base.kinds[i] not in FRICTION]
-    worst = ", ".join(f"{base.names[i]} {mean[i]:+.1f}" for i in np.argsort(-np.abs(mean))[:2])
-    return (
-        f"{inside.mean():8.1%} {inside[:, rigid].mean():8.1%} {np.sqrt(np.mean(ratio**2)):8.2f} "
-        f"{np.median(deviations):9.3g} {percent(np.sqrt(np.mean(np.square(errors), axis=0)))}   {worst}"
-    )
-
-
-def percent(errors: Sequence[float]) -> str:
-    """Held-out errors of all and of fast samples."""
-    return " ".join(f"{error:8.2%}" for error in errors)
+        found = identify([recording], [other], replace(PLAIN, reversals=share))
+        inside.append(np.abs(found.solution.parameters - truth) <= WITHIN_95_PERCENT * found.std)
+        errors.append(held_out_errors(found)[0])
+    return [f"{100.0 * np.mean(inside):.1f} %", f"{100.0 * np.sqrt(np.mean(np.square(errors))):.2f} %"]
 
 
 def held_out_errors(identification: Identification) -> tuple[float, float]:
@@ -139,29 +124,38 @@ def public_recordings(folder: Path) -> dict[str, tuple[Recording, PreprocessChoi
     return recordings
 
 
+def print_table(heads: Sequence[str], columns: Sequence[Sequence[Sequence[str]]]) -> None:
+    """A row per share; columns hold two cells for each of them."""
+    print(f"\n| left out below | {' | '.join(heads)} |\n|{'---|' * (1 + len(heads))}")
+    for row, share in enumerate(SHARES):
+        print(f"| {share:g} | {' | '.join(cell for column in columns for cell in column[row])} |", flush=True)
+
+
 def main(seeds: int = 12) -> None:
-    """Print a line for each case."""
-    head = f"{'left out':>9} {'held':>8} {'rigid':>8} {'rms e/σ':>8} {'median σ':>9} {'held out':>8} {'fast':>8}"
+    """Print a table of simulated arms and one of recordings."""
+    heads, columns = [], []
     for robot in ROBOTS:
         plain = load_robot(robot)
         excitations, validation = motions(plain)
-        for name, arm in (("friction of the file", plain), ("with Stribeck friction", with_stribeck(plain))):
-            print(f"\n{robot}, {name}, {seeds} recordings\n{head}   mean error/σ, the largest", flush=True)
+        for name, arm in ((robot, plain), (f"{robot}, Stribeck", with_stribeck(plain))):
             pairs = [
                 (controlled(arm, excitations[seed % MOTIONS], seed), controlled(arm, validation, seeds + seed))
                 for seed in range(seeds)
             ]
-            for share in SHARES:
-                print(f"{share:9g} {line(plain, pairs, share)}", flush=True)
+            heads += [f"{name}: intervals", "error"]
+            columns.append([cells(plain, pairs, share) for share in SHARES])
+    print_table(heads, columns)
     folder = Path(os.environ.get("DYNID_DATA", "../shared/data"))
     if not folder.is_dir():
         print(f"\nno public recordings: {folder} is no folder")
         return
+    heads, columns = [], []
     for name, (recording, preprocess) in public_recordings(folder).items():
-        print(f"\n{name}\n{'left out':>9} {'held out':>8} {'fast':>8}")
-        for share in SHARES:
-            identification = identify([recording], [], replace(PLAIN, preprocess=preprocess, reversals=share))
-            print(f"{share:9g} {percent(held_out_errors(identification))}", flush=True)
+        heads += [name, "fast"]
+        choices = [replace(PLAIN, preprocess=preprocess, reversals=share) for share in SHARES]
+        found = [held_out_errors(identify([recording], [], choice)) for choice in choices]
+        columns.append([[f"{error:.2%}".replace("%", " %") for error in errors] for errors in found])
+    print_table(heads, columns)
 
 
 if __name__ == "__main__":

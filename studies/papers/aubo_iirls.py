@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -29,7 +29,7 @@ from daq.recording.recording import JOINTS_STREAM, Recording
 from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.units import ZERO_CELSIUS
-from ident.experiments.method_comparison import paired_difference
+from ident.experiments.method_comparison import RunErrors, paired_difference
 from ident.friction.table import TEMPERATURE_KINDS, power_law, temperature_factor
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
@@ -122,39 +122,30 @@ def compared(case: Case, suffix: str, runs: Sequence[Recording], held_out: Seque
     return list(found.models)
 
 
-def print_table(title: str, rows: Sequence[tuple[Case, list[ComparedModel]]]) -> None:
-    """RMSE against IRLS, then the largest errors as in Tables III and IV."""
-    irls = next(models for case, models in rows if case.name == "IRLS")
-    print(f"\n{title}\n\n| | model | T | parameters | RMSE | low | high | against IRLS | fit [%] | CPU s |")
-    print("|---|---|---|---|---|---|---|---|---|---|")
-    for case, models in rows:
-        for of_kind, reference in zip(models, irls, strict=False):
-            rmse = [run.rmse for run in of_kind.runs]
-            base = [run.rmse for run in reference.runs]
-            paired = paired_difference(base, rmse)
-            share, half = (100.0 * figure / np.mean(base) for figure in (paired.mean, paired.half_width))
-            low, high = (np.mean([getattr(run, f"{s}_speed_rmse") for run in of_kind.runs]) for s in ("low", "high"))
-            print(
-                f"| {case.name} | {case.model} | {'with' if case.warm else 'without'} | {of_kind.parameters} | "
-                f"{np.mean(rmse):.3f} | {low:.3f} | {high:.3f} | {share:+.1f} ± {half:.1f} % | "
-                f"{100.0 * of_kind.fit:.2f} | {of_kind.seconds:.0f} |"
-            )
-    print("\n| | model | T | parameters | elbow low | elbow high | wrist low | wrist high | elbow high against IRLS |")
-    print("|---|---|---|---|---|---|---|---|---|")
-    for case, models in rows:
-        for of_kind, reference in zip(models, irls, strict=False):
-            cells = []
-            for group in range(2):
-                for speed in ("low_speed_max", "high_speed_max"):
-                    values = [getattr(run, speed)[group] for run in of_kind.runs]
-                    cells.append(f"{np.mean(values):.2f} ({np.std(values, ddof=1):.2f})")
-            first, second = ([run.high_speed_max[0] for run in kind.runs] for kind in (reference, of_kind))
-            paired = paired_difference(first, second)
-            share, half = (100.0 * figure / np.mean(first) for figure in (paired.mean, paired.half_width))
-            print(
-                f"| {case.name} | {case.model} | {'with' if case.warm else 'without'} | {of_kind.parameters} | "
-                f"{' | '.join(cells)} | {share:+.1f} ± {half:.1f} % |"
-            )
+def print_table(rows: Sequence[tuple[Case, list[ComparedModel]]]) -> None:
+    """RMSE of the full and of the consistent model; the rest of the full one: against IRLS, largest errors."""
+    irls = next(models[0] for case, models in rows if case.name == "IRLS")
+    largest = ("elbow low", "elbow high", "wrist low", "wrist high")
+    heads = ("RMSE", "consistent", "low", "high", "against IRLS", *largest, "elbow high against IRLS")
+    print(f"\n| | model | T | {' | '.join(heads)} |\n|{'---|' * (3 + len(heads))}")
+
+    def against_irls(figure: Callable[[RunErrors], float], model: ComparedModel) -> str:
+        first, second = ([figure(run) for run in one.runs] for one in (irls, model))
+        paired = paired_difference(first, second)
+        share, half = (100.0 * float(one / np.mean(first)) for one in (paired.mean, paired.half_width))
+        return "" if model is irls else f"{share:+.1f} ± {half:.1f} %".replace("-", "−")
+
+    for case, (full, *others) in rows:
+        kinds = [np.mean([run.rmse for run in one.runs]) for one in (full, *others)]
+        speeds = [np.mean([getattr(run, f"{speed}_speed_rmse") for run in full.runs]) for speed in ("low", "high")]
+        cells = [f"{figure:.3f}" for figure in (*kinds, *speeds)]
+        cells.append(against_irls(lambda run: run.rmse, full))
+        for group in range(2):
+            for speed in ("low_speed_max", "high_speed_max"):
+                values = [getattr(run, speed)[group] for run in full.runs]
+                cells.append(f"{np.mean(values):.2f} ({np.std(values, ddof=1):.2f})")
+        cells.append(against_irls(lambda run: run.high_speed_max[0], full))
+        print(f"| {case.name} | {case.model} | {'with' if case.warm else 'without'} | {' | '.join(cells)} |")
     sys.stdout.flush()
 
 
@@ -197,7 +188,7 @@ def main(count: int = 25, ways: str = "experiment,estimated") -> None:
     print(f"{count} validation runs of {PERIOD:g} s; rms speed {np.sqrt(np.mean(speed**2, axis=0)).round(2)} rad/s")
     for way in ways.split(","):
         rows = (by_experiment if way == "experiment" else estimated)(arm, motion, held_out)
-        print_table(f"f_T, {way}", rows)
+        print_table(rows)
 
 
 if __name__ == "__main__":

@@ -96,25 +96,29 @@ def torque_error(robot_file: RobotFile, fit: Identification | None, motion: Moti
     return 100.0 * float(np.linalg.norm((predicted - expected)[moving]) / np.linalg.norm(expected[moving]))
 
 
-def compare_parameters(arm: RobotFile, seed: int = 0, moves: int = WRIST_MOVES) -> list[Identification]:
+def print_heads(*heads: str) -> None:
+    """A table's heading."""
+    print(f"\n| {' | '.join(heads)} |\n|{'---|' * len(heads)}")
+
+
+def compare_parameters(label: str, arm: RobotFile, seed: int = 0, moves: int = WRIST_MOVES) -> list[Identification]:
     """Print table 1 of one arm; its models."""
     motion = random_points_motion(arm.robot, seed, moves, WRIST)
     recording, held_out = recorded(arm, motion, seed), recorded(arm, another_motion(arm, WRIST, seed), seed + 1)
     models = [fit for method in METHODS if (fit := identified(recording, held_out, method)) is not None]
     truth = models[0].base.projection @ truth_vector(arm)
-    print(f"{'':8}{'truth':>9}" + "".join(f"{fit.solution.method:>20}" for fit in models))
+    print_heads(label, "truth", *(f"`{fit.solution.method}`" for fit in models))
     for i, name in enumerate(models[0].base.names):
-        figures = (f"{fit.solution.parameters[i]:11.4f} ± {WITHIN_95_PERCENT * fit.std[i]:.4f}" for fit in models)
-        print(f"{name:8}{truth[i]:9.4f}" + "".join(f"{text:>20}" for text in figures))
+        figures = (f"{fit.solution.parameters[i]:.4f} ± {WITHIN_95_PERCENT * fit.std[i]:.4f}" for fit in models)
+        print(f"| {name} | {truth[i]:.4f} | {' | '.join(figures)} |", flush=True)
     return models
 
 
-def compare_motions(arm: RobotFile, seeds: int, rows: Sequence[int] = MOVES, fourier: bool = True) -> FloatArray:
+def compare_motions(label: str, arm: RobotFile, seeds: int, rows: Sequence[int] = MOVES) -> FloatArray:
     """Print table 2 of one arm; its errors of the torque [%] (motions, methods)."""
-    print(f"{'motion':>15}" + "".join(f"{method:>9}{'cond':>8}{'ess.':>5}{'held':>6}" for method in METHODS))
-    truth = None
+    print_heads(label, *(head for method in METHODS for head in (f"`{method}` error", "cond", "ess.", "held")))
     table = []
-    for row in (*rows, *([0] if fourier else [])):
+    for row in (*rows, 0):
         figures = np.empty((seeds, len(METHODS), 4))
         duration = 0.0
         for seed in range(seeds):
@@ -137,56 +141,46 @@ def compare_motions(arm: RobotFile, seeds: int, rows: Sequence[int] = MOVES, fou
                 condition = fit.solution.scaled_condition
                 figures[seed, column] = torque_error(arm, fit, other), condition, essential, held.mean()
         middle, held_share = np.median(figures, axis=0), np.mean(figures[:, :, 3], axis=0)
-        label = f"{row} moves" if row else "Fourier"
-        print(f"{label:>9}{duration:5.0f}s" + "".join(
-            f"{error:9.2f}{condition:8.2g}{essential:5.0f}{share:6.0%}"
+        cells = (
+            f"{error:.2f} | {condition:.2g} | {essential:.0f} | {share:.0%}".replace("%", " %")
             for (error, condition, essential, _), share in zip(middle, held_share, strict=True)
-        ))  # fmt: skip
+        )
+        print(f"| {f'{row} moves' if row else '5 harmonics'}, {duration:.0f} s | {' | '.join(cells)} |", flush=True)
         table.append(middle[:, 0])
     return np.array(table)
 
 
 def compare_noise(
-    arm: RobotFile, moving: Sequence[str], moves: int, seeds: int, levels: Sequence[float] = NOISE
+    label: str, arm: RobotFile, moving: Sequence[str], moves: int, seeds: int, levels: Sequence[float] = NOISE
 ) -> FloatArray:
-    """Print table 3 for the joints that move (all where empty); its entries (2, levels, methods) [%]."""
-    heads = "".join(f"{name:>8}" for name in METHODS)
-    print(f"{'noise [rad]':>12}{heads}  | at {WEAK_LOW_PASS:g} Hz: {heads}")
-    table = np.empty((2, len(levels), len(METHODS)))
-    for row, std in enumerate(levels):
-        errors = np.empty((2, len(METHODS), seeds))
+    """Print table 3 for the joints that move (all where empty); its entries (levels, methods twice) [%]."""
+    cutoffs = {"": None, f" {WEAK_LOW_PASS:g} Hz": WEAK_LOW_PASS}
+    print_heads(label, *(f"`{method}`{at}" for at in cutoffs for method in METHODS))
+    table = []
+    for std in levels:
+        errors = np.empty((seeds, len(cutoffs) * len(METHODS)))
         for seed in range(seeds):
             motion, other = random_points_motion(arm.robot, seed, moves, moving), another_motion(arm, moving, seed)
             recording = with_encoder_noise(recorded(arm, motion, seed), std, seed)
             held_out = recorded(arm, other, seed + 1)
-            for block, cutoff in enumerate((None, WEAK_LOW_PASS)):
-                for column, method in enumerate(METHODS):
-                    errors[block, column, seed] = torque_error(
-                        arm, identified(recording, held_out, method, cutoff), other
-                    )
-        table[:, row] = np.median(errors, axis=2)
-        halves = ["".join(f"{value:8.2f}" for value in table[block, row]) for block in (0, 1)]
-        print(f"{std:12.0e}{halves[0]}  |           {halves[1]}")
-    return table
+            fits = [identified(recording, held_out, method, at) for at in cutoffs.values() for method in METHODS]
+            errors[seed] = [torque_error(arm, fit, other) for fit in fits]
+        table.append(np.median(errors, axis=0))
+        print(f"| {std:g} | {' | '.join(f'{error:.3g}' for error in table[-1])} |", flush=True)
+    return np.array(table)
 
 
 def main(seeds: int = 3, tables: str = "123") -> None:
     """Print the tables."""
     free = load_robot("sr400")
-    arms = {"unloaded": free, "with the load": with_paper_load(free)}
-    for label, arm in arms.items():
-        if "1" in tables:
-            print(f"\n{label}, wrist in motion, {WRIST_MOVES} moves: value ± 95 %")
-            compare_parameters(arm)
-    for label, arm in arms.items():
-        if "2" in tables:
-            print(f"\n{label}, whole arm, {seeds} seeds: error of the torque [%], condition, essential, intervals")
-            compare_motions(arm, seeds)
+    if "1" in tables:
+        compare_parameters(f"wrist, {WRIST_MOVES} moves", free)
+    if "2" in tables:
+        compare_motions("unloaded", free, seeds)
+        compare_motions("with Table 3's load", with_paper_load(free), seeds)
     if "3" in tables:
-        print(f"\nwrist in motion, {WRIST_MOVES} moves, {seeds} seeds: error of the torque [%]")
-        compare_noise(free, WRIST, WRIST_MOVES, seeds)
-        print(f"\nwhole arm, {NOISE_MOVES} moves, {seeds} seeds: error of the torque [%]")
-        compare_noise(free, (), NOISE_MOVES, seeds)
+        compare_noise(f"wrist, {WRIST_MOVES} moves [rad]", free, WRIST, WRIST_MOVES, seeds)
+        compare_noise(f"whole arm, {NOISE_MOVES} moves [rad]", free, (), NOISE_MOVES, seeds)
 
 
 if __name__ == "__main__":

@@ -349,13 +349,13 @@ def test_the_example_runs(capsys, monkeypatch):
     """On little data: each of its tables in small, the power model in the first; and what it is there to show."""
     example = importlib.import_module("studies.papers.energy_vs_dynamic")
     arm = sampled(load_robot("sr400"), 200.0)
-    models = example.compare_parameters(arm, moves=8)
+    models = example.compare_parameters("wrist", arm, moves=8)
     assert [found.solution.method for found in models] == ["wls", *METHODS]
     assert all(len(found.solution.active) == 17 for found in models)
     monkeypatch.setattr(example, "METHODS", ("wls", "energy"))
-    errors = example.compare_motions(arm, 1, (24,))
+    errors = example.compare_motions("whole arm", arm, 1, (24,))
     assert np.all(errors[0] < 1.5)  # many moves tell all parameters, five harmonics do not
     assert np.all(errors[1, 1:] > 5.0)
-    table = example.compare_noise(arm, ("j5", "j6"), 16, 1, (0.0,))
+    table = example.compare_noise("wrist", arm, ("j5", "j6"), 16, 1, (0.0,))
     assert np.all(table < 10.0)
     assert "Fs6" in capsys.readouterr().out
