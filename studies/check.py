@@ -16,7 +16,8 @@ renews the line below, also where the figures agree. Settings of the comment:
 
 - `skip` names columns that differ from run to run, by their headings: times of computation;
 - `within` is the relative difference that is allowed, 2 % where absent; a number may always differ by one of its last
-  digit. A row is compared with the printed line of the same words, else with the one whose numbers are nearest;
+  digit. A row is compared with the printed line of the same words, else, where no table with this heading is printed,
+  with the one whose numbers are nearest;
 - `part`: the page has a selection of the printed rows; `--write` keeps to it;
 - `anywhere`: the block has another shape than what is printed: each of its numbers must be among the printed ones,
   rounded. It was made by hand; `--write` puts the printed tables, or else all that was printed, in its place, and in
@@ -24,8 +25,7 @@ renews the line below, also where the figures agree. Settings of the comment:
 
 A command is run once, whatever the number of its blocks. WORD keeps the blocks whose page or command contains it.
 `--list` runs nothing. With `--outputs` what each command printed is kept in a folder, with the commit that printed it,
-and what is there is not measured again. Exit status 1 where a block is stale, or names a study or a commit that does
-not exist.
+and what is there is not measured again. Exit status 1 where a block is stale or names a commit that does not exist.
 
 All of it takes hours; a command ends after `--seconds` (3600).
 """
@@ -294,16 +294,22 @@ def wrong_numbers(stated: Row, measured: Row, within: float) -> int:
     return sum(not agree(*pair, within) for pair in pairs)
 
 
-def stale_rows(table: Block, printed: Sequence[Row]) -> list[tuple[Row, str]]:
+def stale_rows(table: Block, output: str) -> list[tuple[Row, str]]:
     """Rows of the table that differ from what was printed, each with what was compared."""
     assert table.measurement is not None
     measurement, found = table.measurement, []
+    printed = printed_rows(output, measurement.skip)
     everything = [number for other in printed for number in other.numbers] if measurement.anywhere else []
-    if not any(row.numbers for row in table.rows):  # all columns are left out: the words are what can be compared
-        words = {other.words for other in printed}
-        return [(row, "no such row") for row in table.rows if row.words not in words]
+    alike = [] if measurement.anywhere else printed_tables(table.heading, output)
+    # words too are compared where this table was printed, and where no row holds a number
+    by_words = bool(alike) or not any(row.numbers for row in table.rows)
+    words = {other.words for other in printed}
+    if len(alike) == 1 and not measurement.part and len(alike[0]) > len(table.rows):
+        found.append((table.rows[-1], f"{len(alike[0])} rows in place of {len(table.rows)}"))
     for row in table.rows:
-        if not row.numbers:
+        if by_words and row.words not in words:
+            found.append((row, "no such row"))
+        if not row.numbers or (by_words and row.words not in words):
             continue
         if measurement.anywhere:
             missing = [number for number in row.numbers if not any(rounds_to(number, other) for other in everything)]
@@ -507,19 +513,13 @@ def show_list(tables: Sequence[Block]) -> None:
             print(f"{table.place}: measured once: {table.measurement.reason}")
 
 
-def missing(tables: Sequence[Block]) -> list[str]:
-    """Studies that are named and do not exist, and commits that are not in this repository."""
+def missing_commits(tables: Sequence[Block]) -> list[str]:
+    """What is measured at a commit that is not in this repository."""
     found = []
     for table in tables:
-        if table.measurement is not None and table.measurement.command:
-            module = table.measurement.command.split()[2]
-            if not (ROOT / module.replace(".", "/")).with_suffix(".py").is_file():
-                found.append(f"{table.place}: there is no {module}")
         for commit in COMMIT.findall("" if table.below is None else table.below[0]):
-            known = subprocess.run(
-                ["git", "cat-file", "-e", commit + "^{commit}"], cwd=ROOT, capture_output=True, check=False
-            )
-            if known.returncode:
+            git = ["git", "cat-file", "-e", commit + "^{commit}"]
+            if subprocess.run(git, cwd=ROOT, capture_output=True, check=False).returncode:
                 found.append(f"{table.place}: there is no commit {commit}")
     return found
 
@@ -551,9 +551,8 @@ def check(tables: Sequence[Block], seconds: float, *, writing: bool = False, out
         made_by_hand: list[Block] = []
         for table in of_command:
             assert table.measurement is not None
-            printed = printed_rows(output, table.measurement.skip)
-            stale = stale_rows(table, printed)
-            empty = "has no rows" if not table.rows else "nothing was printed" if not printed else ""
+            empty = "has no rows" if not table.rows else "nothing was printed" if not output.strip() else ""
+            stale = [] if empty else stale_rows(table, output)
             good &= not stale and not failure and not empty
             if failure or empty:
                 print(f"  {table.place}: FAILED ({failure or empty})", flush=True)
@@ -600,7 +599,7 @@ def main() -> int:
     good = arguments.list or check(tables, arguments.seconds, writing=arguments.write, outputs=arguments.outputs)
     if not arguments.list:
         show_list([table for table in tables if table.measurement is None])
-    lost = missing(chosen(all_blocks(ROOT), arguments.words))
+    lost = missing_commits(chosen(all_blocks(ROOT), arguments.words))
     print(*lost, sep="\n", end="\n" if lost else "")
     return 0 if good and not lost else 1
 
