@@ -1,17 +1,17 @@
 """Mistakes in recordings of random arms, and what `dynid identify` makes of them (docs/measurements/checks.md).
 
-    python -m studies.checks.random_mistakes 12
-    python -m studies.checks.random_mistakes further 20
+    python -m studies.checks.random_mistakes ARMS [FURTHER]
     python -m studies.checks.random_mistakes delay 6
 
 Serial arms of 3 to 7 joints, one in four with a sliding one, as heavy as arms of their length are; 15 s at 100 Hz of a
 random motion. Every other arm has friction, ripple and noise that the model does not know. Each mistake is made at a
 joint drawn at random and read from the checks of a whole identification (plain friction, no search of a delay): the
-first check that blames something is right, right among others that explain the data as well, wrong, or none is raised.
-The number of arms is the argument; with 12 it takes eight minutes of processor time.
+first check that blames something is right, right among others that explain the data as well (*among*), wrong, or none
+is raised (*missed*); *beside* are right names beside which another mistake is named. ARMS and FURTHER are numbers of
+arms, or seeds separated by commas; an arm takes forty seconds of processor time.
 
-`further`: arms of 0.1 to 300 kg and 3 to 8 joints, half of them built as arms are and half with random frames, one in
-three with a sliding joint (a lift, or the instrument of a surgical arm), torque noise of 1 to 10 % of each joint's
+Further ones: arms of 0.1 to 300 kg and 3 to 8 joints, half of them built as arms are and half with random frames, one
+in three with a sliding joint (a lift, or the instrument of a surgical arm), torque noise of 1 to 10 % of each joint's
 torque, encoder steps of 1e-6 to 1.5e-3 rad, positions with as much noise. `delay`: lifts with an arm of seven joints
 and a light wrist, 50 Hz, positions that jitter, torques that are late; the delay as it is estimated.
 """
@@ -62,6 +62,9 @@ CLAUSES = {
     "inconsistent-gain": "the drive gain of {joint} ", "wrong-gain": "the drive gain of {joint} ",
 }  # fmt: skip
 """What their sentences say of others that explain the data equally well."""
+
+KINDS = {"right": "named", "among others": "among", "missed": "missed", "wrong": "wrong", "refused": "refused",
+         "beside": "beside"}  # fmt: skip
 
 Change = Callable[[Recording], Recording]
 
@@ -393,8 +396,8 @@ def outcome(mistake: Mistake, run: Recording, robot_file: RobotFile) -> tuple[st
     return judged(mistake, found.checks, robot_file.robot.joint_names), found.validation.relative_error
 
 
-def campaign(arms: Iterable[tuple[str, int, RobotFile, Recording]]) -> None:
-    """Print, of each mistake, how often it was named, and what it was called instead."""
+def campaign(arms: Iterable[tuple[str, int, RobotFile, Recording]]) -> dict[str, list[str]]:
+    """Of each mistake, what was said on each arm."""
     rows: dict[str, list[str]] = {}
     for label, seed, robot_file, run in arms:
         model = build_model(robot_file)
@@ -408,12 +411,19 @@ def campaign(arms: Iterable[tuple[str, int, RobotFile, Recording]]) -> None:
                 flush=True,
             )
             rows.setdefault(mistake.name, []).append(said)
-    kinds = ("right", "among others", "wrong", "missed", "refused")
-    print(f"| mistake | {' | '.join(kinds)} | a second name beside |\n|---|{'---|' * (len(kinds) + 1)}")
-    for name, said_of in rows.items():
-        counts = Counter(said.split(":")[0].split(" (")[0] for said in said_of)
-        beside = sum(" (and " in said for said in said_of)
-        print(f"| {name} | {' | '.join(str(counts[kind] or '') for kind in kinds)} | {beside or ''} |")
+    return rows
+
+
+def cell(name: str, said_of: Sequence[str]) -> str:
+    """How often a mistake was named, and what else happened."""
+    if not said_of:
+        return "–"
+    counts = Counter(said.split(":")[0].split(" (")[0] for said in said_of)
+    counts["beside"] = sum(" (and " in said for said in said_of)
+    good = "missed" if name == "nothing" else "right"
+    others = [f"{counts[kind]} {word}" for kind, word in KINDS.items() if kind != good and counts[kind]]
+    silent = " silent" if name == "nothing" else ""
+    return ", ".join([f"{counts[good]} of {len(said_of)}{silent}", *others])
 
 
 def first_arms(seeds: Iterable[int]) -> Iterator[tuple[str, int, RobotFile, Recording]]:
@@ -470,6 +480,11 @@ if __name__ == "__main__":
     if sys.argv[1] == "delay":
         delays(int(sys.argv[2]))
         sys.exit()
-    kind, numbers = ("first", sys.argv[1]) if sys.argv[1][0].isdigit() else (sys.argv[1], sys.argv[2])
-    chosen = range(1, 1 + int(numbers)) if numbers.isdigit() else [int(one) for one in numbers.split(",") if one]
-    campaign(further_arms(chosen) if kind == "further" else first_arms(chosen))
+    chosen = [
+        range(1, 1 + int(numbers)) if numbers.isdigit() else [int(one) for one in numbers.split(",") if one]
+        for numbers in (sys.argv[1], sys.argv[2] if len(sys.argv) > 2 else "0")
+    ]
+    columns = campaign(first_arms(chosen[0])), campaign(further_arms(chosen[1]))
+    print(f"| mistake | {len(chosen[0])} arms | {len(chosen[1])} further arms |\n|---|---|---|")
+    for name in dict.fromkeys([*columns[0], *columns[1]]):
+        print(f"| {name} | {' | '.join(cell(name, column.get(name, [])) for column in columns)} |")
