@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Lock
+from types import ModuleType
 from typing import Protocol
+
+_STARTING = Lock()
 
 
 class Worker(Protocol):
@@ -25,20 +30,38 @@ class Worker(Protocol):
 
 
 @contextmanager
+def started_without_main() -> Iterator[None]:
+    """Start processes (`multiprocessing`) in this context: they don't run the user's script again.
+
+    Python's children import the module that runs, so that a script without `if __name__ == "__main__":` would begin
+    once more in each, with an arm that moves perhaps. What dynid's processes need is in modules.
+    """
+    with _STARTING:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = ModuleType("__main__")
+        try:
+            yield
+        finally:
+            sys.modules["__main__"] = main
+
+
+@contextmanager
 def started_without_interrupt() -> Iterator[None]:
-    """Start processes (`multiprocessing`, spawn) in this context: Ctrl-C is blocked in them from the first instruction.
+    """As `started_without_main`, and Ctrl-C is blocked in the processes from the first instruction.
 
     Blocked, not ignored: this process gets a Ctrl-C of this moment a little later.
     """
     if not hasattr(signal, "pthread_sigmask"):
-        yield
+        with started_without_main():
+            yield
         return
     from multiprocessing import resource_tracker  # not on Windows
 
     resource_tracker.ensure_running()  # before: where it starts, it lifts the mask
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        yield
+        with started_without_main():
+            yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 

@@ -12,6 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from daq.recording.recording import Recording
+from drivers.core.child_process import started_without_main
 from drivers.core.cluster import cluster_executor, why_lost
 from drivers.core.errors import DataError, DynidError
 from drivers.core.reading_process import Progress
@@ -97,7 +98,7 @@ def _judge(folder: Path, scheduler: str) -> Iterator[Judge]:
         return
 
     def in_a_process(dataset: Dataset, place: str) -> Future[Judged]:
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool, started_without_main():
             return pool.submit(judge_method, dataset, place, folder)
 
     yield in_a_process

@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from drivers.core.blas import one_blas_thread
+from drivers.core.child_process import started_without_main
 from drivers.core.cluster import cluster_executor, why_lost
 from ident.fleet.job import JobOutcome, run_job
 from ident.fleet.plan import Job
@@ -55,7 +56,8 @@ def _in_a_process(context: Any, job: Job, out: str) -> JobOutcome:
     """Run a job in a process of its own, which gives its memory back and takes nobody with it when it dies."""
     receiving, sending = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(sending, job, out))  # it starts processes itself
-    process.start()
+    with started_without_main():
+        process.start()
     sending.close()
     try:
         with receiving:
