@@ -211,7 +211,7 @@ def estimate_alone(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def with_checks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Identify as dynid does, in a module of `estimates_alone`."""
-    from ident.identify.checks import identification_checks
+    from ident.identify.checks.checks import identification_checks
     from ident.simulation.open_loop import open_loop
     from ident.simulation.tracking import track_longest
 
@@ -236,7 +236,7 @@ def mistakes_not_sought() -> Iterator[None]:
     For a module whose tests look at other checks, or at what is made of a result.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("ident.identify.checks._mistake_checks", lambda _: [])
+        patch.setattr("ident.identify.checks.checks._mistake_checks", lambda _: [])
         yield
 
 

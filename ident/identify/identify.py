@@ -23,8 +23,8 @@ from ident.estimators.feasible.consistent import ConsistentParameters, found_con
 from ident.estimators.robust.reweighting import without_rejected
 from ident.estimators.torque_estimator import reduce_torques
 from ident.friction.terms import NO_TERMS
-from ident.identify.body_checks import refuse_denied
-from ident.identify.checks import identification_checks
+from ident.identify.checks.body_checks import refuse_denied
+from ident.identify.checks.checks import identification_checks
 from ident.identify.data_split import check_torques, split_data
 from ident.identify.friction.extensions import low_speed_error
 from ident.identify.friction.fit import fit_friction

@@ -20,10 +20,10 @@ from ident.assessment.recording_checks import stale_checks, unit_checks
 from ident.assessment.refit import Refit, Unknown
 from ident.assessment.torque_level import torque_level_checks, weight_checks
 from ident.estimators.torque_estimator import reduce_torques
-from ident.identify.body_checks import with_opposite_torques
+from ident.identify.checks.body_checks import with_opposite_torques
+from ident.identify.checks.residual_bursts import burst_checks
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
-from ident.identify.residual_bursts import burst_checks
 from ident.model.regressor import RegressorKernel
 from ident.regression.comparison import compare_torques
 from ident.regression.least_squares import weighted_least_squares

@@ -128,13 +128,13 @@ class Bench:
 
     def found(self, *recordings: Recording, **options: Any) -> Names:
         """Checks of an identification that seeks no mistakes of signs, columns, gains and lengths: half of its time."""
-        with patch("ident.identify.checks._mistake_checks", return_value=[]):
+        with patch("ident.identify.checks.checks._mistake_checks", return_value=[]):
             return self.tested(*recordings, **options)
 
     def late_and_ahead(self) -> Names:
         """Checks of the recording with a late position, where the torque of the whole arm seems to lead."""
         ahead = [raised("torque-ahead", "the torque leads")]
-        with patch("ident.identify.checks.delay_checks", return_value=ahead):
+        with patch("ident.identify.checks.checks.delay_checks", return_value=ahead):
             return self.tested(changed(self.recorded(), late, "position"))
 
     def tested(self, *recordings: Recording, **options: Any) -> Names:

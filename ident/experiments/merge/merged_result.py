@@ -18,10 +18,10 @@ from ident.assessment.validation import Fit
 from ident.estimators.feasible.consistent import ConsistentParameters, found_consistent
 from ident.experiments.merge.merge import CONTRADICTING, MergedEstimate, identifiable_columns, merge
 from ident.experiments.merge.merge_input import MergeInput, merge_inputs, used_recordings
-from ident.identify.body_checks import body_checks
-from ident.identify.checks import consistency_checks
+from ident.identify.checks.body_checks import body_checks
+from ident.identify.checks.estimate_checks import consistency_checks
+from ident.identify.checks.extrapolation import extrapolation_checks
 from ident.identify.data_split import labelled
-from ident.identify.extrapolation import extrapolation_checks
 from ident.identify.held_out import HeldOutRun, delivered_model, model_verdict
 from ident.identify.revalidate import Revalidation, revalidate
 from ident.identify.summary import gain_results, parameter_results

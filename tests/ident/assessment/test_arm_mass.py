@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from daq.robot.loader import load_robot, parse_robot
 from ident.assessment.arm_mass import PER_PAYLOAD, end_shown, mass_of_size
-from ident.identify.body_checks import WRIST, _total_checks
+from ident.identify.checks.body_checks import WRIST, _total_checks
 from ident.model.dynamic_model import build_model
 
 GANTRY = """\

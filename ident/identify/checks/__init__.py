@@ -1,0 +1,1 @@
+"""Checks of an identification, which decide its verdict."""
