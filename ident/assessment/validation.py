@@ -92,10 +92,10 @@ def overfitting_checks(fitted: Fit, held_out: Fit) -> list[Check]:
     grown = min(ratio, _times_larger(fitted.joint_relative_error, held_out.joint_relative_error))
     if not grown > MUCH_LARGER or held_out.relative_error - fitted.relative_error < LEAST_DIFFERENCE:
         return []
-    larger = f"the validation's torque errors are {ratio:.1f} times the identification's"
+    larger = f"the joints' torque errors in the validation are {ratio:.1f} times the identification's"
     if np.isfinite(fitted.relative_error) and np.isfinite(held_out.relative_error):
         shares = (percent_text(errors.relative_error, 2) for errors in (held_out, fitted))
-        larger += f" ({' against '.join(shares)} of the torque)"
+        larger += f" ({' against '.join(shares)} of the whole arm's torque)"
     moving = _times_larger(fitted.high_speed_rmse, held_out.high_speed_rmse)
     if moving <= MUCH_LARGER:
         text = f"{larger}, at high speed only {moving:.1f} times: friction near standstill, where no static model holds"

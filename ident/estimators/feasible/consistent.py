@@ -34,6 +34,9 @@ RESISTING = 0.05
 PRECISION = 1e6
 """Torques count as no more exact than this share of their size: noise-free data would leave the prior no digits."""
 
+MOST_INFLATED = 10.0
+"""Largest variance of a combination over its white one, over their median, that counts in the mean."""
+
 DENIED, EASED = 1e-3, 0.5
 """The robot file's values and ranges are compared with the data where bodies with them explain the data with a p-value
 below this; they are contradicted where the misfit without them is below this share."""
@@ -206,12 +209,15 @@ def bounded_precision(estimate: Estimate) -> Estimate:
 
     The factor behind an estimate counts every residual as independent; its covariance, corrected by the jackknife, says
     what they are worth. Otherwise a prior would fade as the sampling rate grows. Friction that changes between runs
-    says nothing of the torques' precision: all bodies would follow their prior for it.
+    says nothing of the torques' precision: all bodies would follow their prior for it. Nor does a combination that one
+    block of the jackknife shows alone, whose variance has no bound.
     """
     covariance = estimate.covariance if estimate.within is None else estimate.within
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    spread = estimate.root @ covariance @ estimate.root.T
-    inflation = float(np.trace(spread)) / max(1, len(spread))
+    inflations = np.einsum("ij,jk,ik->i", estimate.root, covariance, estimate.root)
+    inflation = (
+        float(np.mean(np.minimum(inflations, MOST_INFLATED * np.median(inflations)))) if len(inflations) else 1.0
+    )
     root = estimate.root / np.sqrt(max(1.0, inflation))
     size = float(np.linalg.norm(root @ estimate.values))
     return replace(estimate, root=root * min(1.0, PRECISION / max(size, 1e-300)))

@@ -185,7 +185,7 @@ class FrictionSearch:
                 return steps
             after, term, ways = min(options, key=lambda option: float(option[0].sum()))
             fitted, way, _ = self.best(motor, ways, self._total)
-            if way is None:
+            if way is None or not np.isfinite(before.sum() + after.sum()):  # other folds do not determine it
                 return steps
             freedom = len(way.candidates) - (way.dropped is not None) + (way.shape is not None)
             independent = max(1.0, float(self._shares[motor]) * rows - len(self._columns(motor, way)))

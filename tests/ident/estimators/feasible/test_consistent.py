@@ -295,14 +295,18 @@ def test_partial_priors_keep_what_they_do_not_name() -> None:
     np.testing.assert_allclose(central[0], central[1], rtol=1e-9, atol=1e-12)
 
 
-def test_the_length_of_the_data_does_not_matter() -> None:
-    """The same triangular factor from four times the rows of half the weight each."""
+def test_neither_the_length_of_the_data_nor_what_one_part_shows_alone_matters() -> None:
+    """The same factor from four times the rows of half the weight each, and with an unbounded jackknife variance."""
     robot_file = load_robot("up6")
     model = build_model(robot_file)
     base, estimate = estimated(model, truth_vector(robot_file), 0.02)
     again = replace(estimate, root=np.linalg.qr(np.vstack([0.5 * estimate.root] * 4), mode="r"))
-    first, second = (consistent_parameters(model, base, e, robot_file) for e in (estimate, again))
+    weakest = np.linalg.inv(estimate.root)[:, -1]
+    alone = replace(estimate, covariance=estimate.covariance + 1e8 * np.outer(weakest, weakest))
+    first, second, third = (consistent_parameters(model, base, e, robot_file) for e in (estimate, again, alone))
     np.testing.assert_allclose(first.base, second.base, rtol=1e-6, atol=1e-9)
+    errors = [np.linalg.norm(estimate.root @ (of.base - estimate.values)) for of in (first, third)]
+    assert errors[1] < 2.0 * errors[0]
 
 
 def test_the_test_of_consistency_keeps_its_level_and_finds_what_cannot_exist() -> None:

@@ -12,7 +12,8 @@ from friction_experiment_arm import TWO_BODIES
 from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import DataError, ModelError, UsageError
 from ident.friction.choice import check_friction, chosen_friction
-from ident.identify.friction.candidates import candidates_of
+from ident.identify.friction.candidates import FOLDS, CandidateGrams, candidates_of
+from ident.identify.friction.selection import FrictionSearch
 from ident.identify.friction.shapes import with_curvature, with_free_shapes
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify
@@ -161,6 +162,17 @@ def test_automatic_choice_finds_what_there_is():
     assert [(step.joint, step.term) for step in found.friction.steps if step.accepted] == [("j1", "stribeck")]
     assert found.model.has("stribeck") == (True, False)
     assert found.validation.relative_error < 0.7 * plain.validation.relative_error
+
+
+@pytest.mark.parametrize("only", [False, True])
+def test_what_one_fold_alone_determines_is_no_ground_for_a_choice(only):
+    candidates = candidates_of(true_model(arm()), np.full(2, 2.0))[:1]
+    rows = np.random.default_rng(1).standard_normal((FOLDS, 99, 3 + len(candidates[0])))
+    rows[1:, :, 1] *= not only
+    grams = CandidateGrams(candidates, ((0, 1),), (rows.transpose(0, 2, 1) @ rows,), np.full((FOLDS, 1), 99.0), 2)
+    steps = FrictionSearch(grams, (0, 1), (1,), (0,), (0,), np.ones(1)).choose(0, "j1")
+    assert (not steps) == only
+    assert all(np.isfinite([step.error_before, step.error_after]).all() for step in steps)
 
 
 def test_prediction_and_storage_agree(full, tmp_path):
