@@ -28,7 +28,7 @@ from ident.excite.path import JointPath
 from ident.excite.prior import PriorKnowledge
 from ident.excite.search.problem import DesignProblem
 from ident.excite.search.search import SearchChoices
-from ident.excite.search.solve import ROUNDS, solve
+from ident.excite.search.start import ROUNDS, solve
 from ident.model.dynamic_model import build_model
 from ident.model.dynamics.pinocchio_model import PINOCCHIO_ORDER
 from ident.model.parameters import INERTIAL

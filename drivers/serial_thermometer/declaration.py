@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from drivers.declaration import DriverDeclaration, SimulatedBackEnd
 
-_SERVING = "sim_drivers.thermometer.serving"
+_SERVING = "sim_drivers.thermometer.server"
 
 DECLARATION = DriverDeclaration(
     driver="drivers.serial_thermometer.driver:SerialThermometerDriver",

@@ -11,9 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.core.errors import UsageError
-from drivers.serial_servos.joint_map import read_calibration, scale_of
 from drivers.serial_servos.registers import Register, known_models, servo_table
-from drivers.serial_servos.settings import parse_settings
+from drivers.serial_servos.settings import parse_settings, read_calibration, scale_of
 
 SIGNS = st.sampled_from(["none", "two's complement", 10, 11, 15])
 

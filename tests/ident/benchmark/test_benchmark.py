@@ -44,8 +44,7 @@ from ident.benchmark.entry import (
     load_method,
     torque_predictor,
 )
-from ident.benchmark.forward import forward_error
-from ident.benchmark.judge import agreement, judge_servo, judge_torques
+from ident.benchmark.judge import agreement, forward_error, judge_servo, judge_torques
 from ident.benchmark.motion import motions
 from ident.benchmark.results import Benchmark, Entry
 from ident.benchmark.run import judge_method, run_benchmark

@@ -15,8 +15,7 @@ from html_page import Page
 
 from daq.recording.recording import Channel, Event, Recording, Stream
 from drivers.core.errors import UsageError
-from ident.checks.page.page import JSON_FILE, MOST_GAPS, PAGE_FILE, render_page, write_page
-from ident.checks.page.plots import MOST_COLUMNS
+from ident.checks.page.page import JSON_FILE, MOST_COLUMNS, MOST_GAPS, PAGE_FILE, render_page, write_page
 from ident.checks.recording_check import info_object, recording_info
 from ident.model.dynamic_model import build_model
 from sim_drivers.synthetic.measurement import random_fourier_motion, simulate_recording

@@ -18,8 +18,7 @@ from ident.excite.path import JointPath
 from ident.excite.prior import find_prior
 from ident.excite.search.acceptance import DENSER
 from ident.excite.search.search import SearchChoices
-from ident.excite.search.solve import solve, tighten
-from ident.excite.search.start import random_start
+from ident.excite.search.start import random_start, solve, tighten
 
 QUICK = SearchChoices(seed=1, starts=1, workers=1)
 UP6 = load_robot("up6")

@@ -19,7 +19,7 @@ import pytest
 import dynid
 from drivers.core import cluster
 from drivers.core.errors import ConnectionFailedError, UsageError
-from ident.fleet import workers
+from ident.fleet import fleet as running
 from ident.fleet.fleet import FLEET_RESULT, identify_fleet
 from ident.fleet.job import local_copies, run_job
 from ident.fleet.plan import FAN_IN, Job, merges, read_fleet
@@ -140,15 +140,15 @@ def test_an_interrupted_worker_is_silent(tmp_path, monkeypatch, capfd):
         raise KeyboardInterrupt
 
     (job,) = read_fleet(written(tmp_path, "arms: [{name: a, recordings: [a.h5]}]"))
-    monkeypatch.setattr(workers, "run_job", ctrl_c)
-    assert "process died" in workers._in_a_process(multiprocessing.get_context("fork"), job, str(tmp_path)).failure
+    monkeypatch.setattr(running, "run_job", ctrl_c)
+    assert "process died" in running._in_a_process(multiprocessing.get_context("fork"), job, str(tmp_path)).failure
     assert capfd.readouterr().err == ""
 
 
 def test_a_worker_that_dies_is_an_outcome(tmp_path, monkeypatch):
     (job,) = read_fleet(written(tmp_path, "arms: [{name: a, recordings: [a.h5]}]"))
-    monkeypatch.setattr(workers, "run_job", lambda *_: os._exit(9))
-    outcome = workers._in_a_process(multiprocessing.get_context("fork"), job, str(tmp_path))
+    monkeypatch.setattr(running, "run_job", lambda *_: os._exit(9))
+    outcome = running._in_a_process(multiprocessing.get_context("fork"), job, str(tmp_path))
     assert outcome.failure.startswith("its process died (exit status 9)")
 
 
@@ -156,14 +156,14 @@ def test_a_worker_of_another_version_is_an_outcome(tmp_path):
     (job,) = read_fleet(written(tmp_path, "arms: [{name: a, recordings: [a.h5]}]"))
     future = Future()
     future.set_result(replace(run_job(job, str(tmp_path)), key="of another version", failure=""))
-    assert "another version" in workers._outcome(future, job).failure
+    assert "another version" in running._outcome(future, job).failure
 
 
 def test_a_dask_cluster_does_the_same(tmp_path):
     distributed = pytest.importorskip("distributed", reason="needs the extra 'dask'")
     jobs = read_fleet(written(tmp_path, "arms: [{name: a, recordings: [a.h5, b.h5]}]"))
     with distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as local:
-        ended = list(workers.outcomes(jobs, str(tmp_path), 1, local.scheduler_address))
+        ended = list(running.outcomes(jobs, str(tmp_path), 1, local.scheduler_address))
     assert sorted(outcome.name for outcome in ended) == ["a/a/wls", "a/b/wls"]
     assert all("no such file" in outcome.failure for outcome in ended)
 
@@ -185,10 +185,10 @@ def test_a_scheduler_that_is_not_there_is_named(tmp_path, monkeypatch):
     pytest.importorskip("distributed", reason="needs the extra 'dask'")
     monkeypatch.setattr(cluster, "CONNECT_TIMEOUT", 0.2)
     with pytest.raises(ConnectionFailedError, match="no Dask scheduler answers"):
-        list(workers.outcomes((), str(tmp_path), 1, "tcp://127.0.0.1:9"))
+        list(running.outcomes((), str(tmp_path), 1, "tcp://127.0.0.1:9"))
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(UsageError, match="needs Dask"):
-        list(workers.outcomes((), str(tmp_path), 1, "tcp://127.0.0.1:9"))
+        list(running.outcomes((), str(tmp_path), 1, "tcp://127.0.0.1:9"))
 
 
 def assert_fetched(there: str, recording: Path, folder: Path) -> None:

@@ -43,7 +43,7 @@ from sim_drivers.plant.plant import Plant
 from sim_drivers.rtde.server import RtdeServer
 from sim_drivers.serial_servos.server import SerialServoServer
 from sim_drivers.served import SimOptions
-from sim_drivers.thermometer.serving import serve
+from sim_drivers.thermometer.server import serve
 
 CHANNELS = itertools.count()
 JOINTS = ("shoulder", "elbow")

@@ -36,13 +36,16 @@ from sim_drivers.plant.plant import Plant
 from sim_drivers.pseudo_terminal import PseudoTerminal
 from sim_drivers.served import SimOptions
 from sim_drivers.thermometer.server import (
+    PERIOD,
     SLICE,
+    BesideThermometer,
     SimulatedThermometer,
     ThermometerServer,
+    serve,
     serve_thermometer,
     simulated_thermometer,
+    thermometer_keys,
 )
-from sim_drivers.thermometer.serving import PERIOD, BesideThermometer, serve, thermometer_keys
 
 PATTERN = r"T(?P<channel>\w+)=(?P<value>[-+.\d]+)"
 JOINTS = ("shoulder", "elbow")

@@ -15,7 +15,7 @@ from drivers.core.errors import IdentificationError, UsageError
 from ident.excite.search import search as processes_module
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.search import SearchChoices, search
-from ident.excite.search.solve import solve
+from ident.excite.search.start import solve
 
 OPTIMUM = np.array([BEST[0], 0.99])  # the second joint's best place lies beyond its limit
 
