@@ -124,8 +124,8 @@ class ControlVersion:
 
     major: int
     minor: int
-    bugfix: int
-    build: int
+    bugfix: int = 0
+    build: int = 0
 
     def __str__(self) -> str:
         return f"{self.major}.{self.minor}.{self.bugfix}.{self.build}"

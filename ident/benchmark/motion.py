@@ -80,16 +80,17 @@ def motions(recording: Recording, robot: RobotFile, rate: float, states: float, 
         grid = np.arange(time[rows[0]], time[rows[-1]], 1.0 / native)
         if len(grid) / native < 3.0 * EDGE / band:
             continue
-        position = low_pass(_at(grid, time[rows], signals.position[rows]), states, native)
+        position = low_pass(values_at(grid, time[rows], signals.position[rows]), states, native)
         velocity = np.gradient(position, 1.0 / native, axis=0)
         acceleration = np.gradient(velocity, 1.0 / native, axis=0)
         every = slice(None, None, round(native / used))
-        torque = _at(grid, time[rows], of_joints[rows])
+        torque = values_at(grid, time[rows], of_joints[rows])
         read.append(BenchmarkMotion(used, band, position[every], velocity[every], acceleration[every], torque[every]))
     if not read:
         raise DataError(f"no gap-free motion lasts {3.0 * EDGE / band:.2g} s", where=recording.label)
     return read
 
 
-def _at(grid: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
+def values_at(grid: FloatArray, time: FloatArray, values: FloatArray) -> FloatArray:
+    """Values (N, n) at times (N,), interpolated at those of a grid."""
     return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)

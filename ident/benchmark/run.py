@@ -12,7 +12,7 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from daq.recording.recording import Recording
-from drivers.core.child_process import started_without_main
+from drivers.core.child_process import peak_memory, started_without_main
 from drivers.core.cluster import cluster_executor, why_lost
 from drivers.core.errors import DataError, DynidError
 from drivers.core.reading_process import Progress
@@ -139,14 +139,14 @@ def judge_method(dataset: Dataset, place: str, folder: Path) -> Judged:
     seconds = time.process_time() - start
     if dataset.kind == "servo":
         score = judge_servo(servo_predictor(predicted, place), data.test, data.robot, dataset.judged)
-        return Judged(score, None, seconds, _peak_memory())
+        return Judged(score, None, seconds, peak_memory())
     predictor = torque_predictor(predicted, place)
     torques = judge_torques(predictor, list(_motions(data, data.test)), data.robot)
     parameters = None
     if predictor.parameters:
         first, second = (torque_predictor(method(half), place) for half in _halves(data))
         parameters = agreement(first, second)
-    return Judged(torques, parameters, seconds, _peak_memory())
+    return Judged(torques, parameters, seconds, peak_memory())
 
 
 def _motions(data: LoadedData, recordings: Sequence[Recording]) -> tuple[BenchmarkMotion, ...]:
@@ -169,15 +169,3 @@ def _halves(data: LoadedData) -> tuple[Training, Training]:
         sides = (part(runs[0], 0.0, middle),), (part(runs[0], middle, None),)
     first, second = (Training(data.robot, side, _motions(data, side)) for side in sides)
     return first, second
-
-
-def _peak_memory() -> float:
-    """Largest memory of this process [MB]; nan where the system does not say."""
-    try:
-        import resource
-    except ImportError:
-        return float("nan")
-    import sys
-
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / (1e6 if sys.platform == "darwin" else 1e3)

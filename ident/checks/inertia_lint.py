@@ -22,7 +22,7 @@ from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.dynamics.rigid_arm import RigidArm, rigid_arm
 from ident.model.kinematics.urdf import urdf_inertias
 from ident.model.kinematics.urdf_shapes import UnusableShapeError, lengths, mesh_folders, mesh_vertices, placed_shape
-from ident.model.parameters import link_parameters
+from ident.model.parameters import inertia_tensor, link_parameters
 
 TRIANGLE = 1.01
 """Largest principal moment over the sum of the others from which on no body has them; published digits are rounded."""
@@ -181,7 +181,7 @@ def bodies_of_truth(robot_file: RobotFile, model: DynamicModel) -> tuple[LintedB
         mass, com, inertia = (
             (0.0, np.zeros(3), np.zeros((3, 3)))
             if link is None
-            else (link.mass, np.array(link.com), _matrix(link.inertia))
+            else (link.mass, np.array(link.com), inertia_tensor(link.inertia))
         )
         bodies.append(LintedBody(joint.name, joint.parent, mass, com, inertia, None, reach))
     return tuple(bodies)
@@ -238,12 +238,7 @@ def _inertial(link: ElementTree.Element) -> tuple[float, FloatArray, FloatArray]
     mass, moments = inertial.find("mass"), inertial.find("inertia")
     stated = {} if moments is None else moments.attrib
     values = [float(stated.get(key, 0.0)) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
-    return float(0.0 if mass is None else mass.get("value", 0.0)), com, rotation @ _matrix(values) @ rotation.T
-
-
-def _matrix(values: Sequence[float]) -> FloatArray:
-    xx, xy, xz, yy, yz, zz = values
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return float(0.0 if mass is None else mass.get("value", 0.0)), com, rotation @ inertia_tensor(values) @ rotation.T
 
 
 class _Origin:

@@ -53,6 +53,17 @@ class TorqueEstimator:
         return self.solve(estimation.reduction, columns)
 
 
+@dataclass(frozen=True)
+class SystemEstimator(TorqueEstimator):
+    """An estimate that is the solution of a system in the place of the torque equations."""
+
+    def restricted(self, estimation: Estimation, columns: Sequence[int]) -> LeastSquares:
+        """The same system solved for fewer base columns."""
+        full = estimation.solution
+        solved = solve_weighted(estimation.reduction, columns, full.weights, full.method)
+        return replace(solved, joint_std=full.joint_std)
+
+
 def reduce_torques(kernel: RegressorKernel, runs: Sequence[Prepared], torques: Sequence[int]) -> Reduction:
     """The torque equations of all data, those of some motors only."""
     return only_torques(
@@ -101,8 +112,3 @@ def triangular_system(
     solution = solve_weighted(reduction, active, weights, method, iterations)
     deviations = residual_deviations(plain, solution.parameters, len(solution.active))
     return TriangularSystem(reduction, replace(solution, joint_std=deviations))
-
-
-def restricted_solution(reduction: Reduction, full: LeastSquares, columns: Sequence[int]) -> LeastSquares:
-    """The same system solved for fewer base columns."""
-    return replace(solve_weighted(reduction, columns, full.weights, full.method), joint_std=full.joint_std)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -14,15 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 from daq.output_files import RESULT_FILE, replace_files
 from daq.recording.reader import read_recording
+from drivers.core.child_process import peak_memory
 from drivers.core.errors import DynidError, UsageError
 from drivers.core.text import parsed_json
 from ident.fleet.plan import Job, is_url
 
 if TYPE_CHECKING:
     from ident.tasks.identification import IdentificationResult
-
-if sys.platform != "win32":
-    import resource
 
 JOB_FILE = "job.json"
 """Name of the outcome beside the result; written last, so that what is not whole is done again."""
@@ -75,7 +72,7 @@ def run_job(job: Job, out: str) -> JobOutcome:
         key,
         failure=" ".join(failure.split()),
         seconds=time.process_time() - begun,
-        peak_memory=_peak_memory(),
+        peak_memory=peak_memory(),
         **figures,
     )
     if folder.is_dir():
@@ -135,13 +132,6 @@ def _figures(found: IdentificationResult) -> dict[str, Any]:
         "error": errors.relative_error if errors else None,
         "worst_joint": verdict.joints[0].joint if verdict.joints else "",
     }
-
-
-def _peak_memory() -> float:
-    if sys.platform == "win32":
-        return float("nan")
-    size = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return size / (1e6 if sys.platform == "darwin" else 1e3)
 
 
 @contextmanager

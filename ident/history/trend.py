@@ -78,7 +78,6 @@ class Trend:
     change_half: float  # half of its interval
     p_value: float  # of no change
     per_kelvin: float | None  # by the joint's temperature, at its mean; None where that is not known or does not vary
-    per_kelvin_half: float | None  # half of its interval
     mean_temperature: float | None  # to which values are corrected [°C]; None likewise
     scatter: float  # σ between results, beside that of their identification
     steps: tuple[TrendStep, ...]  # in time
@@ -133,14 +132,13 @@ def estimate_trend(series: Series, step_level: float) -> Trend | None:
         [[series.time[k] >= step.after for step in estimated] for k in range(len(series))], dtype=np.float64
     )
     shape = np.column_stack([np.ones(len(series)), _relative(series.time, series), np.zeros_like(own_heat), passed])
-    per_kelvin = fit.estimate(fit.unit(2)) if heat.shape[1] else (None, None)
+    per_kelvin = fit.estimate(fit.unit(2))[0] if heat.shape[1] else None
     return Trend(
         start=float(fit.mean[0]),
         change=change,
         change_half=change_half,
         p_value=fit.p_value(of_change),
-        per_kelvin=per_kelvin[0],
-        per_kelvin_half=per_kelvin[1],
+        per_kelvin=per_kelvin,
         mean_temperature=mean if heat.shape[1] else None,
         scatter=fit.scatter,
         steps=tuple(sorted(estimated, key=lambda step: step.after)),

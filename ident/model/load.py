@@ -23,7 +23,7 @@ from drivers.core.ranges import MASS as MASS_RANGE
 from ident.linear_algebra.independent_columns import independent_columns
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel
-from ident.model.parameters import INERTIAL, MASS, link_parameters
+from ident.model.parameters import INERTIAL, MASS, inertia_tensor, link_parameters
 
 FIRST_MOMENTS = tuple(INERTIAL.index(symbol) for symbol in ("MX", "MY", "MZ"))
 
@@ -59,8 +59,7 @@ class KnownLoad:
         if self.inertia is not None and self.com is None:
             raise UsageError("--inertia without --com has no reference point", hint="give the centre of mass, too")
         if self.inertia is not None:
-            xx, xy, xz, yy, yz, zz = self.inertia
-            moments = np.linalg.eigvalsh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+            moments = np.linalg.eigvalsh(inertia_tensor(self.inertia))
             if moments[0] < -ROUNDED * moments[2] or (1 + ROUNDED) * (moments[0] + moments[1]) < moments[2]:
                 raise UsageError(
                     f"no body has the principal moments {', '.join(f'{moment:.3g}' for moment in moments)} kg·m²: none "

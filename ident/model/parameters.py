@@ -45,6 +45,12 @@ class StandardParameter:
     symbol: str  # the name without the number
 
 
+def inertia_tensor(inertia: Sequence[float]) -> FloatArray:
+    """The symmetric matrix (3, 3) of xx, xy, xz, yy, yz, zz."""
+    xx, xy, xz, yy, yz, zz = inertia
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
 def link_parameters(mass: float, com: Sequence[float], inertia: Sequence[float]) -> FloatArray:
     """Ten standard parameters (10,) of a link from its mass [kg], centre of mass (3,) [m] and the inertia there.
 

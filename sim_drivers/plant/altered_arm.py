@@ -15,6 +15,7 @@ from daq.robot.schema import Truth, TruthLink
 from drivers.core.errors import RobotFileError, UsageError
 from drivers.core.ranges import LENGTH, PAYLOAD
 from ident.model.dynamic_model import build_model
+from ident.model.parameters import inertia_tensor
 
 
 def with_load(robot_file: RobotFile, mass: float, com: Sequence[float], inertia: Sequence[float]) -> RobotFile:
@@ -42,7 +43,7 @@ def with_load(robot_file: RobotFile, mass: float, com: Sequence[float], inertia:
     total = link.mass + mass
     centre = (masses[0] * centres[0] + masses[1] * centres[1]) / total
     tensor = sum(
-        _tensor(about) + mass_of_body * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
+        inertia_tensor(about) + mass_of_body * (float(offset @ offset) * np.eye(3) - np.outer(offset, offset))
         for mass_of_body, about, offset in zip(
             masses, (link.inertia, inertia), [other - centre for other in centres], strict=True
         )
@@ -76,8 +77,3 @@ def with_payload(robot_file: RobotFile, text: str) -> RobotFile:
 
 def _with_truth(robot_file: RobotFile, truth: Truth) -> RobotFile:
     return robot_file.model_copy(update={"robot": robot_file.robot.model_copy(update={"truth": truth})})
-
-
-def _tensor(six: Sequence[float]) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    xx, xy, xz, yy, yz, zz = six
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -102,9 +102,9 @@ class RtdeServer(FaultyServer):
         )
         super().__init__("UR controller", names, clock)
         self.version = parse_version(version)
-        self.rate = self.version.rate if rate is None else rate
-        if not 1.0 <= self.rate <= self.version.rate:
-            raise UsageError(f"version {version} runs at up to {self.version.rate:g} Hz, not {self.rate:g}")
+        self.rate = self.version.maximum_rate if rate is None else rate
+        if not 1.0 <= self.rate <= self.version.maximum_rate:
+            raise UsageError(f"version {version} runs at up to {self.version.maximum_rate:g} Hz, not {self.rate:g}")
         self.host = host
         self.ports = ports
         self.controller = Controller(plant, self.version, 1.0 / self.rate, joints)

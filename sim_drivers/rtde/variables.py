@@ -10,10 +10,9 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from drivers.core.errors import UsageError
-from drivers.rtde.protocol import DATA_PACKAGE, TEXT_MESSAGE, encode_package
+from drivers.rtde.protocol import DATA_PACKAGE, TEXT_MESSAGE, ControlVersion, encode_package
 
 Value = float | int | bool | Sequence[float] | Sequence[int]
 
@@ -44,22 +43,8 @@ SIZES: Mapping[str, int] = {
 }
 
 
-@dataclass(frozen=True, order=True)
-class ControllerVersion:
-    """Version of a controller's software; CB3 controllers are 3.x, e-Series 5.x, PolyScope X 10.x."""
-
-    major: int
-    minor: int
-    bugfix: int = 0
-    build: int = 0
-
-    def __str__(self) -> str:
-        return f"{self.major}.{self.minor}.{self.bugfix}.{self.build}"
-
-    @property
-    def rate(self) -> float:
-        """Rate of the controller's loop [Hz]."""
-        return 125.0 if self.major == 3 else 500.0
+class ControllerVersion(ControlVersion):
+    """Version of a simulated controller's software; CB3 controllers are 3.x, e-Series 5.x, PolyScope X 10.x."""
 
     @property
     def has_dashboard(self) -> bool:

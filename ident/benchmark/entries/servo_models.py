@@ -7,6 +7,7 @@ import numpy as np
 from daq.recording.commanded_motion import TARGET, CommandedMotion
 from drivers.core.arrays import FloatArray
 from ident.benchmark.entry import ServoPredictor, Training
+from ident.benchmark.motion import values_at
 from ident.servo.arm_rollout import delay_and_lag as searched
 from ident.servo.arm_rollout import delayed_paths
 from ident.servo.identify import read_motions
@@ -20,7 +21,7 @@ def dynid_servo(training: Training) -> ServoPredictor:
 
     def roll_out(time: FloatArray, command: FloatArray, start: FloatArray) -> FloatArray:
         played = model.simulate(time, command, start=start)
-        return _at(time, played.time, played.position)
+        return values_at(time, played.time, played.position)
 
     return ServoPredictor(roll_out)
 
@@ -35,7 +36,7 @@ def delay_and_lag(training: Training) -> ServoPredictor:
         given = CommandedMotion(training.robot.robot.joint_names, time, positions, time, {TARGET: command})
         played = servo_motions(given, "commands")
         stamps = np.concatenate([motion.begin + motion.time for motion in played])
-        return _at(time, stamps, np.concatenate(delayed_paths(played, delay, lag)))
+        return values_at(time, stamps, np.concatenate(delayed_paths(played, delay, lag)))
 
     return ServoPredictor(roll_out)
 
@@ -43,10 +44,6 @@ def delay_and_lag(training: Training) -> ServoPredictor:
 def command_itself(training: Training) -> ServoPredictor:
     """The arm is where it was commanded to be."""
     return ServoPredictor(lambda time, command, start: command)
-
-
-def _at(time: FloatArray, stamps: FloatArray, values: FloatArray) -> FloatArray:
-    return np.stack([np.interp(time, stamps, column) for column in values.T], axis=1)
 
 
 for _method in (dynid_servo, delay_and_lag, command_itself):

@@ -23,7 +23,7 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method
-from ident.estimators.torque_estimator import TorqueEstimator, restricted_solution, triangular_system
+from ident.estimators.torque_estimator import SystemEstimator, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
 from ident.regression.comparison import TorqueSeries, compare_torques
 from ident.regression.hypothesis_tests import LEVEL, p_text
@@ -177,7 +177,7 @@ def repeated_segment(segment: Segment) -> Segment | None:
 
 
 @dataclass(frozen=True)
-class InstrumentalEstimator(TorqueEstimator):
+class InstrumentalEstimator(SystemEstimator):
     """Instrumental variables with the joints weighted by their residuals."""
 
     options: IvOptions  # where the instruments come from
@@ -249,10 +249,6 @@ class InstrumentalEstimator(TorqueEstimator):
             for segment, instruments in zip(run.segments, motions, strict=True)
         ]
         return moment_jackknife([torques for run in runs for torques in run.series], sources, estimation.solution)
-
-    def restricted(self, estimation: Estimation, columns: Sequence[int]) -> LeastSquares:
-        """Two-stage least squares: fewer columns, the same instruments."""
-        return restricted_solution(estimation.reduction, estimation.solution, columns)
 
     def _source(self, runs: Sequence[Prepared], plain: Reduction, solution: LeastSquares) -> _Source:
         """The first motion in the order of `auto` that instruments can be made of.

@@ -16,7 +16,7 @@ from drivers.core.errors import IdentificationError, ModelError
 from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.feasible.consistent import found_consistent
 from ident.estimators.method import Method, NoOptions
-from ident.estimators.torque_estimator import TorqueEstimator, restricted_solution, triangular_system
+from ident.estimators.torque_estimator import SystemEstimator, triangular_system
 from ident.linear_algebra.triangular import QrAccumulator, triangular
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
 from ident.model.regressor import regressor
@@ -149,7 +149,7 @@ class OutputEstimation(Estimation):
 
 
 @dataclass(frozen=True)
-class OutputErrorEstimator(TorqueEstimator):
+class OutputErrorEstimator(SystemEstimator):
     """Least squares of the positions' errors, each joint's divided by its standard deviation."""
 
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
@@ -194,10 +194,6 @@ class OutputErrorEstimator(TorqueEstimator):
         return moment_jackknife(
             series, estimation.rows, replace(estimation.solution, weights=estimation.position_weights)
         )
-
-    def restricted(self, estimation: Estimation, columns: Sequence[int]) -> LeastSquares:
-        """The last linearised system of fewer columns."""
-        return restricted_solution(estimation.reduction, estimation.solution, columns)
 
 
 def _inverse_rms(rows: Sequence[OutputRows]) -> FloatArray:

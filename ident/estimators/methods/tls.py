@@ -18,11 +18,11 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import IdentificationError
 from ident.estimators.estimator import Estimation, EstimationLoop, Estimator, Setup
 from ident.estimators.method import Method, NoOptions
-from ident.estimators.torque_estimator import TorqueEstimator, restricted_solution, triangular_system
+from ident.estimators.torque_estimator import SystemEstimator, triangular_system
 from ident.linear_algebra.triangular import gram_root
 from ident.model.regressor import RegressorKernel
 from ident.regression.jackknife import CorrectedCovariance, FilteredRun
-from ident.regression.least_squares import LeastSquares, inverse_deviations, residual_deviations, weighted_least_squares
+from ident.regression.least_squares import inverse_deviations, residual_deviations, weighted_least_squares
 from ident.regression.moment_equations import SegmentRows, moment_jackknife
 from ident.regression.observation_matrix import Reduction, filtered_samples
 from ident.regression.total_least_squares import total_least_squares
@@ -124,7 +124,7 @@ class TlsEstimation(Estimation):
 
 
 @dataclass(frozen=True)
-class TlsEstimator(TorqueEstimator):
+class TlsEstimator(SystemEstimator):
     """Total least squares: the errors of W's columns from the positions' noise, those of τ from the residual."""
 
     def estimate(self, runs: Sequence[Prepared], plain: Reduction, active: Sequence[int]) -> Estimation:
@@ -167,10 +167,6 @@ class TlsEstimator(TorqueEstimator):
         ]
         series = [torques for run in runs for torques in run.series]
         return moment_jackknife(series, sources, estimation.solution, -estimation.correction[np.ix_(active, active)])
-
-    def restricted(self, estimation: Estimation, columns: Sequence[int]) -> LeastSquares:
-        """The corrected system of fewer columns."""
-        return restricted_solution(estimation.reduction, estimation.solution, columns)
 
 
 def _estimator(options: NoOptions, setup: Setup) -> Estimator:

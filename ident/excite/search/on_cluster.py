@@ -11,7 +11,7 @@ from drivers.core.errors import DynidError
 from ident.excite.choices import Solver
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.problem import DesignProblem
-from ident.excite.search.start import Report, random_start, run_start
+from ident.excite.search.start import Report, later_starts, random_start, run_start
 
 IN_FLIGHT = 32
 """Starts that a cluster has been given at once; a search for a time submits the next as one ends."""
@@ -46,20 +46,16 @@ class ClusterStarts:
         seconds: float | None,
     ) -> None:
         self.died = 0
-        self._executor, self._make, self._seed, self._solver, self._starts = executor, make, seed, solver, starts
+        self._executor, self._make, self._seed, self._solver = executor, make, seed, solver
         self._end = None if seconds is None else SYSTEM_CLOCK.now() + seconds
-        self._next = 1  # start 0 belongs to this process
+        self._starts = later_starts(starts)
         self._running: set[Future[list[Report]]] = set()
         for _ in range(IN_FLIGHT):
             self._submit()
 
     def next_start(self) -> int | None:
         """The next start that has not begun; None where all have."""
-        start = self._next
-        if self._starts is not None and start >= self._starts:
-            return None
-        self._next += 1
-        return start
+        return next(self._starts, None)
 
     @property
     def running(self) -> int:

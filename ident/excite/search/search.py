@@ -24,7 +24,7 @@ from ident.excite.search.acceptance import accepted
 from ident.excite.search.on_cluster import ClusterStarts, TimeIsUpError
 from ident.excite.search.poses import NoFeasiblePoseError
 from ident.excite.search.problem import DesignProblem
-from ident.excite.search.start import CandidateMotion, Finished, Report, no_tick, random_start, run_start
+from ident.excite.search.start import CandidateMotion, Finished, Report, later_starts, no_tick, random_start, run_start
 
 _AHEAD = 2
 """Starts that each process has been given: the one that it runs, and the next."""
@@ -67,8 +67,7 @@ class SearchProcesses:
     ) -> None:
         """Start them."""
         self.died = 0
-        self._starts = starts
-        self._next = 1  # start 0 belongs to this process
+        self._starts = later_starts(starts)
         end = None if seconds is None else SYSTEM_CLOCK.now() + seconds
         # spawn: a forked child would inherit the threads' locks of whatever this process has been doing.
         context = multiprocessing.get_context("spawn")
@@ -108,11 +107,7 @@ class SearchProcesses:
 
     def next_start(self) -> int | None:
         """The next start that has not begun; None where all have."""
-        start = self._next
-        if self._starts is not None and start >= self._starts:
-            return None
-        self._next += 1
-        return start
+        return next(self._starts, None)
 
     @property
     def running(self) -> int:

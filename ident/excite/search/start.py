@@ -7,6 +7,7 @@ strongly, the last one barely.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -65,6 +66,11 @@ class Callbacks:
 
 
 UNWATCHED = Callbacks(lambda: None, lambda variables: False)
+
+
+def later_starts(count: int | None) -> Iterator[int]:
+    """Numbers of the starts behind start 0, which belongs to the process that asks; endless where `count` is None."""
+    return itertools.count(1) if count is None else iter(range(1, count))
 
 
 def solve(problem: DesignProblem, start: FloatArray, watch: Callbacks = UNWATCHED) -> Iterator[FloatArray]:

@@ -9,7 +9,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.model.dynamic_model import DynamicModel
 from ident.model.kinematics.joints import BASE_INDEX
-from ident.model.parameters import INERTIAL
+from ident.model.parameters import INERTIAL, inertia_tensor
 
 # Pinocchio's dynamic parameters of a link, in its order (pinocchio::InertiaTpl::toDynamicParameters).
 PINOCCHIO_ORDER = ("M", "MX", "MY", "MZ", "XX", "XY", "YY", "XZ", "YZ", "ZZ")
@@ -49,5 +49,4 @@ def _body(values: FloatArray) -> Any:
     if np.any(dynamic[1:4]):
         raise ValueError("a link without mass has first moments")
     # Pinocchio would divide by the mass.
-    xx, xy, yy, xz, yz, zz = dynamic[4:]
-    return pin.Inertia(0.0, np.zeros(3), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    return pin.Inertia(0.0, np.zeros(3), inertia_tensor(values[:6].tolist()))

@@ -12,6 +12,11 @@ Placement = tuple[FloatArray, FloatArray]
 """Rotation (3, 3) and translation (3,) [m] of a frame in another."""
 
 
+def composed(outer: Placement, inner: Placement) -> Placement:
+    """The placement of a frame that is placed in another one."""
+    return outer[0] @ inner[0], outer[1] + outer[0] @ inner[1]
+
+
 @dataclass(frozen=True)
 class Joint:
     """A joint with one degree of freedom; its frame is fixed to the link that it moves."""

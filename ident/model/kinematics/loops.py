@@ -26,7 +26,7 @@ from daq.robot.schema import MdhRow, Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
 from ident.linear_algebra.vectors import axis_rotation
-from ident.model.kinematics.joints import BASE_INDEX, Joint, Placement, ancestors
+from ident.model.kinematics.joints import BASE_INDEX, Joint, Placement, ancestors, composed
 from ident.model.kinematics.loop_text import length, loop_name
 from ident.model.kinematics.mdh import mdh_placement
 from ident.model.kinematics.transmission import LinearTransmission, Transmission, direct_transmission
@@ -192,7 +192,7 @@ def _parallelogram_equations(
             raise RobotFileError(f"{text}: the axis of {joints[index].name} is not parallel to the first", where=where)
         signs[index] = math.copysign(1.0, along)
     origin = {index: frames[index][1] for index in (a, b, c, d)}
-    tip = {index: _compose(frames[index], closing_points[index])[1] for index in (b, d)}
+    tip = {index: composed(frames[index], closing_points[index])[1] for index in (b, d)}
     sides = {a: origin[b] - origin[a], b: tip[b] - origin[b], c: origin[d] - origin[c], d: tip[d] - origin[d]}
     first = np.linalg.svd(axis[None, :])[2][1]
     second = np.cross(axis, first)
@@ -224,7 +224,7 @@ def _check_closed(
     apart = turned = 0.0
     for position in positions.T:
         frames = [*place_tree(joints, position), (np.eye(3), np.zeros(3))]  # the base's is number BASE_INDEX
-        (first, second) = (_compose(frames[index], placement) for index, placement in loop_ends(loop, joint_index))
+        (first, second) = (composed(frames[index], placement) for index, placement in loop_ends(loop, joint_index))
         apart = max(apart, float(np.linalg.norm(first[1] - second[1])))
         turned = max(turned, float(np.linalg.norm(np.cross(first[0][:, 2], second[0][:, 2]))))
     if apart > CLOSING_TOLERANCE:
@@ -249,7 +249,7 @@ def place_tree(joints: tuple[Joint, ...], position: FloatArray) -> list[Placemen
             own = (joint.rotation, joint.translation + joint.rotation @ joint.axis * value)
         else:
             own = (joint.rotation @ axis_rotation(joint.axis, value), joint.translation)
-        frames.append(own if joint.parent == BASE_INDEX else _compose(frames[joint.parent], own))
+        frames.append(own if joint.parent == BASE_INDEX else composed(frames[joint.parent], own))
     return frames
 
 
@@ -264,10 +264,6 @@ def main_chain(joints: tuple[Joint, ...], active: tuple[int, ...]) -> tuple[int,
 
 def _placement(frame: ClosingFrame) -> Placement:
     return mdh_placement(MdhRow(joint="closing", **frame.model_dump()))
-
-
-def _compose(outer: Placement, inner: Placement) -> Placement:
-    return outer[0] @ inner[0], outer[1] + outer[0] @ inner[1]
 
 
 def _principal(angle: float) -> float:

@@ -177,7 +177,7 @@ class LinearTransmission(Transmission):
         share: FloatArray,
     ) -> FloatArray:
         """Implement `Transmission`."""
-        return np.asarray(np.einsum("na,...nt->...at", self.follow, gradient))
+        return self.active_gradient(motion.position, gradient)
 
     def share_pattern(self) -> tuple[FloatArray, np.ndarray]:
         """Implement `Transmission`."""
@@ -218,17 +218,6 @@ class DirectTransmission(LinearTransmission):
         return rate
 
     def active_gradient(self, position: FloatArray, gradient: FloatArray) -> FloatArray:
-        """Implement `Transmission`."""
-        return gradient
-
-    def pull_back(
-        self,
-        velocity: FloatArray,
-        acceleration: FloatArray,
-        motion: TreeMotion,
-        gradient: FloatArray,
-        share: FloatArray,
-    ) -> FloatArray:
         """Implement `Transmission`."""
         return gradient
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from ident.linear_algebra.vectors import cross, cross_matrix
-from ident.model.kinematics.joints import BASE_INDEX, Joint, Placement
+from ident.model.kinematics.joints import BASE_INDEX, Joint, Placement, composed
 
 POSITION_ROWS = 3
 REVOLUTE_ROWS = 5
@@ -166,14 +166,14 @@ def closing_chain(
             joint = joints[index]
             own = (joint.rotation, joint.translation)
             if sign > 0:
-                between = _compose(between, own)
+                between = composed(between, own)
             if links:
                 links[-1] = _followed(links[-1], between)
             else:
                 before = between
             links.append(Link(index, sign, joint.axis, joint.prismatic, (np.eye(3), np.zeros(3))))
             between = _inverse(own) if sign < 0 else (np.eye(3), np.zeros(3))
-    between = _compose(between, second_end)
+    between = composed(between, second_end)
     if links:
         links[-1] = _followed(links[-1], between)
     else:
@@ -201,7 +201,3 @@ def _to_base(joints: tuple[Joint, ...], index: int) -> list[int]:
 
 def _inverse(placement: Placement) -> Placement:
     return placement[0].T, -placement[0].T @ placement[1]
-
-
-def _compose(outer: Placement, inner: Placement) -> Placement:
-    return outer[0] @ inner[0], outer[1] + outer[0] @ inner[1]
