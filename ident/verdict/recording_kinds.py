@@ -136,6 +136,14 @@ RECORDING = (
         "Check the clocks of position and torque, position filters in the controller, and friction.",
     ),
     CheckKind(
+        "torque-late",
+        "mistake",
+        "warning",
+        ("collision_detection",),
+        "the torque lags the motion by more than drives do",
+        "The delay is taken out: check filters of torque or current, and the stamps of both signals.",
+    ),
+    CheckKind(
         "unsigned-signal",
         "mistake",
         "serious",

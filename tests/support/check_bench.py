@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 from unittest.mock import patch
 
@@ -82,6 +82,10 @@ class Bench:
         self.parts = cache(self._parts)
         self.opposite = cache(lambda: self.tested(changed(self.recorded(), lambda i: i * [-1, 1, 1])))
         self.late = cache(lambda: self.tested(changed(self.recorded(), late, "position")))
+        every_position = partial(np.roll, shift=4, axis=0)
+        self.all_late = cache(
+            lambda: self.tested(changed(self.recorded(), every_position, "position"), search_delay=True)
+        )
         self.lift = cache(lambda: self.found(simulate_recording(LIFT, _motion(LIFT), PERIOD, 1)))
         self.stuck = cache(lambda: self.names(stuck_encoder(with_velocity(self.recorded()), 1, 3.0, 1.0)))
         self.in_a_narrow_range = cache(lambda: self.found(robot_file=self.said({"drives:\n": NARROW})))

@@ -52,6 +52,12 @@ from ident.signals.prepared import Prepared
 from ident.verdict.catalogue import raised
 from ident.verdict.check import Check
 
+MODEL_ERRORS = (
+    *("inconsistent-gain", "wrong-gain", "inconsistent-length", "other-size"),
+    *("joint-zero", "gravity-direction", "position-late"),
+)
+"""Checks of single numbers of the robot file."""
+
 
 def identification_checks(identification: Identification, recordings: Sequence[Recording]) -> list[Check]:
     """All checks that the recordings and the identification raise."""
@@ -64,6 +70,8 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     # Data of another unit, or filled with zeros, fit other explanations by accident.
     unsound = any(check.severity == "serious" for check in checks)
     mistakes = [] if unsound else _mistake_checks(identification)
+    if identification.delay is not None and identification.delay.explains_error:
+        mistakes = [mistake for mistake in mistakes if mistake.name not in MODEL_ERRORS]
     torque = np.concatenate([run.signals.torque for run in identification.runs])
     levels = torque_level_checks(identification.robot_file, identification.model, torque)
     scale = _urdf_scale(identification)
@@ -89,14 +97,12 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     checks += sign_checks(identification.base, identification.solution.parameters, identification.std)
     idle = _idle_joint_checks(identification)
     # Static friction of resting joints, or a torque that is cut off, looks like a number of the robot file that is off.
-    of_gains, of_lengths = ("inconsistent-gain", "wrong-gain"), ("inconsistent-length", "other-size")
-    model_errors = (*of_gains, *of_lengths, "joint-zero", "gravity-direction", "position-late")
     checks += idle
     resting = {joint for check in idle for joint in check.joints}
     checks += [
         mistake
         for mistake in mistakes
-        if mistake.name not in model_errors
+        if mistake.name not in MODEL_ERRORS
         or (
             not clipped.intersection(mistake.joints)
             and not (resting.intersection(mistake.joints) if mistake.name == "position-late" else idle)

@@ -113,11 +113,21 @@ def test_without_a_delay_none_is_used(search, seed):
     assert not found.drifts
 
 
-def test_a_delay_of_many_samples_is_found(search):
-    assert search(40e-3).best == pytest.approx(40e-3, abs=0.5e-3)
+@pytest.mark.parametrize("delay", [40e-3, 150e-3])
+def test_a_delay_that_no_drive_has_is_found_and_named(search, delay):
+    found = search(delay)
+    assert found.used == found.best == pytest.approx(delay, abs=0.5e-3)
+    (check,) = delay_checks(found)
+    assert (check.name, check.joints) == ("torque-late", ())
+    assert f"{1e3 * found.best:.2f} ± {1e3 * found.interval:.2f} ms" in check.text
 
 
-def test_a_delay_beyond_what_drives_have_is_not_used(search):
+def test_a_single_torque_that_is_late_is_named_with_its_joint(search):
+    (check,) = delay_checks(search(2e-3, late={2: 20e-3}))
+    assert (check.name, check.joints) == ("torque-late", ("j3",))
+
+
+def test_a_delay_beyond_what_filters_have_is_not_used(search):
     found = search(3 * LONGEST_DELAY)
     assert found.used == 0.0
 

@@ -122,9 +122,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.names(b.with_velocity()) | b.stuck(),
     ),
     "clocks-drift": (lambda b: b.names(b.drifting_clock()), lambda b: b.clean_names()),
-    "torque-ahead": (
-        lambda b: b.found(changed(b.recorded(), lambda i: np.roll(i, -2, axis=0)), search_delay=True),
-        lambda b: b.late_and_ahead(),
+    "torque-ahead": (lambda b: b.all_late(), lambda b: b.late_and_ahead()),
+    "torque-late": (
+        lambda b: b.found(changed(b.recorded(), lambda i: np.roll(i, 3, axis=0)), search_delay=True),
+        lambda b: b.clean(),
     ),
     "search-gap": (
         lambda b: b.found(method="wls-pso:generations=2"),
@@ -346,7 +347,7 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.tested(changed(b.recorded(), lambda q: q + np.deg2rad([0, 8, 0]), "position")),
         lambda b: b.clean(),
     ),
-    "position-late": (lambda b: b.late(), lambda b: b.clean()),
+    "position-late": (lambda b: b.late(), lambda b: b.all_late()),
     "inconsistent-gain": (lambda b: b.tested(changed(b.recorded(), lambda i: i * [1, 1, 1.6])), lambda b: b.clean()),
     "lengths-unchecked": (lambda b: b.tested(b.recorded(1, 30.0, (1, 0, 0))), lambda b: b.clean()),
     "wrong-gain": (lambda b: b.tested(changed(b.recorded(), lambda i: i * [1, 1, 20])), lambda b: b.clean()),
