@@ -557,7 +557,8 @@ def check(tables: Sequence[Block], seconds: float, *, writing: bool = False, out
             if failure or empty:
                 print(f"  {table.place}: FAILED ({failure or empty})", flush=True)
             elif stale:
-                print(f"  {table.place}: STALE, {len({id(row) for row, _ in stale})} of {len(table.rows)} rows, {table.at}", flush=True)
+                count = len({id(row) for row, _ in stale})
+                print(f"  {table.place}: STALE, {count} of {len(table.rows)} rows, {table.at}", flush=True)
                 alike = [other for other in of_command if other.heading == table.heading]
                 if writing and write(reread(table), output, (alike.index(table), len(alike))):
                     print("    written: look at the text around it", flush=True)
