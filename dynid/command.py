@@ -14,6 +14,7 @@ import sys
 import warnings
 from contextlib import suppress
 from functools import partial
+from importlib import import_module
 from importlib.metadata import entry_points
 from typing import Any
 
@@ -40,13 +41,18 @@ BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Set to 1 unless the user has set them, before NumPy is imported: dynid multiplies many small matrices, for which a
 second BLAS thread costs more than it brings, and on a busy machine a hundred times more."""
 
-OBJECTS_PER_COLLECTION = 10_000
-"""New objects after which Python looks for cycles, otherwise 700: imports make many that stay, and to go through them
-again and again takes 4 % of an identification."""
+OBJECTS_PER_COLLECTION, COLLECTIONS_PER_SECOND_LOOK = 10_000, 100
+"""New objects after which Python looks for cycles, and how many times it does before it looks at those that stayed;
+otherwise 700 and 10. Imports make many that stay, and to go through them again and again takes 6 % of an
+identification."""
 
 
-def build_app() -> typer.Typer:
-    """The application with the commands of every installed package; one that cannot be imported is named on stderr."""
+def build_app(word: str = "") -> typer.Typer:
+    """The application with the commands of every installed package; one that cannot be imported is named on stderr.
+
+    An entry point is a Typer application, or a dictionary of modules by command, each with an `app`. Where `word` is a
+    command of such a dictionary, only its module is imported.
+    """
     app = typer.Typer(
         name="dynid",
         cls=GroupedCommands,
@@ -56,13 +62,20 @@ def build_app() -> typer.Typer:
         rich_markup_mode=None,  # or units in brackets are taken for markup and vanish from the help
     )
     app.callback()(_root)
+    modules: dict[str, str] = {}
     for entry in sorted(entry_points(group=COMMANDS_GROUP), key=lambda entry: entry.name):
         try:
-            app.add_typer(entry.load())
+            commands = entry.load()
+            if isinstance(commands, dict):
+                modules |= commands
+            else:
+                app.add_typer(commands)
         except Exception as error:  # a third party's package must not take the others down
             if out_of_memory(error):
                 raise
             print(f"dynid: the commands of {entry.value} could not be loaded: {error}", file=sys.stderr)
+    for module in [modules[word]] if word in modules else dict.fromkeys(modules.values()):
+        app.add_typer(import_module(module).app)
     return app
 
 
@@ -129,7 +142,7 @@ def main() -> None:
         os.environ.setdefault(variable, "1")
     if not os.environ.get("SOURCE_DATE_EPOCH", "0").isdecimal():
         del os.environ["SOURCE_DATE_EPOCH"]  # NumPy's f2py, which SciPy imports, reads it and breaks
-    gc.set_threshold(OBJECTS_PER_COLLECTION)
+    gc.set_threshold(OBJECTS_PER_COLLECTION, COLLECTIONS_PER_SECOND_LOOK)
     atexit.register(gc.freeze)  # or Python searches all that imports made for cycles once more
     try:
         status = _status("--json" in sys.argv[1:])
@@ -154,7 +167,7 @@ def _status(as_json: bool) -> int:
         with warnings.catch_warnings(), outputs_of_a_command(), spoken_in_a_shell():
             warnings.simplefilter("always", DynidWarning)
             warnings.showwarning = partial(_show_warning, warnings.showwarning)
-            status = build_app()(prog_name="dynid", standalone_mode=False)
+            status = build_app(*sys.argv[1:2])(prog_name="dynid", standalone_mode=False)
     except DynidError as error:
         report_error(error, as_json)
         return error.exit_status

@@ -164,7 +164,7 @@ def command_line_built_once() -> Iterator[None]:
     build, built = command.build_app, functools.cache(main.get_command)
     apps: dict[tuple[object, ...], typer.Typer] = {}
 
-    def build_once() -> typer.Typer:
+    def build_once(word: str = "") -> typer.Typer:
         entries = tuple(command.entry_points(group=command.COMMANDS_GROUP))
         if entries not in apps:
             apps[entries] = build()

@@ -2,10 +2,5 @@
 
 from __future__ import annotations
 
-import typer
-
-from daq.commands import import_file, record, recover
-
-app = typer.Typer()
-for command in (record, import_file, recover):
-    app.add_typer(command.app)
+app = {"record": "daq.commands.record", "import": "daq.commands.import_file", "recover": "daq.commands.recover"}
+"""The module of each command."""

@@ -2,32 +2,14 @@
 
 from __future__ import annotations
 
-import typer
+_FOLDERS = {
+    "preparation": ("robot", "robots", "check", "lint", "excite", "sweep", "info"),
+    "identification": ("identify", "validate", "compare", "bench", "fleet", "merge", "payload", "gains", "friction"),
+    "use": ("predict", "monitor", "diff", "history", "export"),
+}
+_MODULES = {"robots": "robot", "gains": "payload"}  # where a command's module is not named after it
 
-from ident.commands.identification import bench, compare, fleet, friction, identify, merge, payload, validate
-from ident.commands.preparation import check, excite, info, lint, robot, sweep
-from ident.commands.use import diff, export, history, monitor, predict
-
-app = typer.Typer()
-for command in (
-    robot,
-    check,
-    lint,
-    excite,
-    sweep,
-    info,
-    identify,
-    validate,
-    predict,
-    monitor,
-    compare,
-    bench,
-    diff,
-    fleet,
-    history,
-    merge,
-    payload,
-    friction,
-    export,
-):
-    app.add_typer(command.app)
+app = {
+    name: f"ident.commands.{folder}.{_MODULES.get(name, name)}" for folder, names in _FOLDERS.items() for name in names
+}
+"""The module of each command."""

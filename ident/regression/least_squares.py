@@ -99,8 +99,9 @@ def weighted_least_squares(
     floor, used = rounding_floor(reduction), _with_rows(reduction)
     weights = used.astype(np.float64) if weights is None else weights
     system = _solved(reduction, active, weights)
+    joint_std = residual_deviations(reduction, system.parameters, len(active))
     for iteration in range(2, WLS_ITERATIONS + 2):
-        weights = inverse_deviations(reduction, residual_deviations(reduction, system.parameters, len(active)))
+        weights = np.where(used, 1.0 / np.maximum(joint_std, floor), 0.0)
         system = _solved(reduction, active, weights)
         joint_std = residual_deviations(reduction, system.parameters, len(active))
         if np.max(np.abs(np.maximum(joint_std, floor) * weights - 1.0)[used]) < WLS_TOLERANCE:

@@ -12,6 +12,7 @@ linear, |q̇|^α and √|q̇|, is viscous friction whose coefficient changes.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -106,7 +107,16 @@ class ForwardArm:
         self.travel = np.array(travel)
         _check_dissipative(model, self.directions, self.dry)
         self.model, self.rotors = model, inverse.rotor_inertia + inverse.armature
-        self.inertial, self._arms = _rigid_arms(model, inverse)
+        self._massive, self._points = _inertial(inverse)
+        self.inertial = self._massive - self._points
+
+    @cached_property
+    def _arms(self) -> list[tuple[RigidArm, float]]:
+        """Arms without motors: the links, and point masses to be taken off, if any. The compiled step needs none."""
+        # Torque and motion of the joints, not of coupled motors.
+        model = replace(self.model, transmission=replace(self.model.transmission, coupling=np.eye(self.dof)))
+        arms = [(self._massive, 1.0), (self._points, -1.0)]
+        return [(rigid_arm(model, links, np.zeros(self.dof)), sign) for links, sign in arms if links.any()]
 
     @property
     def accelerated(self) -> tuple[str, ...]:
@@ -179,18 +189,13 @@ class ForwardArm:
         return bool(self._smooth or self._further_dry or self._ripple or self._accelerating.any())
 
 
-def _rigid_arms(model: DynamicModel, inverse: InverseDynamics) -> tuple[FloatArray, list[tuple[RigidArm, float]]]:
-    """Parameters (10·links,), and as arms without motors: the links, and point masses to be taken off, if any."""
-    # Torque and motion of the joints, not of coupled motors.
-    model = replace(model, transmission=replace(model.transmission, coupling=np.eye(model.dof)))
-    inertial, extra = with_masses(inverse.model, inverse.base, inverse.parameters)
-    arms = [(rigid_arm(model, inertial, np.zeros(model.dof)), 1.0)]
-    points = np.zeros_like(inertial)
-    if extra:
-        for link, mass in extra.items():
-            points[len(INERTIAL) * link + INERTIAL.index("M")] = mass
-        arms.append((rigid_arm(model, points, np.zeros(model.dof)), -1.0))
-    return inertial - points, arms
+def _inertial(inverse: InverseDynamics) -> tuple[FloatArray, FloatArray]:
+    """Parameters (10·links,) of links that all have a mass, and those of the point masses in them."""
+    massive, extra = with_masses(inverse.model, inverse.base, inverse.parameters)
+    points = np.zeros_like(massive)
+    for link, mass in extra.items():
+        points[len(INERTIAL) * link + INERTIAL.index("M")] = mass
+    return massive, points
 
 
 def _check_dissipative(model: DynamicModel, directions: FloatArray, dry: FloatArray) -> None:

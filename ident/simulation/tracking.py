@@ -71,7 +71,7 @@ def tracked(inverse: InverseDynamics, segment: Segment, longest: float = np.inf)
     steps = max(1, round(duration / SIMULATION_STEP))
     time = np.linspace(0.0, duration, steps + 1)
     position, velocity = (at_times(time, segment, signal) for signal in (segment.position, segment.velocity))
-    mean_inertia = np.diagonal(arm.inertia(position.mean(axis=0)))
+    mean_inertia = np.diagonal(inverse.inertia(position.mean(axis=0)[:, None])[0] + inverse.armature)
     stiffness, damping = NATURAL_FREQUENCY**2 * mean_inertia, 2.0 * NATURAL_FREQUENCY * mean_inertia
     arm.viscous = arm.viscous + np.diag(damping)
     torque = at_times(time[:-1] + 0.5 * duration / steps, segment, driving_torque(inverse, segment))

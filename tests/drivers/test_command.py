@@ -8,15 +8,18 @@ import subprocess
 import sys
 import tempfile
 from functools import partial
+from importlib import import_module
 from typing import TextIO
 
 import pytest
 from command_line import run
 
+from daq.commands.app import app as daq_commands
 from daq.commands.help_text import GROUPS
 from daq.robot import loader
 from drivers.core.errors import DataError, IdentificationError
 from dynid import command
+from ident.commands.app import app as ident_commands
 
 HEAVY = ("numpy", "scipy", "pinocchio", "cvxpy", "h5py", "pydantic", "plotly", "rosbags")
 
@@ -127,7 +130,7 @@ def test_errors_become_exit_statuses(monkeypatch, capsys, error, status):
     def fail() -> None:
         raise error
 
-    monkeypatch.setattr(command, "build_app", lambda: lambda **_: fail())
+    monkeypatch.setattr(command, "build_app", lambda word: lambda **_: fail())
     assert run(monkeypatch, capsys, "anything")[0] == status
 
 
@@ -140,7 +143,7 @@ def test_interrupt_exits_130(monkeypatch, capsys):
     def interrupted(**_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "build_app", lambda: interrupted)
+    monkeypatch.setattr(command, "build_app", lambda word: interrupted)
     status, _, err = run(monkeypatch, capsys, "anything")
     assert (status, err) == (130, "dynid: interrupted\n")
 
@@ -155,6 +158,12 @@ def test_a_broken_third_party_package_is_named_and_left_out(monkeypatch, capsys)
     assert status == 0
     assert "ur5e" in out
     assert "no_such_package.commands:app could not be loaded" in err
+
+
+def test_each_command_is_in_the_module_that_its_package_names():
+    for name, module in {**daq_commands, **ident_commands}.items():
+        app = import_module(module).app
+        assert name in {entry.name for entry in (*app.registered_commands, *app.registered_groups)}
 
 
 HOSTILE = "arm\x1b]0;owned\x07\x1b[2J\x9b31m\u202e"

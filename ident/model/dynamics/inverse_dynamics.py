@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from ident.friction.terms import NO_STATES, FrictionConditions, States
 from ident.model.base_parameters import BaseParameters
+from ident.model.compiled_rows import TreeTorques, compiled_torques
 from ident.model.dynamic_model import DynamicModel
 from ident.model.dynamics.pinocchio_model import pinocchio_model
 from ident.model.joint_columns import JointColumn, alike, column_signal, joint_column
@@ -30,7 +32,7 @@ from ident.model.parameters import INERTIAL, LINK_SIZE
 from ident.model.regressor import LoadTorqueKernel, model_torque
 
 LOOP_BELOW = 400
-"""Fewer samples than this go through Pinocchio one by one; from there on the vectorised regressor is quicker."""
+"""Samples from which on the vectorised regressor is quicker than links and friction apart."""
 
 PLACEHOLDER_MASS = 1.0
 """[kg] of a link whose mass is no base parameter."""
@@ -91,9 +93,20 @@ class InverseDynamics:
         self.rotor_inertia = self._summed_rotors()
         self.weight, self.confounded = self._regrouped_weight(standard)
         self._load = LoadTorqueKernel(model) if model.needs_load_torque else None
-        inertial, extra = with_masses(model, base, parameters)
-        self._arms = _arms(model, inertial, extra)
-        self._load_arms = [] if self._load is None else _load_arms(model)
+
+    @cached_property
+    def _arms(self) -> list[_Arm]:
+        return _arms(self.model, *with_masses(self.model, self.base, self.parameters))
+
+    @cached_property
+    def _compiled(self) -> TreeTorques | None:
+        standard = np.zeros(len(self.model.parameters))
+        standard[list(self.base.columns)] = self.parameters
+        return compiled_torques(self.model.joints, self.model.gravity, standard[: LINK_SIZE * len(self.model.joints)])
+
+    @cached_property
+    def _load_arms(self) -> list[_Arm]:
+        return [] if self._load is None else _load_arms(self.model)
 
     def torque(
         self,
@@ -122,7 +135,11 @@ class InverseDynamics:
 
     def links(self, position: FloatArray, velocity: FloatArray, acceleration: FloatArray) -> FloatArray:
         """Joint torques (n, N) [N·m] of the links alone: no motor inertia, no friction, no regrouped weight."""
-        return self._of_arms(self._arms, position, velocity, acceleration)
+        if position.shape[1] <= 1 or self._compiled is None:
+            return self._of_arms(self._arms, position, velocity, acceleration)
+        motion = self.model.tree_motion(position, velocity, acceleration)
+        tree = self._compiled(motion.position, motion.velocity, motion.acceleration)
+        return self.model.transmission.from_tree(motion, tree)
 
     def _of_arms(
         self, arms: Sequence[_Arm], position: FloatArray, velocity: FloatArray, acceleration: FloatArray
@@ -180,14 +197,12 @@ class InverseDynamics:
 
     def inertia(self, position: FloatArray) -> FloatArray:
         """Inertia matrices (N, n, n) [kg·m²] at positions (n, N), motor inertias included."""
-        still = np.zeros_like(position)
-        holding = self.links(position, still, still)
-        matrices = np.empty((position.shape[1], self.model.dof, self.model.dof))
-        for joint in range(self.model.dof):
-            # Column by column: Pinocchio's crba demands joints in depth-first order, which a robot file need not have.
-            unit = still.copy()
-            unit[joint] = 1.0
-            matrices[:, :, joint] = (self.links(position, still, unit) - holding).T
+        # Column by column: Pinocchio's crba demands joints in depth-first order, which a robot file need not have.
+        count, dof = position.shape[1], self.model.dof
+        repeated = np.repeat(position, dof + 1, axis=1)
+        units = np.tile(np.eye(dof, dof + 1), count)  # the last one holds the arm
+        torques = self.links(repeated, np.zeros_like(repeated), units).reshape(dof, count, dof + 1)
+        matrices = (torques[:, :, :dof] - torques[:, :, dof:]).transpose(1, 0, 2)
         return np.asarray(0.5 * (matrices + matrices.transpose(0, 2, 1)) + self.rotor_inertia)
 
     def _regrouped_weight(self, standard: FloatArray | None) -> tuple[FloatArray, tuple[str, ...]]:

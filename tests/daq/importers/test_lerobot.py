@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from daq.commands.app import app
 from daq.importers.choices import ImportChoices
 from daq.importers.import_file import import_episodes, import_file
 from daq.recording.commanded_motion import commanded_motion
@@ -19,6 +18,7 @@ from daq.recording.reader import read_recording
 from daq.recording.recording import JOINTS_STREAM
 from daq.robot.loader import load_robot
 from drivers.core.errors import ImportFileError, UsageError
+from dynid.command import build_app
 
 pytest.importorskip("pyarrow", reason="the extra dynid[lerobot] is not installed")
 DATASETS = Path(__file__).parents[2] / "support" / "lerobot"
@@ -68,14 +68,14 @@ def test_normalised_values_become_radians_by_the_calibration() -> None:
 def test_the_command_writes_a_folder_or_one_episode(tmp_path: Path) -> None:
     run = CliRunner()
     dataset = ["import", str(DATASETS / "v2.1"), "--robot", "so101", "--degrees"]
-    done = run.invoke(app, [*dataset, "-o", str(tmp_path / "runs"), "--json"])
+    done = run.invoke(build_app(), [*dataset, "-o", str(tmp_path / "runs"), "--json"])
     assert done.exit_code == 0, done.output
     files = [Path(entry["file"]) for entry in json.loads(done.stdout)["recordings"]]
     assert [file.name for file in files] == ["episode_000000.h5", "episode_000001.h5"]
     assert len(read_recording(files[1]).streams[JOINTS_STREAM].time) == 35
-    assert run.invoke(app, [*dataset, "-o", str(tmp_path / "one.h5")]).exit_code != 0
+    assert run.invoke(build_app(), [*dataset, "-o", str(tmp_path / "one.h5")]).exit_code != 0
     assert not (tmp_path / "one.h5").exists()
-    assert run.invoke(app, [*dataset, "-o", str(tmp_path / "one.h5"), "--episode", "1"]).exit_code == 0
+    assert run.invoke(build_app(), [*dataset, "-o", str(tmp_path / "one.h5"), "--episode", "1"]).exit_code == 0
     assert len(read_recording(tmp_path / "one.h5").streams[JOINTS_STREAM].time) == 35
 
 
