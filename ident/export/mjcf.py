@@ -23,9 +23,10 @@ from ident.model.kinematics.transmission import LinearTransmission
 TIME_STEP = 0.001
 """[s] of the file: friction and stiff loops want it shorter than MuJoCo's default of 2 ms."""
 
-LOOP_STIFFNESS = {"solref": "0.002 1", "solimp": "0.9999 0.9999 0.001 0.5 2"}
-"""How hard loops are closed: MuJoCo's constraints are springs. The stiffest that the time step allows, and an impedance
-that leaves 1e-4 of the acceleration to the spring."""
+STIFFEST = {"solref": "0.002 1", "solimp": "0.9999 0.9999 0.001 0.5 2"}
+"""How hard loops are closed and joints stick: MuJoCo's constraints are springs and dampers. The stiffest that the time
+step allows, and an impedance that leaves 1e-4 of the acceleration to them. By MuJoCo's defaults a joint that sticks
+creeps, the faster the lower its inertia: a real SO-101's elbow ended where it would without friction."""
 
 SECOND_POINT = 0.1
 """[m] along the axis of an opened joint at which a second point holds the axes parallel, where one does not do."""
@@ -55,8 +56,9 @@ def mjcf(arm: ExportedArm) -> str:
     )
     default = ElementTree.SubElement(root, "default")
     ElementTree.SubElement(default, "geom", contype="0", conaffinity="0", mass="0", rgba="0.6 0.65 0.7 1")
+    ElementTree.SubElement(default, "joint", {f"{name}friction": value for name, value in STIFFEST.items()})
     if arm.closed:
-        ElementTree.SubElement(default, "equality", LOOP_STIFFNESS)
+        ElementTree.SubElement(default, "equality", STIFFEST)
     world = ElementTree.SubElement(root, "worldbody")
     ElementTree.SubElement(world, "light", pos="0 0 3", dir="0 0 -1")
     elements = _bodies(arm, world)

@@ -35,6 +35,9 @@ SUDDEN = 1e-3
 NEAR = 5e-4
 """[rad or m] Least scale of the errors that a nearest law is sought by."""
 
+BY_LOAD = {"load_friction": "coulomb", "load_breakaway": "breakaway"}
+"""Friction that follows the load, and what stands for it at the mean load."""
+
 NO_LIMIT = TERMS[INDEX["torque_limit"]].absent
 
 
@@ -137,7 +140,7 @@ class ServoReplay:
     identified_error: float  # of one with the values as identified, not those nearest to the model
     model_error: float  # of the model's own roll-out of the same motions
     seconds: float  # of motion
-    left_out: tuple[str, ...]  # what the format has no place for, in words
+    left_out: dict[str, float]  # what the format has no place for, in words: by how much it moves the model [rad or m]
 
     @property
     def faithful(self) -> bool:
@@ -153,7 +156,8 @@ class ServoReplay:
             return text
         if not self.left_out:
             return f"{text}. {self.file} has every term: the rest is due to the time stepping of {self.program}"
-        return f"{text}. {self.file} cannot express {', '.join(self.left_out)}"
+        moved = ", ".join(f"{word} ({1e3 * error:.2g})" for word, error in self.left_out.items())
+        return f"{text}. {self.file} cannot express what moves the model by so many mrad: {moved}"
 
 
 WORDS = {
@@ -231,14 +235,32 @@ def nearest_file(
     words = left_out(values, form.missing)
     identified_error = error = _mean_error(commanded, play(text, commanded))
     if words:
-        played = [replace(motion, position=path) for motion, path in zip(commanded, model_paths, strict=True)]
+        # a law is searched without what touches the arm
+        free = model_paths if contact is None else roll_out_arm(chosen, links, values)
+        played = [replace(motion, position=path) for motion, path in zip(commanded, free, strict=True)]
         nearest = write(nearest_values(form, plain, links, played))
         nearest_error = _mean_error(commanded, play(nearest, commanded))
         if nearest_error < error:
             text, error = nearest, nearest_error
     model_error = _mean_error(chosen, model_paths)
     seconds = float(sum(motion.time[-1] for motion in chosen))
-    return text, ServoReplay(form.name, form.program, error, identified_error, model_error, seconds, words)
+    own = [replace(motion, position=path) for motion, path in zip(chosen, model_paths, strict=True)]
+    lost = {}
+    for word in words:
+        lacking = _without(values, [name for name in form.missing if WORDS[name] == word], links)
+        changed = roll_out_arm(chosen, links, lacking, contact)
+        lost[word] = _mean_error(own, changed)
+    return text, ServoReplay(form.name, form.program, error, identified_error, model_error, seconds, lost)
+
+
+def _without(values: FloatArray, names: Sequence[str], links: ServoLinks) -> FloatArray:
+    """Parameters (n, terms) without the named terms; friction at the mean load in place of what follows the load."""
+    lacking = values.copy()
+    for name in names:
+        lacking[:, INDEX[name]] = TERMS[INDEX[name]].absent
+        if name in BY_LOAD:
+            lacking[:, INDEX[BY_LOAD[name]]] += values[:, INDEX[name]] * mean_load(links)
+    return lacking
 
 
 def format_values(form: FileFormat, values: FloatArray, links: ServoLinks) -> FloatArray:

@@ -279,6 +279,21 @@ def test_a_servo_that_a_drive_can_hold_is_replayed_within_the_gate(file, tmp_pat
         assert replayed.faithful or "is due to the time stepping" in str(replayed)
 
 
+def test_a_joint_sticks_in_mujoco_while_its_drive_does_not_overcome_friction(model, tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    model.export_mjcf(tmp_path / "arm.xml")
+    arm = mujoco.MjModel.from_xml_path(str(tmp_path / "arm.xml"))
+    data = mujoco.MjData(arm)
+    pan = arm.joint("shoulder_pan").dofadr[0]  # gravity does not load it
+    goal = arm.dof_frictionloss[pan] / arm.actuator_gainprm[0, 0]
+    reached = []
+    for share in (0.8, 1.5):
+        data.ctrl[0] = share * goal
+        mujoco.mj_step(arm, data, 1000)
+        reached.append(abs(data.qpos[0]) / goal)
+    assert reached[0] < 0.01 < 0.5 <= reached[1]
+
+
 def test_ranges_of_a_type_are_wider_than_those_of_one_arm_and_unseen_parameters_stay(model):
     one, several = model.ranges(), model.ranges(unit_spread=0.2)
     for own, other in zip(one["joints"], several["joints"], strict=True):
@@ -302,7 +317,8 @@ def test_the_command_writes_all_formats_with_their_replay(model, run, tmp_path, 
     replay = files[0]["replay"]
     assert replay["error"] < 0.7 * replay["identified_error"]
     assert replay["faithful"] == (replay["error"] <= FAITHFUL * replay["model_error"])
-    assert replay["left_out"] == ["friction that follows the load"]
+    assert list(replay["left_out"]) == ["friction that follows the load"]
+    assert 0 < replay["left_out"]["friction that follows the load"] < replay["identified_error"]
     assert json.loads(Path(files[1]["path"]).read_text(encoding="utf-8"))["unit_spread"] == 0.1
     target = ["--usd", tmp_path / "arm.xyz"]
     status, _, error = command_line.run(monkeypatch, capsys, "export", tmp_path / "model", *target)
