@@ -266,6 +266,6 @@ class Identification:
         if self.choices.estimator.equations == "torque":
             rows = np.array([joint.rows for joint in self.reduction.joints])
             return np.where(rows > 0, self.solution.joint_std, np.nan)
-        squares = sum(np.sum(fit_sery.residual**2, axis=1) for fit_sery in self.fit_series)
+        squares = sum(np.sum(torques.residual**2, axis=1) for torques in self.fit_series)
         counts = sum(np.sum(torque.counted, axis=1) for torque in self.fit_series)
         return np.asarray(np.sqrt(squares / np.maximum(1, counts)))

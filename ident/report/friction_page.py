@@ -12,9 +12,9 @@ from drivers.core.units import ZERO_CELSIUS, common_unit, joint_unit
 from ident.experiments.friction.experiment import FrictionExperiment
 from ident.experiments.friction.joint_data import JointExperiment, friction_torque
 from ident.model.dynamic_model import DynamicModel
-from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, bold, titled
 from ident.report.figures.panels import Panel, in_rows, panel_figure
-from ident.report.figures.traces import curve_trace, packed, points_trace
+from ident.report.figures.traces import curve_trace, legend, packed, points_trace, some_of
 from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.result.friction_experiment import FrictionExperimentResult
@@ -27,6 +27,7 @@ POINTS = 1200
 CURVE_POINTS = 80
 COLUMNS = 2
 PANEL = 210
+HOVER = "%{x:.3g}<br>%{y:.3g}<extra></extra>"
 SPEED_SHARES = (0.1, 0.3, 0.6)
 """Speeds of the curves over temperature and load, over the greatest one."""
 
@@ -93,14 +94,7 @@ def _figure(
 
 def _sample(joint: JointExperiment) -> FloatArray:
     """(4, ≤ POINTS) of the points, at random."""
-    count = joint.points.shape[1]
-    if count <= POINTS:
-        return joint.points
-    return joint.points[:, np.sort(np.random.default_rng(0).choice(count, POINTS, replace=False))]
-
-
-def _heading(joint: JointExperiment) -> str:
-    return f"<b>{plain(shortened(joint.stored.joint, 36))}</b>"
+    return joint.points[:, some_of(np.arange(joint.points.shape[1]), POINTS)]
 
 
 def _speed_panel(model: DynamicModel, joint: JointExperiment, first: bool) -> Panel:
@@ -121,10 +115,10 @@ def _speed_panel(model: DynamicModel, joint: JointExperiment, first: bool) -> Pa
         traces.append(_line(name, curve, torque, colour, first))
     return Panel(
         joint.stored.joint,
-        _heading(joint),
+        bold(joint.stored.joint, 36),
         traces,
-        x={"title": {"text": f"velocity [{speed}]"}},
-        y={"title": {"text": unit}},
+        x=titled(f"velocity [{speed}]"),
+        y=titled(unit),
         height=PANEL,
     )
 
@@ -174,20 +168,13 @@ def _speeds_panel(
     traces: list[dict[str, Any]] = []
     for share, colour in zip(SPEED_SHARES, SERIES_COLOURS, strict=False):
         speed = share * joint.stored.speed_range.greatest
-        near = np.flatnonzero(np.abs(np.abs(velocity) - speed) < SPEED_WINDOW * speed)
-        if len(near) > POINTS // 3:
-            near = np.sort(np.random.default_rng(0).choice(near, POINTS // 3, replace=False))
+        near = some_of(np.flatnonzero(np.abs(np.abs(velocity) - speed) < SPEED_WINDOW * speed), POINTS // 3)
         x, model = curve(speed)
         name = f"{percent(share)} of the greatest speed"
         traces.append(_points(name, abscissa[near], dissipated[near], {"color": colour, "size": 3}, False))
         traces.append(_line(name, x, model - offset, colour, first))
     return Panel(
-        joint.stored.joint,
-        _heading(joint),
-        traces,
-        x={"title": {"text": title}},
-        y={"title": {"text": unit}},
-        height=PANEL,
+        joint.stored.joint, bold(joint.stored.joint, 36), traces, x=titled(title), y=titled(unit), height=PANEL
     )
 
 
@@ -197,24 +184,8 @@ def percent(share: float) -> str:
 
 
 def _points(name: str, x: FloatArray, y: FloatArray, marker: dict[str, Any], shown: bool) -> dict[str, Any]:
-    return points_trace(
-        x,
-        y,
-        {"opacity": 0.5, **marker},
-        "%{x:.3g}<br>%{y:.3g}<extra></extra>",
-        name=name,
-        legendgroup=name,
-        showlegend=shown,
-    )
+    return points_trace(x, y, {"opacity": 0.5, **marker}, HOVER, **legend(name, shown=shown))
 
 
 def _line(name: str, x: FloatArray, y: FloatArray, colour: str, shown: bool) -> dict[str, Any]:
-    return curve_trace(
-        x,
-        y,
-        {"color": colour, "width": 2},
-        "%{x:.3g}<br>%{y:.3g}<extra></extra>",
-        name=name,
-        legendgroup=name,
-        showlegend=shown,
-    )
+    return curve_trace(x, y, {"color": colour, "width": 2}, HOVER, **legend(name, shown=shown))

@@ -7,9 +7,9 @@ import numpy as np
 from drivers.core.text import percent_text
 from drivers.core.units import common_unit
 from ident.experiments.gravity.experiment import GravityExperiment
-from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, shortened
+from ident.report.figures.figures import MEASURED, PREDICTED, Figure, bold, titled
 from ident.report.figures.panels import Panel, in_rows, panel_figure
-from ident.report.figures.traces import points_trace
+from ident.report.figures.traces import legend, points_trace
 from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.result.gravity import GravityJoint, GravityResult
@@ -58,17 +58,12 @@ def _panel(result: GravityResult, row: int, joint: GravityJoint, first: bool) ->
             [place + 1 for place in shown],
             [getattr(result.poses[place], signal)[row] for place in shown],
             {"color": colour, "symbol": symbol, "size": size, "line": {"width": 1.5, "color": colour}},
-            name=signal,
-            legendgroup=signal,
-            showlegend=first,
             hoverinfo="all",
+            **legend(signal, shown=first),
         )
         for signal, colour, symbol, size in (
             ("measured", MEASURED, "circle", 6),
             ("predicted", PREDICTED, "circle-open", 11),
         )
     ]
-    heading = f"<b>{plain(shortened(joint.joint, 36))}</b>"
-    return Panel(
-        joint.joint, heading, traces, x={"title": {"text": "pose"}}, y={"title": {"text": joint.unit}}, height=170
-    )
+    return Panel(joint.joint, bold(joint.joint, 36), traces, x=titled("pose"), y=titled(joint.unit), height=170)

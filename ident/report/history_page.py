@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from ident.history.arm import ArmHistory, ParameterHistory
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain
+from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, titled
 from ident.report.figures.panels import Panel, in_rows, panel_figure
-from ident.report.figures.traces import curve_trace, points_trace
+from ident.report.figures.traces import curve_trace, legend, points_trace
 from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.views.history_tables import date_text, notes, sentences, span_text, step_table, trend_table
@@ -52,14 +50,12 @@ def _panel(parameter: ParameterHistory, first: bool) -> Panel:
     times = [1000.0 * time for time in series.time]
     values = series.value if trend is None else trend.corrected
     bars = {"type": "data", "array": (WITHIN_95_PERCENT * series.std).tolist(), "thickness": 1, "width": 0}
-    common: dict[str, Any] = {"showlegend": first, "hoverinfo": "all"}
     marker, line = {"color": MEASURED, "size": 5}, {"color": PREDICTED, "width": 2}
     error = {**bars, "color": MEASURED}
-    traces = [
-        points_trace(times, values.tolist(), marker, name="result", legendgroup="result", error_y=error, **common)
-    ]
+    result, estimate = ({**legend(name, shown=first), "hoverinfo": "all"} for name in ("result", "trend"))
+    traces = [points_trace(times, values.tolist(), marker, error_y=error, **result)]
     if trend is not None:
-        traces.append(curve_trace(times, trend.line.tolist(), line, name="trend", legendgroup="trend", **common))
+        traces.append(curve_trace(times, trend.line.tolist(), line, **estimate))
     at = "" if trend is None or trend.mean_temperature is None else f", at {trend.mean_temperature:.1f} °C"
     steps = () if trend is None else trend.steps
     return Panel(
@@ -67,7 +63,7 @@ def _panel(parameter: ParameterHistory, first: bool) -> Panel:
         f"<b>{plain(parameter.name)}</b> {plain(parameter.joint)}: {plain(parameter.kind)}{at}",
         traces,
         x={"type": "date", "nticks": 4},
-        y={"title": {"text": parameter.unit}},
+        y=titled(parameter.unit),
         vertical=[(1000.0 * step.after, {"color": RESIDUAL, "width": 1, "dash": "dot"}) for step in steps],
         height=170,
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -11,27 +10,15 @@ from daq.robot.schema import JointLimits, Robot
 from drivers.core.arrays import FloatArray
 from ident.identify.predict import PARTS, RecordingPrediction, SegmentPrediction
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.report.figures.figures import (
-    BOTTOM,
-    MEASURED,
-    PREDICTED,
-    RESIDUAL,
-    TOP,
-    Figure,
-    axis_name,
-    axis_ref,
-    base_layout,
-    note,
-    plain,
-    row_domains,
-)
-from ident.report.figures.panels import TIME_AXIS
-from ident.report.figures.traces import broken_line, curve_trace, points_per_trace
+from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, bold, titled
+from ident.report.figures.panels import TIME_AXIS, Panel, panel_figure
+from ident.report.figures.traces import broken_line, curve_trace, legend, points_per_trace
 from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.result.tables import Table
 
-PANEL, GAP = 150, 30
+PANEL = 150
+"""Height of a panel [px]."""
 
 PART_COLOURS = {"inertial": "#CC79A7", "coriolis": "#E69F00", "gravity": "#009E73", "friction": "#56B4E9"}
 
@@ -112,33 +99,16 @@ def joints_figure(
     """One panel a joint over one time axis; a line without a label belongs to the one before."""
     start = float(stamps[0][0])
     times = [time - start for time in stamps]
-    height = TOP + BOTTOM + PANEL * len(joints) + GAP * (len(joints) - 1)
-    domains = row_domains(len(joints), height, GAP)
     points = points_per_trace(len(joints))
-    data: list[dict[str, Any]] = []
-    axes: dict[str, Any] = {"xaxis": {**TIME_AXIS, "anchor": axis_ref("y", len(joints))}}
-    notes = []
-    for joint, (limits, domain) in enumerate(zip(joints, domains, strict=True)):
-        unit = limits.unit("N·m")
-        axes[axis_name("y", joint + 1)] = {"title": {"text": unit}, "domain": list(domain), "anchor": "x", "nticks": 5}
-        # To the right: on a phone the legend takes two lines.
-        notes.append(note(f"<b>{plain(limits.name)}</b>", 1, domain[1], xanchor="right"))
-        group = ""
+    rows = []
+    for joint, limits in enumerate(joints):
+        unit, group = limits.unit("N·m"), ""
+        traces = []
         for label, colour, signals in lines:
             group = label or group
             x, y = broken_line(times, [np.ascontiguousarray(signal[:, joint]) for signal in signals], points)
-            data.append(
-                curve_trace(
-                    x,
-                    y,
-                    {"color": colour, "width": 1.3},
-                    f"%{{y:.4g}} {unit}",
-                    name=group,
-                    legendgroup=group,
-                    showlegend=joint == 0 and bool(label),
-                    xaxis="x",
-                    yaxis=axis_ref("y", joint + 1),
-                )
-            )
-    layout = base_layout(height, hovermode="x unified", annotations=notes, **axes)
-    return Figure(anchor, height, data, layout, f"{caption} Time counts from the first sample. Drag to zoom.")
+            entry = legend(group, shown=joint == 0 and bool(label))
+            traces.append(curve_trace(x, y, {"color": colour, "width": 1.3}, f"%{{y:.4g}} {unit}", **entry))
+        rows.append([Panel(limits.name, bold(limits.name), traces, x=TIME_AXIS, y=titled(unit), height=PANEL)])
+    caption = f"{caption} Time counts from the first sample. Drag to zoom."
+    return panel_figure(anchor, rows, caption, linked=True, hovermode="x unified")

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain
+from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, titled
 from ident.report.figures.panels import TIME_AXIS, Panel, panel_figure
-from ident.report.figures.traces import broken_line, packed, points_per_trace
-from ident.report.html_file import page_templates
+from ident.report.figures.traces import broken_line, curve_trace, legend, points_per_trace
+from ident.report.html_file import rendered
 from ident.report.section import Tile
 from ident.servo.identify import ServoIdentification
 from ident.servo.result import ServoResult
@@ -22,15 +22,8 @@ ROLLOUT_CAPTION = (
 
 def servo_page(result: ServoResult, identification: ServoIdentification | None) -> str:
     """The page: verdict, errors beside the references, roll-outs, parameters; a result that was read has no motions."""
-    return (
-        page_templates()
-        .get_template("servo_page.html.j2")
-        .render(
-            result=result,
-            tiles=_tiles(result),
-            rollout=None if identification is None else rollout_figure(result, identification),
-        )
-    )
+    rollout = None if identification is None else rollout_figure(result, identification)
+    return rendered("servo_page", result=result, tiles=_tiles(result), rollout=rollout)
 
 
 def _tiles(result: ServoResult) -> list[Tile]:
@@ -66,22 +59,12 @@ def rollout_figure(result: ServoResult, identification: ServoIdentification) -> 
             ("rolled out", PREDICTED, [path[:, joint] for path in identification.paths]),
         ):
             x, y = broken_line(times, series, points)
-            traces.append(
-                {
-                    "type": "scattergl",
-                    "mode": "lines",
-                    "name": label,
-                    "legendgroup": label,
-                    "showlegend": joint == 0,
-                    "line": {"color": colour, "width": 1},
-                    "x": packed(x),
-                    "y": packed(y),
-                }
-            )
+            style = {"color": colour, "width": 1}
+            traces.append(curve_trace(x, y, style, type="scattergl", **legend(label, shown=joint == 0)))
         unit = "m" if result.sliding[joint] else "rad"
         last = joint == len(result.joints) - 1
         x_axis = TIME_AXIS if last else {}
-        rows.append([Panel(name, f"<b>{plain(name)}</b>", traces, x=x_axis, y={"title": {"text": unit}})])
+        rows.append([Panel(name, f"<b>{plain(name)}</b>", traces, x=x_axis, y=titled(unit))])
     return panel_figure("rollout-plot", rows, ROLLOUT_CAPTION, linked=True)
 
 

@@ -135,7 +135,7 @@ def validate(options: ValidateOptions) -> Validation:
         )
         for recording, fits in zip(recordings, compared, strict=True)
     )
-    of_consistent = [consistent_sery for fits in compared for consistent_sery in fits.consistent_series or ()]
+    of_consistent = [series for fits in compared for series in fits.consistent_series or ()]
     verdict = model_verdict(result, checks, [run.errors for run in held_out])
     delivered = delivered_model(result.consistent, None if result.delivered is None else result.delivered.fit, held_out)
     figures = acceptance_figures(result, delivered.validation_all_samples, delivered.runs, verdict)
@@ -143,7 +143,7 @@ def validate(options: ValidateOptions) -> Validation:
         joints=tuple(result.joints),
         torque_unit=result.unit("N·m"),
         full=fit_errors([series for fits in compared for series in fits.series]),
-        essential=fit_errors([essential_sery for fits in compared for essential_sery in fits.essential_series]),
+        essential=fit_errors([series for fits in compared for series in fits.essential_series]),
         consistent=fit_errors(of_consistent) if of_consistent else None,
         delivered=delivered,
         verdict=verdict,

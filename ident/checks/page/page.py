@@ -18,7 +18,7 @@ from ident.assessment.excitation import RecordedMotion
 from ident.checks.recording_check import RecordingInfo, info_object
 from ident.checks.recording_tables import column_table, gap_table, motion_table, shown_unit, stream_table
 from ident.regression.options import SIGNIFICANT_RSD
-from ident.report.figures.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.figures.figures import LOG_AXIS, PREDICTED, RESIDUAL, SERIES_COLOURS, Figure, bold, plain, shortened
 from ident.report.figures.panels import TIME_AXIS, Line, Panel, panel_figure
 from ident.report.figures.traces import broken_line, curve_trace, envelope_indices, points_trace
 from ident.report.html_file import rendered
@@ -80,7 +80,7 @@ def signals_figure(recording: Recording) -> Figure | None:
         label = f"{stream.name}/{channel.quantity}"
         unit = f" [{plain(shown_unit(channel.unit))}]" if channel.unit else ""
         shown_count = f" ({len(shown)} of {len(channel.columns)} columns)" if len(shown) < len(channel.columns) else ""
-        heading = f"<b>{plain(shortened(label, 34))}</b>{unit}{shown_count}"
+        heading = f"{bold(label, 34)}{unit}{shown_count}"
         rows.append([Panel(label, heading, traces, x=TIME_AXIS, y={"zeroline": False}, height=SIGNAL_PANEL)])
     caption = (
         f"As recorded, not filtered. Each line has at most about {points} points, the least and the largest value of "
@@ -113,7 +113,7 @@ def intervals_figure(recording: Recording, streams: Mapping[str, StreamQuality])
             [
                 Panel(
                     name,
-                    f"<b>{plain(shortened(name, 20))}</b>: {number(quality.rate_hz, 4)} Hz, {_lost(quality)}",
+                    f"{bold(name, 20)}: {number(quality.rate_hz, 4)} Hz, {_lost(quality)}",
                     lines,
                     x=TIME_AXIS,
                     y={**LOG_AXIS, "title": {"text": "ms"}, "range": [np.log10(low), np.log10(high)]},

@@ -21,7 +21,7 @@ from ident.excite.prior import PriorKnowledge
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.regressor import model_torque
-from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, plain, shortened
+from ident.report.figures.figures import MEASURED, PREDICTED, SERIES_COLOURS, Figure, bold, plain, shortened
 from ident.report.figures.panels import TIME_AXIS, Panel, panel_figure
 from ident.report.figures.traces import curve_trace, points_trace
 
@@ -81,7 +81,7 @@ def joints_figure(joints: Sequence[JointLimits], shown: Shown) -> Figure:
 
 
 def _joint_panel(limits: JointLimits, quantity: str, unit: str, time: FloatArray, values: FloatArray) -> Panel:
-    name = f"<b>{plain(shortened(limits.name, 24))}</b>"
+    name = bold(limits.name)
     bounds = _limits(quantity, limits)
     line = curve_trace(
         time,

@@ -89,6 +89,16 @@ def plain(text: str) -> str:
     return html.escape(text, quote=False)
 
 
+def bold(name: str, length: int = 24) -> str:
+    """A name as the heading of a panel, cut to at most `length` characters."""
+    return f"<b>{plain(shortened(name, length))}</b>"
+
+
+def titled(text: str) -> dict[str, Any]:
+    """An axis with a title."""
+    return {"title": {"text": text}}
+
+
 def base_layout(height: int, **more: Any) -> dict[str, Any]:
     """Layout that all figures share."""
     return {
@@ -111,14 +121,6 @@ def narrow_layout(height: int) -> dict[str, Any]:
         },
         "dragmode": False,
     }  # fmt: skip
-
-
-def row_domains(rows: int, height: int, gap: int) -> list[tuple[float, float]]:
-    """Lower and upper end, relative to the plot's height, of `rows` panels from top to bottom with `gap` px between."""
-    inner = height - TOP - BOTTOM
-    panel = (inner - gap * (rows - 1)) / rows
-    tops = [inner - row * (panel + gap) for row in range(rows)]
-    return [(max(0.0, (top - panel) / inner), min(1.0, top / inner)) for top in tops]
 
 
 def axis_name(letter: str, index: int) -> str:

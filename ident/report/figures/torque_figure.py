@@ -12,9 +12,9 @@ from drivers.core.arrays import FloatArray
 from drivers.core.units import joint_unit
 from ident.assessment.validation import Fit
 from ident.regression.comparison import TorqueSeries
-from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, plain, shortened
+from ident.report.figures.figures import MEASURED, PREDICTED, RESIDUAL, Figure, bold, titled
 from ident.report.figures.panels import TIME_AXIS, Panel, in_rows, panel_figure
-from ident.report.figures.traces import broken_line, curve_trace, lay_out, points_per_trace, points_trace
+from ident.report.figures.traces import broken_line, curve_trace, lay_out, legend, points_per_trace, points_trace
 from ident.result.schema import Result
 from ident.views.number_text import number, percent, whole
 
@@ -102,7 +102,7 @@ class _Drawing:
         return joint_unit("N·m", sliding=self.result.sliding[joint])
 
     def heading(self, joint: int, letters: int = 60) -> str:
-        return f"<b>{plain(shortened(self.result.joints[joint], letters))}</b>"
+        return bold(self.result.joints[joint], letters)
 
     def panel(self, joint: int, lines: Sequence[str], *, first: bool) -> Panel:
         traces = [self._trace(joint, label, first) for label in lines]
@@ -112,7 +112,7 @@ class _Drawing:
             "",
             traces,
             x=TIME_AXIS,
-            y={"title": {"text": self.unit(joint)}},
+            y=titled(self.unit(joint)),
             vertical=[(x, {"dash": "dot", "width": 1}) for x in self.borders],
             height=self.height,
         )
@@ -131,15 +131,13 @@ class _Drawing:
             y,
             {"color": colour, "width": width},
             f"%{{y:.4g}} {self.unit(joint)}",
-            name=label,
-            legendgroup=label,
             legendrank=rank,
-            showlegend=first,
+            **legend(label, shown=first),
         )
 
 
 def _rejected(
-    joint: int, times: Sequence[FloatArray], series: Sequence[TorqueSeries], points: int, legend: bool
+    joint: int, times: Sequence[FloatArray], series: Sequence[TorqueSeries], points: int, first: bool
 ) -> list[dict[str, Any]]:
     """Markers on the torques that a robust estimate counted for less than half; none where all count alike."""
     if all(segment.weights is None for segment in series):
@@ -157,10 +155,8 @@ def _rejected(
             np.concatenate(y)[every],
             {"size": 5, "symbol": "x-thin", "line": {"color": REJECTED, "width": 1.2}},
             "rejected",
-            name="rejected",
-            legendgroup="rejected",
             legendrank=4,
-            showlegend=legend,
+            **legend("rejected", shown=first),
         )
     ]
 

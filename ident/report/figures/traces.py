@@ -102,6 +102,18 @@ def points_per_trace(dof: int) -> int:
     return min(POINTS_PER_TRACE, max(200, PAGE_POINTS // (6 * max(1, dof))))
 
 
+def some_of(samples: npt.NDArray[np.int64], points: int) -> npt.NDArray[np.int64]:
+    """At most `points` of the samples, in their order: random ones, since a stride could fall in step with a motion."""
+    if len(samples) <= points:
+        return samples
+    return np.sort(np.random.default_rng(0).choice(samples, points, replace=False))
+
+
+def legend(name: str, *, shown: bool) -> dict[str, Any]:
+    """Keys of a trace whose entry in the legend stands for all traces of its name; one of them is `shown` there."""
+    return {"name": name, "legendgroup": name, "showlegend": shown}
+
+
 def packed(values: npt.ArrayLike) -> dict[str, str]:
     """Values (M,) as plotly.js' typed array; nan stays nan, a gap in a line."""
     most = float(np.finfo(np.float32).max)  # absurd recorded values must not overflow

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from itertools import cycle
 
 from ident.estimators.estimator import EstimationLoop
-from ident.report.figures.figures import LOG_AXIS, SERIES_COLOURS, Figure, plain
+from ident.report.figures.figures import LOG_AXIS, SERIES_COLOURS, Figure, plain, titled
 from ident.report.figures.panels import Panel, in_rows, panel_figure
-from ident.report.figures.traces import curve_trace
+from ident.report.figures.traces import curve_trace, legend
 from ident.report.section import ReportData, ReportSection
 from ident.result.schema import Convergence
 
@@ -41,14 +41,14 @@ def _figure(convergence: Convergence) -> Figure | None:
     joints = list(dict.fromkeys(loop.joint for loop in convergence.loops if loop.joint and loop.values))
     first = next((name for name, loops in by_name.items() if loops[0].joint), "")
     colours = dict(zip(joints, cycle(SERIES_COLOURS), strict=False))
-    panels = [_panel(loops, colours, legend=name == first) for name, loops in by_name.items()]
+    panels = [_panel(loops, colours, first=name == first) for name, loops in by_name.items()]
     if not panels:
         return None
     caption = "Each loop over its iterations, innermost first; a loop has converged where its values no longer change."
     return panel_figure("convergence-plot", in_rows(panels, 2), caption, showlegend=bool(first))
 
 
-def _panel(loops: list[EstimationLoop], colours: Mapping[str, str], *, legend: bool) -> Panel:
+def _panel(loops: list[EstimationLoop], colours: Mapping[str, str], *, first: bool) -> Panel:
     """One loop, or the same one of several joints, each in its colour."""
     name, unit = loops[0].name, loops[0].unit
     values = [value for loop in loops for value in loop.values if value is not None]
@@ -59,10 +59,8 @@ def _panel(loops: list[EstimationLoop], colours: Mapping[str, str], *, legend: b
             loop.values,
             {"color": colours.get(loop.joint, SERIES_COLOURS[0]), "width": 1},
             f"{plain(loop.joint)} iteration %{{x}}: %{{y:.3g}}<extra></extra>",
-            name=loop.joint or name,
             marker={"size": 5, "color": colours.get(loop.joint, SERIES_COLOURS[0])},
-            legendgroup=loop.joint or name,
-            showlegend=legend and bool(loop.joint),
+            **legend(loop.joint or name, shown=first and bool(loop.joint)),
         )
         for loop in loops
     ]
@@ -71,7 +69,7 @@ def _panel(loops: list[EstimationLoop], colours: Mapping[str, str], *, legend: b
         name,
         f"<b>{plain(name)}</b>",
         traces,
-        x={"title": {"text": "iteration"}, "zeroline": False, **({"dtick": 1} if few else {})},
-        y={**(LOG_AXIS if changes else {}), "title": {"text": unit or ("relative" if not loops[0].joint else "")}},
+        x={**titled("iteration"), "zeroline": False, **({"dtick": 1} if few else {})},
+        y={**(LOG_AXIS if changes else {}), **titled(unit or ("relative" if not loops[0].joint else ""))},
         height=PANEL,
     )

@@ -12,9 +12,9 @@ from drivers.core.arrays import FloatArray
 from drivers.core.units import joint_unit
 from ident.friction.table import TERMS, Operands, Term
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.report.figures.figures import MEASURED, PREDICTED, Figure, plain, shortened
+from ident.report.figures.figures import MEASURED, PREDICTED, Figure, bold, titled
 from ident.report.figures.panels import Panel, in_rows, panel_figure
-from ident.report.figures.traces import curve_trace, points_trace
+from ident.report.figures.traces import curve_trace, points_trace, some_of
 from ident.report.section import ReportData, ReportSection
 from ident.result.friction import JointFrictionResult
 from ident.result.schema import Result
@@ -98,9 +98,7 @@ def _panel(data: ReportData, joint: int, points: int) -> Panel:
     name = result.joints[joint]
     velocity = np.concatenate([series.velocity[joint, series.counted[joint]] for series in data.fit])
     residual = np.concatenate([series.residual[joint, series.counted[joint]] for series in data.fit])
-    drawn = np.flatnonzero(np.isfinite(residual))
-    if len(drawn) > points:
-        drawn = np.sort(np.random.default_rng(0).choice(drawn, points, replace=False))
+    drawn = some_of(np.flatnonzero(np.isfinite(residual)), points)
     velocity, residual = velocity[drawn], residual[drawn]
     curve = _curve_velocity(velocity)
     coefficients = _coefficients(result.friction[joint])
@@ -121,14 +119,7 @@ def _panel(data: ReportData, joint: int, points: int) -> Panel:
     ]
     first = joint == _order(data)[0]
     shown = [{"legendgroup": trace["name"], "showlegend": first, **trace} for trace in traces]
-    return Panel(
-        name,
-        f"<b>{plain(shortened(name, 36))}</b>",
-        shown,
-        x={"title": {"text": f"velocity [{speed}]"}},
-        y={"title": {"text": torque_unit}},
-        height=PANEL,
-    )
+    return Panel(name, bold(name, 36), shown, x=titled(f"velocity [{speed}]"), y=titled(torque_unit), height=PANEL)
 
 
 def _band(curve: FloatArray, torque: FloatArray, half: FloatArray) -> list[dict[str, Any]]:

@@ -18,18 +18,19 @@ from ident.report.figures.figures import (
     TOP,
     Figure,
     base_layout,
+    bold,
     plain,
     shortened,
+    titled,
 )
 from ident.report.figures.panels import TIME_AXIS, Panel, panel_figure
-from ident.report.figures.traces import Timeline, broken_line, curve_trace, lay_out
+from ident.report.figures.traces import Timeline, broken_line, curve_trace, lay_out, legend
 from ident.report.recorded_runs import MotionSegment, TemperatureSeries
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import Result
 from ident.views.number_text import number
 
-PANEL = 260
-
+VALUES_PANEL = 260
 PAGE_POINTS = 8_000
 MOST_POINTS = 2000
 PANEL, TEMPERATURE_PANEL = 110, 200
@@ -56,15 +57,15 @@ def _figure(result: Result) -> Figure | None:
     values = [value for value in result.excitation.singular_values if 0 < value < math.inf]
     if not values:
         return None
-    height = TOP + BOTTOM + PANEL
+    height = TOP + BOTTOM + VALUES_PANEL
     line, marker = {"color": ACCENT, "width": 1}, {"size": 6, "color": ACCENT}
     hover = "no. %{x}: %{y:.3g}<extra></extra>"
     data = [curve_trace(range(1, len(values) + 1), values, line, hover, marker=marker)]
     layout = base_layout(
         height,
         showlegend=False,
-        xaxis={"title": {"text": "number"}, "zeroline": False},
-        yaxis={**LOG_AXIS, "title": {"text": "singular value"}},
+        xaxis={**titled("number"), "zeroline": False},
+        yaxis={**LOG_AXIS, **titled("singular value")},
     )
     caption = (
         "Singular values of the column-normalised W; their largest ratio is the condition number. A "
@@ -134,12 +135,10 @@ def _panel(
                 y,
                 {"color": colour, "width": 1.3},
                 f"%{{y:.4g}} {unit}",
-                name=label,
-                legendgroup=label,
-                showlegend=joint == 0 and quantity == "position",
+                **legend(label, shown=joint == 0 and quantity == "position"),
             )
         )
-    name = f"<b>{plain(shortened(joints[joint], 24))}</b>"
+    name = bold(joints[joint])
     return Panel(
         f"{joints[joint]}: {quantity} [{unit}]",
         f"{name}: position [{unit}]" if quantity == "position" else f"velocity [{unit}]",
@@ -171,7 +170,6 @@ def _temperatures(channels: Sequence[TemperatureSeries]) -> Figure:
                     name=plain(shortened(column, 24)),
                 )
             )
-        heading = f"<b>{plain(shortened(name, 32))}</b>"
-        rows.append([Panel(name, heading, traces, x=TIME_AXIS, y={"title": {"text": "°C"}}, height=TEMPERATURE_PANEL)])
+        rows.append([Panel(name, bold(name, 32), traces, x=TIME_AXIS, y=titled("°C"), height=TEMPERATURE_PANEL)])
     caption = "As recorded. Friction falls as gears and grease warm up; the parameters hold for these temperatures."
     return panel_figure("temperature-plot", rows, caption, hovermode="x unified")

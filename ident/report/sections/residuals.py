@@ -13,10 +13,10 @@ from drivers.core.units import joint_unit
 from ident.assessment.residual_tests import LARGEST_AUTOCORRELATION, LARGEST_CURVATURE, LARGEST_SHAPE, LARGEST_SPREAD
 from ident.regression.comparison import TorqueSeries
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, p_text
-from ident.report.figures.figures import ACCENT, REFERENCE, Figure, plain, shortened
+from ident.report.figures.figures import ACCENT, REFERENCE, Figure, bold, titled
 from ident.report.figures.panels import Panel, panel_figure
 from ident.report.figures.torque_figure import torque_figure
-from ident.report.figures.traces import curve_trace, packed, points_trace
+from ident.report.figures.traces import curve_trace, packed, points_trace, some_of
 from ident.report.section import ReportData, ReportSection
 from ident.views.number_text import number, whole
 
@@ -180,16 +180,16 @@ def _scatter_figure(joints: Sequence[str], sliding: Sequence[bool], residuals: M
     rows = []
     for index, joint in residuals.items():
         name = joints[index]
-        bold = f"<b>{plain(shortened(name, 24))}</b>: residual"
+        heading = f"{bold(name)}: residual"
         torque, speed = (joint_unit(unit, sliding=sliding[index]) for unit in ("N·m", "rad/s"))
         rows.append(
             [
                 Panel(
                     name,
-                    bold,
+                    heading,
                     _scatter(joint, values, points, (unit, torque)),
-                    x={"title": {"text": f"{quantity} [{unit}]"}},
-                    y={"title": {"text": torque}},
+                    x=titled(f"{quantity} [{unit}]"),
+                    y=titled(torque),
                 )
                 for quantity, values, unit in (
                     ("predicted torque", joint.predicted, torque),
@@ -212,25 +212,16 @@ def _figure(joints: Sequence[str], residuals: Mapping[int, JointResidual], step:
 
 
 def _row(name: str, joint: JointResidual, step: float) -> list[Panel]:
-    bold = f"<b>{plain(shortened(name, 24))}</b>"
+    joint_name = bold(name)
     return [
-        Panel(name, f"{bold}: autocorrelation", _correlogram(joint, step), x={"title": {"text": "lag [s]"}}),
-        Panel(name, "density", _histogram(joint), f"{bold}: density", x={"title": {"text": "residual / σ"}}),
-        Panel(
-            name,
-            "quantiles",
-            _quantiles(joint),
-            f"{bold}: quantiles",
-            x={"title": {"text": "of a normal distribution"}},
-        ),
+        Panel(name, f"{joint_name}: autocorrelation", _correlogram(joint, step), x=titled("lag [s]")),
+        Panel(name, "density", _histogram(joint), f"{joint_name}: density", x=titled("residual / σ")),
+        Panel(name, "quantiles", _quantiles(joint), f"{joint_name}: quantiles", x=titled("of a normal distribution")),
     ]
 
 
 def _scatter(joint: JointResidual, values: FloatArray, points: int, units: tuple[str, str]) -> list[dict[str, Any]]:
-    kept = np.arange(len(joint.residual))
-    if len(kept) > points:
-        # Random, not every n-th: a stride could fall in step with a periodic motion.
-        kept = np.sort(np.random.default_rng(0).choice(kept, points, replace=False))
+    kept = some_of(np.arange(len(joint.residual)), points)
     return [
         points_trace(
             values[kept],
