@@ -22,6 +22,8 @@ from drivers.core.ranges import STAMP
 from drivers.core.reading_process import read_apart
 from drivers.core.terminal import hidden_character
 from drivers.core.text import parsed_json
+from drivers.core.units import FACTORS, conversion, normalised
+from drivers.streams import UNITS
 
 _Read = TypeVar("_Read")
 
@@ -262,15 +264,29 @@ def _read_stream(group: Any, where: str, within: tuple[float, float]) -> Stream:
             raise RecordingError(
                 f"'{name}' has {dataset.shape[1]} columns, but its attribute 'joints' names {len(columns)}", where=where
             )
+        if len(set(columns)) < len(columns):
+            raise RecordingError(f"'{name}' names a column twice: {', '.join(columns)}", where=where)
         channels[name] = Channel(
             quantity=name,
             values=np.asarray(dataset[rows], dtype=np.float64),
-            unit=str(dataset.attrs.get("unit", "")),
+            unit=_unit(dataset, where),
             columns=columns,
             description=str(dataset.attrs.get("description", "")),
             magnitude=bool(dataset.attrs.get("magnitude", False)),
         )
     return Stream(name=group.name.rsplit("/", 1)[-1], time=time, host_time=host_time, channels=channels)
+
+
+def _unit(dataset: Any, where: str) -> str:
+    unit, quantity = str(dataset.attrs.get("unit", "")), dataset.name.rsplit("/", 1)[-1]
+    known = normalised(unit)
+    if quantity in UNITS and known in FACTORS and conversion(known) != (1.0, 0.0):
+        raise RecordingError(
+            f"'{quantity}' is in {unit}; values of a recording are in SI units",
+            where=where,
+            hint="convert them, and state the unit they are in then as the attribute 'unit'",
+        )
+    return unit
 
 
 def _read_clock(group: Any, name: str, rows: slice, where: str) -> FloatArray:

@@ -191,7 +191,7 @@ def tracking_gains(inertia: FloatArray, coulomb: FloatArray, amplitude: FloatArr
     """
     against_friction = coulomb / (STUCK * np.maximum(amplitude, 1e-300))
     stiffness = BANDWIDTH**2 * inertia + np.diag(against_friction)
-    damping = 2.0 * BANDWIDTH * inertia + np.diag(2.0 * np.sqrt(against_friction * inertia.diagonal()))
+    damping = 2.0 * BANDWIDTH * inertia + np.diag(2.0 * np.sqrt(against_friction * inertia.diagonal().clip(0.0)))
     return stiffness, damping
 
 

@@ -177,6 +177,9 @@ def _joints_stream(recording: Recording) -> Stream:
     if stream is None:
         streams = ", ".join(recording.streams) or "none"
         raise DataError(f"has no stream '{JOINTS_STREAM}'; streams: {streams}", where=recording.label)
+    if len(stream.time) < 2 or np.ptp(stream.time) == 0.0:
+        problem = f"its {len(stream.time)} samples last 0 s" if len(stream.time) else "the recording holds no samples"
+        raise DataError(problem, where=recording.label)
     return stream
 
 

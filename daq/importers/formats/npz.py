@@ -45,10 +45,14 @@ def read_npz(path: Path, joints: Sequence[str], choices: ImportChoices) -> Forei
         with np.load(path, allow_pickle=False) as archive:
             for name in archive.files:
                 try:
-                    arrays[name] = archive[name]
+                    entry = archive[name]
                 except ValueError as error:
                     if "allow_pickle" not in str(error):
                         raise
+                    entry = b""
+                if isinstance(entry, np.ndarray):
+                    arrays[name] = entry
+                else:  # pickled, or the bytes of a file that is no array
                     pickled.append(name)
     return table_of_arrays("NumPy archive", arrays, joints, choices, where, unreadable=pickled)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -56,6 +57,12 @@ def npz(**arrays: Any) -> Callable[[Path], Path]:
         return folder / "run.npz"
 
     return make
+
+
+def with_a_note(folder: Path) -> Path:
+    with zipfile.ZipFile(npz(x=TIME)(folder), "a") as archive:
+        archive.writestr("q.npy", "see the other folder")
+    return folder / "run.npz"
 
 
 def spoilt(array: np.ndarray, index: Any, value: float) -> np.ndarray:
@@ -212,6 +219,7 @@ ARRAYS = [
     Refused("complex", npz(t=TIME, q=Q * 1j), "q: holds no real numbers, but complex128"),
     Refused("texts", npz(t=TIME, q=np.array(["a"] * 200)), "q: holds no real numbers"),
     Refused("pickled", npz(t=TIME, q=np.array([{}, []], dtype=object)), "q: is a pickled or otherwise opaque object"),
+    Refused("a text as an array", with_a_note, "no array with a recognised name; it has: x .*, q"),
     Refused("no such array", npz(x=TIME), "no array with a recognised name; it has: x"),
     Refused("nothing", npz(), "it has: nothing"),
     Refused(

@@ -242,6 +242,16 @@ def lost_names(path: Path) -> None:
         file["streams/joints/position"].attrs["joints"] = ["shoulder"]
 
 
+def a_name_twice(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file["streams/joints/position"].attrs["joints"] = ["shoulder", "shoulder"]
+
+
+def degrees(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file["streams/joints/position"].attrs["unit"] = "°"
+
+
 def one_dimension(path: Path) -> None:
     with h5py.File(path, "a") as file:
         file["streams/joints/force"] = np.zeros(20)
@@ -289,6 +299,8 @@ def nothing(path: Path) -> None:
         (two_clocks, r"'host_time' has shape \(20, 2\)"),
         (absurd_stamp, "/streams/joints: the 'host_time' of sample 7, -1e\\+256 s, is not within"),
         (lost_names, "'position' has 2 columns, but its attribute 'joints' names 1"),
+        (a_name_twice, "'position' names a column twice: shoulder, shoulder"),
+        (degrees, "'position' is in °; values of a recording are in SI units"),
         (one_dimension, r"'force' has shape \(20,\)"),
         (complex_numbers, r"'force' has .* type complex128"),
         (foreign_events, "is damaged"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -119,6 +121,17 @@ def test_values_that_are_no_numbers_are_named_by_sample_and_joint(quantity, valu
     with pytest.raises(DataError, match="first at sample 2") as caught:
         read_joint_signals(recording(**values), robot(*GAINS).robot)
     assert caught.value.where.endswith(f"{'torque' if quantity == 'current' else quantity} of b")
+
+
+@pytest.mark.parametrize(("samples", "message"), [(0, "holds no samples"), (1, "its 1 samples"), (4, "its 4 samples")])
+def test_recordings_that_last_no_time_are_refused(samples, message):
+    run = recording(position=POSITION, current=CURRENT)
+    joints = run.streams[JOINTS_STREAM]
+    none = {name: replace(one, values=one.values[:samples]) for name, one in joints.channels.items()}
+    short = replace(joints, time=np.ones(samples), host_time=np.ones(samples), channels=none)
+    for read in (read_joint_signals, joint_positions):
+        with pytest.raises(DataError, match=message):
+            read(replace(run, streams={JOINTS_STREAM: short}), robot(*GAINS).robot)
 
 
 def test_positions_alone_need_no_torque():
