@@ -219,7 +219,7 @@ ARRAYS = [
     Refused("complex", npz(t=TIME, q=Q * 1j), "q: holds no real numbers, but complex128"),
     Refused("texts", npz(t=TIME, q=np.array(["a"] * 200)), "q: holds no real numbers"),
     Refused("pickled", npz(t=TIME, q=np.array([{}, []], dtype=object)), "q: is a pickled or otherwise opaque object"),
-    Refused("a text as an array", with_a_note, "no array with a recognised name; it has: x .*, q"),
+    Refused("a text as an array", with_a_note, "q: is a pickled or otherwise opaque object"),
     Refused("no such array", npz(x=TIME), "no array with a recognised name; it has: x"),
     Refused("nothing", npz(), "it has: nothing"),
     Refused(
