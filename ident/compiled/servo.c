@@ -6,7 +6,7 @@
 
 /* The order of TERMS in ident/servo/terms.py. */
 enum { STIFFNESS, DAMPING, ARMATURE, COULOMB, BIAS, DELAY, ACCELERATION_LIMIT, LOAD_FRICTION, ZERO, BREAKAWAY,
-       LOAD_BREAKAWAY, STRIBECK_VELOCITY, TORQUE_LIMIT, DEAD_BAND, TERMS };
+       LOAD_BREAKAWAY, STRIBECK_VELOCITY, TORQUE_LIMIT, DEAD_BAND, BACKLASH, TERMS };
 
 enum { WIDTH = 8 }; /* lanes side by side */
 
@@ -116,12 +116,16 @@ void servo_goals(long history, long rows, long lanes, double step, double span, 
 
 enum { SWEEPS = 200, PATTERNS = 6, GROUPS = 8 }; /* groups of lanes: memory is read row after row */
 static const double SETTLED = 1e-9; /* [rad/s or N] change of a sweep at which the joints of a step agree */
+static const double BEHIND = 0.2; /* share of the Coulomb friction behind the play, on the joint's side */
 
 /* A joint in each of the pieces that are side by side. */
 struct servo {
     vector p[TERMS], position, velocity, middle, torque, toward, acting, shares[2], limited, sided, later, inertia,
         momentum, friction, per_torque, faded, share, push, against, passed, divisor, gone, after, turn[3];
     mask moving, turning;
+    /* with play: by how much the motor is ahead, its velocity, both after the step; the torque and load at its start */
+    vector ahead, rate, next_ahead, next_rate, drive, load, travel;
+    int play;
 };
 
 /* Pieces side by side. */
@@ -151,9 +155,10 @@ static void begin(struct servo *s, double h, const vector *goals, vector late, v
     s->acting = s->shares[0] + s->shares[1];
     s->later = torques[0] - torques[1];
     s->toward = sign(s->torque);
+    s->drive = s->torque, s->load = load + p[ZERO] * slope;
     s->torque += h * s->acting * s->velocity; /* as at the beginning, from where the step is implicit */
     s->inertia = p[ARMATURE] + inertia;
-    s->momentum = s->inertia * s->velocity + h * (s->torque - load - p[ZERO] * slope);
+    s->momentum = s->inertia * s->velocity + h * (s->torque - s->load);
     s->share = s->velocity / p[STRIBECK_VELOCITY];
     vector loaded = s->toward * s->torque, breakaway = p[BREAKAWAY] + p[LOAD_BREAKAWAY] * loaded;
     s->faded = none;
@@ -177,10 +182,10 @@ static void turned(struct servo *s)
     s->gone = pick(s->turning, (s->velocity * s->velocity - back * s->turn[0]) / (4 * s->turn[1]), s->gone);
 }
 
-/* The velocity in the middle of the step, with `push` in the momentum; returns by how much it changed. */
-static vector move(struct servo *s, double h)
+/* The velocity in the middle of the step, with `push` in the momentum, of motor and joint as one body. */
+static void move_joined(struct servo *s, double h)
 {
-    vector momentum = s->momentum + s->push, before = s->middle, none = {0};
+    vector momentum = s->momentum + s->push, none = {0};
     mask going = s->velocity != 0;
     s->moving = going | (size(momentum) > s->friction);
     s->against = sign(pick(going, s->velocity, momentum));
@@ -190,6 +195,54 @@ static vector move(struct servo *s, double h)
     s->turning = s->velocity * (2 * s->middle - s->velocity) < 0;
     if (any(s->turning))
         turned(s);
+}
+
+/* A body on its own through half a step. */
+static void move_alone(struct servo *s, double h, vector inertia, vector velocity, vector force, vector friction)
+{
+    s->acting = s->per_torque = every(0);
+    s->inertia = inertia, s->velocity = velocity;
+    s->momentum = inertia * velocity + h * force, s->friction = h * larger(friction, every(0));
+    move_joined(s, h);
+}
+
+/* The same of motor and joint with play between them: each on its own, unless the play would be used up in the step. Then
+   they go on together, with their common velocity: the impact is plastic. */
+static void move_loose(struct servo *s, double h)
+{
+    const vector *p = s->p, none = {0};
+    vector half = 0.5 * p[BACKLASH], behind = BEHIND * p[COULOMB], apart = s->velocity - s->rate;
+    struct servo motor = *s, link = *s;
+    motor.push = link.p[DAMPING] = none;
+    vector fading = s->rate / p[STRIBECK_VELOCITY], rubbing = p[BREAKAWAY] + p[LOAD_BREAKAWAY] * size(s->drive);
+    for (int l = 0; l < WIDTH; l++)
+        rubbing[l] *= exp(-fading[l] * fading[l]);
+    move_alone(&motor, h, p[ARMATURE], s->rate, s->drive, p[COULOMB] - behind + p[LOAD_FRICTION] * size(s->drive) + rubbing);
+    move_alone(&link, h, s->inertia - p[ARMATURE], s->velocity, -s->load, behind);
+    vector ahead = s->ahead + 2 * h * (motor.gone - link.gone), end = pick(ahead < 0, -half, half);
+    vector closing = (end - s->ahead) / (2 * h), momentum = s->momentum;
+    mask loose = size(ahead) < half;
+    s->momentum -= p[ARMATURE] * (apart + closing) + h * p[DAMPING] * closing;
+    move_joined(s, h);
+    s->momentum = momentum;
+    vector after = s->middle + s->middle - s->velocity + p[ARMATURE] / s->inertia * (2 * closing + apart);
+    after = pick(s->moving, after, none);
+    s->middle = pick(loose, link.middle, 0.5 * (s->velocity + after));
+    s->gone = pick(loose, link.gone, s->gone);
+    s->moving = (loose & link.moving) | (~loose & s->moving);
+    s->divisor = pick(loose, link.divisor, s->divisor);
+    s->next_ahead = pick(loose, ahead, end);
+    s->next_rate = pick(loose, pick(motor.moving, 2 * motor.middle - s->rate, none), after);
+}
+
+/* The velocity in the middle of the step, with `push` in the momentum; returns by how much it changed. */
+static vector move(struct servo *s, double h)
+{
+    vector before = s->middle;
+    if (s->play)
+        move_loose(s, h);
+    else
+        move_joined(s, h);
     return size(s->middle - before);
 }
 
@@ -213,6 +266,7 @@ static void by_terms(const struct servo *s, double h, double by_delay, const vec
     own[STRIBECK_VELOCITY] = drag * (p[BREAKAWAY] + p[LOAD_BREAKAWAY] * loaded) * s->faded * 2 * s->share * s->share;
     own[TORQUE_LIMIT] = push * s->limited;
     own[DEAD_BAND] = -push * s->sided * p[DEAD_BAND];
+    own[BACKLASH] = every(0); /* by differences of roll-outs */
 }
 
 /* How the momentum changes with the velocity before the step, beyond the inertia: friction that fades. */
@@ -313,6 +367,9 @@ static int solved_together(long n, struct servo *servos, double h, const vector 
 {
     vector x[n];
     mask right = {0};
+    for (long i = 0; i < n; i++)
+        if (servos[i].play)
+            return 0;
     for (int attempt = 0; attempt < PATTERNS; attempt++) {
         mask same = every(attempt) > 0;
         for (long i = 0; i < n; i++) {
@@ -467,6 +524,8 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
                 for (int index = 0; index < TERMS; index++)
                     g.servos[i].p[index] = gathered(values + index * lanes, g.at[i], g.tight);
                 g.servos[i].position = gathered(start, g.at[i], g.tight);
+                g.servos[i].play = any(g.servos[i].p[BACKLASH] > 0);
+                g.servos[i].ahead = 0.5 * g.servos[i].p[BACKLASH] * sign(gathered(loads, g.at[i], g.tight));
             }
             if (lever)
                 g.hard = gathered(surface, g.piece, g.tight), g.damping = gathered(surface + pieces, g.piece, g.tight);
@@ -524,6 +583,12 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
             for (long i = 0; i < joints; i++) {
                 struct servo *s = servos + i;
                 s->after = pick(s->moving, 2 * s->middle - s->velocity, every(0));
+                vector gone = s->gone;
+                if (s->play) { /* derivatives are those without play, which is used up again within a few steps */
+                    s->ahead = s->next_ahead, s->rate = s->next_rate;
+                    move_joined(s, h);
+                }
+                s->travel = gone;
                 turns[i] = s->turning;
                 /* derivatives begin without the turn */
                 s->middle = pick(s->turning, 0.5 * (s->velocity + s->turn[0]), s->middle);
@@ -570,7 +635,7 @@ void servo_roll_out(long rows, long pieces, long joints, double step, const doub
             for (long i = 0; i < joints; i++) {
                 struct servo *s = servos + i;
                 s->velocity = s->after;
-                s->position += step * s->gone;
+                s->position += step * s->travel;
             }
         }
     }

@@ -15,6 +15,7 @@ from daq.recording.quality.quantisation import resolution
 from daq.recording.quality.stale_samples import stale_rows
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
+from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.reading_process import Progress
@@ -42,7 +43,7 @@ from ident.servo.result import (
     ServoResult,
 )
 from ident.servo.simulators.mjcf import model_paths, read_model_file
-from ident.servo.terms import TERMS
+from ident.servo.terms import INDEX, TERMS
 from ident.signals.sample_hashes import SAME_DATA, HashArray, check_counted_once, overlap, sample_hashes
 
 HELD_OUT = 0.3
@@ -129,7 +130,9 @@ def identify_servo(
     if not np.any(moving > 5 * steps):
         raise IdentificationError("no joint is commanded to move by more than five encoder steps")
     tool = tool_point(file, links)
-    fitted = fit_servo(motions, links, steps, _given(given, robot.joint_names), tool, progress)
+    known, declared = (_given(terms, robot.joint_names) for terms in (given, _declared(robot)))
+    declared = {key: value for key, value in declared.items() if key not in known}
+    fitted = fit_servo(motions, links, steps, known, declared, tool, progress)
     progress("roll-out")
     lag = delay_and_lag(motions)
     contact = fitted.contact
@@ -138,6 +141,12 @@ def identify_servo(
     validation, paths = judge(judged, links, fitted.values, lag, contact, reference, held_out=own)
     doubts = _doubts([*recordings, *held_out], file)
     doubts += unexplained(robot.joint_names, np.where(fitted.moving, fitted.left / steps, 0.0))
+    wrong = [joint for joint, name in declared.keys() - known.keys() if not fitted.held[joint, INDEX[name]]]
+    if np.any(fitted.moving[wrong]):
+        limit = next(iter(declared.values()))
+        doubts.append(
+            f"the recordings contradict the profile of {limit:g} rad/s² that `connections` sets in the servos"
+        )
     if len(recordings) > 1 and fit.rollout_mean > USABLE * steps.mean():
         doubts.append(
             f"the recordings do not follow one model ({1e3 * fit.rollout_mean:.2g} mrad in their own data): if gains, "
@@ -439,6 +448,15 @@ def _joint(fitted: ServoFit, row: int, name: str, sliding: bool) -> ServoJoint:
 
 def _given(given: dict[str, dict[str, float]], names: Sequence[str]) -> dict[tuple[int, str], float]:
     return {(list(names).index(joint), term): value for joint, terms in given.items() for term, value in terms.items()}
+
+
+def _declared(robot: Robot) -> dict[str, dict[str, float]]:
+    """Limits of the servos' profiles that the robot file's connections set, where these agree."""
+    name, allowed = "acceleration_limit", TERMS[INDEX["acceleration_limit"]].allowed
+    servos = [each for each in robot.connections.values() if each.driver in ("feetech", "dynamixel")]
+    stated = [(connection.model_extra or {}).get("acceleration") for connection in servos]
+    limits = {float(each) for each in stated if isinstance(each, (int, float)) and allowed.holds(each)}
+    return {joint: {name: limit} for limit in limits for joint in robot.joint_names if len(limits) == 1}
 
 
 def _divided(motions: Sequence[ServoMotion]) -> tuple[list[ServoMotion], list[ServoMotion]]:

@@ -7,6 +7,7 @@ A joint follows a commanded position u, without a torque sensor:
     joint: (armature + M_ii)·q̈ = τ − damping·q̇ − friction − gravity(q + zero) − coupling
     friction = coulomb + load_friction·|τ| + (breakaway + load_breakaway·|τ|)·exp(−(q̇/stribeck_velocity)²), against q̇
 
+With `backlash`, motor and joint are two bodies that meet plastically at its ends; the encoder is the joint's.
 `damping` holds back-EMF, the position loop's derivative gain and viscous friction, which positions cannot tell apart.
 Friction that grows with the transmitted torque: Marc Duclusaud et al., "Extended friction models for the physics
 simulation of servo actuators", ICRA 2025.
@@ -57,6 +58,7 @@ TERMS = (
     ),
     ServoTerm("torque_limit", "N·m", "of the drive", 3.0, 1e7, True, 2.0, "saturation", Range(1e-6, 1e8)),
     ServoTerm("dead_band", "rad", "of the position loop", 0.003, 0.0, True, 1.5, "dead band", Range(1e-7, 0.5)),
+    ServoTerm("backlash", "rad", "between motor and joint", 0.003, 0.0, True, 1.5, "backlash", Range(1e-7, 0.5)),
 )
 """All terms, in the order of every array of parameters."""
 

@@ -166,6 +166,7 @@ WORDS = {
     "breakaway": "breakaway friction",
     "load_breakaway": "breakaway friction",
     "dead_band": "the dead band",
+    "backlash": "the backlash",
     "bias": "the bias of the position loop",
     "delay": "the delay",
     "zero": "the encoders' zeros",

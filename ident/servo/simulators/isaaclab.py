@@ -25,7 +25,7 @@ from ident.servo.terms import INDEX, TERMS
 PHYSICS_STEP = 0.005
 """[s] in which Isaac Lab's delayed actuators count; `sim.dt` of the environment must be it."""
 
-MISSING = ("load_friction", "load_breakaway", "dead_band", "zero")
+MISSING = ("load_friction", "load_breakaway", "dead_band", "zero", "backlash")
 """Terms that the file has no place for."""
 
 FORMAT = FileFormat("Isaac Lab's configuration", "the actuators' law", MISSING, PHYSICS_STEP, shaped=True)

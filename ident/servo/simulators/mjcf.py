@@ -26,7 +26,7 @@ from ident.servo.motion import ServoMotion
 from ident.servo.simulators.actuator_law import FileFormat, actuator_law
 from ident.servo.terms import INDEX, TERMS
 
-MISSING = ("acceleration_limit", "load_friction", "breakaway", "load_breakaway", "dead_band")
+MISSING = ("acceleration_limit", "load_friction", "breakaway", "load_breakaway", "dead_band", "backlash")
 """Terms that an MJCF has no place for."""
 
 FORMAT = FileFormat("MJCF", "MuJoCo", MISSING)

@@ -24,7 +24,7 @@ from ident.servo.links import ServoLinks
 from ident.servo.simulators.actuator_law import ActuatorLaw, FileFormat, actuator_law
 from ident.servo.terms import INDEX, TERMS
 
-MISSING = ("acceleration_limit", "load_friction", "load_breakaway", "dead_band", "bias", "delay")
+MISSING = ("acceleration_limit", "load_friction", "load_breakaway", "dead_band", "bias", "delay", "backlash")
 """Terms that a drive has no place for."""
 
 FORMAT = FileFormat("USD", "the drives' law", MISSING)

@@ -12,6 +12,7 @@ import pytest
 
 import dynid
 from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Recording, Stream
+from daq.robot.loader import load_robot
 from ident.servo.arm_rollout import roll_out_arm, rollout_errors
 from ident.servo.contact import Surface
 from ident.servo.identify import _doubts, unexplained
@@ -36,7 +37,11 @@ def training() -> Recording:
 
 @pytest.fixture(scope="module")
 def model(training, other) -> dynid.ServoModel:
-    return dynid.identify_servo(training, validation=other)
+    """The servos' profile is that of 39 rad/s²; the connection says 20."""
+    file = load_robot("so101")
+    said = file.robot.connections["feetech"].model_copy(update={"acceleration": 20.0})
+    robot = file.robot.model_copy(update={"connections": {"feetech": said}})
+    return dynid.identify_servo(training, validation=other, robot=file.model_copy(update={"robot": robot}))
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +106,7 @@ def test_the_truth_comes_back_where_gravity_ties_the_torques(model):
         low, high = joint.parameters["acceleration_limit"].interval
         assert 0.97 * low < true.servo.acceleration < 1.03 * high
     assert told >= 5, "of nine parameters"
+    assert any("contradict the profile of 20 rad/s²" in check for check in model.result.verdict.checks)
 
 
 def test_a_torque_that_nothing_ties_to_newton_metres_is_said_to_be_assumed(model):
