@@ -35,26 +35,6 @@ WIDE: dict[str, object] = {"with": [], "sync_rate": 10, "heartbeat": 1.0, "timeo
 """A drive and dynid miss each other after 3 s."""
 
 
-def test_a_recording_is_complete_and_the_simulator_ends_with_ctrl_c(tmp_path: Path) -> None:
-    arm, out = an_arm(tmp_path, **WIDE), tmp_path / "run.h5"
-    with simulated(arm, "canopen") as (ready, process):
-        assert ready["interface"] == "udp_multicast"
-        assert ready["channel"] == arm.group
-        assert ready["bitrate"] == 1_000_000
-        assert list(ready["nodes"].values()) == [1, 2, 3, 4, 5, 6]
-        with recorder(arm, "canopen", out, "--duration", "1") as program:
-            assert_recorded(program)
-        process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) == 0
-    recording = read_recording(out)
-    assert recording.complete
-    rows = len(recording.streams["joints"].time)
-    assert rows > 0
-    if (lister := shutil.which("h5ls")) is not None:
-        listed = subprocess.run([lister, "-r", str(out)], capture_output=True, text=True, check=True).stdout
-        assert re.search(rf"/streams/joints/position +Dataset {{{rows}/Inf, 6}}", listed)
-
-
 def test_a_typed_fault_ends_the_recording_and_is_its_reason(tmp_path: Path) -> None:
     arm, out = an_arm(tmp_path, **WIDE, mode="none"), tmp_path / "run.h5"
     with simulated(arm, "canopen") as (_, process), recorder(arm, "canopen", out, "--duration", "600") as program:
@@ -75,9 +55,17 @@ def test_an_adapter_on_a_pty_is_recorded_until_it_is_pulled_out(tmp_path: Path) 
     assert_stopped(Outcome(program.returncode, errors, read_recording(out)), "the CAN adapter", "no complete sample")
 
 
-def test_drives_rest_by_themselves_when_the_program_is_killed(tmp_path: Path) -> None:
+def test_drives_rest_by_themselves_when_the_program_is_killed_and_the_next_recording_is_complete(
+    tmp_path: Path,
+) -> None:
     arm, out = an_arm(tmp_path, **{**WIDE, "sync_rate": 100}), tmp_path / "run.h5"
-    with simulated(arm, "canopen"), Probe(arm) as probe:
+    with simulated(arm, "canopen") as (ready, process), Probe(arm) as probe:
+        assert {name: ready[name] for name in ("interface", "channel", "bitrate")} == {
+            "interface": "udp_multicast",
+            "channel": arm.group,
+            "bitrate": 1_000_000,
+        }
+        assert list(ready["nodes"].values()) == [1, 2, 3, 4, 5, 6]
         with recorder(arm, "canopen", out, "--trajectory", str(swing(tmp_path))) as program:
             probe.wait_for_motion(program)
             program.kill()
@@ -85,5 +73,15 @@ def test_drives_rest_by_themselves_when_the_program_is_killed(tmp_path: Path) ->
         assert probe.wait_for_losses() == [1, 2, 3, 4, 5, 6]
         assert probe.wait_until_off() == [1, 2, 3, 4, 5, 6]
         changed(arm, "canopen", sync_rate=10)  # which no busy computer loses
-        with recorder(arm, "canopen", tmp_path / "again.h5", "--duration", "1") as program:
+        again = tmp_path / "again.h5"
+        with recorder(arm, "canopen", again, "--duration", "1") as program:
             assert_recorded(program)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE) == 0
+    recording = read_recording(again)
+    assert recording.complete
+    rows = len(recording.streams["joints"].time)
+    assert rows > 0
+    if (lister := shutil.which("h5ls")) is not None:
+        listed = subprocess.run([lister, "-r", str(again)], capture_output=True, text=True, check=True).stdout
+        assert re.search(rf"/streams/joints/position +Dataset {{{rows}/Inf, 6}}", listed)

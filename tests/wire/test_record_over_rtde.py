@@ -408,7 +408,7 @@ def fast_motion_alone() -> tuple[float, float]:
     """What of the fast motion is felt where nothing stalls."""
     with simulated_time() as clock, tempfile.TemporaryDirectory() as folder:
         bench = Bench(clock, Path(folder))
-        assert bench.record(trajectory(Path(folder), 2.0, *FAST)).stopped_by is None
+        assert bench.record(trajectory(Path(folder), 1.0, *FAST)).stopped_by is None
         return felt(bench)
 
 
@@ -429,9 +429,9 @@ def test_stalls_in_a_fast_motion_add_no_acceleration_and_no_torque(
     controllers = {thread.name for thread in bench.server._threads} | (set() if whole else {f"motion {HOST}"})
     random = np.random.default_rng(round(1e3 * sum(stalls)))
     for number, stall in enumerate(stalls):
-        when = START + LATER + 0.5 * (number + random.random())
+        when = START + FAULT + 0.3 * (number + random.random())
         clock.call_at(when, lambda stall=stall: clock.suspend(stall, but=controllers))  # type: ignore[misc]
-    report = bench.record(trajectory(tmp_path, 2.0, *FAST))
+    report = bench.record(trajectory(tmp_path, 1.0, *FAST))
     if max(stalls) > 0.05:
         bench.assert_stopped(report)
         assert "this computer stalled for" in str(report.stopped_by)
@@ -446,20 +446,27 @@ def test_stalls_in_a_fast_motion_add_no_acceleration_and_no_torque(
 SLOW = (0.06, 1.5)
 """Amplitude [rad] and frequency [rad/s] of a motion that bears a stall: what was missed is at most 0.12 rad."""
 SELDOM = 125.0
-"""Rate of samples [Hz] where it does not matter: each costs time."""
-SLOWEST = ("--version", "3.15")
-"""Of the controllers that are simulated: 125 Hz, a quarter of the others' rate."""
-SIMULATOR = ("-c", "import sys; from dynid.command import main; sys.exit(main())", "sim", "ur5e", "--no-ui", "--host")
+"""Rate of samples [Hz] of the slowest controller: each costs time."""
+SIMULATOR = ("-c", "import sys; from dynid.command import main; sys.exit(main())", "sim", "ur5e", "--no-ui")
+
+
+@pytest.fixture(scope="module")
+def host() -> Iterator[str]:
+    """The address of a controller in a process of its own, at which one test after the other records."""
+    address = loopback()
+    with served(*SIMULATOR, "--version", "3.15", "--host", address):
+        yield address
 
 
 @contextmanager
-def recording(host: str, out: Path, *arguments: str, rate: float = SELDOM) -> Iterator[subprocess.Popen[str]]:
-    """`dynid record` in processes of its own, which are ended with the block; no limit of torque stops it."""
-    changed_robot(out.parent, {"torque": None}, timeout=LIMIT, rate=rate)
+def recording(host: str, out: Path, duration: float) -> Iterator[subprocess.Popen[str]]:
+    """`dynid record` of a motion, in processes of its own, ended with the block; no limit of torque stops it."""
+    changed_robot(out.parent, {"torque": None}, timeout=LIMIT, rate=SELDOM)
+    path = trajectory(out.parent, duration, *SLOW)
     robot = str(out.with_name("changed.yaml"))
     command = [sys.executable, "tests/support/patient_dynid.py", "record", robot, "--host", host, "-o", str(out)]
     process = subprocess.Popen(
-        [*command, "--yes", "--no-ui", "--json", *arguments],
+        [*command, "--yes", "--no-ui", "--json", "--trajectory", str(path)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -494,9 +501,9 @@ def wait_for_rest(host: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_dynid_moves_an_arm_through_ur_rtde_and_records_it_to_its_end(tmp_path: Path) -> None:
-    host, out, path = loopback(), tmp_path / "run.h5", trajectory(tmp_path, 1.0, *SLOW)
-    with served(*SIMULATOR, host), recording(host, out, "--trajectory", str(path), rate=RATE) as process:
+def test_dynid_moves_an_arm_through_ur_rtde_and_records_it_to_its_end(host: str, tmp_path: Path) -> None:
+    out = tmp_path / "run.h5"
+    with recording(host, out, 1.0) as process:
         output, errors = process.communicate(timeout=LIMIT)
         assert (process.returncode, errors) == (0, "")
         wait_for_rest(host)
@@ -504,19 +511,16 @@ def test_dynid_moves_an_arm_through_ur_rtde_and_records_it_to_its_end(tmp_path: 
     assert (joints["lost"], joints["duplicates"]) == (0, 0)
     found = read_recording(out)
     assert found.complete
-    assert found.trajectory == path.read_text()
-    assert_no_sample_is_missing(found.streams["joints"].time)
+    assert found.trajectory == (tmp_path / "trajectory.yaml").read_text()
+    assert_no_sample_is_missing(found.streams["joints"].time, SELDOM)
     assert np.ptp(found.streams["joints"].channels["position"].values, axis=0).min() > 0.03
 
 
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_ctrl_c_in_mid_motion_halts_the_arm_and_closes_the_file(tmp_path: Path) -> None:
-    host, out = loopback(), tmp_path / "run.h5"
-    with (
-        served(*SIMULATOR, host, *SLOWEST),
-        recording(host, out, "--trajectory", str(trajectory(tmp_path, 600.0, *SLOW))) as process,
-    ):
+def test_ctrl_c_in_mid_motion_halts_the_arm_and_closes_the_file(host: str, tmp_path: Path) -> None:
+    out = tmp_path / "run.h5"
+    with recording(host, out, 600.0) as process:
         wait_for_motion(host, process)
         os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the motion process gets it, too
         output, _ = process.communicate(timeout=LIMIT)
@@ -531,12 +535,9 @@ def test_ctrl_c_in_mid_motion_halts_the_arm_and_closes_the_file(tmp_path: Path) 
 
 @pytest.mark.slow
 @pytest.mark.realtime
-def test_the_controllers_watchdog_ends_the_program_when_all_of_dynid_is_killed(tmp_path: Path) -> None:
-    host, out = loopback(), tmp_path / "run.h5"
-    with (
-        served(*SIMULATOR, host, *SLOWEST),
-        recording(host, out, "--trajectory", str(trajectory(tmp_path, 600.0, *SLOW))) as process,
-    ):
+def test_the_controllers_watchdog_ends_the_program_when_all_of_dynid_is_killed(host: str, tmp_path: Path) -> None:
+    out = tmp_path / "run.h5"
+    with recording(host, out, 600.0) as process:
         wait_for_motion(host, process)
         os.killpg(process.pid, signal.SIGKILL)  # the motion process, too
         process.wait(LIMIT)
