@@ -125,7 +125,7 @@ def _identified(job: Job, folder: Path) -> dict[str, Any]:
 
 
 def _figures(found: IdentificationResult) -> dict[str, Any]:
-    verdict, errors = found.verdict, found.delivered and found.delivered.validation_all_samples
+    verdict, errors = found.verdict, found.delivered.validation_all_samples
     return {
         "grade": verdict.purposes["torque_prediction"].grade,
         "headline": verdict.headline,

@@ -206,8 +206,7 @@ def model_verdict(result: Result, checks: Sequence[Check], runs: Sequence[HeldOu
 
 def model_checks(result: Result) -> list[Check]:
     """The checks of a stored model itself, without those of its validation."""
-    runs = [] if result.delivered is None else result.delivered.runs
-    of_runs = {check for run in runs for check in run.checks}
+    of_runs = {check for run in result.delivered.runs for check in run.checks}
     return [check for check in result.verdict.checks if check not in of_runs and check.name not in CHECKS_OF_VALIDATION]
 
 
@@ -259,7 +258,7 @@ def _basis(result: Result, runs: Sequence[HeldOutErrors]) -> str:
         f"and {percent_text(run.all_samples.relative_error)} over all samples{_rest(run)}."
         for run in runs
     ]
-    fitted = None if result.delivered is None else result.delivered.fit
+    fitted = result.delivered.fit
     if fitted is not None:
         sentences.append(f"On the identification data it differs by {percent_text(fitted.relative_error)}.")
     significant = sum(parameter.significant for parameter in result.base_parameters)

@@ -103,7 +103,7 @@ def revalidate(result: Result, recording: Recording) -> Revalidation:
         parameters.series(full, prepared, torques),
         parameters.series(essential, prepared, torques),
         None if consistent is None else parameters.series(consistent, prepared, torques),
-        held_out_run(parameters, data, None if result.delivered is None else result.delivered.fit),
+        held_out_run(parameters, data, result.delivered.fit),
     )
 
 
@@ -155,8 +155,6 @@ def stored_rest_tolerance(result: Result) -> float:
 def result_figures(result: Result) -> ModelFigures:
     """Figures of an identification or a merge on its held-out data."""
     delivered = result.delivered
-    if delivered is None:
-        return acceptance_figures(result, None, [], result.verdict)
     return acceptance_figures(result, delivered.validation_all_samples, delivered.runs, result.verdict)
 
 

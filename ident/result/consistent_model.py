@@ -57,7 +57,7 @@ class ConsistentModel(Stored):
     fit: Fit | None
     validation: Fit | None
     simulation: TrackingError | None = None
-    not_simulated: str = Field(default="", description="why `simulation` is null; empty in results of earlier versions")
+    not_simulated: str = Field(default="", description="why `simulation` is null")
     armature: list[Armature] = Field(
         default_factory=list, description="of the joints whose drive says `inertia: false`"
     )

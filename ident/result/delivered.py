@@ -56,7 +56,7 @@ class Delivered(Stored):
     """The model that `load_model`, `predict` and the exports hand out by default, which the verdict grades."""
 
     parameters: DeliveredParameters
-    fit: Fit | None = Field(description="on the identification data; null for merged models")
-    validation: Fit | None = Field(description="in motion, over all held-out recordings")
-    validation_all_samples: Fit | None = Field(description="the same with samples at rest")
+    fit: Fit | None = Field(default=None, description="on the identification data; null for merged models")
+    validation: Fit | None = Field(default=None, description="in motion, over all held-out recordings")
+    validation_all_samples: Fit | None = Field(default=None, description="the same with samples at rest")
     runs: list[HeldOutErrors] = Field(default=[], description="each held-out recording apart")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, computed_field, model_validator
 
@@ -24,7 +24,7 @@ from ident.result.graded import UsedRecording
 from ident.signals.prepared import Step
 from ident.stored import Number, Real, Stored
 from ident.verdict.acceptance import Acceptance
-from ident.verdict.check import PURPOSES, texts
+from ident.verdict.check import texts
 from ident.verdict.verdict import Verdict
 
 RESULT_SCHEMA = 1
@@ -247,7 +247,7 @@ class Result(Stored):
         default=None, description="of the physically consistent model; null where none was found"
     )
     consistent: ConsistentModel | None = None
-    delivered: Delivered | None = Field(default=None, description="null in results of earlier versions")
+    delivered: Delivered
     drive_gains: list[DriveGainResult] = Field(description="those that turned a recorded signal into torque")
     fit: Fit | None = Field(description="null for merged models, which are not fitted to recordings")
     validation: Fit | None
@@ -273,13 +273,13 @@ class Result(Stored):
     def _lists_of_joints(self) -> Self:
         """Refuse lists whose length is not the number of joints."""
         count = len(self.joints)
+        delivered = self.delivered
         fits = [self.fit, self.validation, self.essential.fit, self.essential.validation]
+        fits += [delivered.fit, delivered.validation, delivered.validation_all_samples]
         if self.consistent is not None:
             fits += [self.consistent.fit, self.consistent.validation]
-        if self.delivered is not None:
-            fits += [self.delivered.fit, self.delivered.validation, self.delivered.validation_all_samples]
-            for run in self.delivered.runs:
-                fits += [run.in_motion, run.all_samples, run.full_in_motion, run.full_all_samples]
+        for run in delivered.runs:
+            fits += [run.in_motion, run.all_samples, run.full_in_motion, run.full_all_samples]
         for section in (*fits, self.residuals, self.model_options):
             for name, values in () if section is None else section:
                 if name not in _LISTS_OF_JOINTS or len(values) == count:
@@ -302,19 +302,3 @@ class Result(Stored):
     def warnings(self) -> list[str]:
         """Sentences of the verdict's checks, notes left out."""
         return texts(self.verdict.checks)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _verdict_of_text(cls, content: Any) -> Any:
-        """Read results that were written before the verdict had parts: its text becomes the headline.
-
-        Its warnings do not say what they spoil, so each of them spoils every purpose.
-        """
-        if not isinstance(content, dict) or not isinstance(content.get("verdict"), str):
-            return content
-        given = content.get("warnings")
-        checks = [
-            {"name": "unnamed", "severity": "warning", "purposes": PURPOSES, "text": text}
-            for text in (given if isinstance(given, list) else [])
-        ]
-        return {**content, "verdict": {"headline": content["verdict"], "checks": checks}}

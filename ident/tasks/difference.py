@@ -184,8 +184,7 @@ def _parameters(first: Result, other: Result) -> Table:
 
 
 def _errors(first: Result, other: Result) -> Table:
-    delivered = (first.delivered, other.delivered)
-    fits = tuple(None if values is None else values.validation_all_samples for values in delivered)
+    fits = tuple(result.delivered.validation_all_samples for result in (first, other))
     rows: list[tuple[Cell, ...]] = [
         (
             joint,

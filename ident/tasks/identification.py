@@ -83,8 +83,8 @@ class IdentificationResult(SavedResult):
         return tuple(self.result.warnings)
 
     @property
-    def delivered(self) -> Delivered | None:
-        """Errors of the model that `load_model` hands out, which the verdict grades; None in older results."""
+    def delivered(self) -> Delivered:
+        """Errors of the model that `load_model` hands out, which the verdict grades."""
         return self.result.delivered
 
     @property
@@ -161,9 +161,7 @@ class IdentificationResult(SavedResult):
                 not installed.
         """
         data = ReportData(self.result, self.fit_series, self.validation_series)
-        errors, delivered = self.fit, self.delivered
-        if self.validation_series:
-            errors = self.validation if delivered is None else delivered.validation_all_samples
+        errors = self.delivered.validation_all_samples if self.validation_series else self.fit
         series = self.validation_series or self.fit_series
         figure = torque_figure("torques-plot", self.result, data.worst_first, series, errors)
         if figure is None:

@@ -137,7 +137,7 @@ def validate(options: ValidateOptions) -> Validation:
     )
     of_consistent = [series for fits in compared for series in fits.consistent_series or ()]
     verdict = model_verdict(result, checks, [run.errors for run in held_out])
-    delivered = delivered_model(result.consistent, None if result.delivered is None else result.delivered.fit, held_out)
+    delivered = delivered_model(result.consistent, result.delivered.fit, held_out)
     figures = acceptance_figures(result, delivered.validation_all_samples, delivered.runs, verdict)
     return Validation(
         joints=tuple(result.joints),

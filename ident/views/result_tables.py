@@ -104,11 +104,7 @@ def result_errors(result: Result) -> Table:
         f"Errors of {result.robot}",
         result.joints,
         result.unit("N·m"),
-        {
-            "fit": delivered.fit if delivered else result.fit,
-            "validation": delivered.validation_all_samples if delivered else result.validation,
-            "in_motion": delivered.validation if delivered else None,
-        },
+        {"fit": delivered.fit, "validation": delivered.validation_all_samples, "in_motion": delivered.validation},
     )
 
 

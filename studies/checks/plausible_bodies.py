@@ -51,7 +51,7 @@ def line(name: str, recording: Recording, choices: IdentifyChoices) -> str:
     """One row of the table."""
     found = identify([recording], [], choices)
     result = summarise(found, [recording], [])
-    if found.consistent is None or result.consistent is None or result.delivered is None:
+    if found.consistent is None or result.consistent is None:
         return f"| {name} | none found | | | | | | | | |"
     model, consistent = Model(result), found.consistent.parameters
     matrices = model.mass_matrix(random_states(found.model, 200)[0].T) + np.diag(model.armature)

@@ -42,11 +42,11 @@ def main() -> None:
         found = identify([recording], [], replace(choices, model=model))
         plain = replace(choices, model=ModelChoices(friction="coulomb-viscous"), presliding=False)
         result = summarise(found, [recording], [])
-        simulated = result.delivered.runs[0] if result.delivered else None
-        soft = "–" if simulated is None or simulated.simulation is None else simulated.simulation.position_rmse
+        simulated = result.delivered.runs[0]
+        soft = "–" if simulated.simulation is None else simulated.simulation.position_rmse
         soft = soft if isinstance(soft, str) else " ".join(f"{1e3 * error:.2g}" for error in soft)
         driven = "–"
-        if simulated is not None and simulated.open_loop is not None and simulated.open_loop.ratio is not None:
+        if simulated.open_loop is not None and simulated.open_loop.ratio is not None:
             worst = np.nanmax([np.nan if r is None else r for r in simulated.open_loop.joint_ratio])
             driven = f"{simulated.open_loop.ratio:.2f}, {worst:.2f}"
         rows.append(f"| {name} | {errors(identify([recording], [], plain))} | {errors(found)} | {soft} | {driven} |")

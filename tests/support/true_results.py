@@ -13,6 +13,7 @@ from ident.identify.summary import gain_results, model_options
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.true_parameters import truth_vector
+from ident.result.delivered import Delivered
 from ident.result.estimate import EstimateResult
 from ident.result.schema import BaseParameterResult, Essential, Excitation, Residuals, Result
 from ident.result.units import parameter_unit
@@ -73,6 +74,7 @@ def true_result(
         fit=None,
         validation=None,
         validation_source="",
+        delivered=Delivered(parameters="full"),
         essential=Essential(count=len(estimated), dropped=[], stopped_by="", fit=None, validation=None),
         excitation=Excitation(condition=1.0, scaled_condition=1.0, singular_values=[], unexcited=[]),
         condition=1.0,

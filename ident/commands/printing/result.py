@@ -38,16 +38,15 @@ def print_tables(tables: Iterable[Table]) -> None:
 
 def print_result(result: Result, report: Path, *, verbose: bool = False) -> None:
     """The result as a person reads it: the verdict first, with `verbose` all that was computed after it."""
-    verdict, delivered = result.verdict, result.delivered
+    verdict = result.verdict
     significant = sum(parameter.significant for parameter in result.base_parameters)
     count = len(result.base_parameters)
     print(f"{result.robot}, {result.method}: {significant} of {count} base parameters are significant")
     print(verdict.grades)
     print_purposes(verdict)
-    if delivered is not None:
-        for run in delivered.runs:
-            error = percent_text(run.all_samples.relative_error, 2)
-            print(f"{labelled(run.recording, run.overlap)}: torque error {error}")
+    for run in result.delivered.runs:
+        error = percent_text(run.all_samples.relative_error, 2)
+        print(f"{labelled(run.recording, run.overlap)}: torque error {error}")
     _print_worst_joint(verdict)
     if result.acceptance is not None:
         print(result.acceptance)
@@ -88,10 +87,7 @@ def _print_details(result: Result) -> None:
 
 def _print_errors(result: Result) -> None:
     """Errors of the model that is handed out by default."""
-    delivered = result.delivered
-    if delivered is None:
-        return
-    moving = delivered.validation
+    delivered, moving = result.delivered, result.delivered.validation
     held_out = "" if moving is None or moving.held_out else ", NOT HELD OUT"
     held = (f"validation_{error}" for error in ("rmse", "low_speed_rmse", "high_speed_rmse", "relative_error"))
     table = result_errors(result).pick("joint", "fit_rmse", *held, "in_motion_relative_error")
@@ -100,7 +96,7 @@ def _print_errors(result: Result) -> None:
 
 def _print_simulation(result: Result) -> None:
     """Motion errors of the simulated arm, without a controller beside constant velocity, and with a soft one."""
-    for run in [] if result.delivered is None else result.delivered.runs:
+    for run in result.delivered.runs:
         driven, tracked = run.open_loop, run.simulation
         if driven is None or tracked is None:
             print(f"\nnot simulated on {run.recording}: {run.not_simulated or 'no window of motion is long enough'}")

@@ -32,6 +32,7 @@ from ident.regression.options import SIGNIFICANT_RSD, EssentialOptions, Essentia
 from ident.regression.pruning import Pruned, prune
 from ident.regression.repeatability import RunDeviations, friction_columns, friction_sizes, repeatability
 from ident.result.consistent_model import consistent_model, link_results
+from ident.result.delivered import Delivered, delivered_parameters
 from ident.result.estimate import Consistency, Contradiction, EstimateResult, ExperimentResult, Merge, MergedModel
 from ident.result.friction import friction_note, friction_results
 from ident.result.schema import Essential, Excitation, Residuals, Result
@@ -205,6 +206,7 @@ def _result(
         recordings=[use for source in inputs for use in used_recordings(source.result)],
         versions=software_versions(),
         verdict=Verdict("not judged yet", checks=tuple(checks)),
+        delivered=Delivered(parameters=delivered_parameters(consistent)),
         experiments=[
             ExperimentResult.of(model, experiment) for source in inputs for experiment in source.stored.experiments
         ],

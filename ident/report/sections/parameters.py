@@ -183,7 +183,7 @@ def links_section(data: ReportData) -> ReportSection | None:
         "consistent": consistent,
         "simulated": _simulated(result.joints, consistent),
         "names": result.joints,
-        "open_loop": [] if result.delivered is None else [run for run in result.delivered.runs if run.open_loop],
+        "open_loop": [run for run in result.delivered.runs if run.open_loop],
         "tiles": _tiles(consistent, result.validation),
     }
     return ReportSection("Links", "links", "links.html.j2", context)

@@ -41,8 +41,7 @@ def validation_section(data: ReportData) -> ReportSection:
     """Measured against predicted torque of the held-out data."""
     result = data.result
     source = result.validation_source or "held-out data"
-    delivered = result.delivered
-    errors = result.validation if delivered is None else delivered.validation_all_samples
+    errors = result.delivered.validation_all_samples
     intro = f"Held out: {source}. These are the errors to expect, samples at rest included."
     if errors is not None and errors.held_out is False:
         intro = f"NOT held out: {source}. Samples of these data were used in the identification."

@@ -20,10 +20,8 @@ from ident.views.result_tables import merge_tables
 def section(data: ReportData) -> ReportSection:
     """Return what one looks at first, unfolded."""
     result = data.result
-    held_out, delivered = bool(data.validation), result.delivered
-    errors = result.fit
-    if held_out:
-        errors = result.validation if delivered is None else delivered.validation_all_samples
+    held_out = bool(data.validation)
+    errors = result.delivered.validation_all_samples if held_out else result.fit
     figures = [
         (
             f"Measured against predicted torque, {'held-out data' if held_out else 'data of the fit'}",
@@ -59,10 +57,7 @@ def errors_section(data: ReportData) -> ReportSection:
 
 
 def _tiles(result: Result) -> list[Tile]:
-    delivered = result.delivered
-    every = None if delivered is None else delivered.validation_all_samples
-    moving = None if delivered is None else delivered.validation
-    fit = None if delivered is None else delivered.fit
+    every, moving, fit = _fits(result)
     significant = sum(parameter.significant for parameter in result.base_parameters)
     return [
         Tile(
@@ -84,13 +79,12 @@ def _tiles(result: Result) -> list[Tile]:
 
 
 def _row(result: Result, joint: int) -> dict[str, Any]:
-    delivered = result.delivered
-    sets = (
-        (None, None, None)
-        if delivered is None
-        else (delivered.validation_all_samples, delivered.validation, delivered.fit)
-    )
-    return {"joint": result.joints[joint], "sets": [_errors(fit, joint) for fit in sets]}
+    return {"joint": result.joints[joint], "sets": [_errors(fit, joint) for fit in _fits(result)]}
+
+
+def _fits(result: Result) -> tuple[Fit | None, Fit | None, Fit | None]:
+    """Errors of the delivered model: over all held-out samples, over those in motion, on the identification data."""
+    return result.delivered.validation_all_samples, result.delivered.validation, result.delivered.fit
 
 
 def _errors(fit: Fit | None, joint: int) -> list[float | None]:

@@ -96,7 +96,6 @@ def test_true_arms_have_plausible_bodies_that_simulate(seed: int, light: bool) -
     assert np.all(inertia.min(axis=0) > 0.5 * COASTING * rates)
     assert np.all((armature_vector(identification.model, parameters.armatures) > 0) == light)
     result = summarise(identification, [recording(seed, light)], [])
-    assert result.delivered is not None
     run = result.delivered.runs[0]
     assert run.simulation is not None
     assert max(run.simulation.position_rmse) < 0.05

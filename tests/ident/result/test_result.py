@@ -161,14 +161,6 @@ def test_verdict_says_where_the_error_was_measured(identified, content):
     assert content["warnings"] == [check["text"] for check in verdict["checks"] if check["severity"] != "note"]
 
 
-def test_a_result_from_before_checks_had_names_is_still_read(content, tmp_path):
-    old = {**content, "verdict": "On val.h5 it is good.", "warnings": ["watch j2"]}
-    (tmp_path / "result.json").write_text(json.dumps(old), encoding="utf-8")
-    result = read_result(tmp_path / "result.json")
-    assert result.verdict.headline == "On val.h5 it is good."
-    assert result.warnings == ["watch j2"]
-
-
 @pytest.mark.parametrize("section", ["fit", "validation", "residuals", "model_options"])
 def test_a_list_that_does_not_fit_the_joints_is_refused(content, tmp_path, section):
     name = next(name for name, value in content[section].items() if isinstance(value, list))
