@@ -22,6 +22,9 @@ from ident.signals.options import PreprocessChoices
 from ident.signals.sample_hashes import HashArray, check_counted_once, overlap, sample_hashes
 from ident.signals.segments import played_window
 
+NOT_HELD_OUT = "NOT held out"
+"""Stands in the name of a recording whose samples were used in the identification."""
+
 
 @dataclass(frozen=True)
 class RunWindow:
@@ -154,7 +157,7 @@ def labelled(label: str, overlap: float) -> str:
     """A held-out recording's name; says so where it is not held out."""
     if overlap == 0.0:
         return label
-    return f"{label} (NOT held out: {percent_text(overlap, 2)} of its samples were used in the identification)"
+    return f"{label} ({NOT_HELD_OUT}: {percent_text(overlap, 2)} of its samples were used in the identification)"
 
 
 def run_window(recording: Recording, robot: Robot, chosen: PreprocessChoices) -> RunWindow:

@@ -26,7 +26,7 @@ from ident.experiments.method_comparison import (
     paired_difference,
     run_errors,
 )
-from ident.identify.data_split import labelled
+from ident.identify.data_split import NOT_HELD_OUT, labelled
 from ident.identify.identification import Identification, IdentifyChoices, ModelChoices
 from ident.identify.identify import identify as identify_recordings
 from ident.identify.preparation import compare_run
@@ -113,7 +113,8 @@ class MethodComparison(SavedResult):
             )
             for model in self.models
         ]
-        return table_of_rows(f"Methods compared on {self.robot}", headings, rows)
+        not_held_out = [f"; {label}" for label in self.recordings if NOT_HELD_OUT in label]
+        return table_of_rows(f"Methods compared on {self.robot}{''.join(not_held_out)}", headings, rows)
 
     @property
     def maxima(self) -> Table:

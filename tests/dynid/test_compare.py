@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from dataclasses import replace
 
 import command_line
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 import dynid
 from drivers.core.errors import UsageError
+from ident.identify.data_split import labelled
 from ident.tasks import comparison as comparison_task
 
 pytestmark = pytest.mark.usefixtures("stated_friction", "estimates_alone")
@@ -92,6 +94,15 @@ def test_one_recording_gives_no_interval(runs):
     assert [column.name for column in comparison.differences.columns] == ["model", "difference", "relative"]
     assert not [column.name for column in comparison.maxima.columns if column.name.endswith("std")]
     assert len(comparison.recordings) == 1
+
+
+def test_errors_name_the_recordings_that_are_not_held_out(comparison):
+    label = labelled("run.h5", 0.5)
+    assert "NOT held out: 50 %" in label
+    named = replace(comparison, recordings=("val.h5", label))
+    for words in (str(named), named._repr_html_(), named._page()):
+        assert label in words
+    assert "NOT" not in str(comparison)
 
 
 @pytest.mark.parametrize(
