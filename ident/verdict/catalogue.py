@@ -144,6 +144,14 @@ _MODEL = (
         "Check how this position is read and stamped: another bus, a filter, a cycle too late.",
     ),
     CheckKind(
+        "position-ripple",
+        "mistake",
+        "warning",
+        ALL,
+        "the position of a joint has an error that repeats with its angle",
+        "Check the encoder's centring and correction table; slower motion and a lower cut-off suffer less.",
+    ),
+    CheckKind(
         "wrong-gain",
         "mistake",
         "serious",

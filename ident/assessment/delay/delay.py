@@ -52,8 +52,8 @@ READ_APART = 0.25
 LEAST_DRIFT = 1e-3
 """A drift over the recording by less than this [s] is not reported."""
 
-DRIFT_INTERVALS = 2.0
-"""A drift is reported where it is beyond so many times its interval."""
+DRIFT_INTERVALS = 3.0
+"""A drift is reported where it is beyond so many times its interval; a torque that ripples reached 2.7."""
 
 LEAST_LATE = 0.01
 """Delay [s] that is reported although it is taken out, where its interval lies above: drives' have 0.5 to 5 ms."""

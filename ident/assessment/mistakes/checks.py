@@ -11,6 +11,7 @@ from ident.assessment.instants import instants
 from ident.assessment.mistakes.changes import Changes, change_check
 from ident.assessment.mistakes.competition import Competition, explanations
 from ident.assessment.mistakes.hypotheses import Mistake
+from ident.assessment.mistakes.ripple import ripple_checks
 from ident.assessment.mistakes.switches import switch_check
 from ident.assessment.mistakes.unsigned import unsigned_torques
 from ident.assessment.model_errors import (
@@ -64,6 +65,9 @@ def mistake_checks(
     folded = unsigned_torques(competition, recorded)
     if folded:
         return [_unsigned_check([model.joint_names[joint] for joint in folded])]
+    rippled = ripple_checks(competition)
+    if rippled:
+        return rippled
     well = competition.well_explained()
     refit = Refit(model, experiment, base.columns, few, solution)
     tried = candidates(refit, independent, poor=not well)

@@ -134,9 +134,9 @@ class Competition:
         rows[other] -= factor * rows[one]
         return np.concatenate([rows, further], axis=1)
 
-    def regressor(self, positions: Columns) -> FloatArray:
-        """(n, a, N) of the active columns with these positions."""
-        return self.instants.with_positions(positions).regressor(self._kernel)[:, self.active]
+    def regressor(self, moved: Instants) -> FloatArray:
+        """(n, a, N) of the active columns along a motion."""
+        return moved.regressor(self._kernel)[:, self.active]
 
     def free(self, mistake: Mistake) -> HypothesisFit | None:
         """The fit without conditions."""

@@ -52,9 +52,9 @@ def unsigned_torques(competition: Competition, runs: Sequence[Prepared]) -> list
         return []
     if len(folded) >= SEVERAL and all(value >= -BELOW_ZERO for value in least.values()):
         return folded
-    instants, positions = competition.measured, competition.recorded.positions
+    instants = competition.measured
     _, conditions = competition.system(competition.recorded)
-    regressor = competition.regressor(positions)
+    regressor = competition.regressor(instants)
     size = np.abs(instants.torque)
     used = competition.experiment.torques
     best: tuple[float, float] | None = None

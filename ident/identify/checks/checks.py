@@ -84,7 +84,8 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     checks += [] if of_others else levels
     checks += cutoff_checks(identification.lowered)
     clipped = {joint for check in checks if check.name == "signal-clipped" for joint in check.joints}
-    explained = any(mistake.severity == "serious" or mistake.name == "position-late" for mistake in mistakes)
+    of_position = ("position-late", "position-ripple")
+    explained = any(mistake.severity == "serious" or mistake.name in of_position for mistake in mistakes)
     # A mistake of one joint moves the delay that fits the whole arm, and leaves bursts.
     checks += [] if explained else delay_checks(identification.delay)
     named_already = unsound or bool(clipped) or explained
@@ -102,11 +103,9 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     checks += [
         mistake
         for mistake in mistakes
-        if mistake.name not in MODEL_ERRORS
-        or (
-            not clipped.intersection(mistake.joints)
-            and not (resting.intersection(mistake.joints) if mistake.name == "position-late" else idle)
-        )
+        if not (mistake.name in (*MODEL_ERRORS, "recording-changes") and clipped.intersection(mistake.joints))
+        and not (mistake.name == "position-late" and resting.intersection(mistake.joints))
+        and not (mistake.name in MODEL_ERRORS and mistake.name != "position-late" and idle)
     ]
     checks += reversal_checks(identification)
     share = _indefinite_share(identification)

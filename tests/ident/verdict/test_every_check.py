@@ -347,6 +347,10 @@ CASES: dict[str, tuple[Callable[[Bench], Names], Callable[[Bench], Names]]] = {
         lambda b: b.tested(changed(b.recorded(), lambda q: q + np.deg2rad([0, 8, 0]), "position")),
         lambda b: b.clean(),
     ),
+    "position-ripple": (
+        lambda b: b.tested(changed(b.recorded(), lambda q: q + [0.0, 5e-3, 0.0] * np.sin(12 * q), "position")),
+        lambda b: b.clean(),
+    ),
     "position-late": (lambda b: b.late(), lambda b: b.all_late()),
     "inconsistent-gain": (lambda b: b.tested(changed(b.recorded(), lambda i: i * [1, 1, 1.6])), lambda b: b.clean()),
     "lengths-unchecked": (lambda b: b.tested(b.recorded(1, 30.0, (1, 0, 0))), lambda b: b.clean()),
