@@ -24,6 +24,9 @@ SCATTERED = 0.25
 BETWEEN_MULTIPLES = 0.15
 """Median distance of the longer intervals from multiples of the median one that shows the same."""
 
+MOST_MISSING = 2.0
+"""Mean interval over the median one that shows the same: of losses, half of all samples and more within `AVERAGED`."""
+
 AVERAGED = 0.25
 """Time [s] over which bursts average out: a busy computer pauses for less."""
 
@@ -95,7 +98,8 @@ def _period(intervals: FloatArray) -> float:
     if not scattered and averaged > LOST_FROM * period:
         # Losses leave multiples of the period; pauses between bursts have any length.
         multiples = intervals[intervals > LOST_FROM * period] / period
-        scattered = float(np.median(np.abs(multiples - np.round(multiples)))) > BETWEEN_MULTIPLES
+        between = float(np.median(np.abs(multiples - np.round(multiples)))) > BETWEEN_MULTIPLES
+        scattered = between or averaged > MOST_MISSING * period
     return averaged if scattered else period
 
 

@@ -78,6 +78,17 @@ def test_bursts_of_arrivals_are_neither_a_rate_nor_a_loss(rate, seed):
     assert quality.rate_hz == pytest.approx(rate, rel=0.01)
 
 
+@given(st.integers(3, 8), st.floats(0.02, 0.45), st.sampled_from([0.0, 1e-6, 1e-5]))
+def test_devices_that_report_one_after_the_other_lose_nothing(devices, share, jitter):
+    """Within less than half of a cycle; the pauses may be whole multiples of the time between two devices."""
+    apart = share / 125.0 / devices
+    noise = jitter * np.random.default_rng(devices).standard_normal((500, devices))
+    time = np.arange(500)[:, None] / 125.0 + apart * np.arange(devices) + noise
+    quality = stream_quality(np.sort(time.ravel()))
+    assert quality.rate_hz == pytest.approx(125.0 * devices, rel=0.02)
+    assert quality.lost <= devices  # of the last cycle, after which nothing comes
+
+
 @pytest.mark.parametrize("jitter", [0.05, 0.2])
 def test_losses_between_jittering_stamps_are_counted(jitter):
     generator = np.random.default_rng(1)
