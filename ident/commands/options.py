@@ -11,6 +11,7 @@ import typer
 
 from drivers.core.errors import UsageError
 from drivers.core.options import Options, argument, default_of, flag_of, option
+from ident.tasks.options import MODEL_HELP
 
 if TYPE_CHECKING:
     from ident.result.delivered import Parameters
@@ -90,7 +91,7 @@ def refuse_options_but(taken: Collection[str], options: Options, mode: str, *, l
 class ExportOptions(Options):
     """Options of `export`: a model, and the files to write of it."""
 
-    model: Path = field(metadata=argument("model", "Folder that identify wrote, or its result.json."))
+    model: Path = field(metadata=argument("model", MODEL_HELP))
     urdf: Path | None = option(None, "URDF to write: the robot's own, or a complete one from MDH.")
     into: Path | None = option(None, "URDF of the same arm to put the model into, with --urdf.")
     mjcf: Path | None = option(None, "MJCF to write, for MuJoCo.")
@@ -111,11 +112,7 @@ class ExportOptions(Options):
     )
 
     def __post_init__(self) -> None:
-        """Check every option, and that there is a file to write.
-
-        Raises:
-            UsageError: names the options.
-        """
+        """Check every option, and that there is a file to write; a UsageError names the options."""
         super().__post_init__()
         if not self.targets:
             hint = "--urdf, --mjcf, --ros2-inertial, --c, --isaaclab, --usd or --ranges"

@@ -60,11 +60,7 @@ class DesignChoices(Options):
     self_collision: bool = option(True, "Check for self-collision.", flag="--self-collision/--no-self-collision")
 
     def __post_init__(self) -> None:
-        """Check every option, and the duration of all.
-
-        Raises:
-            UsageError: names the option.
-        """
+        """Check every option, and the duration of all; a UsageError names the option."""
         super().__post_init__()
         duration = self.periods * self.period + 2.0 * self.ramp
         if not PIECE.holds(duration):

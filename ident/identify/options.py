@@ -41,11 +41,7 @@ class ColumnOptions(Options):
     smoothing: float | None = option(None, "ε [rad/s] of tanh(q̇/ε) in place of sign(q̇).", allowed=SMOOTHING)
 
     def __post_init__(self) -> None:
-        """Check every option, and that friction is stated once.
-
-        Raises:
-            UsageError: names the option.
-        """
+        """Check every option, and that friction is stated once; a UsageError names the option."""
         super().__post_init__()
         if self.friction is not None and self.friction_from is not None:
             raise UsageError("--friction and --friction-from exclude each other", hint="the experiment has the terms")

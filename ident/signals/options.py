@@ -77,11 +77,7 @@ class FilterOptions(Options):
     measured_velocity: bool = option(False, "Use the recorded velocity.")
 
     def __post_init__(self) -> None:
-        """Check every option, and that they agree.
-
-        Raises:
-            UsageError: names the option.
-        """
+        """Check every option, and that they agree; a UsageError names the option."""
         super().__post_init__()
         if self.filter == "chebyshev" and self.torque_cutoff is not None and self.decimate is not None:
             raise UsageError(
@@ -120,11 +116,7 @@ class WindowOptions(Options):
     keep_rest: bool = option(False, "Keep samples at rest: segments in which no joint moves, and motors at rest.")
 
     def __post_init__(self) -> None:
-        """Check every option, and that the window is not empty.
-
-        Raises:
-            UsageError: names the option.
-        """
+        """Check every option, and that the window is not empty; a UsageError names the option."""
         super().__post_init__()
         if self.stop is not None and self.stop <= (self.start or 0.0):
             raise UsageError(

@@ -34,6 +34,7 @@ _RUNS = argument(
     meaning="a recording, or several of one arm, which stack; each read already or a path.",
     command_type=list[Path],
 )
+MODEL_HELP = "Folder that identify wrote, or its result.json."
 OBSERVER_BANDWIDTH = Range(1.0, 1000.0, "1/s")
 ALARM_RATE = Range(1e-3, 1e4, "1/h")
 """False alarms per hour."""
@@ -125,11 +126,7 @@ class CompareOptions(Options):
     progress: Progress = _progress_option()
 
     def __post_init__(self) -> None:
-        """Check every option, and that both lists are lists of different names.
-
-        Raises:
-            UsageError: names the list.
-        """
+        """Check every option, and that both lists are lists of different names; a UsageError names the list."""
         for names, name, example in (
             (self.methods, "methods", '("ols", "wls")'),
             (self.friction, "friction", '("coulomb",)'),
@@ -190,11 +187,7 @@ class LoadOptions(Options):
     delay: float | None = delay_option()
 
     def __post_init__(self) -> None:
-        """Check every option, and that a load that is described has a mass.
-
-        Raises:
-            UsageError: names the option.
-        """
+        """Check every option, and that a load that is described has a mass; a UsageError names the option."""
         super().__post_init__()
         if self.mass is None and (self.com is not None or self.inertia is not None):
             raise UsageError("com and inertia describe a load whose mass is missing", hint="give its mass too [kg]")
@@ -208,11 +201,7 @@ class GainsOptions(LoadOptions):
     up_and_down: bool = option(False, "Identify from slow passes of one joint at a time, up and down.")
 
     def __post_init__(self) -> None:
-        """Check every option, and that there is a mass.
-
-        Raises:
-            UsageError: names the option.
-        """
+        """Check every option, and that there is a mass; a UsageError names the option."""
         super().__post_init__()
         if self.mass is None:
             raise UsageError(
@@ -229,7 +218,7 @@ class PredictOptions(Options):
     identified: Identified = field(
         metadata=argument(
             "model",
-            "Folder that identify wrote, or its result.json.",
+            MODEL_HELP,
             meaning="a result, a model (its own parameters count), or the folder or file of a result.",
             command_type=Path,
         )
@@ -287,10 +276,7 @@ class ValidateOptions(Options):
 
     identified: Identified = field(
         metadata=argument(
-            "result",
-            "Folder that identify wrote, or its result.json.",
-            meaning="a result, a model, or the folder or file of one.",
-            command_type=Path,
+            "result", MODEL_HELP, meaning="a result, a model, or the folder or file of one.", command_type=Path
         )
     )
     runs: Runs = field(
@@ -366,11 +352,7 @@ class ExciteOptions(SearchOptions, DesignChoices):
     )
 
     def __post_init__(self) -> None:
-        """Check every option, and that the search ends in one way.
-
-        Raises:
-            UsageError: names the option.
-        """
+        """Check every option, and that the search ends in one way; a UsageError names the option."""
         super().__post_init__()
         if self.time is not None and self.starts is not None:
             raise UsageError(

@@ -30,11 +30,7 @@ class CheckOptions(Options):
     )
 
     def __post_init__(self) -> None:
-        """Check that options of a connection come with one.
-
-        Raises:
-            UsageError: nothing is opened.
-        """
+        """Check that options of a connection come with one; a UsageError before anything is opened."""
         super().__post_init__()
         if not self.connect and (self.wire is not None or self.host is not None or self.reset_faults or self.configure):
             raise UsageError(

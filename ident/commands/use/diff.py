@@ -8,13 +8,14 @@ import typer
 
 from daq.commands.help_text import CommandApp
 from daq.commands.options import JSON
+from ident.tasks.options import MODEL_HELP
 
 app = CommandApp("Use")
 
 
 @app.command("diff")
 def compare_models(
-    first: Path = typer.Argument(help="Folder that identify wrote, or its result.json."),
+    first: Path = typer.Argument(help=MODEL_HELP),
     second: Path = typer.Argument(help="The same of another identification of this arm."),
     as_json: bool = JSON,
 ) -> None:

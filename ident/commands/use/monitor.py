@@ -13,7 +13,7 @@ from daq.commands.options import FORCE, JSON, REALTIME, takes
 from daq.commands.record import SessionOptions
 from drivers.core.errors import UsageError
 from drivers.core.options import argument, flag_of, option, same_named
-from ident.tasks.options import DetectionOptions
+from ident.tasks.options import MODEL_HELP, DetectionOptions
 
 if TYPE_CHECKING:
     from ident.result.tables import Table
@@ -41,11 +41,7 @@ class LiveOptions(SessionOptions):
     retract: bool = option(False, "After that stop, retract slowly a short way along the path; then hold.")
 
     def __post_init__(self) -> None:
-        """Check every option, and that they go together.
-
-        Raises:
-            UsageError: names the options.
-        """
+        """Check every option, and that they go together; a UsageError names the options."""
         super().__post_init__()
         if self.stop_on_contact and self.trajectory is None:
             raise UsageError(
@@ -66,7 +62,7 @@ class WatchOptions(DetectionOptions, LiveOptions):
 def monitor_command(
     *,
     options: WatchOptions,
-    model: Path = typer.Option(..., "--model", help="Folder that identify wrote, or its result.json."),
+    model: Path = typer.Option(..., "--model", help=MODEL_HELP),
     replay: Path = typer.Option(None, "--replay", help="Recording (.h5) to analyse.", rich_help_panel=REPLAY),
     contacts: Path = typer.Option(
         None, "--contacts", help="CSV (start,end in seconds) of labelled contacts.", rich_help_panel=REPLAY
