@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from daq.robot.new_robot import quoted
-from daq.robot.schema import Robot
-from drivers.core.arrays import FloatArray
 from drivers.core.text import percent_text
-from drivers.core.units import common_unit
 from ident.estimators.feasible.pseudo_inertia import INERTIA_ELEMENTS, body_of
-from ident.experiments.gains.drive_gains import DriveGains
-from ident.experiments.gains.up_and_down import SlowGains
+from ident.experiments.gains.drive_gains import DriveGains, drives_text, estimated_values, gain_unit
 from ident.experiments.load.consistent_load import ConsistentLoad
 from ident.experiments.load.load_estimate import LoadEstimate
 from ident.experiments.load.payload import Payload
@@ -21,15 +14,13 @@ from ident.experiments.run_pair import RunPair
 from ident.experiments.schema import (
     CentreOfMass,
     ConsistentLoadResult,
-    EstimatedValue,
     GainsResult,
     LinkBody,
     LoadParameter,
     PayloadResult,
     RunError,
-    SlowGainsResult,
 )
-from ident.model.load import FIRST_MOMENTS, KnownLoad, LoadColumns
+from ident.model.load import KnownLoad, LoadColumns
 from ident.model.parameters import INERTIAL
 from ident.regression.hypothesis_tests import LEVEL, WITHIN_95_PERCENT, SignificanceTest
 from ident.regression.systematic_errors import gain_deviations
@@ -160,66 +151,18 @@ def gains_result(drives: DriveGains) -> GainsResult:
         known=drives.known,
         gains=list(drives.gains),
         covariance=drives.covariance.tolist(),
-        base_parameters=_estimated(
+        base_parameters=estimated_values(
             base.names, [parameter_unit(pair.model, i) for i in base.columns], drives.parameters, drives.parameter_std
         ),
-        load=_estimated(columns.names, columns.units, drives.load, drives.load_std),
+        load=estimated_values(columns.names, columns.units, drives.load, drives.load_std),
         condition=drives.condition,
         gap=drives.gap,
         delay=pair.delay,
         blocks=drives.blocks,
         block_length=drives.block_length,
-        robot_file_text=drives_text(drives),
+        robot_file_text=drives_text(drives.robot, drives.signal, drives.gains),
         warnings=list(drives.warnings),
     )
-
-
-def slow_gains_result(drives: SlowGains) -> SlowGainsResult:
-    """Output of `dynid gains --up-and-down --json`."""
-    moments = [f"{INERTIAL[column]}_L" for column in FIRST_MOMENTS]
-    return SlowGainsResult(
-        robot=drives.robot.name,
-        runs=list(drives.runs),
-        signal=drives.signal,
-        unit=gain_unit(drives.signal, drives.robot),
-        known=drives.known,
-        gains=list(drives.gains),
-        load=_estimated(moments, ["kg·m"] * len(moments), drives.moments, drives.moments_std),
-        gap=drives.gap,
-        robot_file_text=drives_text(drives),
-        warnings=list(drives.warnings),
-    )
-
-
-def _estimated(
-    names: Sequence[str], units: Sequence[str], values: FloatArray, deviations: FloatArray
-) -> list[EstimatedValue]:
-    rows = zip(names, units, values.tolist(), deviations.tolist(), strict=True)
-    return [EstimatedValue(name=name, unit=unit, value=value, std=std) for name, unit, value, std in rows]
-
-
-def gain_unit(signal: str, robot: Robot) -> str:
-    """Unit of the gains of an arm's joints."""
-    return common_unit("N·m/A" if signal == "current" else "N·m/V", robot.sliding)
-
-
-def drives_text(drives: DriveGains | SlowGains) -> str:
-    """The robot file's section `drives` with the identified gains; that of the file where none is or it may be 0."""
-    robot = drives.robot
-    lines = ["drives:"]
-    for gain in drives.gains:
-        drive = robot.drive(gain.joint)
-        identified = gain.has_a_sign
-        fields = {"joint": quoted(gain.joint)}
-        for key, value in (
-            ("gain", f"{gain.gain:.5g}" if identified else drive.gain),
-            ("gain_std", f"{gain.std:.2g}" if identified else drive.gain_std),
-        ):
-            if value is not None:
-                fields[key] = str(value)
-        fields |= {"signal": drives.signal, "inertia": str(drive.inertia).lower()}
-        lines.append(f"  - {{{', '.join(f'{key}: {value}' for key, value in fields.items())}}}")
-    return "\n".join(lines)
 
 
 def _known(payload: Payload) -> KnownLoad | None:

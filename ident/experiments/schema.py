@@ -7,8 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from ident.assessment.delay.delay import DelaySearch
-from ident.experiments.gains.drive_gains import GainEstimate
-from ident.experiments.gains.up_and_down import SlowGain
+from ident.experiments.gains.drive_gains import EstimatedValue, GainEstimate, GainsFigures
 from ident.experiments.load.payload import BaseParameterChange, PayloadTests
 from ident.model.load import KnownLoad
 from ident.regression.hypothesis_tests import SignificanceTest
@@ -27,15 +26,6 @@ class LoadParameter(Stored):
     gain_std: Number = Field(
         description="from the drive gains' standard deviations, their errors independent or common"
     )
-
-
-class EstimatedValue(Stored):
-    """One estimated parameter."""
-
-    name: str
-    unit: str
-    value: Number
-    std: Number
 
 
 class CentreOfMass(Stored):
@@ -107,20 +97,7 @@ class PayloadResult(Stored):
     warnings: list[str]
 
 
-class _GainsFigures(Stored):
-    kind: str
-    robot: str
-    runs: list[str] = Field(description="free, loaded")
-    signal: str
-    unit: str
-    known: KnownLoad
-    load: list[EstimatedValue]
-    gap: Number
-    robot_file_text: str
-    warnings: list[str]
-
-
-class GainsResult(_GainsFigures):
+class GainsResult(GainsFigures):
     """Gains of all drives from exciting motions."""
 
     kind: Literal["gains"] = "gains"
@@ -131,10 +108,3 @@ class GainsResult(_GainsFigures):
     delay: DelaySearch
     blocks: int
     block_length: int
-
-
-class SlowGainsResult(_GainsFigures):
-    """Gains of the drives from slow up-and-down runs."""
-
-    kind: Literal["gains-up-and-down"] = "gains-up-and-down"
-    gains: list[SlowGain]

@@ -7,9 +7,10 @@ from math import isfinite
 from typing import Any
 
 from ident.experiments.gains.drive_gains import JointGain
+from ident.experiments.gains.up_and_down import SlowGainsResult
 from ident.experiments.load.payload import BaseParameterChange
 from ident.experiments.payload_summary import consistent_load_sentences
-from ident.experiments.schema import GainsResult, LoadParameter, PayloadResult, SlowGainsResult
+from ident.experiments.schema import GainsResult, LoadParameter, PayloadResult
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT, SignificanceTest
 from ident.report.figures.figures import MEASURED, PREDICTED, Figure
 from ident.report.figures.panels import IntervalSeries, interval_panel, panel_figure

@@ -14,10 +14,10 @@ from drivers.core.arrays import FloatArray
 from drivers.core.errors import UsageError
 from drivers.core.options import keywords_of
 from ident.experiments.gains.drive_gains import DriveGains, identify_gains
-from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains
+from ident.experiments.gains.up_and_down import SlowGainsResult, identify_slow_gains
 from ident.experiments.load.payload import Payload, identify_payload
-from ident.experiments.payload_summary import gains_result, payload_result, slow_gains_result
-from ident.experiments.schema import ConsistentLoadResult, GainsResult, PayloadResult, SlowGainsResult
+from ident.experiments.payload_summary import gains_result, payload_result
+from ident.experiments.schema import ConsistentLoadResult, GainsResult, PayloadResult
 from ident.model.load import KnownLoad
 from ident.model.parameters import MASS
 from ident.report.load_pages import gains_page, payload_page
@@ -137,7 +137,7 @@ class IdentifiedGains(SavedResult):
 
     FILE = GAINS_FILE
 
-    estimate: DriveGains | SlowGains
+    estimate: DriveGains | SlowGainsResult
 
     @property
     def values(self) -> FloatArray:
@@ -162,7 +162,7 @@ class IdentifiedGains(SavedResult):
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings of the checks."""
-        return self.estimate.warnings
+        return tuple(self.estimate.warnings)
 
     def _page(self) -> str:
         return gains_page(self.result)
@@ -171,7 +171,7 @@ class IdentifiedGains(SavedResult):
     def result(self) -> GainsResult | SlowGainsResult:
         """All of it, as `gains.json` holds it."""
         estimate = self.estimate
-        return gains_result(estimate) if isinstance(estimate, DriveGains) else slow_gains_result(estimate)
+        return gains_result(estimate) if isinstance(estimate, DriveGains) else estimate
 
     def __repr__(self) -> str:
         gains = ", ".join(f"{row['joint']} {row['gain']:.4g}" for row in self.gains)

@@ -8,7 +8,8 @@ from dataclasses import replace
 from drivers.core.text import percent_text
 from drivers.core.units import common_unit
 from ident.estimators.feasible.pseudo_inertia import INERTIA_ELEMENTS
-from ident.experiments.schema import ConsistentLoadResult, GainsResult, LoadParameter, PayloadResult, SlowGainsResult
+from ident.experiments.gains.up_and_down import SlowGainsResult
+from ident.experiments.schema import ConsistentLoadResult, GainsResult, LoadParameter, PayloadResult
 from ident.linear_algebra.independent_columns import DETERMINED
 from ident.result.tables import Column, Table, table_of, table_of_rows
 from ident.views.number_text import with_error

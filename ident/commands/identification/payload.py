@@ -13,7 +13,8 @@ from daq.commands.options import FORCE, JSON, VERBOSE, takes
 from ident.tasks.options import GainsOptions, LoadOptions
 
 if TYPE_CHECKING:
-    from ident.experiments.schema import GainsResult, PayloadResult, SlowGainsResult
+    from ident.experiments.gains.up_and_down import SlowGainsResult
+    from ident.experiments.schema import GainsResult, PayloadResult
 
 app = CommandApp("Identify")
 

@@ -30,9 +30,11 @@ from pydantic import Field, computed_field
 
 from daq.recording.recording import Recording
 from daq.robot.loader import RobotFile
+from daq.robot.new_robot import quoted
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.text import percentage_text
+from drivers.core.units import common_unit
 from ident.experiments.gains.gain_system import (
     GainSystem,
     jackknife_moves,
@@ -98,6 +100,30 @@ class GainEstimate(JointGain):
     )
     correlation: Real = Field(description="with it")
     noise: Real = Field(description="σ of the filtered motor signal about the model [A or V]")
+
+
+class EstimatedValue(Stored):
+    """One estimated parameter."""
+
+    name: str
+    unit: str
+    value: Number
+    std: Number
+
+
+class GainsFigures(Stored):
+    """What both identifications of gains say, as `gains.json` holds it."""
+
+    kind: str
+    robot: str
+    runs: list[str] = Field(description="free, loaded")
+    signal: str
+    unit: str
+    known: KnownLoad
+    load: list[EstimatedValue]
+    gap: Number
+    robot_file_text: str
+    warnings: list[str]
 
 
 @dataclass(frozen=True)
@@ -305,3 +331,34 @@ def _warnings(drives: DriveGains, recordings: tuple[Recording, Recording]) -> li
     if unexcited:
         warnings.append(f"the motions do not excite {', '.join(unexcited)}: they get no value")
     return warnings
+
+
+def estimated_values(
+    names: Sequence[str], units: Sequence[str], values: FloatArray, deviations: FloatArray
+) -> list[EstimatedValue]:
+    """Parameters with their units and standard deviations."""
+    rows = zip(names, units, values.tolist(), deviations.tolist(), strict=True)
+    return [EstimatedValue(name=name, unit=unit, value=value, std=std) for name, unit, value, std in rows]
+
+
+def gain_unit(signal: str, robot: Robot) -> str:
+    """Unit of the gains of an arm's joints."""
+    return common_unit("N·m/A" if signal == "current" else "N·m/V", robot.sliding)
+
+
+def drives_text(robot: Robot, signal: str, gains: Sequence[JointGain]) -> str:
+    """The robot file's section `drives` with the identified gains; that of the file where none is or it may be 0."""
+    lines = ["drives:"]
+    for gain in gains:
+        drive = robot.drive(gain.joint)
+        identified = gain.has_a_sign
+        fields = {"joint": quoted(gain.joint)}
+        for key, value in (
+            ("gain", f"{gain.gain:.5g}" if identified else drive.gain),
+            ("gain_std", f"{gain.std:.2g}" if identified else drive.gain_std),
+        ):
+            if value is not None:
+                fields[key] = str(value)
+        fields |= {"signal": signal, "inertia": str(drive.inertia).lower()}
+        lines.append(f"  - {{{', '.join(f'{key}: {value}' for key, value in fields.items())}}}")
+    return "\n".join(lines)

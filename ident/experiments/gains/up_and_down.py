@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -24,7 +25,15 @@ from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, IdentificationError
 from drivers.core.text import percentage_text
-from ident.experiments.gains.drive_gains import LEAST_GAP, JointGain, left_out_gains
+from ident.experiments.gains.drive_gains import (
+    LEAST_GAP,
+    GainsFigures,
+    JointGain,
+    drives_text,
+    estimated_values,
+    gain_unit,
+    left_out_gains,
+)
 from ident.experiments.gains.gain_system import signal_of, torques_by
 from ident.experiments.gains.slow_passes import Sweep, passes_of, sweeps_of
 from ident.linear_algebra.independent_columns import independent_columns
@@ -67,21 +76,11 @@ class SlowGain(JointGain):
     reason: str | None = Field(description="why there is no value; null where there is one")
 
 
-@dataclass(frozen=True)
-class SlowGains:
+class SlowGainsResult(GainsFigures):
     """Gains of the drives from slow up-and-down runs."""
 
-    robot: Robot  # content of the robot file
-    runs: tuple[str, str]  # names of the free and the loaded recording in messages
-    signal: str  # recorded motor signal: "current" or "voltage"
-    known: KnownLoad  # the load
-    gains: tuple[SlowGain, ...]  # one per joint
-    # moments, moments_std: (3,) first moments of the load in the tool frame [kg·m], nan where they do not show; those
-    # that are known have no deviation
-    moments: FloatArray
-    moments_std: FloatArray
-    gap: float  # second-smallest over smallest singular value; inf where one gain, or each separately, is identified
-    warnings: tuple[str, ...]  # for the user
+    kind: Literal["gains-up-and-down"] = "gains-up-and-down"
+    gains: list[SlowGain]
 
     @property
     def values(self) -> FloatArray:
@@ -122,7 +121,7 @@ def identify_slow_gains(
     known: KnownLoad,
     robot_file: RobotFile | None = None,
     delay: float | None = None,
-) -> SlowGains:
+) -> SlowGainsResult:
     """Gains of the drives whose joints pass slowly up and down, one at a time, in both runs.
 
     Args:
@@ -167,7 +166,7 @@ def identify_slow_gains(
         solved = [_with_moments(used, known, loaded.label)]
     identified = {joint for solution in solved for joint in solution.joints}
     reasons = [reason or ("" if joint in identified else ONLY_MOMENTS) for joint, reason in enumerate(reasons)]
-    return _slow_gains(robot, (free.label, loaded.label), known, sweeps, reasons, solved)
+    return _slow_gains(robot, [free.label, loaded.label], known, sweeps, reasons, solved)
 
 
 def _prepared(recording: Recording, robot: Robot, delay: float) -> Prepared:
@@ -290,12 +289,12 @@ def _jackknife(wides: Sequence[FloatArray], solution: NullVector) -> FloatArray:
 
 def _slow_gains(
     robot: Robot,
-    runs: tuple[str, str],
+    runs: list[str],
     known: KnownLoad,
     sweeps: Sequence[Sweep],
     reasons: Sequence[str],
     solved: Sequence[_Solved],
-) -> SlowGains:
+) -> SlowGainsResult:
     values, deviations = np.full(len(reasons), np.nan), np.full(len(reasons), np.inf)
     moments, spread = np.full(3, np.nan), np.full(3, np.nan)
     if known.com is not None:
@@ -307,20 +306,23 @@ def _slow_gains(
         )
         places = [FIRST_MOMENTS.index(column) for column in solution.unknown]
         moments[places], spread[places] = solution.moments, solution.deviations[len(solution.joints) :]
-    gains = tuple(
+    gains = [
         _slow_gain(robot, joint, float(values[joint]), float(deviations[joint]), sweeps, reasons[joint])
         for joint in range(len(reasons))
-    )
-    return SlowGains(
-        robot=robot,
+    ]
+    signal = signal_of(robot)
+    names = [f"{INERTIAL[column]}_L" for column in FIRST_MOMENTS]
+    return SlowGainsResult(
+        robot=robot.name,
         runs=runs,
-        signal=signal_of(robot),
+        signal=signal,
+        unit=gain_unit(signal, robot),
         known=known,
         gains=gains,
-        moments=moments,
-        moments_std=spread,
+        load=estimated_values(names, ["kg·m"] * len(names), moments, spread),
         gap=min(solution.gap for solution in solved),
-        warnings=tuple(_warnings(gains, moments)),
+        robot_file_text=drives_text(robot, signal, gains),
+        warnings=_warnings(gains, moments),
     )
 
 

@@ -8,10 +8,10 @@ import pytest
 from html_page import Page
 
 from ident.assessment.delay.delay import DelaySearch
-from ident.experiments.gains.drive_gains import GainEstimate
-from ident.experiments.gains.up_and_down import SlowGain
+from ident.experiments.gains.drive_gains import EstimatedValue, GainEstimate
+from ident.experiments.gains.up_and_down import SlowGain, SlowGainsResult
 from ident.experiments.load.payload import BaseParameterChange, PayloadTests
-from ident.experiments.schema import EstimatedValue, GainsResult, LoadParameter, PayloadResult, SlowGainsResult
+from ident.experiments.schema import GainsResult, LoadParameter, PayloadResult
 from ident.model.load import KnownLoad
 from ident.regression.hypothesis_tests import SignificanceTest
 from ident.report.load_pages import gains_page, payload_page

@@ -12,8 +12,8 @@ from daq.motion.trajectories import FourierSeries
 from daq.recording.recording import Channel
 from daq.robot.loader import load_robot, parse_robot
 from drivers.core.errors import DataError
-from ident.experiments.gains.drive_gains import identify_gains, left_out_gains
-from ident.experiments.payload_summary import drives_text, gains_result
+from ident.experiments.gains.drive_gains import drives_text, identify_gains, left_out_gains
+from ident.experiments.payload_summary import gains_result
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
@@ -97,10 +97,10 @@ def test_what_cannot_be_told_is_said(found):
     errors = (each.values[:5] - TRUE[:5]) / each.std[:5]
     assert np.max(np.abs(errors)) < 4.5
     assert each.values[:3] == pytest.approx(TRUE[:3], rel=0.1)
-    assert "joint: wrist_3_joint, gain: 11.47, gain_std: 1.1" in drives_text(each)
+    assert "joint: wrist_3_joint, gain: 11.47, gain_std: 1.1" in drives_text(each.robot, each.signal, each.gains)
     unsure = replace(each, gains=tuple(gain.model_copy(update={"std": 0.6 * abs(gain.gain)}) for gain in each.gains))
-    assert f"gain: {each.gains[0].gain:.5g}" in drives_text(each)
-    assert f"gain: {each.gains[0].gain:.5g}" not in drives_text(unsure)
+    assert f"gain: {each.gains[0].gain:.5g}" in drives_text(each.robot, each.signal, each.gains)
+    assert f"gain: {each.gains[0].gain:.5g}" not in drives_text(unsure.robot, unsure.signal, unsure.gains)
     assert len(left_out_gains(unsure.gains)) == 5
 
 
@@ -151,7 +151,11 @@ def test_different_arms_are_refused():
 def test_the_text_for_the_robot_file_is_valid(found):
     text = load_robot("ur10e").text
     start, stop = text.index("drives:  #"), text.index("friction: {model")
-    robot = parse_robot(text[:start] + drives_text(found[0]) + "\n\n" + text[stop:], where="new", folder=None).robot
+    robot = parse_robot(
+        text[:start] + drives_text(found[0].robot, found[0].signal, found[0].gains) + "\n\n" + text[stop:],
+        where="new",
+        folder=None,
+    ).robot
     assert [drive.gain for drive in robot.drives] == pytest.approx(found[0].values, rel=1e-4)
     assert [drive.gain_std for drive in robot.drives] == pytest.approx(found[0].std, rel=0.05)
 

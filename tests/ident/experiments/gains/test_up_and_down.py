@@ -22,8 +22,7 @@ from daq.robot.loader import RobotFile, load_robot, parse_robot
 from drivers.core.errors import DataError, IdentificationError
 from ident.experiments.gains.drive_gains import identify_gains
 from ident.experiments.gains.slow_passes import BINS, passes_of, sweeps_of
-from ident.experiments.gains.up_and_down import SlowGains, identify_slow_gains
-from ident.experiments.payload_summary import drives_text, slow_gains_result
+from ident.experiments.gains.up_and_down import SlowGainsResult, identify_slow_gains
 from ident.model.dynamic_model import build_model
 from ident.model.load import KnownLoad
 from ident.model.regressor import model_torque
@@ -87,7 +86,7 @@ def recordings(three_joint):
 
 
 @pytest.fixture(scope="module")
-def found(recordings) -> SlowGains:
+def found(recordings) -> SlowGainsResult:
     return identify_slow_gains(*recordings, KnownLoad(LOAD.mass, LOAD.com))
 
 
@@ -115,9 +114,10 @@ def test_half_the_difference_is_friction(found):
 def test_an_unknown_centre_of_mass_is_found_beside_the_gains(recordings):
     each = identify_slow_gains(*recordings, KnownLoad(LOAD.mass))
     assert each.values[1:] == pytest.approx(TRUE[1:], rel=0.03)
-    assert each.moments[:2] == pytest.approx([0.16, 0.06], abs=0.01)
-    assert np.isnan(each.moments[2])  # along the axes, which are parallel: no torque about them
-    assert np.all(np.abs(each.moments[:2] - [0.16, 0.06]) < 4.0 * each.moments_std[:2])
+    moments, std = (np.array([getattr(row, name) for row in each.load[:2]]) for name in ("value", "std"))
+    assert moments == pytest.approx([0.16, 0.06], abs=0.01)
+    assert each.load[2].value is None  # along the axes, which are parallel: no torque about them
+    assert np.all(np.abs(moments - [0.16, 0.06]) < 4.0 * std)
     assert each.gap > 2.0
     assert any("MZ" in warning for warning in each.warnings)
 
@@ -184,10 +184,10 @@ def test_without_a_load_nothing_shows(three_joint):
 def test_the_text_is_for_the_robot_file(found, three_joint):
     text = three_joint.text
     start, stop = text.index("drives:"), text.index("truth:")
-    robot = parse_robot(text[:start] + drives_text(found) + "\n" + text[stop:], where="new", folder=None).robot
+    robot = parse_robot(text[:start] + found.robot_file_text + "\n" + text[stop:], where="new", folder=None).robot
     assert [robot.drive(name).gain for name in ("j2", "j3")] == pytest.approx(found.values[1:], rel=1e-4)
     assert robot.drive("j1").gain == 10.0
-    content = slow_gains_result(found).model_dump()
+    content = found.model_dump()
     assert content["gains"][0]["reason"]
     assert content["gains"][1]["reason"] is None
 
