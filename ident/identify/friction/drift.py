@@ -1,7 +1,8 @@
 """Friction that rises or falls along a recording, as a gear that warms up makes it: the parameters are its mean.
 
-For each joint the residual is regressed on the model's friction times the time, beside what else may grow (the torque,
-as by a gain, and an offset). The uncertainty is that of a jackknife over equal parts of the recording.
+For each joint the residual is regressed on the model's friction, as far as it follows the velocity alone, times the
+time, beside what else may grow (the torque, as by a gain, and an offset). The uncertainty is that of a jackknife over
+equal parts of the recording.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from ident.friction.table import DISSIPATIVE_KINDS, TERM
 from ident.identify.identification import Identification
-from ident.model.joint_columns import own_column
+from ident.model.joint_columns import column_signal, joint_column
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
 from ident.regression.jackknife import deviation_without
 from ident.verdict.catalogue import raised
@@ -18,6 +20,8 @@ from ident.verdict.check import Check
 
 PARTS = 20
 """Of the recording; a part in which the joint does not count is left out."""
+
+VELOCITY_FRICTION = {kind for kind in DISSIPATIVE_KINDS if not TERM[kind].needs}
 
 LEAST_DRIFT, LEAST_DEVIATIONS = 0.05, 5.0
 """Smallest change that is reported, as a share of the friction and in its σ: 14 random arms with sound and 8 with
@@ -51,25 +55,30 @@ def friction_drift_checks(identification: Identification) -> list[Check]:
 
 def friction_drift(identification: Identification, motor: int) -> tuple[float, float]:
     """Change of a motor's friction along the recording over its mean, and σ; 0 and inf where they are not known."""
-    found, unknown = identification, (0.0, float("inf"))
-    places = [own_column(found.model, found.base.columns, kind, motor) for kind in ("coulomb", "viscous")]
-    coulomb, viscous = (0.0 if place is None else float(found.solution.parameters[place]) for place in places)
-    exponent = found.model.terms.shape("exponent", motor)
+    found, model, unknown = identification, identification.model, (0.0, float("inf"))
     times = np.concatenate([series.time[series.counted[motor]] for series in found.fit_series])
     if not times.size:
         return unknown
+    own = [
+        (joint_column(model, model.parameters[index]), value)
+        for index, value in zip(found.base.columns, found.solution.parameters.tolist(), strict=True)
+        if model.parameters[index].kind in VELOCITY_FRICTION and model.parameters[index].joint == model.active[motor]
+    ]
     grams = np.zeros((PARTS, 7, 7))
     back = []
     for series in found.fit_series:
         counted = series.counted[motor]
-        velocity, late = series.velocity[motor, counted], (series.time[counted] - times.min()) / np.ptp(times) - 0.5
-        friction = np.sign(velocity) * (coulomb + viscous * np.abs(velocity) ** exponent)
-        predicted, residual = series.predicted[motor, counted], series.residual[motor, counted]
-        columns = (late * friction, friction, np.sign(velocity), late * predicted, late, np.ones_like(late), residual)
-        rows, part = np.array(columns), np.minimum(((late + 0.5) * PARTS).astype(int), PARTS - 1)
+        velocity, late = series.velocity[:, counted], (series.time[counted] - times.min()) / np.ptp(times) - 0.5
+        friction = sum(
+            (value * column_signal(model, one, velocity, velocity) for one, value in own), np.zeros_like(late)
+        )
+        direction, predicted = np.sign(friction), series.predicted[motor, counted]
+        residual = series.residual[motor, counted]
+        rows = np.array((late * friction, friction, direction, late * predicted, late, np.ones_like(late), residual))
+        part = np.minimum(((late + 0.5) * PARTS).astype(int), PARTS - 1)
         for place in np.unique(part).tolist():
             grams[place] += rows[:, part == place] @ rows[:, part == place].T
-        back.append(velocity < 0.0)
+        back.append(direction < 0.0)
     backwards = float(np.mean(np.concatenate(back)))
     grams = grams[grams[:, -2, -2] > 0.0]
     scale = np.sqrt(grams.sum(axis=0).diagonal()[:-1])
