@@ -105,10 +105,12 @@ DIRECTIONS = tuple(np.array(sign * axis) for axis in np.eye(3) for sign in (1.0,
 def reported(deviation: Deviation) -> bool:
     """Return whether a deviation is clear and large enough to be named."""
     level = LATE_LEVEL if deviation.unknown.kind == "late" else LIKELIHOOD_LEVEL
-    if abs(deviation.value) < MOST_UNCERTAIN * deviation.std or deviation.likelihood < level:
+    if deviation.likelihood < level:
         return False
-    if deviation.parts:
+    if deviation.parts:  # each has its own σ
         return bool(_off(deviation))
+    if abs(deviation.value) < MOST_UNCERTAIN * deviation.std:
+        return False
     if deviation.unknown.kind != "gain":
         return abs(deviation.value) >= _LEAST[deviation.unknown.kind]
     off = abs(float(np.log(1.0 + deviation.value)))

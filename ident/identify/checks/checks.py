@@ -129,7 +129,8 @@ def identification_checks(identification: Identification, recordings: Sequence[R
     if not (named or levels):
         weight = [] if of_urdf(scale) else _weight_checks(identification)
         checks += weight or urdf_scale_checks(scale)
-        checks += _urdf_zero_checks(identification) if of_urdf(scale) and not mistakes else []
+        blamed = any(mistake.severity != "note" for mistake in mistakes)
+        checks += _urdf_zero_checks(identification) if of_urdf(scale) and not blamed else []
     if not named:
         values, std = identification.solution.parameters, identification.std
         torques = [run.signals.torque for run in identification.runs]

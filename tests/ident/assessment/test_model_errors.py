@@ -104,6 +104,11 @@ def test_gains_that_all_differ_are_named_together(arm):
     ratios = {gains.unknown.joint: 1.0, **{joint: 1.0 + value for joint, value in gains.gains.items()}}
     assert ratios[0] / ratios[1] == pytest.approx(7.0 / 0.5, rel=0.05)
     assert ratios[2] / ratios[1] == pytest.approx(40.0 / 0.5, rel=0.05)
+    # A large factor's σ grows with it: 8 ± 2.4 differs from 1 by 7 σ of its logarithm.
+    parts = ((Unknown("gain", 1), 1.9, 0.5), (Unknown("gain", 2), 7.0, 2.4))
+    uncertain = replace(gains, unknown=Unknown("gains", 0), value=2.9, std=1.0, likelihood=30.0, parts=parts)
+    (check,) = model_error_checks(found.model, [uncertain])
+    assert (check.name, check.joints) == ("wrong-gain", found.model.joint_names)
 
 
 def test_a_single_event_is_no_late_position(arm):
