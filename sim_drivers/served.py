@@ -18,7 +18,7 @@ DEMO_TIME = Range(2.0, 3600.0, "s")
 
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions(Options):
-    """What the demonstration is told."""
+    """Options of the demonstration."""
 
     out: Path = option(Path("demo"), "Folder for the recordings, result.json, report.html.", short="-o")
     robot: str = option("ur5e", "UR arm: built-in, or a robot file with a truth section.")
@@ -28,7 +28,7 @@ class DemoOptions(Options):
 
 @dataclass(frozen=True, kw_only=True)
 class SimOptions(Options):
-    """What a simulated arm is told: which one, its bus, how both differ from the robot file's."""
+    """Options of a simulated arm: which one, its bus, how both differ from the robot file's."""
 
     robot: str = field(metadata=argument("robot", "Built-in robot or robot file with a truth section."))
     wire: str | None = option(

@@ -12,9 +12,8 @@ from benchmarks.agreement import check
 from benchmarks.timing import medians
 from daq.robot.loader import load_robot
 from drivers.core.arrays import FloatArray
-from ident.export.arm import ExportedArm
+from ident.export.arm import ExportedArm, pinocchio_arm
 from ident.export.mjcf import mjcf
-from ident.export.pinocchio_arm import pinocchio_arm
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import build_model
 from ident.model.dynamics.inverse_dynamics import InverseDynamics

@@ -174,7 +174,7 @@ class MotorBus:
             late: list[set[str]] = [set() for _ in self._motors]
             for _, identifier, data in receiver.take():  # too late for its row, but not for a fault
                 self._hear(identifier, data, late)
-            overdue = sum("position" in told for told in late)
+            overdue = sum("position" in quantities for quantities in late)
             for asked in range(len(self._motors)) if of is None else (of,):
                 self._surplus[asked] = max(self._surplus[asked] - 1, -MOST_AWAITED)
             sent = self._send(sender, frames)

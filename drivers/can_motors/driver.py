@@ -173,18 +173,18 @@ class CanMotorDriver(PolledArm):
         motors = []
         for index, motor in enumerate(self._settings.motors):
             scale = motor.address.model
-            told = {name: self._bus.read(index, f"{name}_range") for name in TOLD_RANGES}
-            if not all(math.isfinite(value) and value > 0.0 for value in told.values()):
+            reported = {name: self._bus.read(index, f"{name}_range") for name in TOLD_RANGES}
+            if not all(math.isfinite(value) and value > 0.0 for value in reported.values()):
                 raise ConnectionFailedError(
-                    f"{motor.name} reports {told} as the full scale of its frames", where=self._settings.where
+                    f"{motor.name} reports {reported} as the full scale of its frames", where=self._settings.where
                 )
-            other = {name: value for name, value in told.items() if not math.isclose(value, getattr(scale, name))}
+            other = {name: value for name, value in reported.items() if not math.isclose(value, getattr(scale, name))}
             if other:
                 said = ", ".join(
                     f"{name} {getattr(scale, name):g}, the motor {value:g}" for name, value in other.items()
                 )
                 self._tell("info", f"{motor.name}: the table of {motor.model} says {said}: the motor's value is used")
-            address = replace(motor.address, model=replace(scale, **told))
+            address = replace(motor.address, model=replace(scale, **reported))
             motors.append(replace(motor, address=address))
         self._settings = replace(self._settings, motors=tuple(motors))
         self._bus.codecs[:] = self._settings.codecs()

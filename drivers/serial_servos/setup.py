@@ -52,18 +52,18 @@ def identity(bus: ServoBus, motor: ServoMotor) -> ServoIdentity:
         )
     registers = motor.table.registers
 
-    def told(name: str) -> float:
+    def reading(name: str) -> float:
         return bus.read(motor, name) * registers[name].scale
 
     return ServoIdentity(
         motor.joint,
         motor.id,
         motor.table.model,
-        told("present_voltage"),
-        told("present_temperature"),
+        reading("present_voltage"),
+        reading("present_temperature"),
         bool(bus.read(motor, "torque_enable")),
         ", ".join(motor.table.error_words(bus.read(motor, "status"))),
-        told("return_delay"),
+        reading("return_delay"),
         bus.read(motor, "homing_offset") if "homing_offset" in registers else 0,
         bus.read(motor, "min_position"),
         bus.read(motor, "max_position"),

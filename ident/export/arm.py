@@ -1,21 +1,30 @@
-"""The arm that is exported: bodies of the links, and what turns and rubs at joints and motors."""
+"""The arm that is exported: bodies of the links, their simple shapes, and what turns and rubs at joints and motors."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from daq.robot.loader import RobotFile
+from daq.robot.loader import BASE, RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
 from ident.estimators.feasible.pseudo_inertia import Body, body_of
 from ident.model.base_parameters import base_parameters
 from ident.model.dynamic_model import DynamicModel
 from ident.model.dynamics.inverse_dynamics import InverseDynamics
+from ident.model.dynamics.pinocchio_model import pinocchio_model
+from ident.model.kinematics.joints import BASE_INDEX
 from ident.model.parameters import LINK_SIZE
+
+SHORTEST_LINK = 1e-3
+"""[m] below which two joints count as lying on each other."""
+
+Segment = tuple[FloatArray, FloatArray, float]
+"""Start and end (3,) [m] in the link's frame, and radius [m]."""
 
 
 @dataclass(frozen=True)
@@ -130,3 +139,43 @@ def refuse_unidentified_friction(names: Sequence[str], where: str) -> None:
             where=where,
             hint="record a motion that moves these joints, or give the value under 'known' in the robot file",
         )
+
+
+def link_segments(arm: ExportedArm) -> dict[int, list[Segment]]:
+    """Segments of every link by its number, the base's by `BASE_INDEX`; a sphere has one point twice.
+
+    From the link's origin to those of the joints that hang on it, and of the last link to the tool.
+    """
+    model, workspace = arm.model, arm.robot_file.robot.workspace
+    ends: dict[int, list[FloatArray]] = {index: [] for index in range(BASE_INDEX, len(model.joints))}
+    for joint in model.joints:
+        ends[joint.parent].append(joint.translation)
+    ends[model.tool_link].append(np.array(workspace.tool, dtype=np.float64))
+    origin, shapes = np.zeros(3), {}
+    for link, points in ends.items():
+        radius = workspace.radius_of(BASE if link == BASE_INDEX else model.link_names[link])
+        long = [point for point in points if float(np.linalg.norm(point)) > SHORTEST_LINK]
+        shapes[link] = [(origin, point, radius) for point in long] or [(origin, origin, radius)]
+    return shapes
+
+
+def pinocchio_arm(arm: ExportedArm) -> Any:
+    """A `pinocchio.Model` of the tree: bodies, armature, damping, dry friction, limits, gravity; joints in our order.
+
+    `pin.rnea` gives the torques of the links and of the armature. Pinocchio leaves friction to its user, and holds no
+    offsets, no loops and no coupled motors.
+    """
+    model = arm.model
+    result = pinocchio_model(model, arm.values[: LINK_SIZE * len(model.joints)])
+    active, terms = list(model.active), arm.at_joints
+    armature, damping, friction = (np.zeros(result.nv) for _ in range(3))
+    velocity, effort = np.full(result.nv, np.inf), np.full(result.nv, np.inf)
+    armature[active], damping[active], friction[active] = terms.inertia, terms.viscous, terms.coulomb
+    velocity[active] = [limits.velocity for limits in model.limits]
+    effort[active] = [np.inf if limits.torque is None else limits.torque for limits in model.limits]
+    result.armature, result.damping, result.friction = armature, damping, friction
+    result.velocityLimit, result.effortLimit = velocity, effort
+    if hasattr(result, "lowerDryFrictionLimit"):  # since Pinocchio 4; the limits above are the upper ones
+        result.lowerDryFrictionLimit = -friction
+        result.lowerVelocityLimit, result.lowerEffortLimit = -velocity, -effort
+    return result

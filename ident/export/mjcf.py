@@ -9,9 +9,8 @@ import numpy as np
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ModelError
 from drivers.core.units import common_unit
-from ident.export.arm import ExportedArm
+from ident.export.arm import ExportedArm, Segment, link_segments
 from ident.export.left_out import left_out_of_mjcf
-from ident.export.shapes import Segment, link_segments
 from ident.export.urdf import link_name
 from ident.export.xml_text import comment_text, number, numbers, quaternion
 from ident.model.kinematics.joints import BASE_INDEX, ancestors

@@ -7,9 +7,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from drivers.core.arrays import FloatArray
-from ident.export.arm import ExportedArm
+from ident.export.arm import ExportedArm, Segment, link_segments
 from ident.export.left_out import left_out_of_urdf
-from ident.export.shapes import Segment, link_segments
 from ident.export.xml_text import comment_text, number, numbers, roll_pitch_yaw
 from ident.model.kinematics.joints import BASE_INDEX
 

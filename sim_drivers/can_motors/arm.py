@@ -50,7 +50,7 @@ class MotorPlant(ClockedArm):
         self.arm.effort = np.full(len(position), np.inf)  # of a servo's spring alone; a motor's limit is kept here
         self._drive(position)
 
-    def told(
+    def command(
         self,
         index: int,
         now: float,

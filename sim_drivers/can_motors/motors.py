@@ -110,7 +110,7 @@ class SimulatedMotor(ABC):
         """
         self._commanded = now
         if self.enabled:
-            self._plant.told(self.index, now, Command(goal, speed, stop, torque), gains, shares)
+            self._plant.command(self.index, now, Command(goal, speed, stop, torque), gains, shares)
 
     @property
     def _state(self) -> Mapping[str, float]:

@@ -161,10 +161,10 @@ class CanMotorServer(BusServer):
         for motor in self.motors:
             if motor.dead or sent.time < motor.silent_until:
                 continue
-            for told, data in motor.hear(identifier, frame.data, sent.time):
-                self._submit(told, data, sent.time + ANSWERING)
+            for target, data in motor.hear(identifier, frame.data, sent.time):
+                self._submit(target, data, sent.time + ANSWERING)
                 if motor.index in self._twice:
-                    self._submit(told, motor.of_other(told, data), sent.time + ANSWERING)
+                    self._submit(target, motor.of_other(target, data), sent.time + ANSWERING)
 
     def _submit(self, identifier: int, data: bytes, ready: float) -> None:
         plain = identifier & ~EXTENDED

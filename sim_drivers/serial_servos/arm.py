@@ -39,7 +39,7 @@ class ServoPlant(ClockedArm):
         self.changed()
         self.report()
 
-    def told(self, index: int, now: float) -> None:
+    def take_goal(self, index: int, now: float) -> None:
         """The servo of a joint has a goal, in its register; it takes effect later."""
         servo = self._servos[index]
         goal = servo.motor.scale.position(servo.get("goal_position"))
@@ -49,12 +49,12 @@ class ServoPlant(ClockedArm):
     def changed(self) -> None:
         """Registers that limit the motion may have changed."""
 
-        def told(servo: SimulatedServo, name: str) -> float:
+        def limit(servo: SimulatedServo, name: str) -> float:
             held = servo.get(name) * servo.table.registers[name].scale if servo.holds(name) else 0.0
             return held if held > 0.0 else np.inf
 
-        self._accelerations = np.minimum([told(servo, "acceleration") for servo in self._servos], self._profile)
-        self._speeds = np.array([told(servo, "speed_limit") for servo in self._servos])
+        self._accelerations = np.minimum([limit(servo, "acceleration") for servo in self._servos], self._profile)
+        self._speeds = np.array([limit(servo, "speed_limit") for servo in self._servos])
         self._efforts = np.array([servo.effort for servo in self._servos])
 
     def report(self) -> None:

@@ -270,7 +270,7 @@ class SerialServoServer(FaultyServer):
         error = servo.write(address, data)
         goal = servo.table.registers["goal_position"]
         if not error and address <= goal.address < address + len(data):
-            self.plant.told(self._indices[servo.motor.id], now)
+            self.plant.take_goal(self._indices[servo.motor.id], now)
         self.plant.changed()
         return error
 

@@ -128,7 +128,7 @@ class ExportedModel(ModelParameters):
             UsageError: these are not the consistent parameters.
             ModelError: some friction was not identified.
         """
-        from ident.export.pinocchio_arm import pinocchio_arm
+        from ident.export.arm import pinocchio_arm
 
         return pinocchio_arm(self._exported)
 

@@ -24,11 +24,11 @@ def follow(arm: MotorPlant, speed: float, seconds: float, limit: float | None = 
     springs, torques = [], []
     arm.limit(0, limit)
     for index in (0, 1):
-        arm.told(index, 0.0, Command(arm._motors[index].goal(START[index])), GAINS)
+        arm.command(index, 0.0, Command(arm._motors[index].goal(START[index])), GAINS)
     for step in range(round(seconds / STEP)):
         now = (step + 1) * STEP
         goal = START[0] + speed * now
-        arm.told(0, now, Command(goal), GAINS)
+        arm.command(0, now, Command(goal), GAINS)
         arm.advance(now + 0.9 * STEP)
         said = arm.measured(0)
         springs.append(GAINS[0] * (goal - said["position"]))
@@ -52,7 +52,7 @@ def test_the_limit_cuts_the_sum() -> None:
     assert springs.max() > 3.0
     still = plant()
     assert still.measured(0)["torque"] == 0.0
-    still.told(0, 0.0, Command(START[0], torque=20.0), (0.0, 0.0))
+    still.command(0, 0.0, Command(START[0], torque=20.0), (0.0, 0.0))
     still.advance(0.01)
     assert still.measured(0)["torque"] == 10.0
     still.let_go(0)
