@@ -25,7 +25,6 @@ POINTS = 1200
 """Per panel."""
 
 CURVE_POINTS = 80
-COLUMNS = 2
 PANEL = 210
 HOVER = "%{x:.3g}<br>%{y:.3g}<extra></extra>"
 SPEED_SHARES = (0.1, 0.3, 0.6)
@@ -89,7 +88,7 @@ def _figure(
     if not joints:
         return None
     panels = [panel(model, joint, index == 0) for index, joint in enumerate(joints)]
-    return panel_figure(anchor, in_rows(panels, COLUMNS), caption)
+    return panel_figure(anchor, in_rows(panels), caption)
 
 
 def _sample(joint: JointExperiment) -> FloatArray:

@@ -19,7 +19,6 @@ CAPTION = (
     "Torque without friction in every pose (the mean of both directions), and its prediction from the other poses, in "
     "the order of the recording."
 )
-COLUMNS = 2
 
 
 def gravity_page(experiment: GravityExperiment) -> str:
@@ -48,7 +47,7 @@ def poses_figure(result: GravityResult) -> Figure | None:
     panels = [_panel(result, row, joint, row == 0) for row, joint in enumerate(result.of_joints) if joint.poses]
     if not panels:
         return None
-    return panel_figure("poses-plot", in_rows(panels, COLUMNS), CAPTION)
+    return panel_figure("poses-plot", in_rows(panels), CAPTION)
 
 
 def _panel(result: GravityResult, row: int, joint: GravityJoint, first: bool) -> Panel:

@@ -12,7 +12,6 @@ from ident.report.section import Tile
 from ident.views.history_tables import date_text, notes, sentences, span_text, step_table, trend_table
 
 MOST_PANELS = 24
-COLUMNS = 2
 CAPTION = (
     "Each result with the 95 % interval of its identification, at the mean temperature where a line says so, and the "
     "estimated trend. Findings come first; vertical lines are steps."
@@ -42,7 +41,7 @@ def history_page(history: ArmHistory) -> str:
 def series_figure(history: ArmHistory) -> Figure:
     """Values and trends of the parameters over time, at most `MOST_PANELS`."""
     panels = [_panel(parameter, place == 0) for place, parameter in enumerate(history.parameters[:MOST_PANELS])]
-    return panel_figure("series-plot", in_rows(panels, COLUMNS), CAPTION)
+    return panel_figure("series-plot", in_rows(panels), CAPTION)
 
 
 def _panel(parameter: ParameterHistory, first: bool) -> Panel:

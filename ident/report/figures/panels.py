@@ -94,7 +94,7 @@ def panel_figure(
     )
 
 
-def in_rows(panels: Sequence[Panel], columns: int) -> list[Sequence[Panel]]:
+def in_rows(panels: Sequence[Panel], columns: int = 2) -> list[Sequence[Panel]]:
     """Panels in rows of so many; the last row may be shorter."""
     return [panels[start : start + columns] for start in range(0, len(panels), columns)]
 

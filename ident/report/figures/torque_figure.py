@@ -21,8 +21,8 @@ from ident.views.number_text import number, percent, whole
 PANEL = 150
 """Height of a panel [px]."""
 
-SMALL_PANEL, SMALL_COLUMNS, SMALL_POINTS = 66, 2, 300
-"""Sizes of the figure at a glance: a panel's height [px], panels of a row, points of a line."""
+SMALL_PANEL, SMALL_POINTS = 66, 300
+"""Sizes of the figure at a glance: a panel's height [px], points of a line."""
 
 LINES = {"residual": (3, RESIDUAL, 1.0), "measured": (1, MEASURED, 2.0), "predicted": (2, PREDICTED, 1.2)}
 """Line → its place in the legend, its colour and its width [px]; in the order in which they are drawn."""
@@ -72,7 +72,7 @@ def small_torque_figure(
         )
         for joint in order
     ]
-    return panel_figure(anchor, in_rows(panels, SMALL_COLUMNS), "", linked=True, hovermode="x unified")
+    return panel_figure(anchor, in_rows(panels), "", linked=True, hovermode="x unified")
 
 
 def _judged(series: Sequence[TorqueSeries]) -> list[TorqueSeries]:

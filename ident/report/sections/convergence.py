@@ -45,7 +45,7 @@ def _figure(convergence: Convergence) -> Figure | None:
     if not panels:
         return None
     caption = "Each loop over its iterations, innermost first; a loop has converged where its values no longer change."
-    return panel_figure("convergence-plot", in_rows(panels, 2), caption, showlegend=bool(first))
+    return panel_figure("convergence-plot", in_rows(panels), caption, showlegend=bool(first))
 
 
 def _panel(loops: list[EstimationLoop], colours: Mapping[str, str], *, first: bool) -> Panel:

@@ -24,7 +24,6 @@ from ident.views.result_tables import friction_step_table, joint_friction_table
 DRAWN = tuple(term for term in TERMS if not term.needs)
 """Terms that the velocity alone decides, which a curve over it shows."""
 
-COLUMNS = 2
 PANEL = 190
 SCATTER_POINTS = 1200
 PAGE_SCATTER_POINTS = 4_200
@@ -69,7 +68,7 @@ def _figure(data: ReportData) -> Figure | None:
         "95 % interval of the line from the parameters' covariance. Where points bend away from the line, a friction "
         "term is missing."
     )
-    return panel_figure("friction-plot", in_rows(panels, COLUMNS), caption)
+    return panel_figure("friction-plot", in_rows(panels), caption)
 
 
 def small_friction_figure(anchor: str, data: ReportData) -> Figure | None:
@@ -82,7 +81,7 @@ def small_friction_figure(anchor: str, data: ReportData) -> Figure | None:
         panel = _panel(data, joint, SMALL_POINTS)
         heading = f"{panel.heading} [{panel.y['title']['text']}]"  # in place of a title of the axis
         panels.append(replace(panel, heading=heading, y={}, height=SMALL_PANEL))
-    return panel_figure(anchor, in_rows(panels, COLUMNS), "")
+    return panel_figure(anchor, in_rows(panels), "")
 
 
 def _drawn_joints(data: ReportData) -> list[int]:

@@ -6,12 +6,20 @@ import math
 from dataclasses import dataclass
 
 from ident.regression.hypothesis_tests import WITHIN_95_PERCENT
-from ident.report.figures.figures import BOTTOM, REFERENCE, TOP, Figure, base_layout, kind_markers, vertical_line
+from ident.report.figures.figures import (
+    BOTTOM,
+    REFERENCE,
+    TOP,
+    Figure,
+    base_layout,
+    kind_markers,
+    titled,
+    vertical_line,
+)
+from ident.report.figures.panels import ROW
 from ident.report.section import ReportData, ReportSection, Tile
 from ident.result.schema import BaseParameterResult
 from ident.views.number_text import DASH, number, percent
-
-ROW = 15
 
 
 @dataclass(frozen=True)
@@ -72,7 +80,7 @@ def _figure(rows: list[Comparison]) -> Figure | None:
     height = TOP + BOTTOM + ROW * len(shown)
     layout = base_layout(
         height,
-        xaxis={"title": {"text": "(estimate − truth) / σ, with the 95 % interval"}, "zeroline": False},
+        xaxis={**titled("(estimate − truth) / σ, with the 95 % interval"), "zeroline": False},
         yaxis=names,
         shapes=[vertical_line(0.0, color=REFERENCE, width=1.5)],
     )
