@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
 import types
 from collections.abc import Iterable, Mapping, Sequence
@@ -224,9 +225,15 @@ def _described(problem: ErrorDetails, root: type[BaseModel]) -> list[YamlProblem
     if kind == "missing":
         message = "this entry of the list is missing" if isinstance(location[-1], int) else "this key is missing"
     else:
-        message = f"found {describe(problem['input'])}, but {problem['msg'].removeprefix('Input ')}"
+        message = f"found {describe(problem['input'])}, but {in_words_of_files(problem['msg']).removeprefix('Input ')}"
         message = message.replace("but should", "but it should").replace("but Keys", "but keys")
     return [YamlProblem(place, message, meaning(root, location))]
+
+
+def in_words_of_files(message: str) -> str:
+    """What pydantic says, without the names of Python's classes."""
+    message = re.sub(r"a (valid )?dictionary( or (an )?instance of \w+)?", "a mapping of keys", message)
+    return re.sub(r"a valid (tuple|list)", "a list", message)
 
 
 def key_path(location: Sequence[int | str]) -> str:

@@ -16,6 +16,7 @@ from daq.robot.loader import RobotFile, parse_robot
 from drivers.core.errors import ResultFileError
 from drivers.core.files import RESULT_FILE, read_text
 from drivers.core.text import parsed_json
+from drivers.core.validation import in_words_of_files
 from ident.model.base_parameters import BaseParameters
 from ident.model.dynamic_model import DynamicModel, build_model
 from ident.model.joint_columns import quantity_of
@@ -122,7 +123,7 @@ def stored(kind: type[Kind], content: Mapping[str, Any], path: Path, hint: str) 
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         key = ".".join(str(key) for key in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
+        message = in_words_of_files(first["msg"]).removeprefix("Value error, ")
         raise ResultFileError(message, where=f"{path}: {key}" if key else str(path), hint=hint) from error
 
 

@@ -86,7 +86,7 @@ REFUSED: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "text where a section belongs": (
         replaced("name: arm", "name: arm\ntruth: none"),
         ": truth",
-        ("found 'none'", "valid dictionary"),
+        ("found 'none'", "should be a mapping of keys"),
     ),
     "unknown kind of joint": (
         replaced("alpha: 0,", "alpha: 0, type: helical,"),
@@ -211,7 +211,7 @@ REFUSED: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "coupling": (
         replaced("joints:", "  coupling: {j2: 1}\njoints:"),
         ": model.coupling.j2",
-        ("found 1", "valid dictionary"),
+        ("found 1", "should be a mapping of keys"),
     ),
     "connection without driver": (
         TWO_JOINTS + "connections: {wire: {host: x}}\n",
