@@ -32,7 +32,7 @@ from ident.signals.prepared import Segment
 from ident.verdict.catalogue import raised
 from studies.synthetic.data_mistakes import jittering_position, repeated_rows, sampled, stuck_encoder, with_velocity
 
-pytestmark = [pytest.mark.realdata, pytest.mark.usefixtures("not_simulated")]
+pytestmark = [pytest.mark.realdata, pytest.mark.usefixtures("not_simulated", "mistakes_not_sought")]
 
 ARMS = ("ur10", "panda", "tx40")
 FILES = {"ur10": ("ur10_unisa1.npz", 1), "panda": ("panda_gaz1.npz", 4), "tx40": ("tx40_t1.npz", 20)}

@@ -63,4 +63,4 @@ def test_a_stall_takes_no_more_torque_than_the_motion(
     tmp_path: Path, bench: ModuleType, arm: Callable[[SimulatedClock], Any]
 ) -> None:
     alone = largest_torques(tmp_path / "alone.h5", bench, arm, stalls=0)
-    assert np.all(largest_torques(tmp_path / "stalled.h5", bench, arm, stalls=2) <= 1.05 * alone)
+    assert np.all(largest_torques(tmp_path / "stalled.h5", bench, arm, stalls=1) <= 1.05 * alone)
