@@ -54,7 +54,7 @@ def require_motor_per_joint(motors: Mapping[str, BusDevice], joints: Sequence[st
     if strange := [name for name in motors if name not in joints]:
         raise refused(f"{strange[0]!r} is not a joint", f"joints: {', '.join(joints)}")
     if missing := [name for name in joints if name not in motors]:
-        raise refused(f"joint(s) {', '.join(missing)} have no motor")
+        raise refused(f"no motor for {', '.join(missing)}")
     used: dict[int, str] = {}
     for name, motor in motors.items():
         if motor.id in used:

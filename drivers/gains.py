@@ -34,7 +34,7 @@ def joint_torque(signal: FloatArray, gains: Sequence[DriveGain], coupling: Float
     factors = [gain.gain for gain in gains if gain.gain is not None]
     if len(factors) < len(gains):
         unknown = [str(number) for number, gain in enumerate(gains, start=1) if gain.gain is None]
-        raise ValueError(f"the gain is unknown for joint(s) {', '.join(unknown)}")
+        raise ValueError(f"no gain is known for motor {' or '.join(unknown)}")
     with np.errstate(over="ignore", invalid="ignore"):  # of a damaged file: no number, and refused where it is used
         motor_torque = signal * np.array(factors, dtype=np.float64)
         return motor_torque if coupling is None else torque_at_joints(motor_torque, coupling)

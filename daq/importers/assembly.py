@@ -18,6 +18,7 @@ from daq.robot.loader import RobotFile
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError
+from drivers.core.text import counted
 from drivers.core.units import normalised
 from drivers.streams import COMMANDS
 
@@ -200,7 +201,7 @@ def _check_lengths(stamps: dict[str, FloatArray | None], quantities: dict[str, Q
             f"arrays differ in length: {', '.join(f'{name} {length}' for name, length in lengths.items())}", where=where
         )
     if min(lengths.values()) < 2:
-        raise ImportFileError(f"holds {min(lengths.values())} sample(s); at least 2 are needed", where=where)
+        raise ImportFileError(f"holds {counted(min(lengths.values()), 'sample')}; at least 2 are needed", where=where)
 
 
 def _in_robot_order(

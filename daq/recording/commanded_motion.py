@@ -11,6 +11,7 @@ from daq.recording.recording import COMMANDS_STREAM, JOINTS_STREAM, Channel, Rec
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
+from drivers.core.text import counted
 from drivers.streams import COMMANDS
 
 TARGET = "target_position"
@@ -99,7 +100,7 @@ def _ordered(stream: Stream, channel: Channel, names: tuple[str, ...], label: st
     missing = [name for name in names if name not in channel.columns]
     if missing:
         raise DataError(
-            f"has no column for joint(s) {', '.join(missing)}; it has {', '.join(channel.columns)}",
+            f"has no column for joint {' or '.join(missing)}; it has {', '.join(channel.columns)}",
             where=where,
             hint="is this the robot that was recorded? name another: --robot, in Python robot=",
         )
@@ -107,7 +108,7 @@ def _ordered(stream: Stream, channel: Channel, names: tuple[str, ...], label: st
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         raise DataError(
-            f"{len(bad)} value(s) are not numbers, the first at sample {bad[0, 0]}, joint {names[bad[0, 1]]}",
+            f"{counted(len(bad), 'value')} not a number, the first at sample {bad[0, 0]}, joint {names[bad[0, 1]]}",
             where=where,
             hint="import the source again with the repair drop-nan (--repair, in Python repair=)",
         )

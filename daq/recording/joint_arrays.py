@@ -14,6 +14,7 @@ from daq.robot.loader import RobotFile
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
 from drivers.core.ranges import SAMPLING_RATE
+from drivers.core.text import counted
 
 WHERE = "Recording.from_arrays"
 
@@ -66,7 +67,7 @@ def _arrays(
     if stamps.ndim != 1:
         raise _refusal(clock, f"has shape {stamps.shape}; (N,) is needed")
     if len(stamps) < 2:
-        raise _refusal(clock, f"holds {len(stamps)} sample(s); at least 2 are needed")
+        raise _refusal(clock, f"holds {counted(len(stamps), 'sample')}; at least 2 are needed")
     values = {}
     for quantity, array in given.items():
         if array is not None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from daq.robot.loops import BASE
+from drivers.core.text import counted
 
 OF_JOINTS = (
     ("friction", "joints"),
@@ -80,7 +81,7 @@ def name_problems(names: JointNames) -> tuple[str, ...]:
             f"'{section}' names '{key}', but there are only: {', '.join(allowed)}" for key in keys if key not in allowed
         ]
     problems += [
-        f"'poses.{name}' has {count} position(s), but the arm has {len(joints)} joints: {', '.join(joints)}"
+        f"'poses.{name}' has {counted(count, 'position')}, but the arm has {len(joints)} joints: {', '.join(joints)}"
         for name, count in names.poses
         if count != len(joints)
     ]

@@ -187,7 +187,7 @@ def assumed_of_urdf(arm: UrdfArm) -> tuple[str, ...]:
     continuous = [joint.name for joint in arm.joints if joint.kind == "continuous"]
     assumed = [f"the tool is at the origin of the URDF's link {arm.tool_link}"]
     if continuous:
-        assumed.append(f"position limits -2π to 2π of the continuous joint(s) {', '.join(continuous)}")
+        assumed.append(f"position limits -2π to 2π of the continuous joints ({', '.join(continuous)})")
     return tuple(assumed)
 
 

@@ -15,6 +15,7 @@ from drivers.base import Level, Notice, drained
 from drivers.can.bus import EXTENDED, Frame, error_frame_words, is_bus_off, is_unreadable, reason
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionLostError
+from drivers.core.text import counted
 
 # Interfaces whose time stamps are the kernel's or the sender's clock of day, so that they give a frame's age.
 _STAMPED_BY_CLOCK = frozenset({"SocketcanBus", "UdpMulticastBus", "VirtualBus"})
@@ -255,7 +256,7 @@ class Receiver:
         with self._arrival:
             for what, (count, reported) in self._troubles.items():
                 if count and reported <= reported_before:
-                    self._report("warning", f"{count} {what}")
+                    self._report("warning", counted(count, what))
                     self._troubles[what] = (0, self._clock.now())
 
     def _report(self, level: Level, message: str) -> None:

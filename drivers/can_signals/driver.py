@@ -19,6 +19,7 @@ from drivers.can_signals.table.signals import FixedFrame, Signal, batches, encod
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import STALL_LIMIT, SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError
+from drivers.core.text import counted
 from drivers.first_step import check_first_step, finite_position
 from drivers.life_cycle import LifeCycle
 from drivers.standstill import REST_WINDOW, StandstillWatch
@@ -190,7 +191,7 @@ class CanFramesDriver(LifeCycle):
     def losses(self, stream: str) -> str:
         """Return why rows of `joints` were lost, in words; empty where the cause is unknown (see `drivers.base`)."""
         dropped = self._receiver.overflow if self._receiver is not None else 0
-        late = f"{dropped} frame(s) dropped: this computer was late to read them" if dropped else ""
+        late = counted(dropped, "frame(s) dropped: this computer was late to read them") if dropped else ""
         return "; ".join(words for words in (late, self._streams.losses()) if words) if stream == "joints" else ""
 
     def _take_leave(self) -> None:

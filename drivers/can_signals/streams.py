@@ -18,6 +18,7 @@ from drivers.can_signals.table.signal_keys import WHOLE_ARM
 from drivers.can_signals.table.signals import Signal, batches
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.text import counted
 from drivers.gains import DriveGain, gives_torque, joint_torque, torque_channel
 from drivers.streams import Batch, ChannelLayout, StreamLayout
 
@@ -212,7 +213,7 @@ class Troubles:
 
     def losses(self) -> str:
         """Frames that rows of the joints lacked since `forget`, in words."""
-        return ", ".join(f"no {label}: {count} time(s)" for label, count in self._lacked.most_common())
+        return ", ".join(f"no {label}: {counted(count, 'time')}" for label, count in self._lacked.most_common())
 
     def note(self, rows: Rows, *, essential: bool) -> None:
         """Note what was wrong with some rows; `essential`: of the joints."""
@@ -240,7 +241,7 @@ class Troubles:
             return
         for what, count in self._counts.items():
             lacked = f"; the last lacked {self.missing}" if what.startswith("incomplete") and self.missing else ""
-            self._notices.append(Notice(math.nan, "warning", f"{count} {what}{lacked}"))
+            self._notices.append(Notice(math.nan, "warning", counted(count, what) + lacked))
         self._counts.clear()
         self._reported = now
 

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable
 from difflib import get_close_matches
+from numbers import Integral
 from typing import Any
 
 DASH = "–"
@@ -22,8 +23,9 @@ def did_you_mean(given: str, known: Iterable[str]) -> str:
 
 
 def counted(count: float, noun: str) -> str:
-    """A number of things whose plural ends in s: 1 contact, 2 contacts, 0.5 contacts."""
-    return f"{count if isinstance(count, int) else f'{count:g}'} {noun}{'' if count == 1 else 's'}"
+    """A number of things whose plural ends in s, there or at `(s)`: 1 contact, 0.5 contacts, 2 frames dropped."""
+    words = noun if "(s)" in noun else f"{noun}(s)"
+    return f"{count if isinstance(count, Integral) else f'{count:g}'} {words.replace('(s)', '' if count == 1 else 's')}"
 
 
 def in_percent(ratio: float | None) -> float | None:

@@ -20,7 +20,7 @@ from yaml.resolver import Resolver
 
 from drivers.core.errors import InputError
 from drivers.core.terminal import visible
-from drivers.core.text import did_you_mean
+from drivers.core.text import counted, did_you_mean
 
 Schema = TypeVar("Schema", bound=BaseModel)
 Refusal = TypeVar("Refusal", bound=InputError)
@@ -191,7 +191,7 @@ def validated(content: Mapping[Any, Any], schema: type[Schema], *, where: str, r
 def first_of(problems: Sequence[YamlProblem], *, where: str, refusal: type[Refusal]) -> Refusal:
     """The error about the first of several problems; its hint counts the others."""
     first = problems[0]
-    more = f"{len(problems) - 1} more problem(s) in this file" if len(problems) > 1 else ""
+    more = counted(len(problems) - 1, "more problem(s) in this file") if len(problems) > 1 else ""
     return refusal(
         first.message,
         where=f"{where}: {first.key_path}" if first.key_path else where,

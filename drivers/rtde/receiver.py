@@ -23,6 +23,7 @@ from drivers.base import SILENCE_LIMIT, Level, Notice, drained
 from drivers.core.arrays import FloatArray
 from drivers.core.clock import SYSTEM_CLOCK, Clock
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, UsageError
+from drivers.core.text import counted
 from drivers.rtde import protocol as wire
 from drivers.rtde.protocol import Connect, connect_tcp
 
@@ -183,7 +184,7 @@ class RtdeReceiver:
             failure = self._failure
             repeated, self._repeated = self._repeated, 0
         if repeated:
-            self._report("warning", f"{repeated} repeated data package(s) dropped")
+            self._report("warning", counted(repeated, "repeated data package(s) dropped"))
         if not batch:
             if failure is not None:
                 raise ConnectionLostError(failure[0], where=self.where, hint=failure[1])

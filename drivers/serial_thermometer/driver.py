@@ -160,7 +160,7 @@ class SerialThermometerDriver(LifeCycle):
         if ignored := self._parser.take_rejected():
             return f"{said}; {ignored}"
         if self._parser.unknown:
-            return f"{said}; only of channel(s) {_list(self._parser.unknown)}, which 'channels' does not name"
+            return f"{said}; only of channels that 'channels' does not name: {_list(self._parser.unknown)}"
         return f"{said}; {received} characters, but no whole line"
 
     def _hint(self, received: int) -> str:
@@ -208,7 +208,7 @@ class SerialThermometerDriver(LifeCycle):
         texts = [self._parser.take_rejected()]
         if new := self._parser.unknown - self._reported_unknown:
             self._reported_unknown |= new
-            texts.append(f"channel(s) {_list(new)} arrive, but 'channels' does not name them")
+            texts.append(f"values of channels that 'channels' does not name: {_list(new)}")
         if (dropped := self._port.dropped - self._reported_dropped) > 0:
             self._reported_dropped += dropped
             texts.append(f"{dropped} characters were dropped because they were not read")

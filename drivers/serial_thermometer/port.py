@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import serial
 
 from drivers.core.clock import SYSTEM_CLOCK, Clock
+from drivers.core.text import counted
 from drivers.core.units import ZERO_CELSIUS
 from drivers.serial_port import open_port, reason
 from drivers.serial_thermometer.settings import ThermometerSettings
@@ -238,7 +239,7 @@ class LineParser:
         reasons = ", ".join(f"{count} {why}" for why, count in self.rejected.most_common())
         total = sum(self.rejected.values())
         self.rejected.clear()
-        return f"{total} line(s) ignored: {reasons}; the last one: {self.last_rejected!r}"
+        return f"{counted(total, 'line')} ignored: {reasons}; the last one: {self.last_rejected!r}"
 
     def _parse(self, line: bytes, end: int) -> list[ThermometerReading]:
         text = line.decode("ascii", "replace")

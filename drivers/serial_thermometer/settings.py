@@ -26,7 +26,7 @@ def _compiled(text: object) -> object:
         raise refused(f"{text!r} is not a regular expression: {error}") from error
     missing = [group for group in ("channel", "value") if group not in pattern.groupindex]
     if missing:
-        raise refused(f"{text!r} lacks the named group(s) {', '.join(missing)}")
+        raise refused(f"{text!r} lacks named groups: {', '.join(missing)}")
     return pattern
 
 

@@ -6,6 +6,7 @@ from daq.recording.commanded_motion import CommandedMotion
 from daq.recording.quality.command_quality import LEAST_LAG, MOST_LAG, CommandQuality, command_quality
 from daq.recording.unit_plausibility import DEGREES, near
 from drivers.core.errors import DataError
+from drivers.core.text import counted
 from ident.verdict.catalogue import CATALOGUE, raised
 from ident.verdict.check import Check
 
@@ -43,7 +44,7 @@ def _checks(motion: CommandedMotion, quality: CommandQuality, of: str = "") -> l
     checks = _cover_checks(motion, quality, of)
     if quality.copied is not None or quality.unrelated:
         rows = quality.copied
-        when = f" of {abs(rows)} row{'s' * (abs(rows) > 1)} {'later' if rows > 0 else 'earlier'}" if rows else ""
+        when = f" of {counted(abs(rows), 'row')} {'later' if rows > 0 else 'earlier'}" if rows else ""
         text = (
             "no joint moves as its command does: are the commands changes of position, or velocities?"
             if rows is None

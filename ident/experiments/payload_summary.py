@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drivers.core.text import percent_text
+from drivers.core.text import counted, percent_text
 from ident.estimators.feasible.pseudo_inertia import INERTIA_ELEMENTS, body_of
 from ident.experiments.gains.drive_gains import DriveGains, drives_text, estimated_values, gain_unit
 from ident.experiments.load.consistent_load import ConsistentLoad
@@ -92,7 +92,7 @@ def _sentence(test: SignificanceTest | None, yes: str, no: str, question: str) -
 
 
 def _test_text(test: SignificanceTest) -> str:
-    freedom = f"{test.freedom} degree{'s' * (test.freedom > 1)} of freedom"
+    freedom = counted(test.freedom, "degree(s) of freedom")
     return f"χ² = {test.statistic:.1f} with {freedom}, {_p_value_text(test)}"
 
 

@@ -16,7 +16,7 @@ from daq.recording.serial_numbers import serial_number
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.software import software_versions
-from drivers.core.text import percent_text
+from drivers.core.text import counted, percent_text
 from drivers.core.units import ZERO_CELSIUS, common_unit
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.validation import LOW_SPEED, Fit
@@ -233,7 +233,7 @@ def _friction_step(identification: Identification) -> tuple[Step, ...]:
         return (Step("friction", {"rounds": 0}, text), *of_position)
     outcome = "settled after" if friction.settled else "had not settled after"
     text = f"shapes and load torque of the friction, estimated from the identification data, {outcome} "
-    text += f"{friction.rounds} round{'s' * (friction.rounds > 1)}"
+    text += counted(friction.rounds, "round")
     return (Step("friction", {"rounds": friction.rounds, "settled": friction.settled}, text), *of_position)
 
 

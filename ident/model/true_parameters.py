@@ -51,7 +51,7 @@ def truth_vector(robot_file: RobotFile, model: DynamicModel | None = None) -> Fl
     missing = [name for name in model.link_names if name not in robot.truth.links]
     if missing:
         where = f"{robot_file.where}: truth.links"
-        raise RobotFileError(f"no true link for joint(s) {', '.join(missing)}", where=where)
+        raise RobotFileError(f"no true link for {', '.join(missing)}", where=where)
     values = {}
     for index, name in enumerate(model.link_names):
         link = robot.truth.links[name]

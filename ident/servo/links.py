@@ -98,7 +98,7 @@ def servo_links(robot_file: RobotFile) -> ServoLinks:
     without = [name for name, body in zip(model.link_names, bodies, strict=True) if body is None]
     if without:
         raise RobotFileError(
-            f"no mass is stated for link(s) {', '.join(without)}",
+            f"no mass is stated for {', '.join(without)}",
             where=f"{robot_file.where}: prior.links",
             hint="a servo model needs the links' masses: give a URDF with inertias, or prior.links",
         )

@@ -17,6 +17,7 @@ from daq.robot.loops import coupling_matrix
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError
+from drivers.core.text import counted
 from drivers.core.units import ZERO_CELSIUS
 from drivers.gains import DriveGain, joint_torque
 from drivers.streams import GOAL_AGE
@@ -102,8 +103,9 @@ def _check(label: str, joint_names: Sequence[str], time: FloatArray, quantities:
         bad = np.argwhere(~np.isfinite(values))
         if len(bad):
             sample, joint = bad[0]
+            values_of_joint = counted(int(np.count_nonzero(bad[:, 1] == joint)), "value")
             raise DataError(
-                f"{np.count_nonzero(bad[:, 1] == joint)} value(s) are not numbers, the first at sample {sample}",
+                f"{values_of_joint} not a number, the first at sample {sample}",
                 where=f"{label}: {name} of {joint_names[joint]}".removeprefix(": "),
                 hint="import the source again with the repair drop-nan (--repair, in Python repair=)",
             )
@@ -263,7 +265,7 @@ def _joint_values(stream: Stream, quantity: str, robot: Robot, label: str) -> Fl
     missing = [name for name in robot.joint_names if name not in channel.columns]
     if missing:
         raise DataError(
-            f"'{quantity}' has no column for joint(s) {', '.join(missing)}; it has {', '.join(channel.columns)}",
+            f"'{quantity}' has no column for joint {' or '.join(missing)}; it has {', '.join(channel.columns)}",
             where=f"{label}: {stream.name}",
             hint="is this the robot that was recorded? name another: --robot, in Python robot=",
         )

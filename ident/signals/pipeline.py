@@ -16,6 +16,7 @@ import numpy as np
 
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import DataError, DynidError, UsageError
+from drivers.core.text import counted
 from drivers.core.units import common_unit
 from ident.signals.cutoffs import CHEBYSHEV_PASSBAND, choose_cutoffs, parallel_filter, resolve
 from ident.signals.derivatives import Smoother, choose_smoother, smooth_motion, without_rounding
@@ -279,7 +280,7 @@ def _uniform(recorded: UniformSegment, irregularity: Irregularity) -> tuple[tupl
             f"RMS deviation {1e3 * irregularity.rms_deviation:.3g} ms); cubic spline at {rate:.6g} Hz"
         )
         if irregularity.gaps:
-            text += f", split at {irregularity.gaps} gap{'s' * (irregularity.gaps > 1)} that are not interpolated"
+            text += f", split at {counted(irregularity.gaps, 'gap')}, not interpolated"
         if dropped:
             text += f", {dropped} samples in segments below {SHORTEST_SEGMENT} samples left out"
     if irregularity.duplicates:

@@ -69,7 +69,7 @@ def test_two_recordings_in_memory_keep_their_own_windows_and_hashes(result):
         ({"time": lambda t: 1e3 * t}, "time: 0.1 samples per second .*the stamps look like ms"),
         ({"time": lambda t: t[:, None]}, r"time: has shape \(400, 1\); \(N,\) is needed"),
         ({"time": lambda t: np.where(t > 1, np.nan, t)}, "time: is not finite"),
-        ({"time": lambda t: t[:0]}, r"time: holds 0 sample\(s\)"),
+        ({"time": lambda t: t[:0]}, r"time: holds 0 samples"),
         ({"time": lambda t: None}, r"time: has shape \(\)"),
         ({"current": lambda i: None}, "neither current, voltage nor torque is given"),
     ],

@@ -15,6 +15,7 @@ from daq.importers.naming import parse_name
 from daq.importers.table import Note, QuantityColumns, check_count, listed, parsing, printable
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import ImportFileError, UsageError
+from drivers.core.text import counted
 from drivers.streams import COMMANDS
 
 SECOND = 10**9
@@ -122,7 +123,7 @@ def read_commands(
                 check_count(len(logged) * len(joints) * len(rows), path)
     if len(logged) < 2:
         said = f"carries {printable(types[topic])}" if topic in types else "is not in the bag"
-        shortage = f"holds {len(logged)} command(s); at least 2 are needed" if logged else said
+        shortage = f"holds {counted(len(logged), 'command')}; at least 2 are needed" if logged else said
         allowed = listed(sorted(name for name, kind in types.items() if kind in TYPES))
         raise ImportFileError(f"{shortage}; topics that may hold commands: {allowed or 'none'}", where=place)
     if not any(stamped):

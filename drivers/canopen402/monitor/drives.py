@@ -24,9 +24,11 @@ from drivers.canopen402.protocol.state_machine import (
 )
 from drivers.canopen402.samples.alignment import Aligned
 from drivers.core.arrays import FloatArray, IntArray
+from drivers.core.text import counted
 
 FAULT = "fault"
 ALIGNMENT_PERIOD = 1.0
+NOT_SENT = "SYNC(s) not sent: this computer was late"
 """Missing and extra frames are reported at most once in so many seconds."""
 _MARKS = ((WARNING_BIT, "warning"), (INTERNAL_LIMIT_BIT, "internal limit active"), (FOLLOWING_ERROR, "following error"))
 
@@ -202,24 +204,24 @@ class DriveWatch:
         if not (self._troubles.any() or self._skipped):
             return
         self._troubles_reported = now
-        said = [f"{self._skipped} SYNC(s) not sent: this computer was late"] if self._skipped else []
+        said = [counted(self._skipped, NOT_SENT)] if self._skipped else []
         kinds = ("no answer to SYNC", "more than one answer to SYNC", "frames of a wrong length")
         for counts, words in zip(self._troubles, kinds, strict=True):
             if (counts == counts[0, 0]).all() and counts.any() and counts.size > 2:
                 said.append(f"{words}: all joints {counts[0, 0]}")
                 continue
-            counted = [
+            each = [
                 f"{self._joints[index]} TPDO{tpdo + 1} {counts[tpdo, index]}" for tpdo, index in np.argwhere(counts)
             ]
-            if counted:
-                said.append(f"{words}: {', '.join(counted)}")
+            if each:
+                said.append(f"{words}: {', '.join(each)}")
         self._troubles[:] = 0
         self._skipped = 0
         self._report(now, "warning", "; ".join(said))
 
     def losses(self) -> str:
         """Return why rows were lost since `start`, in words: this computer was late, or drives did not answer."""
-        said = [f"{self._all_skipped} SYNC(s) not sent: this computer was late"] if self._all_skipped else []
+        said = [counted(self._all_skipped, NOT_SENT)] if self._all_skipped else []
         silent = [f"{self._joints[index]} {self._unanswered[index]}" for index in np.flatnonzero(self._unanswered)]
         if silent:
             said.append(f"no answer to SYNC in time: {', '.join(silent)}")

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from drivers.canopen402.protocol.objects import GUARDING_TOGGLE, STATE_BOOT_UP
 from drivers.canopen402.settings import HEARTBEATS_MISSED
+from drivers.core.text import counted
 
 _STATE = 0x7F
 
@@ -125,8 +126,6 @@ class NodeGuarding:
         if overdue < self._factor:
             return ""
         if invalid:
-            return (
-                f"{invalid} answer(s) to node guarding in a row without a toggle bit that alternates (is another "
-                "master guarding it?)"
-            )
+            answers = counted(invalid, "answer(s) to node guarding in a row")
+            return f"{answers} without a toggle bit that alternates (is another master guarding it?)"
         return f"no answer to {self._factor} requests of node guarding"

@@ -12,7 +12,7 @@ from daq.output_files import save_folder
 from daq.recording.quality.stream_quality import LOST_FROM, StreamQuality
 from daq.recording.recording import JOINTS_STREAM, Recording, Stream
 from drivers.core.arrays import FloatArray
-from drivers.core.text import json_text
+from drivers.core.text import counted, json_text
 from drivers.core.units import common_unit
 from ident.assessment.excitation import RecordedMotion
 from ident.checks.recording_check import RecordingInfo, info_object
@@ -219,7 +219,7 @@ def _pieces(stream: Stream) -> tuple[slice, ...]:
 def _lost(quality: StreamQuality) -> str:
     if not quality.lost:
         return "no gap"
-    return f"{quality.lost} lost in {len(quality.gaps)} gap{'s' if len(quality.gaps) > 1 else ''}"
+    return f"{quality.lost} lost in {counted(len(quality.gaps), 'gap')}"
 
 
 JSON_FILE = "info.json"

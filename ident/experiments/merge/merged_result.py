@@ -11,7 +11,7 @@ import numpy as np
 from daq.recording.recording import Recording
 from drivers.core.arrays import FloatArray
 from drivers.core.software import software_versions
-from drivers.core.text import percent_text
+from drivers.core.text import counted, percent_text
 from ident.assessment.delay.delay import DelaySearch
 from ident.assessment.plausibility import indefinite_share, sign_checks
 from ident.assessment.validation import Fit
@@ -266,7 +266,7 @@ def _consistency(inputs: Sequence[MergeInput], merged: MergedEstimate) -> Consis
         if abs(deviation) > CONTRADICTING
     ]
     contradictions.sort(key=lambda combination: -abs(combination.deviations))
-    shared = f"the {test.freedom} combination{'s' if test.freedom > 1 else ''} of parameters that several models share"
+    shared = f"the {counted(test.freedom, 'combination')} of parameters that several models share"
     outcome = f"χ² = {test.statistic:.1f}, {test.p_text}"
     if test.passed:
         text = f"The models agree on {shared} ({outcome})."
@@ -330,8 +330,7 @@ def _checks_of_part(source: MergeInput) -> list[Check]:
     inherited = [check for check in own if check.severity == "serious" and check.name not in CHECKED_AGAIN]
     checks = [replace(check, text=f"{source.label}: {check.text}") for check in inherited]
     if count := len(own) - len(inherited):
-        other = " other" if inherited else ""
-        text = f"{source.label} has {count}{other} check{'s' if count > 1 else ''} of its own"
+        text = f"{source.label} has {counted(count, 'other check' if inherited else 'check')} of its own"
         checks.append(raised("checks-of-a-part", text))
     return checks
 

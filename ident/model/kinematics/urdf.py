@@ -193,7 +193,7 @@ def _lock(full: Any, names: Sequence[str], locked: Mapping[str, float], where: s
     loose = [name for name in movable if name not in names and name not in locked]
     if loose:
         raise RobotFileError(
-            f"the URDF moves joint(s) that 'joints' does not name: {', '.join(loose)}",
+            f"the URDF moves joints that 'joints' does not name: {', '.join(loose)}",
             where=where,
             hint=f"add them to 'joints', or lock them: model: {{locked: {{{loose[0]}: 0}}}}",
         )

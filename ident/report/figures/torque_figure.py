@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 
 from drivers.core.arrays import FloatArray
+from drivers.core.text import counted
 from drivers.core.units import joint_unit
 from ident.assessment.validation import Fit
 from ident.regression.comparison import TorqueSeries
@@ -175,7 +176,7 @@ def _errors_in_short(fit: Fit | None, joint: int, unit: str) -> str:
 
 def _caption(series: Sequence[TorqueSeries], points: int, borders: int) -> str:
     samples = sum(len(segment.time) for segment in series)
-    text = [f"{whole(samples)} filtered samples in {len(series)} gap-free segment{'s' if len(series) > 1 else ''}."]
+    text = [f"{whole(samples)} filtered samples in {counted(len(series), 'gap-free segment')}."]
     if samples > points:
         text.append(
             f"Each line is decimated to about {whole(points)} points, the smallest and the largest value of every "

@@ -73,7 +73,7 @@ BOTH_ARMS = tuple(f"{side}_{name}" for side in ("left", "right") for name in NAM
         ({}, ImportChoices(topic="/joint_stats"), "/joint_stats is not in the bag.*did you mean '/joint_states'"),
         ({}, ImportChoices(topic="/chatter"), "/chatter carries std_msgs/msg/String, not sensor_msgs/msg/JointState"),
         ({"count": 0}, TORQUE, "/joint_states: holds no message"),
-        ({"count": 1}, TORQUE, r"holds 1 sample\(s\)"),
+        ({"count": 1}, TORQUE, r"holds 1 sample;"),
         (
             {"edit": rename("shoulder", "elbow", "hand")},
             TORQUE,

@@ -107,7 +107,7 @@ CSV = [
         "4 columns of position.*3 joints.*too many: q4",
     ),
     Refused("two of three", text("t,q1,q3\n0,0,0\n0.1,0,0\n"), r"missing: position 2 \(elbow\)"),
-    Refused("one sample", text(HEADER + "0,0,0,0\n"), r"holds 1 sample\(s\); at least 2"),
+    Refused("one sample", text(HEADER + "0,0,0,0\n"), r"holds 1 sample; at least 2"),
     Refused(
         "missing value",
         text(HEADER + ROWS + "0.03,0,,0\n"),

@@ -235,7 +235,7 @@ def test_a_bad_file_is_refused_in_its_own_words(text: str, where: str, words: tu
 def test_further_problems_are_counted() -> None:
     error = refusal("name: arm\nmodel: {mdh: [{joint: j1, alpha: a, d: b, r: c}]}\njoints: []\n")
     assert error.where == "arm.yaml: model.mdh[0].alpha"
-    assert error.hint == "[rad]; 3 more problem(s) in this file"
+    assert error.hint == "[rad]; 3 more problems in this file"
     assert [problem.where.removeprefix("arm.yaml: ") for problem in error.problems] == [
         "model.mdh[0].alpha",
         "model.mdh[0].d",

@@ -57,7 +57,7 @@ def test_joints_limits_and_tool_come_from_the_urdf(urdf: Path) -> None:
 
 def test_what_a_urdf_does_not_say_is_assumed_and_stated(urdf: Path) -> None:
     text = "; ".join(assumptions(load_robot(urdf)))
-    for words in ("acceleration limit 10 rad/s²", "link tool0", "-2π to 2π of the continuous joint(s) turn"):
+    for words in ("acceleration limit 10 rad/s²", "link tool0", "-2π to 2π of the continuous joints (turn)"):
         assert words in text
     assert assumed_limits(load_robot("ur5e")) == ()
 

@@ -36,7 +36,7 @@ WRONG = {
     "E": ("180", "joints[0].velocity", "180 °/s is 3.142"),
     "F": ("j3", "", "'joints' must name the joints of 'model.mdh' in its order: j1, j2; found: j1, j3"),
     "G": ("j9", "", "'drives' names joint 'j9'"),
-    "H": ("[0]", "", "'poses.home' has 1 position(s), but the arm has 2 joints"),
+    "H": ("[0]", "", "'poses.home' has 1 position, but the arm has 2 joints"),
 }
 
 

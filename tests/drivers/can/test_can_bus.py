@@ -156,7 +156,7 @@ def test_frames_that_are_not_stored_go_elsewhere_and_what_fails_there_is_told(cl
     with receiving(bus, clock, other=other) as receiver:
         assert [frame[2] for frame in take(receiver, 2)] == [b"x", b"y"]
         assert others == [2, 3]
-        assert [notice.message for notice in receiver.notices()] == ["1 frame(s) 0x3 not understood (IndexError)"]
+        assert [notice.message for notice in receiver.notices()] == ["1 frame 0x3 not understood (IndexError)"]
 
 
 def test_truncated_and_unreadable_frames_are_left_out_and_counted(clock: SimulatedClock) -> None:
@@ -167,12 +167,12 @@ def test_truncated_and_unreadable_frames_are_left_out_and_counted(clock: Simulat
     with receiving(bus, clock) as receiver:
         assert [frame[1] for frame in take(receiver, 1)] == [2]
         told = [notice.message for notice in receiver.notices()]
-        assert told == ["1 truncated frame(s) dropped", "1 unreadable frame(s) dropped"]  # at most one a second
+        assert told == ["1 truncated frame dropped", "1 unreadable frame dropped"]  # at most one a second
         clock.sleep(NOTICE_PERIOD - 0.001)
         assert receiver.notices() == []
         clock.sleep(0.002)
         told = [notice.message for notice in receiver.notices()]
-        assert told == ["4 truncated frame(s) dropped", "2 unreadable frame(s) dropped"]
+        assert told == ["4 truncated frames dropped", "2 unreadable frames dropped"]
         assert bus.flushed == 3
 
 
@@ -182,14 +182,14 @@ def test_frames_of_can_fd_are_left_out_and_counted(clock: SimulatedClock) -> Non
         assert [data for _, _, data in take(receiver, 2)] == [b"a", b"b"]
         receiver.report_rest()
         said = [notice.message for notice in receiver.notices()]
-    assert said == ["1 CAN FD frame(s) dropped", "1 CAN FD frame(s) dropped"]
+    assert said == ["1 CAN FD frame dropped", "1 CAN FD frame dropped"]
 
 
 def test_what_was_not_told_yet_is_told_at_the_end(clock: SimulatedClock) -> None:
     bus = FedBus(clock, *[message(1, b"12", dlc=8) for _ in range(3)], message(2, b"12"))
     with receiving(bus, clock) as receiver:
         take(receiver, 1)
-        for told in (["1 truncated frame(s) dropped", "2 truncated frame(s) dropped"], []):
+        for told in (["1 truncated frame dropped", "2 truncated frames dropped"], []):
             receiver.report_rest()
             assert [notice.message for notice in receiver.notices()] == told
 
@@ -213,11 +213,11 @@ def test_a_vanished_adapter_shows_after_what_came_before(clock: SimulatedClock) 
 @pytest.mark.parametrize(
     ("identifier", "data", "words"),
     [
-        (0x04, "00 08 00 00 00 00 00 00", "1 error frame(s): send error warning"),
-        (0x04, "00 30 00 00 00 00 00 00", "1 error frame(s): error passive (receiving), error passive (sending)"),
-        (0x20, "00 00 00 00 00 00 00 00", "1 error frame(s): no acknowledgement"),
-        (0x80, "00 00 00 00 00 00 00 00", "1 error frame(s): bus error"),
-        (0x01, "00 00 00 00 00 00 00 00", "1 error frame(s)"),
+        (0x04, "00 08 00 00 00 00 00 00", "1 error frame: send error warning"),
+        (0x04, "00 30 00 00 00 00 00 00", "1 error frame: error passive (receiving), error passive (sending)"),
+        (0x20, "00 00 00 00 00 00 00 00", "1 error frame: no acknowledgement"),
+        (0x80, "00 00 00 00 00 00 00 00", "1 error frame: bus error"),
+        (0x01, "00 00 00 00 00 00 00 00", "1 error frame"),
     ],
 )
 def test_error_frames_of_linux_in_words(clock: SimulatedClock, identifier: int, data: str, words: str) -> None:
@@ -287,7 +287,7 @@ def test_slcan_with_truncated_lines_garbage_and_the_plug_pulled(
             line.write(b"t18311A\r")
             assert take(receiver, 1)[0][1:] == (0x183, b"\x1a")
             told = {notice.message.split(" ", 1)[1] for notice in receiver.notices()}
-            assert told == {"truncated frame(s) dropped", "unreadable frame(s) dropped"}
+            assert told == {"truncated frame dropped", "unreadable frame dropped"}
             line.pull_out()
             error = lost(receiver)
             assert "the CAN adapter is gone" in error.message

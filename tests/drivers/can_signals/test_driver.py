@@ -16,6 +16,7 @@ from drivers.base import Attributing, Driver, DriverSettings, Notice
 from drivers.can_signals.driver import SILENCE_LIMIT, STOP_INTERVAL, STOP_LIMIT, CanFramesDriver
 from drivers.can_signals.streams import RATE_TIME, RATE_TIMES
 from drivers.core.errors import ConnectionFailedError, ConnectionLostError, DriverStateError, UsageError
+from drivers.core.text import counted
 from drivers.gains import DriveGain
 from drivers.standstill import REST_WINDOW
 from drivers.streams import Batch
@@ -141,7 +142,7 @@ def test_an_incomplete_row_is_lost_and_its_frame_named(arm: Arm, make_driver: Ma
     blocks = read_for(driver, 1.2)
     assert (len(joined(blocks, "position")), lost(blocks)) == (108, 12)
     warnings = said(list(driver.notices()), "warning")
-    assert "incomplete row(s); the last lacked frame 0x182 (position of elbow, velocity of elbow)" in warnings
+    assert "incomplete rows; the last lacked frame 0x182 (position of elbow, velocity of elbow)" in warnings
 
 
 def test_the_frame_after_the_pause_begins_a_cycle(arm: Arm, make_driver: Make, read_for: Read) -> None:
@@ -420,7 +421,7 @@ def test_a_frame_that_does_not_come_is_named_and_counted(arm: Arm, make_driver: 
     assert isinstance(driver, Attributing)
     blocks = read_for(driver, 1.0)
     elbow = "frame 0x182 (position of elbow, velocity of elbow)"
-    assert driver.losses("joints") == f"no {elbow}: {lost(blocks)} time(s)"
+    assert driver.losses("joints") == f"no {elbow}: {counted(lost(blocks), 'time')}"
     assert lost(blocks) == 10
     assert driver.silence("joints", 0.05) == driver.losses("thermal") == ""
     made.cycle = lambda number: two_frames(number)[:1]

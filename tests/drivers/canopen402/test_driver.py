@@ -74,7 +74,7 @@ def test_losses_tell_this_computer_from_a_drive() -> None:
         one.clock.stall(0.035)  # too early to know that the arm is at rest
         one.read_rows(30)
         assert one.lost == 3
-        assert one.driver.losses("joints") == "3 SYNC(s) not sent: this computer was late"
+        assert one.driver.losses("joints") == "3 SYNCs not sent: this computer was late"
         drive.drop = {number: {0, 1} for number in (50, 51)}
         one.read_rows(60)
         assert one.lost == 5

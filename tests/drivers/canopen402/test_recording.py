@@ -22,11 +22,13 @@ from daq.session.session import READ_TIMEOUT
 from daq.session.stuck_channels import WATCHED
 from daq.session.supervisor import STALE_FLOOR
 from drivers.can.receiver import POLL, Receiver
+from drivers.canopen402.monitor.drives import NOT_SENT
 from drivers.canopen402.monitor.presence import HEARTBEATS_MISSED
 from drivers.canopen402.motion.target_path import delay_periods
 from drivers.canopen402.samples import temperature
 from drivers.canopen402.samples.sync import SyncProducer
 from drivers.core.errors import ConnectionFailedError, MotionRefusedError
+from drivers.core.text import counted
 from sim_drivers.canopen.network import TICKS_PER_CHORE
 from sim_drivers.canopen.server import GRANULARITY, LONGEST_WAIT
 
@@ -259,7 +261,7 @@ def test_a_bus_that_is_off_makes_the_samples_stale_and_drives_stop_by_themselves
         # The drives miss dynid after its last heartbeat that they heard; then their quick stop, from 0.9 rad/s at most.
         last = max(time for time in bench.times(0x77F) if time < FAULT)
         assert last + LIMIT < max(powered) < last + LIMIT + LOOK + 0.9 / 20.0 + PERIOD
-        assert "warning: 1 error frame(s)" in run.events()
+        assert "warning: 1 error frame" in run.events()
 
 
 def test_an_encoder_that_hangs_ends_the_motion(tmp_path: Path) -> None:
@@ -332,7 +334,7 @@ def test_a_stall_leaves_syncs_out_or_ends_the_motion(
         late = {161: FAULT + 0.009 - 1.61} if stall == 0.009 else {}
         assert_exact(bench, run, left_out, late)
         told = [event for event in run.events() if "not sent" in event]
-        expected = f"warning: {len(left_out)} SYNC(s) not sent: this computer was late"
+        expected = f"warning: {counted(len(left_out), NOT_SENT)}"
         assert told == ([expected] if left_out else [])
         assert run.report.stopped_by is None
         assert run.recording.complete

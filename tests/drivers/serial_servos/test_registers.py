@@ -111,7 +111,7 @@ def test_files_that_are_no_calibration(tmp_path):
 
 WRONG_KEYS = {
     "is not a joint": {"motors": {**KEYS["motors"], "wrist": {"id": 3}}},
-    "have no motor": {"motors": {"swing": {"id": 1}}},
+    "no motor for": {"motors": {"swing": {"id": 1}}},
     "have the same id 1": {"motors": {"swing": {"id": 1}, "bend": {"id": 1}}},
     "no servo model is called": {"model": "sts9"},
     "model' is missing": {"model": None},

@@ -87,7 +87,7 @@ def test_what_is_no_temperature_is_counted_by_its_reason(line: bytes, why: str) 
     assert fed(parser, line + b"\nT1=21\n") == [("shoulder", 21.0)]
     assert parser.rejected == {why: 1}
     told = parser.take_rejected()
-    assert told.startswith(f"1 line(s) ignored: 1 {why}")
+    assert told.startswith(f"1 line ignored: 1 {why}")
     assert parser.take_rejected() == ""
 
 
@@ -122,8 +122,8 @@ def test_units_are_converted(unit: str, text: str, celsius: float) -> None:
         ({"url": None}, "'url' .* is missing"),
         ({"url": 7}, "'url' .* is 7"),
         ({"pattern": "("}, "not a regular expression"),
-        ({"pattern": r"T(?P<channel>\d)"}, "lacks the named group.* value"),
-        ({"pattern": r"(\d)=(\d)"}, "lacks the named group.* channel, value"),
+        ({"pattern": r"T(?P<channel>\d)"}, "lacks named groups: value"),
+        ({"pattern": r"(\d)=(\d)"}, "lacks named groups: channel, value"),
         ({"channels": {}}, "'channels'"),
         ({"channels": {1: "knee"}}, "which is not a joint"),
         ({"channels": {1: "elbow", 2: "elbow"}}, "two channels"),

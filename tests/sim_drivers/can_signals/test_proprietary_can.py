@@ -300,11 +300,11 @@ def test_a_row_is_handed_out_when_its_last_frame_came(
 
 
 FAULTS = {
-    "drop": (Drop(3), 1, "incomplete row(s)"),
-    "truncate": (Truncate(2), 1, "2 frame(s) too short for the table"),
-    "freeze": (Freeze(0.2), 40, "1 incomplete row(s); the last lacked frame 0x381"),
+    "drop": (Drop(3), 1, "incomplete row"),
+    "truncate": (Truncate(2), 1, "2 frames too short for the table"),
+    "freeze": (Freeze(0.2), 40, "1 incomplete row; the last lacked frame 0x381"),
     "mute": (Mute(0x182, 0.2), 40, f"the last lacked frame 0x182 (position of {JOINTS[2]}, position of {JOINTS[3]})"),
-    "bus-off": (BusOff(0.2), 40, "1 error frame(s)"),
+    "bus-off": (BusOff(0.2), 40, "1 error frame"),
     "garbage": (Garbage(20), 0, ""),
 }
 """A fault, the rows that it costs, and what is told of it."""

@@ -169,7 +169,7 @@ def test_faults_are_seen_and_passed(opened: Make, clock: SimulatedClock, line: S
         assert len(times) == 10  # the first one stands in a line with the last garbage
         assert messages(notices) == [
             "no temperature for 0.25 s",
-            "1 line(s) ignored: 1 do not match the pattern",
+            "1 line ignored: 1 do not match the pattern",
             "sends again after 0.5 s",
         ]
 
@@ -399,9 +399,9 @@ def told(recording: Recording) -> list[str]:
             3.2,
             [
                 "warning: no temperature for 1.00 s",
-                "warning: 1 line(s) ignored: 1 do not match the pattern",
+                "warning: 1 line ignored: 1 do not match the pattern",
                 "info: sends again after 3.2 s",
-                "warning: 3 line(s) ignored: 3 do not match the pattern",
+                "warning: 3 lines ignored: 3 do not match the pattern",
             ],
         ),
     ],

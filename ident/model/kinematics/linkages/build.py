@@ -17,6 +17,7 @@ from daq.robot.loops import Loop
 from daq.robot.schema import Robot
 from drivers.core.arrays import FloatArray
 from drivers.core.errors import RobotFileError
+from drivers.core.text import counted
 from drivers.core.units import joint_unit
 from ident.model.kinematics.joints import Joint, Placement
 from ident.model.kinematics.linkages.closed_loops import ClosedLoops
@@ -214,7 +215,7 @@ def _independent(raw: LoopEquations, start: FloatArray, names: tuple[str, ...], 
     elsewhere = start[:, None] + np.random.default_rng(0).uniform(-1.0, 1.0, (len(start), 1))
     if rank > len(passive) or _rank(raw.at(elsewhere).full[..., 0]) < len(passive):
         raise RobotFileError(
-            f"the closing equations determine {rank} joint(s), but {len(passive)} have no motor ({following})",
+            f"the closing equations determine {counted(rank, 'joint')}, but {len(passive)} have no motor ({following})",
             where=where,
             hint=(
                 "fewer joints can follow: give the others a motor, or lock them"
